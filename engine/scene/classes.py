@@ -1,0 +1,60 @@
+"""Which classes there are, and which of them are things (countable objects) or stuff (walls, floors)."""
+
+from __future__ import annotations
+
+import colorsys
+from dataclasses import dataclass
+
+VOID = 0
+"""Class id of pixels without a label. It is never predicted."""
+
+
+@dataclass(frozen=True)
+class Category:
+    """One class: ``id`` >= 1 as in the masks' own table, an sRGB ``colour`` of three bytes."""
+
+    id: int
+    name: str
+    is_thing: bool
+    colour: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class ClassTable:
+    """The classes of a scene in ascending order of id; void is not among them."""
+
+    categories: tuple[Category, ...]
+
+    def __post_init__(self) -> None:
+        ids = [category.id for category in self.categories]
+        if ids != sorted(set(ids)) or (ids and ids[0] <= VOID):
+            raise ValueError("class ids must be unique, ascending and greater than 0")
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        return tuple(category.id for category in self.categories)
+
+    @property
+    def thing_ids(self) -> frozenset[int]:
+        return frozenset(category.id for category in self.categories if category.is_thing)
+
+    def __getitem__(self, class_id: int) -> Category:
+        """The category of an id; KeyError when the table does not have it."""
+        for category in self.categories:
+            if category.id == class_id:
+                return category
+        raise KeyError(class_id)
+
+    def __contains__(self, class_id: int) -> bool:
+        return any(category.id == class_id for category in self.categories)
+
+    def __len__(self) -> int:
+        return len(self.categories)
+
+
+def distinct_colour(index: int) -> tuple[int, int, int]:
+    """A repeatable sRGB colour for the index-th class or instance: hues by the golden ratio, in three lightness steps."""
+    hue = (0.11 + index * 0.618033988749895) % 1.0
+    lightness = (0.55, 0.42, 0.68)[index % 3]
+    red, green, blue = colorsys.hls_to_rgb(hue, lightness, 0.62)
+    return round(red * 255), round(green * 255), round(blue * 255)

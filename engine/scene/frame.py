@@ -1,0 +1,103 @@
+"""A frame: one posed colour image with depth, a panoptic mask and, for evaluation only, ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .classes import ClassTable
+
+Size = tuple[int, int]
+"""(width, height) in pixels."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One region of a panoptic mask: the value ``id`` in the mask's pixels, its class and the detector's score in [0, 1]."""
+
+    id: int
+    class_id: int
+    is_thing: bool
+    score: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class PanopticMask:
+    """Segment ids, int32 [H, W] with 0 = void, and what each id means. Ids say nothing across views."""
+
+    ids: NDArray[np.int32]
+    segments: tuple[Segment, ...]
+
+    def class_map(self) -> NDArray[np.int32]:
+        """Class id of every pixel, int32 [H, W], 0 = void."""
+        table = np.zeros(int(self.ids.max(initial=0)) + 1, np.int32)
+        for segment in self.segments:
+            if segment.id < len(table):
+                table[segment.id] = segment.class_id
+        return table[self.ids]
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """True class ids and instance ids (0 = stuff or none), int32 [H, W] each. Serves metrics only."""
+
+    semantic: NDArray[np.int32]
+    instance: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One view. Pixels are read when asked for: each reader is called with a size (width, height) or None for its own.
+
+    ``read_colour`` gives uint8 [H, W, 3] RGB, ``read_depth`` float32 [H, W] planar metres (0 = none), ``read_mask`` a
+    PanopticMask, ``read_ground_truth`` a GroundTruth; the last is None where there is none. They raise SceneError.
+    """
+
+    name: str
+    camera: Camera
+    held_out: bool
+    colour_path: Path
+    depth_path: Path
+    read_colour: Callable[[Size | None], NDArray[np.uint8]]
+    read_depth: Callable[[Size | None], NDArray[np.float32]]
+    read_mask: Callable[[Size | None], PanopticMask]
+    read_ground_truth: Callable[[Size | None], GroundTruth] | None = None
+
+    @property
+    def size(self) -> Size:
+        return self.camera.width, self.camera.height
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Posed frames in recording order, the classes their masks use, and what a user should know about them."""
+
+    folder: Path
+    frames: tuple[Frame, ...]
+    classes: ClassTable
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def train_frames(self) -> tuple[Frame, ...]:
+        return tuple(frame for frame in self.frames if not frame.held_out)
+
+    @property
+    def test_frames(self) -> tuple[Frame, ...]:
+        return tuple(frame for frame in self.frames if frame.held_out)
+
+    @property
+    def has_ground_truth(self) -> bool:
+        return any(frame.read_ground_truth is not None for frame in self.frames)
+
+
+class SceneError(Exception):
+    """Input that cannot be lifted: what is wrong, where (a file or folder), and what to do about it."""
+
+    def __init__(self, what: str, where: Path | str, fix: str) -> None:
+        super().__init__(f"{what}: {where}. {fix}")
+        self.what, self.where, self.fix = what, str(where), fix
