@@ -1,0 +1,1 @@
+"""Anchors, decoders, growing and pruning."""

@@ -1,0 +1,31 @@
+"""What the lifted model shows from one camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class PanopticRendering:
+    """A rendered view before anything is decided about its pixels.
+
+    ``image`` float32 [H, W, 3], sRGB-encoded in [0, 1] over black; ``alpha`` float32 [H, W]; ``depth`` float32 [H, W],
+    expected planar depth in metres (0 where nothing was hit). ``class_coverage`` float32 [H, W, C] holds
+    sum_i w_i * p_i(class) for the blending weights w_i of the pixel's Gaussians: it sums to alpha over the classes.
+    ``instance_coverage`` float32 [H, W, S] is the same for instance slots. Column c belongs to ``class_ids[c]``, column s
+    to ``instance_ids[s]``.
+    """
+
+    camera: Camera
+    image: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    class_coverage: NDArray[np.float32]
+    instance_coverage: NDArray[np.float32]
+    class_ids: tuple[int, ...]
+    instance_ids: tuple[int, ...]

@@ -1,0 +1,34 @@
+"""A frame's pixels, all brought to one size: what the lift works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .frame import Frame, PanopticMask, Size
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of one frame at the size of ``camera``."""
+
+    name: str
+    camera: Camera
+    colour: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    mask: PanopticMask
+
+
+def load_view(frame: Frame, size: Size | None = None) -> View:
+    """Read a frame at ``size`` (width, height), or at its own size. Raises SceneError when a file is bad."""
+    width, height = size or frame.size
+    return View(
+        name=frame.name,
+        camera=frame.camera.resized(width, height),
+        colour=frame.read_colour((width, height)),
+        depth=frame.read_depth((width, height)),
+        mask=frame.read_mask((width, height)),
+    )
