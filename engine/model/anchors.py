@@ -1,0 +1,101 @@
+"""Anchors: voxel centres that each own ``k`` neural Gaussians (paper, section "Structured Panoptic-Aware Scene
+Representation"; Scaffold-GS).
+
+An anchor never moves. What is learnt are its feature, the offsets of its Gaussians and six log scales: three stretch the
+offsets, three bound the size of the Gaussians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+UNKNOWN_CLASS = 0
+"""Initial class of an anchor that no believed label fell on, and of every grown anchor."""
+
+
+@dataclass
+class Anchors:
+    """The anchors' tensors, row i of each being anchor i; float32 unless said otherwise.
+
+    ``position`` [M, 3] metres, fixed; ``feature`` [M, F]; ``offset`` [M, k, 3] in units of the offset scale;
+    ``log_scale`` [M, 6] (0:3 offset scale, 3:6 Gaussian scale, log metres); ``level`` int64 [M], 0 for initial anchors and
+    1..3 for those grown at the 1st to 3rd cell size; ``initial_class`` int64 [M], class id voted by the semantic point cloud
+    (0 = unknown), the target of the cluster loss.
+    """
+
+    position: torch.Tensor
+    feature: torch.Tensor
+    offset: torch.Tensor
+    log_scale: torch.Tensor
+    level: torch.Tensor
+    initial_class: torch.Tensor
+
+    LEARNT = ("feature", "offset", "log_scale")
+    FIXED = ("position", "level", "initial_class")
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def gaussians_per_anchor(self) -> int:
+        return self.offset.shape[1]
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All tensors by name, learnt ones detached."""
+        return {name: getattr(self, name).detach() for name in (*self.LEARNT, *self.FIXED)}
+
+    def select(self, rows: torch.Tensor) -> Anchors:
+        """The anchors of ``rows`` (bool [M] or int64 indices), in order, as fresh leaf tensors."""
+        return Anchors(**{name: tensor[rows].clone() for name, tensor in self.tensors().items()})
+
+    def extended(self, more: Anchors) -> Anchors:
+        """These anchors followed by ``more``."""
+        mine, theirs = self.tensors(), more.tensors()
+        return Anchors(**{name: torch.cat([mine[name], theirs[name]]) for name in mine})
+
+
+def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.float32]:
+    """Unique voxel centres of ``points`` [N, 3]: V = {[P / eps]} * eps, float32 [M, 3], sorted by x, then y, then z.
+
+    ``[.]`` rounds half to even, as numpy does (paper, first equation of the structured representation).
+    """
+    cells = np.unique(np.round(np.asarray(points, np.float64) / voxel_size).astype(np.int64), axis=0)
+    return (cells * voxel_size).astype(np.float32)
+
+
+def spacing(positions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Root mean square distance in metres to the three nearest other anchors, float32 [M] (Scaffold-GS's initial scale)."""
+    neighbours = min(4, len(positions))
+    if neighbours < 2:
+        return np.full(len(positions), 0.05, np.float32)
+    distance, _ = cKDTree(positions).query(positions, k=neighbours)
+    return np.sqrt(np.maximum((distance[:, 1:] ** 2).mean(axis=1), 1e-7)).astype(np.float32)
+
+
+def initial_anchors(
+    positions: NDArray[np.float32],
+    classes: NDArray[np.integer],
+    *,
+    gaussians_per_anchor: int,
+    feature: NDArray[np.float32],
+    voxel_size: float,
+) -> Anchors:
+    """Anchors at ``positions`` [M, 3] with class ids ``classes`` [M] (0 unknown) and starting features [M, F].
+
+    A lone point far from all others would start as one huge Gaussian, so the starting scale is bounded by three voxels.
+    """
+    count = len(positions)
+    log_scale = np.log(np.minimum(spacing(positions), 3.0 * voxel_size))
+    return Anchors(
+        position=torch.from_numpy(np.ascontiguousarray(positions, np.float32)),
+        feature=torch.from_numpy(np.ascontiguousarray(feature, np.float32)),
+        offset=torch.zeros(count, gaussians_per_anchor, 3),
+        log_scale=torch.from_numpy(np.repeat(log_scale[:, None], 6, axis=1)),
+        level=torch.zeros(count, dtype=torch.int64),
+        initial_class=torch.from_numpy(np.asarray(classes, np.int64)),
+    )

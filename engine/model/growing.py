@@ -1,0 +1,154 @@
+"""Growing anchors where the picture is poorly explained, pruning those that stay transparent (Scaffold-GS, section 3.3).
+
+Only the reconstruction loss feeds the statistics: they are gathered from gradients of the projected Gaussian centres,
+and label losses never reach those.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from .anchors import UNKNOWN_CLASS, Anchors
+from .gaussians import NeuralGaussians
+
+
+@dataclass(frozen=True)
+class GrowthRules:
+    """When to grow and prune. Visit counts are shares of the steps between two rounds.
+
+    ``gradient`` is the first level's threshold on the mean gradient of the projected centre in NDC units; level i takes
+    2^i times that and cells of ``cell_voxels[i]`` voxels. ``opacity`` is the mean summed opacity below which an anchor goes.
+    """
+
+    gradient: float = 2e-4
+    cell_voxels: tuple[int, ...] = (16, 4, 1)
+    keep_share: tuple[float, ...] = (0.5, 0.75, 0.875)
+    seen_share: float = 0.4
+    visited_share: float = 0.8
+    opacity: float = 0.005
+
+
+@dataclass
+class GrowthStatistics:
+    """Sums since the last round: ``visits`` [M] and ``opacity`` [M] an anchor, ``gradient`` [M, k] and ``drawn`` [M, k] a
+    Gaussian; float32."""
+
+    visits: torch.Tensor
+    opacity: torch.Tensor
+    gradient: torch.Tensor
+    drawn: torch.Tensor
+
+    @classmethod
+    def empty(cls, anchors: Anchors) -> GrowthStatistics:
+        count, k = len(anchors), anchors.gaussians_per_anchor
+        return cls(torch.zeros(count), torch.zeros(count), torch.zeros(count, k), torch.zeros(count, k))
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        return {"visits": self.visits, "opacity": self.opacity, "gradient": self.gradient, "drawn": self.drawn}
+
+    def add(
+        self, gaussians: NeuralGaussians, drawn: torch.Tensor, means2d_gradient: torch.Tensor, width: int, height: int
+    ) -> None:
+        """Count one step: ``drawn`` bool [N], ``means2d_gradient`` [N, 2] per pixel, brought to NDC units here."""
+        visible = gaussians.visible
+        self.visits[visible] += 1
+        self.opacity[visible] += gaussians.all_opacities.detach().clamp_min(0).sum(dim=1)
+        k = self.gradient.shape[1]
+        rows = visible[gaussians.kept // k] * k + gaussians.kept % k
+        ndc = means2d_gradient * torch.tensor([0.5 * width, 0.5 * height])
+        seen = drawn.float()
+        self.gradient.view(-1)[rows] += ndc.norm(dim=1) * seen
+        self.drawn.view(-1)[rows] += seen
+
+
+@dataclass(frozen=True)
+class GrowthRound:
+    """What a round decided: rows to keep (bool [M]) and the anchors to add behind them."""
+
+    keep: torch.Tensor
+    grown: Anchors
+
+
+def _cells(points: NDArray[np.float32], size: float) -> NDArray[np.int64]:
+    return np.round(points.astype(np.float64) / size).astype(np.int64)
+
+
+def _as_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One int64 a cell, unique within +-2^20 cells of the origin along each axis (20 km at 2 cm)."""
+    shifted = cells + (1 << 20)
+    return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
+
+
+def grow_and_prune(
+    anchors: Anchors,
+    statistics: GrowthStatistics,
+    rules: GrowthRules,
+    *,
+    voxel_size: float,
+    steps_between: int,
+    random: np.random.Generator,
+    most_anchors: int,
+) -> GrowthRound:
+    """One round. The statistics of what was judged are set back to zero in place.
+
+    Growing stops at ``most_anchors`` in all; which candidates fall out then is decided by ``random`` as well.
+    """
+    keep = ~((statistics.visits > rules.visited_share * steps_between) & (statistics.opacity < rules.opacity * statistics.visits))
+    judged = statistics.visits > rules.visited_share * steps_between
+    seen = statistics.drawn > rules.seen_share * steps_between
+    mean_gradient = (statistics.gradient / statistics.drawn.clamp_min(1)).numpy() * seen.numpy()
+    centres = (anchors.position[:, None] + anchors.offset.detach() * anchors.log_scale.detach()[:, None, :3].exp()).numpy()
+    features = anchors.feature.detach().numpy()
+    k = anchors.gaussians_per_anchor
+    taken_by = anchors.position.numpy()
+
+    room = max(0, most_anchors - int(keep.sum()))
+    grown: list[Anchors] = []
+    for level, cell_voxels in enumerate(rules.cell_voxels):
+        size = voxel_size * cell_voxels
+        candidate = mean_gradient >= rules.gradient * 2**level
+        candidate &= random.random(candidate.shape) < rules.keep_share[level]
+        which = np.flatnonzero(candidate.reshape(-1))
+        if not len(which) or not room:
+            continue
+        cells = _cells(centres.reshape(-1, 3)[which], size)
+        keys = _as_keys(cells)
+        occupied = np.concatenate([taken_by, *[part.position.numpy() for part in grown]])
+        free = ~np.isin(keys, _as_keys(_cells(occupied, size)))
+        unique, first, cell_of = np.unique(keys[free], return_index=True, return_inverse=True)
+        if not len(unique):
+            continue
+        feature = np.full((len(unique), features.shape[1]), -np.inf, np.float32)
+        np.maximum.at(feature, cell_of, features[which[free] // k])
+        position = (cells[free][first] * size).astype(np.float32)
+        if len(unique) > room:
+            chosen = np.sort(random.choice(len(unique), room, replace=False))
+            position, feature = position[chosen], feature[chosen]
+        room -= len(position)
+        grown.append(_grown_anchors(position, feature, level + 1, size, k))
+    statistics.gradient[seen] = 0
+    statistics.drawn[seen] = 0
+    statistics.visits[judged] = 0
+    statistics.opacity[judged] = 0
+    added = grown[0] if grown else anchors.select(torch.zeros(0, dtype=torch.int64))
+    for part in grown[1:]:
+        added = added.extended(part)
+    return GrowthRound(keep, added)
+
+
+def _grown_anchors(
+    position: NDArray[np.float32], feature: NDArray[np.float32], level: int, size: float, gaussians_per_anchor: int
+) -> Anchors:
+    count = len(position)
+    return Anchors(
+        position=torch.from_numpy(position),
+        feature=torch.from_numpy(feature),
+        offset=torch.zeros(count, gaussians_per_anchor, 3),
+        log_scale=torch.full((count, 6), float(np.log(size))),
+        level=torch.full((count,), level, dtype=torch.int64),
+        initial_class=torch.full((count,), UNKNOWN_CLASS, dtype=torch.int64),
+    )

@@ -1,0 +1,1 @@
+"""Losses, presets, schedule, the trainer and its state."""

@@ -1,0 +1,113 @@
+"""How much work a lift may take: three presets, and what a user may override.
+
+Every schedule point is a fraction of the steps, so that a preset of 600 steps goes through the same stages as the paper's
+30 000 (paper, "Implementation Details").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ..model.growing import GrowthRules
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Fractions of all steps. ``self_training_every`` is the paper's 5k of 30k: the first round of pseudo labels ends the
+    initial stage. Growing as in Scaffold-GS: 1500/30000 to 15000/30000, statistics from 500/30000."""
+
+    self_training_every: float = 1 / 6
+    statistics_from: float = 500 / 30000
+    grow_from: float = 1500 / 30000
+    grow_until: float = 0.5
+    grow_every: float = 100 / 30000
+    grow_every_at_least_steps: int = 40
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Start and end of log-linear decays (Scaffold-GS's, and ours for the two label decoders). ``offset`` is multiplied by
+    the scene's extent in metres."""
+
+    feature: tuple[float, float] = (0.0075, 0.0075)
+    offset: tuple[float, float] = (0.01, 1e-4)
+    log_scale: tuple[float, float] = (0.007, 0.007)
+    opacity: tuple[float, float] = (0.002, 2e-5)
+    covariance: tuple[float, float] = (0.004, 0.004)
+    colour: tuple[float, float] = (0.008, 5e-5)
+    semantic: tuple[float, float] = (0.004, 4e-4)
+    instance: tuple[float, float] = (0.004, 4e-4)
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """lambda_ssim, lambda_vol, lambda_sem, lambda_ins of the paper's section "Implementation Details"."""
+
+    ssim: float = 0.2
+    volume: float = 0.001
+    semantic: float = 0.2
+    instance: float = 0.2
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Everything that shapes a lift except its input and its seed.
+
+    ``longest_side`` pixels of the frames while training; ``voxel_size`` metres (the paper's epsilon); ``neighbours`` is N_w
+    and ``agreement`` the share of them that must agree (1 = the paper's product). ``instance_slots`` is the least number of
+    slots. ``object_votes``: one class vote a view for each matched object, ours, beyond the paper. ``seeded_features``: start
+    features from colour and label of the anchors instead of zero.
+    """
+
+    name: str
+    steps: int
+    longest_side: int
+    voxel_size: float
+    gaussians_per_anchor: int
+    features: int = 32
+    instance_slots: int = 25
+    most_anchors: int = 400_000
+    distance_input: bool = False
+    label_view_input: bool = False
+    neighbours: int = 8
+    agreement: float = 0.75
+    object_votes: bool = True
+    seeded_features: bool = True
+    tau_new: float = -0.1
+    schedule: Schedule = Schedule()
+    rates: LearningRates = LearningRates()
+    weights: LossWeights = LossWeights()
+    growth: GrowthRules = GrowthRules()
+
+
+PRESETS = {
+    preset.name: preset
+    for preset in (
+        Preset("preview", steps=600, longest_side=192, voxel_size=0.06, gaussians_per_anchor=5),
+        Preset("standard", steps=3000, longest_side=320, voxel_size=0.04, gaussians_per_anchor=6),
+        Preset(
+            "paper",
+            steps=30_000,
+            longest_side=640,
+            voxel_size=0.02,
+            gaussians_per_anchor=10,
+            most_anchors=2_000_000,
+            distance_input=True,
+            label_view_input=True,
+            neighbours=4,
+            agreement=1.0,
+            object_votes=False,
+            seeded_features=False,
+        ),
+    )
+}
+
+
+def chosen_preset(name: str, steps: int | None = None, size: tuple[int, int] | None = None) -> Preset:
+    """The preset of that name with the user's steps and the longest side of the user's size. KeyError for a wrong name."""
+    preset = PRESETS[name]
+    if steps is not None:
+        preset = replace(preset, steps=steps)
+    if size is not None:
+        preset = replace(preset, longest_side=max(size))
+    return preset

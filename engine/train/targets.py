@@ -1,0 +1,64 @@
+"""What each training view is supervised with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..model.structured import LabelChannels
+from ..scene import Camera, View
+
+
+@dataclass
+class ViewTargets:
+    """Targets of one training view at lift size.
+
+    ``photo`` float32 [H, W, 3] sRGB-encoded in [0, 1]. ``projected`` int64 [H, W]: semantic channel of the projected point
+    cloud, -1 where it says nothing. ``matched`` int64 [H, W]: instance slot of M_match, -1 = none. ``machine_instances``
+    int32 [H, W]: ids of the machine's thing segments in this view, 0 = none. ``pseudo`` int64 [H, W]: semantic channel of
+    the pseudo labels, None before the self-training stage.
+    """
+
+    name: str
+    camera: Camera
+    photo: torch.Tensor
+    projected: torch.Tensor
+    matched: torch.Tensor
+    machine_instances: NDArray[np.int32]
+    pseudo: torch.Tensor | None = None
+
+    @property
+    def semantic(self) -> torch.Tensor:
+        return self.projected if self.pseudo is None else self.pseudo
+
+
+def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...]) -> torch.Tensor:
+    """Labels of any shape as channel numbers, int64: the place of each label in ``ids``, -1 for those not in it (and 0)."""
+    table = np.full(max(int(labels.max(initial=0)), max(ids, default=0)) + 1, -1, np.int64)
+    for column, label in enumerate(ids):
+        if label:
+            table[label] = column
+    return torch.from_numpy(table[np.maximum(labels, 0)])
+
+
+def view_targets(
+    view: View,
+    channels: LabelChannels,
+    *,
+    projected_class: NDArray[np.int32],
+    matched_instance: NDArray[np.int32],
+) -> ViewTargets:
+    """Targets of ``view`` from class ids and instance ids, int32 [H, W] each, 0 = nothing known."""
+    things = {segment.id for segment in view.mask.segments if segment.is_thing}
+    is_thing = np.isin(view.mask.ids, sorted(things))
+    return ViewTargets(
+        name=view.name,
+        camera=view.camera,
+        photo=torch.from_numpy(view.colour.astype(np.float32) / 255.0),
+        projected=columns_of(projected_class, channels.class_ids),
+        matched=columns_of(matched_instance, channels.slot_ids),
+        machine_instances=np.where(is_thing, view.mask.ids, 0).astype(np.int32),
+    )

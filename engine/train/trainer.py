@@ -1,0 +1,167 @@
+"""The training loop's inside: one step, a round of growth, a round of pseudo labels, and its whole state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..instances.linear_assignment import assign_slots
+from ..model.gaussians import NeuralGaussians, decode
+from ..model.growing import GrowthStatistics, grow_and_prune
+from ..model.render import render_view
+from ..model.structured import StructuredScene
+from ..raster import Rendering, rasterize
+from ..scene import View
+from ..semantics.pseudo_labels import pseudo_labels
+from .losses import cluster_loss, instance_loss, label_loss, reconstruction_loss
+from .optimiser import Optimiser
+from .presets import Preset
+from .targets import ViewTargets, columns_of
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What one step did: its loss and the parts of it."""
+
+    step: int
+    loss: float
+    reconstruction: float
+    semantic: float
+    instance: float
+    gaussians: int
+
+
+class Trainer:
+    """Trains ``scene`` on ``targets``. Everything random is drawn from (seed, purpose, number), so that a trainer restored
+    at step n goes on bit for bit as the one that never stopped."""
+
+    def __init__(self, scene: StructuredScene, targets: list[ViewTargets], views: list[View], preset: Preset, seed: int) -> None:
+        self.scene, self.targets, self.views, self.preset, self.seed = scene, targets, views, preset, seed
+        self.step_number = 0
+        self.growth_steps = max(round(preset.schedule.grow_every * preset.steps), preset.schedule.grow_every_at_least_steps)
+        self.self_training_steps = max(1, round(preset.schedule.self_training_every * preset.steps))
+        self.optimiser = Optimiser(scene.anchors, scene.decoders, preset.rates, _extent(targets))
+        self.statistics = GrowthStatistics.empty(scene.anchors)
+        self.follow_anchors()
+
+    @property
+    def finished(self) -> bool:
+        return self.step_number >= self.preset.steps
+
+    def follow_anchors(self) -> None:
+        """Bring what is derived from the anchors up to date after they were replaced."""
+        self.initial_channels = columns_of(self.scene.anchors.initial_class.numpy(), self.scene.channels.class_ids)
+
+    def _view_of_step(self, step: int) -> ViewTargets:
+        """A random order of all views, anew in each epoch."""
+        epoch, place = divmod(step, len(self.targets))
+        order = np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.targets))
+        return self.targets[order[place]]
+
+    def step(self) -> StepReport:
+        """One optimisation step on one view, then whatever the schedule asks for after it."""
+        target = self._view_of_step(self.step_number)
+        gaussians = decode(self.scene.anchors, self.scene.decoders, target.camera)
+        rendering = self._rasterize(gaussians, target)
+        weights = self.preset.weights
+        reconstruction = reconstruction_loss(
+            rendering.image, target.photo, gaussians.scales, ssim_weight=weights.ssim, volume_weight=weights.volume
+        )
+        semantic, instance = self._label_losses(gaussians, rendering, target)
+        loss = reconstruction + weights.semantic * semantic + weights.instance * instance
+        loss.backward()
+        progress = self.step_number / self.preset.steps
+        self._gather_statistics(gaussians, rendering, target, progress)
+        self.optimiser.step(progress)
+        self.step_number += 1
+        self._after_step()
+        return StepReport(
+            self.step_number,
+            loss.item(),
+            reconstruction.item(),
+            semantic.item(),
+            instance.item(),
+            len(gaussians.opacities),
+        )
+
+    def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets) -> Rendering:
+        return rasterize(
+            gaussians.means,
+            gaussians.scales,
+            gaussians.quats,
+            gaussians.opacities,
+            gaussians.colours,
+            gaussians.labels,
+            torch.from_numpy(target.camera.camera_to_world).float(),
+            torch.from_numpy(target.camera.K).float(),
+            target.camera.width,
+            target.camera.height,
+            want_means2d_grad=True,
+        )
+
+    def _label_losses(
+        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        classes = len(self.scene.channels.class_ids)
+        class_coverage, slot_coverage = rendering.labels[..., :classes], rendering.labels[..., classes:]
+        semantic = label_loss(class_coverage, rendering.alpha, target.semantic)
+        semantic = semantic + cluster_loss(gaussians.class_logits, self.initial_channels[gaussians.visible])
+        with torch.no_grad():
+            probability = slot_coverage.detach() / (rendering.alpha.detach()[..., None] + 1e-8)
+            assigned = assign_slots(target.machine_instances, probability.numpy())
+        instance = instance_loss(
+            slot_coverage, rendering.alpha, torch.from_numpy(assigned.astype(np.int64)), target.matched
+        )
+        return semantic, instance
+
+    def _gather_statistics(
+        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float
+    ) -> None:
+        schedule = self.preset.schedule
+        if schedule.statistics_from <= progress < schedule.grow_until:
+            camera = target.camera
+            self.statistics.add(gaussians, rendering.visible, rendering.means2d.grad, camera.width, camera.height)
+
+    def _after_step(self) -> None:
+        schedule, steps = self.preset.schedule, self.preset.steps
+        growing = schedule.grow_from * steps < self.step_number < schedule.grow_until * steps
+        if growing and self.step_number % self.growth_steps == 0:
+            self._grow()
+        if self.step_number % self.self_training_steps == 0 and not self.finished:
+            self.refresh_pseudo_labels()
+
+    def _grow(self) -> None:
+        round_ = grow_and_prune(
+            self.scene.anchors,
+            self.statistics,
+            self.preset.growth,
+            voxel_size=self.scene.voxel_size,
+            steps_between=self.growth_steps,
+            random=np.random.default_rng([self.seed, 2, self.step_number]),
+            most_anchors=self.preset.most_anchors,
+        )
+        statistics = {name: tensor[round_.keep] for name, tensor in self.statistics.tensors().items()}
+        fresh = GrowthStatistics.empty(round_.grown).tensors()
+        self.statistics = GrowthStatistics(**{name: torch.cat([statistics[name], fresh[name]]) for name in fresh})
+        self.scene.anchors = self.scene.anchors.select(round_.keep).extended(round_.grown)
+        self.optimiser.replace_anchors(self.scene.anchors, round_.keep)
+        self.follow_anchors()
+
+    def refresh_pseudo_labels(self, check: Callable[[], None] = lambda: None) -> None:
+        """Give every region of the machine's masks the class that most of its pixels are rendered with (self-training)."""
+        class_ids = np.array(self.scene.channels.class_ids, np.int32)
+        for target, view in zip(self.targets, self.views, strict=True):
+            check()
+            coverage = render_view(self.scene, target.camera).class_coverage
+            rendered = class_ids[coverage.argmax(axis=2)]
+            labels = pseudo_labels(view.mask.class_map(), rendered)
+            target.pseudo = columns_of(labels, self.scene.channels.class_ids)
+
+
+def _extent(targets: list[ViewTargets]) -> float:
+    """1.1 times the greatest distance of a camera from the mean camera centre, metres (Scaffold-GS)."""
+    centres = np.array([target.camera.centre for target in targets])
+    return 1.1 * max(float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()), 1e-2)
