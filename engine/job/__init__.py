@@ -1,0 +1,41 @@
+"""What was asked, how far is it, what came out? Standard library only."""
+
+from __future__ import annotations
+
+from .atomic import sha256, write_atomically
+from .checkpoint import Checkpoint, CheckpointStore
+from .errors import Cancelled, JobError
+from .events import Event, EventReader, EventWriter, last_run
+from .exit_code import ExitCode
+from .folder import LiftFolder, LiftState
+from .manifest import Manifest, ResultFile, check_sizes, read_manifest, verify, write_manifest
+from .request import BAKES, PRESETS, UPS, LiftRequest
+from .stop import StopSignal, Watchdog
+
+__all__ = [
+    "BAKES",
+    "PRESETS",
+    "UPS",
+    "Cancelled",
+    "Checkpoint",
+    "CheckpointStore",
+    "Event",
+    "EventReader",
+    "EventWriter",
+    "ExitCode",
+    "JobError",
+    "LiftFolder",
+    "LiftRequest",
+    "LiftState",
+    "Manifest",
+    "ResultFile",
+    "StopSignal",
+    "Watchdog",
+    "check_sizes",
+    "last_run",
+    "read_manifest",
+    "sha256",
+    "verify",
+    "write_atomically",
+    "write_manifest",
+]

@@ -1,0 +1,68 @@
+"""Files that are there as a whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+PART = ".part-"
+"""Prefix of names that are still being written. A kill leaves them behind; `remove_parts` deletes them."""
+
+
+def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]) -> None:
+    """Write a file so that readers, and a kill at any point, see the old content or the new, never a mixture.
+
+    ``content`` is the bytes, a text (written as UTF-8), or a function that writes the file at the path it is
+    given. That path lies in the same folder and ends like ``path``, so libraries that choose a format by
+    suffix choose the right one. One process at a time may write a given path. Raises what the function or the
+    file system raises, and then leaves ``path`` as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(PART + path.name)
+    try:
+        if callable(content):
+            content(part)
+        else:
+            part.write_bytes(content.encode() if isinstance(content, str) else content)
+        flush_to_disk(part)
+        os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    flush_to_disk(path.parent)
+
+
+def flush_to_disk(path: Path) -> None:
+    """Wait until a file's content (or a folder's list of names) would survive a power cut. Raises OSError."""
+    if path.is_dir():
+        if os.name == "nt":  # Windows cannot open folders; NTFS journals names by itself
+            return
+        descriptor = os.open(path, os.O_RDONLY)
+    else:
+        descriptor = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def remove_parts(folder: Path) -> None:
+    """Delete what killed writers left under ``folder``. Only for whoever holds the folder's lock."""
+    for part in sorted(folder.rglob(PART + "*")):
+        if part.is_file():
+            part.unlink()
+
+
+def sha256(path: Path) -> str:
+    """The file's SHA-256 in hex. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def files_below(folder: Path) -> Iterator[Path]:
+    """Every file under ``folder`` that is whole, in a fixed order."""
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and not path.name.startswith(PART):
+            yield path

@@ -1,0 +1,128 @@
+"""checkpoint/: the latest complete state. At every instant one is there, whole, or none was made yet."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from .atomic import PART, files_below, flush_to_disk, sha256
+from .errors import JobError
+from .json_file import Json, read_object, to_text
+
+FORMAT = 1
+_INDEX = "state.json"
+_FIX = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A complete state: ``state`` as it was given to `save`, and the folder with the files written then."""
+
+    path: Path
+    state: Mapping[str, Json]
+
+
+class CheckpointStore:
+    """Saves and finds checkpoints in a lift folder. Only the holder of the folder's lock may save.
+
+    A folder cannot replace another in one step on every system, so `save` takes three names:
+    ``.part-checkpoint`` (being written) -> ``checkpoint.next`` (complete), then ``checkpoint`` ->
+    ``checkpoint.old``, ``checkpoint.next`` -> ``checkpoint``. Whatever a kill leaves, the newest of next,
+    checkpoint, old is complete.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._part = folder / (PART + "checkpoint")
+        self._next = folder / "checkpoint.next"
+        self._current = folder / "checkpoint"
+        self._old = folder / "checkpoint.old"
+
+    def save(self, state: Mapping[str, object], write: Callable[[Path], object]) -> None:
+        """Make a checkpoint: ``write`` puts its files into the folder it is given; ``state`` must fit in
+        JSON.
+
+        Raises what ``write`` raises, and OSError; the previous checkpoint then still stands.
+        """
+        self._settle()
+        self._part.mkdir()
+        write(self._part)
+        files = list(files_below(self._part))
+        for path in files:
+            flush_to_disk(path)
+        index = {"format": FORMAT, "state": state, "files": [_entry(path, self._part) for path in files]}
+        (self._part / _INDEX).write_text(to_text(index), encoding="utf-8")
+        flush_to_disk(self._part / _INDEX)
+        flush_to_disk(self._part)
+        self._part.rename(self._next)
+        self._advance()
+
+    def latest(self) -> Checkpoint | None:
+        """The newest complete checkpoint, checked against its checksums; None when none was saved.
+
+        Raises JobError when there are checkpoints, but none that is whole (a failing disk).
+        """
+        damage: JobError | None = None
+        for folder in (self._next, self._current, self._old):
+            if folder.is_dir():
+                try:
+                    return Checkpoint(folder, _verified_state(folder))
+                except JobError as error:
+                    damage = damage or error
+        if damage is not None:
+            raise damage
+        return None
+
+    @property
+    def exists(self) -> bool:
+        """Whether any checkpoint was saved, whole or not."""
+        return any(folder.is_dir() for folder in (self._next, self._current, self._old))
+
+    def _settle(self) -> None:
+        """Finish what an earlier, killed `save` left undone."""
+        _delete(self._part)
+        if self._next.is_dir():
+            self._advance()
+        elif not self._current.is_dir() and self._old.is_dir():
+            self._old.rename(self._current)
+        _delete(self._old)
+
+    def _advance(self) -> None:
+        """Make ``checkpoint.next`` the ``checkpoint``."""
+        if self._current.is_dir():
+            _delete(self._old)
+            self._current.rename(self._old)
+        self._next.rename(self._current)
+        flush_to_disk(self._current.parent)
+        _delete(self._old)
+
+
+def _entry(path: Path, folder: Path) -> dict[str, object]:
+    return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": sha256(path)}
+
+
+def _verified_state(folder: Path) -> Mapping[str, Json]:
+    index = read_object(folder / _INDEX, _FIX)
+    state, files = index.get("state"), index.get("files")
+    if index.get("format") != FORMAT:
+        what = f"has format {index.get('format')!r}, this version reads {FORMAT}"
+        raise JobError(what, folder, "Resume with the version of PLGS that wrote it.")
+    if not isinstance(state, dict) or not isinstance(files, list):
+        raise JobError("is damaged", folder / _INDEX, _FIX)
+    for entry in files:
+        path = folder / str(entry["path"]) if isinstance(entry, dict) and "path" in entry else folder / _INDEX
+        if not path.is_file() or entry != _entry(path, folder):
+            raise JobError("is damaged", path, _FIX)
+    return state
+
+
+def _delete(folder: Path) -> None:
+    """Remove a folder if there. Renamed first, so that a kill midway leaves no half of a checkpoint."""
+    if folder.is_dir():
+        doomed = folder.with_name(PART + "doomed") if not folder.name.startswith(PART) else folder
+        if doomed != folder:
+            if doomed.is_dir():
+                shutil.rmtree(doomed)
+            folder.rename(doomed)
+        shutil.rmtree(doomed)

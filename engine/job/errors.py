@@ -1,0 +1,18 @@
+"""The two ways a lift ends early that are no defect of the engine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class JobError(Exception):
+    """A request or lift folder that cannot be used: what is wrong, where, what to do about it (exit code
+    2)."""
+
+    def __init__(self, what: str, where: Path | str, fix: str) -> None:
+        super().__init__(f"{what}: {where}. {fix}")
+        self.what, self.where, self.fix = what, str(where), fix
+
+
+class Cancelled(Exception):
+    """Somebody asked the lift to stop. Nothing is lost: the last checkpoint can be resumed (exit code 3)."""

@@ -1,0 +1,164 @@
+"""events.jsonl: what the engine tells whoever watches. One JSON object a line, written at once."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from .. import __version__
+from .json_file import Json, to_line
+
+_BINARY = getattr(os, "O_BINARY", 0)
+KINDS = frozenset({"hello", "stage", "progress", "metric", "preview", "artifact", "warning", "error", "done"})
+
+
+@dataclass(frozen=True)
+class Event:
+    """One line: ``seq`` rises by one, ``time`` is Unix seconds, ``data`` the rest (see EventWriter)."""
+
+    seq: int
+    time: float
+    kind: str
+    data: Mapping[str, Json]
+
+
+class EventWriter:
+    """Appends events; only the engine does, while it holds the folder's lock. Safe in several threads.
+
+    ``seq`` goes on where an earlier run ended; a line that a kill tore in two is cut off first. Raises
+    OSError when the disk is full.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._folder = path.parent
+        self._lock = threading.Lock()
+        self._done = False
+        self._began = time.monotonic()
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | _BINARY, 0o666)
+        self._seq = self._repair(path)
+
+    def _repair(self, path: Path) -> int:
+        """Cut a torn last line off and return the highest ``seq`` in the file."""
+        content = path.read_bytes()
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):
+            os.truncate(self._descriptor if os.truncate in os.supports_fd else path, whole)
+        return max((event.seq for event in _parse(content[:whole])), default=0)
+
+    def hello(self, *, threads: int, resumed: bool) -> None:
+        """A run begins. ``threads``: how many compute threads it may use."""
+        about = {"engine_version": __version__, "pid": os.getpid(), "python": platform.python_version()}
+        self._write("hello", **about, threads=threads, resumed=resumed)
+
+    def stage(self, name: str, index: int, count: int, label: str) -> None:
+        """Stage ``index`` (from 1) of ``count`` begins; ``label`` is for people."""
+        self._write("stage", name=name, index=index, count=count, label=label)
+
+    def progress(
+        self, stage: str, step: int, steps: int, *, loss: float | None = None, eta_s: float | None = None
+    ) -> None:
+        """``step`` of ``steps`` of a stage is done; ``eta_s`` seconds of it remain."""
+        self._write("progress", stage=stage, step=step, steps=steps, loss=loss, eta_s=eta_s)
+
+    def metric(self, name: str, values: Mapping[str, float | int | str | None]) -> None:
+        """Figures that belong together, such as one row of the end table."""
+        self._write("metric", name=name, values=values)
+
+    def preview(self, path: Path) -> None:
+        """A picture worth showing was written."""
+        self._write("preview", path=self._relative(path))
+
+    def artifact(self, path: Path, kind: str) -> None:
+        """A file of the result was written."""
+        self._write("artifact", path=self._relative(path), kind=kind)
+
+    def warning(self, message: str) -> None:
+        """Something a user should know; the lift goes on."""
+        self._write("warning", message=message)
+
+    def error(self, what: str, where: Path | str, fix: str, exit_code: int) -> None:
+        """The run ends because of this."""
+        self._write("error", what=what, where=str(where), fix=fix, exit_code=int(exit_code))
+
+    def done(self, state: str) -> None:
+        """The run is over, "finished" or "cancelled". What comes after the first call is dropped."""
+        self._write("done", state=state, seconds=round(time.monotonic() - self._began, 3))
+
+    def close(self) -> None:
+        """Write no more. The descriptor is closed."""
+        with self._lock:
+            if self._descriptor >= 0:
+                os.close(self._descriptor)
+            self._descriptor, self._done = -1, True
+
+    def _write(self, event: str, /, **data: object) -> None:
+        with self._lock:
+            if self._done:
+                return
+            head = {"seq": self._seq + 1, "time": round(time.time(), 3), "event": event}
+            line = to_line(head | data)
+            written = 0
+            while written < len(line):
+                written += os.write(self._descriptor, line[written:])
+            self._seq += 1
+            self._done = event == "done"
+
+    def _relative(self, path: Path) -> str:
+        """Paths inside the lift folder are told relative to it, so that the folder can be moved."""
+        inside = path.is_relative_to(self._folder)
+        return (path.relative_to(self._folder) if inside else path).as_posix()
+
+
+class EventReader:
+    """Follows an events file that another process appends to.
+
+    Its position is always the end of a whole line: a line that is still being written is read again later,
+    and one that a later run cuts off was never seen. ``from_end``: leave out what is there already. Raises
+    OSError.
+    """
+
+    def __init__(self, path: Path, *, from_end: bool = False) -> None:
+        self._path, self._offset = path, 0
+        if from_end and path.exists():
+            self._offset = path.read_bytes().rfind(b"\n") + 1
+
+    def poll(self) -> list[Event]:
+        """The events since the last call; unknown kinds and lines that are no event are left out."""
+        try:
+            with self._path.open("rb") as file:
+                if os.fstat(file.fileno()).st_size < self._offset:  # another file took its place
+                    self._offset = 0
+                file.seek(self._offset)
+                content = file.read()
+        except FileNotFoundError:
+            return []
+        whole = content.rfind(b"\n") + 1
+        self._offset += whole
+        return [event for event in _parse(content[:whole]) if event.kind in KINDS]
+
+
+def last_run(path: Path) -> list[Event]:
+    """The events of the latest run: from the last hello on. Empty when no run began."""
+    events = EventReader(path).poll()
+    for index in range(len(events) - 1, -1, -1):
+        if events[index].kind == "hello":
+            return events[index:]
+    return events
+
+
+def _parse(content: bytes) -> list[Event]:
+    events = []
+    for line in content.splitlines():
+        try:
+            fields = json.loads(line)
+            event = Event(int(fields.pop("seq")), float(fields.pop("time")), str(fields.pop("event")), fields)
+        except (ValueError, TypeError, KeyError, AttributeError):
+            continue  # what a power cut left of a line: the other lines still count
+        events.append(event)
+    return events

@@ -1,0 +1,185 @@
+"""The lift folder: the only thing the engine and Blender share."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from .atomic import PART, remove_parts
+from .checkpoint import CheckpointStore
+from .errors import JobError
+from .events import last_run
+from .lock import FileLock, is_locked
+from .manifest import check_sizes
+from .request import LiftRequest
+
+
+class LiftState(Enum):
+    """How far a lift is. All but RUNNING and FINISHED can be resumed."""
+
+    NOT_STARTED = "not started"
+    RUNNING = "running"
+    INTERRUPTED = "interrupted"  # its engine ended without a word: killed, or power was cut
+    CANCELLED = "cancelled"
+    FAILED = "failed"
+    FINISHED = "finished"
+
+
+@dataclass(frozen=True)
+class LiftFolder:
+    """A folder with a readable request.json. Make one with `create` or `open`."""
+
+    path: Path
+    request: LiftRequest
+
+    @classmethod
+    def create(cls, path: Path, request: LiftRequest) -> LiftFolder:
+        """Make the folder and write its request. An empty folder is taken, anything else refused.
+
+        Raises JobError when the folder is not empty or cannot be written.
+        """
+        path = path.absolute()
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            _refuse_used(path)
+            _write_new(path / "request.json", request.to_json())
+        except FileExistsError as error:
+            fix = "Choose another output folder."
+            raise JobError("is in the way", error.filename or path, fix) from error
+        except OSError as error:
+            fix = "Choose a folder that you may write to, on a disk with space."
+            raise JobError(f"cannot be written ({error.strerror})", path, fix) from error
+        return cls(path, request)
+
+    @classmethod
+    def open(cls, path: Path) -> LiftFolder:
+        """An existing lift folder. Raises JobError when it is none, or its request cannot be read."""
+        path = path.absolute()
+        if not path.is_dir():
+            raise JobError("is no folder", path, "Give the folder of a lift.")
+        if not (path / "request.json").is_file():
+            raise JobError("is no lift folder (it has no request.json)", path, "Give the folder of a lift.")
+        return cls(path, LiftRequest.read(path / "request.json"))
+
+    @property
+    def events_path(self) -> Path:
+        return self.path / "events.jsonl"
+
+    @property
+    def cancel_path(self) -> Path:
+        return self.path / "cancel"
+
+    @property
+    def log_path(self) -> Path:
+        return self.path / "log.txt"
+
+    @property
+    def result_path(self) -> Path:
+        return self.path / "result"
+
+    @property
+    def manifest_path(self) -> Path:
+        return self.result_path / "manifest.json"
+
+    @property
+    def passes_path(self) -> Path:
+        return self.result_path / "passes"
+
+    @property
+    def previews_path(self) -> Path:
+        return self.result_path / "previews"
+
+    @property
+    def checkpoints(self) -> CheckpointStore:
+        return CheckpointStore(self.path)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether an engine works in this folder now."""
+        return is_locked(self.events_path)
+
+    def lock(self) -> FileLock:
+        """The engine's exclusive right to write here; for ``with``. Raises JobError when another has it."""
+        return FileLock(self.events_path)
+
+    def state(self) -> LiftState:
+        """How far the lift is. A result without a whole manifest is no result, whatever the events say."""
+        if self.is_running:
+            return LiftState.RUNNING
+        if self._has_result():
+            return LiftState.FINISHED
+        events = last_run(self.events_path)
+        if not events:
+            return LiftState.NOT_STARTED
+        kinds = {event.kind for event in events}
+        if "error" in kinds:
+            return LiftState.FAILED
+        last = events[-1]
+        if last.kind == "done" and last.data.get("state") == "cancelled":
+            return LiftState.CANCELLED
+        return LiftState.INTERRUPTED
+
+    def ask_to_cancel(self) -> None:
+        """Ask the engine to stop at its next step. Raises OSError."""
+        self.cancel_path.touch()
+
+    def prepare_run(self) -> None:
+        """Clear away what must not outlive an earlier run: its cancel file, torn files, a broken manifest.
+
+        Only for the engine that holds the lock.
+        """
+        self.cancel_path.unlink(missing_ok=True)
+        self.manifest_path.unlink(missing_ok=True)
+        remove_parts(self.path)
+
+    def discard(self) -> None:
+        """Delete a lift that never got going, so that the same command can be given again.
+
+        For whoever created it just now. Raises JobError when there is something in it that cost time to make.
+        """
+        if self.is_running or self.checkpoints.exists or self._has_result():
+            raise JobError("holds work", self.path, "Resume it, or delete it yourself.")
+        for path in (self.cancel_path, self.events_path, self.log_path):
+            path.unlink(missing_ok=True)
+        shutil.rmtree(self.result_path, ignore_errors=False) if self.result_path.is_dir() else None
+        remove_parts(self.path)
+        (self.path / "request.json").unlink()
+        if not any(self.path.iterdir()):
+            self.path.rmdir()
+
+    def _has_result(self) -> bool:
+        try:
+            check_sizes(self.result_path)
+        except JobError:
+            return False
+        return True
+
+
+def _refuse_used(path: Path) -> None:
+    if (path / "request.json").exists():
+        fix = "Add --resume to go on with it, or choose another output folder."
+        raise JobError("already holds a lift", path, fix)
+    for entry in path.iterdir():
+        if not entry.name.startswith(PART):  # a kill inside this very function leaves such a name
+            what = f"is not empty (it holds '{entry.name}') and is no lift folder"
+            raise JobError(what, path, "Choose another output folder.")
+
+
+def _write_new(path: Path, text: str) -> None:
+    """Write a whole file under a name that nobody has, even when two want it. Raises FileExistsError."""
+    part = path.with_name(f"{PART}{os.getpid()}-{path.name}")
+    try:
+        part.write_text(text, encoding="utf-8")
+        try:
+            os.link(part, path)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            if path.exists():
+                raise FileExistsError(None, "exists", str(path)) from None
+            os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)

@@ -1,0 +1,76 @@
+"""An advisory lock of the operating system: it ends with the process that holds it, however that ends."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+
+from .errors import JobError
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
+_BYTE = 2**30
+"""Windows locks a byte range and forbids reading it, so the locked byte lies where no log ever grows to."""
+
+
+class FileLock:
+    """Exclusive lock on a file, held from ``with`` to its end. A missing file is made; content is untouched.
+
+    Children that are started with ``subprocess`` do not inherit it. Raises JobError when another process
+    holds it, or when the file system knows no locks.
+    """
+
+    def __init__(self, path: Path, wait_s: float = 1.0) -> None:
+        self._path, self._wait_s, self._descriptor = path, wait_s, -1
+
+    def __enter__(self) -> FileLock:
+        self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+        # Somebody who asks `is_locked` holds the lock for an instant: so one refusal proves nothing.
+        give_up = time.monotonic() + self._wait_s
+        while not _try_lock(self._descriptor, self._path):
+            if time.monotonic() > give_up:
+                os.close(self._descriptor)
+                fix = "Wait until it is done, or stop it by making a file named 'cancel' there."
+                raise JobError("another engine is at work here", self._path.parent, fix)
+            time.sleep(0.05)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._descriptor)  # closing releases it, on every system
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a process holds a FileLock on the file. Raises JobError when the file system knows no locks."""
+    try:
+        descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    except FileNotFoundError:
+        return False
+    except PermissionError:  # somebody else's lift that we may only read: a shared lock still tells
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+    try:
+        return not _try_lock(descriptor, path, shared=True)
+    finally:
+        os.close(descriptor)
+
+
+def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
+    try:
+        if sys.platform == "win32":
+            os.lseek(descriptor, _BYTE, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError as error:
+        fix = "Put the lift on a local disk."
+        raise JobError(f"its file system cannot lock files ({error.strerror})", path, fix) from error
+    return True

@@ -1,0 +1,134 @@
+"""result/manifest.json: written last, so a result that has one is complete."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from .. import __version__
+from .atomic import files_below, remove_parts, sha256, write_atomically
+from .errors import JobError
+from .json_file import Json, read_object, to_text
+
+FORMAT = 1
+NAME = "manifest.json"
+_FIX = "Resume the lift: it makes the result anew."
+
+
+@dataclass(frozen=True)
+class ResultFile:
+    """One file of the result: its path relative to result/, its size and its checksum."""
+
+    path: PurePosixPath
+    bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a finished lift made and how. ``timings``: stage name to seconds."""
+
+    engine_version: str
+    versions: Mapping[str, Json]
+    seed: int
+    settings: Mapping[str, Json]
+    timings: Mapping[str, Json]
+    files: tuple[ResultFile, ...]
+
+
+def write_manifest(
+    result: Path,
+    *,
+    versions: Mapping[str, str],
+    seed: int,
+    settings: Mapping[str, object],
+    timings: Mapping[str, float],
+) -> None:
+    """List every file of the result with size and SHA-256. The lift is finished when this returns.
+
+    ``versions``: library name to version; ``settings``: what the preset and the overrides came to, JSON
+    types.
+    """
+    remove_parts(result)
+    files = [
+        {"path": path.relative_to(result).as_posix(), "bytes": path.stat().st_size, "sha256": sha256(path)}
+        for path in files_below(result)
+        if path != result / NAME
+    ]
+    content = {
+        "format": FORMAT,
+        "engine_version": __version__,
+        "versions": versions,
+        "seed": seed,
+        "settings": settings,
+        "timings": timings,
+        "files": files,
+    }
+    write_atomically(result / NAME, to_text(content))
+
+
+def read_manifest(result: Path) -> Manifest:
+    """The manifest of a result folder; files are not looked at. Raises JobError when none is whole."""
+    path = result / NAME
+    if not path.is_file():
+        raise JobError("is not there, so this lift is not finished", path, "Resume the lift.")
+    content = read_object(path, _FIX)
+    if content.get("format") != FORMAT:
+        what = f"has format {content.get('format')!r}, this version reads {FORMAT}"
+        raise JobError(what, path, "Use the version of PLGS that wrote it, or lift into another folder.")
+    try:
+        return _manifest(content)
+    except (KeyError, TypeError, ValueError) as error:
+        raise JobError(f"is damaged ({error!r})", path, _FIX) from error
+
+
+def check_sizes(result: Path) -> Manifest:
+    """The manifest, after a look whether every file it lists is there in the right size. Raises JobError."""
+    manifest = read_manifest(result)
+    for file in manifest.files:
+        path = result / file.path
+        if not path.is_file():
+            raise JobError("is missing", path, _FIX)
+        if path.stat().st_size != file.bytes:
+            raise JobError(f"has {path.stat().st_size} bytes, {file.bytes} were written", path, _FIX)
+    return manifest
+
+
+def verify(result: Path) -> Manifest:
+    """The manifest, after comparing every file with size and SHA-256. Raises JobError."""
+    manifest = check_sizes(result)
+    for file in manifest.files:
+        if sha256(result / file.path) != file.sha256:
+            raise JobError("was changed since it was written", result / file.path, _FIX)
+    return manifest
+
+
+def _manifest(content: Mapping[str, Json]) -> Manifest:
+    """Raises KeyError, TypeError or ValueError when something is missing or of the wrong type."""
+    mappings: dict[str, Mapping[str, Json]] = {}
+    for name in ("versions", "settings", "timings"):
+        value = content[name]
+        if not isinstance(value, dict):
+            raise TypeError(f"{name} is no object")
+        mappings[name] = value
+    files, seed = content["files"], content["seed"]
+    if not isinstance(files, list) or not isinstance(seed, int):
+        raise TypeError("files or seed has the wrong type")
+    return Manifest(
+        str(content["engine_version"]),
+        mappings["versions"],
+        seed,
+        mappings["settings"],
+        mappings["timings"],
+        tuple(_result_file(entry) for entry in files),
+    )
+
+
+def _result_file(entry: Json) -> ResultFile:
+    if not isinstance(entry, dict) or not isinstance(entry["bytes"], int):
+        raise TypeError(f"{entry!r} is no file entry")
+    path = PurePosixPath(str(entry["path"]))
+    if path.is_absolute() or ".." in path.parts:
+        raise ValueError(f"{path} leaves the folder")
+    return ResultFile(path, entry["bytes"], str(entry["sha256"]))

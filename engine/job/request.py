@@ -1,0 +1,138 @@
+"""What was asked: the content of request.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from .errors import JobError
+from .json_file import Json, read_object, to_text
+
+FORMAT = 1
+PRESETS = ("preview", "standard", "paper")
+UPS = ("z", "y", "-y")
+BAKES = ("test", "all", "none")
+SMALLEST_SIDE, LARGEST_SIDE = 16, 16384
+_KEYS = {"format", "engine_version", "scene", "masks", "preset", "overrides", "seed", "up", "bake"}
+_OVERRIDES = {"steps", "size"}
+_FIX = "Mend it, or delete the folder and lift again."
+
+
+@dataclass(frozen=True)
+class LiftRequest:
+    """One lift. Paths are absolute; ``size`` is (width, height) in pixels; None leaves it to the preset.
+
+    Raises JobError when a value is out of range. Files are not looked at: that is the scene's part.
+    """
+
+    scene: Path
+    masks: Path | None = None
+    preset: str = "preview"
+    steps: int | None = None
+    size: tuple[int, int] | None = None
+    seed: int = 0
+    up: str = "z"
+    bake: str = "test"
+    engine_version: str = field(default=__version__)
+
+    def __post_init__(self) -> None:
+        for name, path in (("scene", self.scene), ("masks", self.masks)):
+            if path is not None and not path.is_absolute():
+                raise JobError(f"the path of '{name}' is not absolute", path, "Give the whole path.")
+        _one_of("preset", self.preset, PRESETS)
+        _one_of("up", self.up, UPS)
+        _one_of("bake", self.bake, BAKES)
+        if self.steps is not None and not _is_int(self.steps, 1, 10_000_000):
+            fix = "Give a whole number from 1 to 10000000."
+            raise JobError("is no number of steps", f"steps = {self.steps!r}", fix)
+        if self.size is not None and not (
+            len(self.size) == 2 and all(_is_int(side, SMALLEST_SIDE, LARGEST_SIDE) for side in self.size)
+        ):
+            fix = f"Give width and height in pixels, each from {SMALLEST_SIDE} to {LARGEST_SIDE}."
+            raise JobError("is no picture size", f"size = {self.size!r}", fix)
+        if not _is_int(self.seed, 0, 2**32 - 1):
+            raise JobError("is no seed", f"seed = {self.seed!r}", "Give a whole number from 0 to 4294967295.")
+
+    def to_json(self) -> str:
+        """The text of request.json."""
+        size = None if self.size is None else list(self.size)
+        return to_text(
+            {
+                "format": FORMAT,
+                "engine_version": self.engine_version,
+                "scene": str(self.scene),
+                "masks": None if self.masks is None else str(self.masks),
+                "preset": self.preset,
+                "overrides": {"steps": self.steps, "size": size},
+                "seed": self.seed,
+                "up": self.up,
+                "bake": self.bake,
+            }
+        )
+
+    @classmethod
+    def read(cls, path: Path) -> LiftRequest:
+        """The request in a file. Raises JobError that names the file and the key that is wrong."""
+        content = read_object(path, _FIX)
+        _refuse_unknown_format(content, path)
+        _refuse_unknown_keys(content, _KEYS, path)
+        overrides = content.get("overrides") or {}
+        if not isinstance(overrides, dict):
+            raise JobError("'overrides' is not a JSON object", path, _FIX)
+        _refuse_unknown_keys(overrides, _OVERRIDES, path)
+        try:
+            return cls(**_arguments(content, overrides, path))
+        except JobError as error:
+            if error.where == str(path):
+                raise
+            raise JobError(f"{error.where}: {error.what}", path, error.fix) from error
+
+    def differences(self, other: LiftRequest) -> list[str]:
+        """Names of what differs, the engine's version left out."""
+        names = ("scene", "masks", "preset", "steps", "size", "seed", "up", "bake")
+        return [name for name in names if getattr(self, name) != getattr(other, name)]
+
+
+def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path: Path) -> dict[str, Any]:
+    """Keyword arguments of LiftRequest; ranges are checked by itself, types of the texts here."""
+    for name in ("scene", "preset", "up", "bake", "engine_version"):
+        if not isinstance(content.get(name), str):
+            raise JobError(f"'{name}' is missing or not a text", path, _FIX)
+    masks, size = content.get("masks"), overrides.get("size")
+    if not (masks is None or isinstance(masks, str)):
+        raise JobError("'masks' is neither a text nor null", path, _FIX)
+    if not (size is None or isinstance(size, list)):
+        raise JobError("'size' is neither [width, height] nor null", path, _FIX)
+    return {
+        "scene": Path(str(content["scene"])),
+        "masks": None if masks is None else Path(masks),
+        "size": None if size is None else tuple(size),
+        "steps": overrides.get("steps"),
+        "seed": content.get("seed"),
+        **{name: content[name] for name in ("preset", "up", "bake", "engine_version")},
+    }
+
+
+def _refuse_unknown_format(content: Mapping[str, Json], path: Path) -> None:
+    if content.get("format") != FORMAT:
+        what = f"has format {content.get('format')!r}, this version reads {FORMAT}"
+        raise JobError(what, path, "Use the version of PLGS that wrote it, or lift into another folder.")
+
+
+def _refuse_unknown_keys(content: Mapping[str, Json], known: set[str], path: Path) -> None:
+    unknown = sorted(set(content) - known)
+    if unknown:
+        what = f"has {', '.join(map(repr, unknown))}, which this version does not know"
+        raise JobError(what, path, "Remove it, or use the version of PLGS that wrote it.")
+
+
+def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise JobError(f"is no {name}", f"{name} = {value!r}", f"Choose one of {', '.join(known)}.")
+
+
+def _is_int(value: object, least: int, most: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most

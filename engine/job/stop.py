@@ -1,0 +1,94 @@
+"""How a lift is stopped: by the cancel file, or by the end of the process that started it."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from .errors import Cancelled
+from .events import EventWriter
+from .exit_code import ExitCode
+
+POLL_S = 0.1
+GRACE_S = 0.7
+"""From the request to the hard end. With the poll and the end of a process that is within a second."""
+
+
+class StopSignal:
+    """Asked by the engine's loops at every step: ``stop.check()``."""
+
+    def __init__(self, cancel_path: Path) -> None:
+        self._cancel_path = cancel_path
+        self._reason: str | None = None
+
+    def check(self) -> None:
+        """Raise Cancelled when the lift shall stop. Costs some microseconds."""
+        reason = self.reason
+        if reason is not None:
+            raise Cancelled(reason)
+
+    @property
+    def reason(self) -> str | None:
+        """Why the lift shall stop; None when it shall go on."""
+        if self._reason is None and self._cancel_path.exists():
+            self._reason = "the file 'cancel' is there"
+        return self._reason
+
+    def ask(self, reason: str) -> None:
+        """Make the next check raise."""
+        self._reason = reason
+
+
+class Watchdog:
+    """Ends the engine when its main thread does not stop in time. For ``with``, around the whole lift.
+
+    Threads are allowed here: this is the engine's own process, not Blender's Python, and these two never
+    touch the lift's data. One polls the cancel file; the other waits for the end of the pipe ``parent_pipe``
+    (a descriptor, its write end held by the parent and by nobody else): it comes when the parent ends, in
+    whatever way, on every system. The hard end is safe because everything in a lift folder is put in place by
+    rename.
+    """
+
+    def __init__(
+        self,
+        stop: StopSignal,
+        events: EventWriter,
+        *,
+        parent_pipe: int | None = None,
+        grace_s: float = GRACE_S,
+        end_process: Callable[[int], object] = os._exit,
+    ) -> None:
+        self._stop, self._events, self._parent_pipe = stop, events, parent_pipe
+        self._grace_s, self._end_process = grace_s, end_process
+        self._over = threading.Event()
+        self._asked = threading.Event()  # wakes the watcher before its next poll
+
+    def __enter__(self) -> Watchdog:
+        threading.Thread(target=self._watch, name="plgs-watchdog", daemon=True).start()
+        if self._parent_pipe is not None:
+            threading.Thread(target=self._await_parent, name="plgs-parent", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._asked.set()
+
+    def _await_parent(self) -> None:
+        assert self._parent_pipe is not None
+        while os.read(self._parent_pipe, 4096):
+            pass
+        self._stop.ask("the process that started the engine is gone")
+        self._asked.set()
+
+    def _watch(self) -> None:
+        while self._stop.reason is None:
+            if self._over.is_set():
+                return
+            self._asked.wait(POLL_S)
+        end = time.monotonic() + self._grace_s
+        if not self._over.wait(max(0.0, end - time.monotonic())):
+            self._events.done("cancelled")
+            self._end_process(ExitCode.CANCELLED)
