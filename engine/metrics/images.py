@@ -1,0 +1,62 @@
+"""How close a rendered picture comes to the photo: PSNR and SSIM."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+BEST_PSNR = 100.0
+"""Decibels given to equal pictures, so that a mean over frames and a JSON file stay finite."""
+
+WINDOW, SIGMA = 11, 1.5
+C1, C2 = 0.01**2, 0.03**2
+
+
+def psnr(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
+    """-10 log10(MSE) in decibels of two pictures [H, W, 3], uint8 or floats in [0, 1]. ValueError when shapes
+    differ.
+    """
+    x, y = _unit(a), _unit(b)
+    _same_shape(x, y)
+    error = float(np.mean((x - y) ** 2))
+    return BEST_PSNR if error < 10 ** (-BEST_PSNR / 10) else -10.0 * math.log10(error)
+
+
+def ssim(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
+    """Mean structural similarity of two pictures [H, W, 3], uint8 or floats in [0, 1]; 1 = equal.
+
+    11x11 Gaussian window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, each channel by itself: the
+    measure that the training loss uses. Raises ValueError when shapes differ.
+    """
+    x, y = _unit(a), _unit(b)
+    _same_shape(x, y)
+    mean_x, mean_y = _window_mean(x), _window_mean(y)
+    variance_x = _window_mean(x * x) - mean_x**2
+    variance_y = _window_mean(y * y) - mean_y**2
+    covariance = _window_mean(x * y) - mean_x * mean_y
+    similarity = ((2 * mean_x * mean_y + C1) * (2 * covariance + C2)) / (
+        (mean_x**2 + mean_y**2 + C1) * (variance_x + variance_y + C2)
+    )
+    return float(np.mean(similarity))
+
+
+def _unit(picture: NDArray[np.generic]) -> NDArray[np.float64]:
+    """Any picture as float64 in [0, 1]."""
+    values = np.asarray(picture)
+    scale = 255.0 if values.dtype == np.uint8 else 1.0
+    return np.clip(values.astype(np.float64) / scale, 0.0, 1.0)
+
+
+def _same_shape(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    if x.shape != y.shape:
+        raise ValueError(f"pictures differ in shape: {x.shape} and {y.shape}")
+
+
+def _window_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    import cv2
+
+    return np.asarray(
+        cv2.GaussianBlur(values, (WINDOW, WINDOW), SIGMA, borderType=cv2.BORDER_CONSTANT), np.float64
+    )

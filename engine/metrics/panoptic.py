@@ -1,0 +1,251 @@
+"""mIoU and PQ-scene of predicted views against ground truth, in two modes.
+
+``pl_compat`` repeats the evaluator behind the published numbers of Panoptic Lifting, Contrastive Lift and
+PLGS, oddities included: every map stretched to 512x512, rare classes dropped, predicted void scored as a
+class of its own. ``strict`` is the honest reading: native resolution, no class dropped, predicted void a miss
+but never a class.
+
+Both delete the pixels whose ground truth is void first, and both count a segment as a distinct (class,
+instance) pair over ALL views (PQ-scene): an object that changes its id between views is wrong.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene import VOID, ClassTable
+from .resampling import nearest
+
+Mode = Literal["strict", "pl_compat"]
+MODES: tuple[Mode, ...] = get_args(Mode)
+
+COMPAT_SIZE = (512, 512)
+RARE = 0.005
+"""pl_compat drops classes below this share of the pixels that have ground truth."""
+
+Segment = tuple[int, int]
+"""(class id, instance id)."""
+Pair = tuple[Segment, Segment]
+"""(predicted segment, true segment)."""
+
+
+@dataclass(frozen=True)
+class ClassScore:
+    """One class. ``iou`` (or ``pq``, ``sq``, ``rq``) is None when the class does not enter that mean."""
+
+    class_id: int
+    name: str
+    iou: float | None
+    pq: float | None
+    sq: float | None
+    rq: float | None
+    tp: int
+    fp: int
+    fn: int
+
+
+@dataclass(frozen=True)
+class PanopticScores:
+    """Means over the classes, each in [0, 1], and the classes they were made of, in ascending order of id."""
+
+    mode: Mode
+    miou: float
+    pq: float
+    sq: float
+    rq: float
+    per_class: tuple[ClassScore, ...]
+
+
+class PanopticEvaluation:
+    """Takes view after view and keeps only how many pixels each pair of segments shares."""
+
+    def __init__(self, classes: ClassTable, mode: Mode) -> None:
+        if mode not in MODES:
+            raise ValueError(f"unknown mode {mode!r}: choose one of {', '.join(MODES)}")
+        self.classes = classes
+        self.mode: Mode = mode
+        self._pixels: Counter[Pair] = Counter()
+
+    def add(
+        self,
+        pred_semantic: NDArray[np.integer],
+        pred_instance: NDArray[np.integer],
+        gt_semantic: NDArray[np.integer],
+        gt_instance: NDArray[np.integer],
+    ) -> None:
+        """Count one view: class ids and instance ids, integer [H, W] each; 0 = void, none.
+
+        Classes that the table does not have count as void. Raises ValueError when shapes differ (in
+        ``pl_compat`` prediction and ground truth may have different sizes) or an id is negative.
+        """
+        maps = [np.asarray(m) for m in (pred_semantic, pred_instance, gt_semantic, gt_instance)]
+        if self.mode == "pl_compat":
+            maps = [nearest(m, COMPAT_SIZE) for m in maps]
+        if len({m.shape for m in maps}) != 1:
+            shapes = ", ".join(str(m.shape) for m in maps)
+            raise ValueError(f"prediction and ground truth differ in size: {shapes}")
+        predicted, true = self._segments(maps[0], maps[1]), self._segments(maps[2], maps[3])
+        valid = (true >> 32) != VOID
+        for pair, pixels in _shared_pixels(predicted[valid], true[valid]).items():
+            self._pixels[pair] += pixels
+
+    def _segments(self, semantic: NDArray[np.integer], instance: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Class and instance packed into one int64 a pixel, flat; stuff has no instance."""
+        if semantic.size and min(int(semantic.min()), int(instance.min())) < 0:
+            raise ValueError("class and instance ids must not be negative")
+        known = np.isin(semantic, self.classes.ids)
+        things = np.isin(semantic, sorted(self.classes.thing_ids))
+        packed = np.where(known, semantic, VOID).astype(np.int64) << 32
+        return (packed | np.where(things, instance, 0).astype(np.int64)).ravel()
+
+    def result(self) -> PanopticScores:
+        """The scores of all views added so far. Raises ValueError when no pixel had ground truth."""
+        if not self._pixels:
+            raise ValueError("nothing to score: no pixel has ground truth")
+        ids = (VOID, *self.classes.ids)
+        areas = _ClassAreas.of(self._pixels)
+        in_miou = {c for c in ids if areas.is_kept_for_miou(c, self.mode)}
+        in_pq = {c for c in ids if areas.is_kept_for_pq(c, self.mode)}
+        matches = _match(self._pixels, in_pq, excuse_void=self.mode == "pl_compat")
+        rows = tuple(
+            matches.score(
+                class_id=c,
+                name="void" if c == VOID else self.classes[c].name,
+                iou=areas.iou(c) if c in in_miou else None,
+                is_kept=c in in_pq,
+            )
+            for c in ids
+            if c in in_miou or c in in_pq
+        )
+        return PanopticScores(
+            mode=self.mode,
+            miou=_mean(row.iou for row in rows),
+            pq=_mean(row.pq for row in rows),
+            sq=_mean(row.sq for row in rows),
+            rq=_mean(row.rq for row in rows),
+            per_class=rows,
+        )
+
+
+@dataclass(frozen=True)
+class _ClassAreas:
+    """Pixels of each class in the prediction, in the ground truth and in both at once."""
+
+    predicted: Counter[int]
+    true: Counter[int]
+    both: Counter[int]
+    total: int
+
+    @classmethod
+    def of(cls, pixels: Counter[Pair]) -> _ClassAreas:
+        predicted: Counter[int] = Counter()
+        true: Counter[int] = Counter()
+        both: Counter[int] = Counter()
+        for ((pred_class, _), (true_class, _)), n in pixels.items():
+            predicted[pred_class] += n
+            true[true_class] += n
+            if pred_class == true_class:
+                both[true_class] += n
+        return cls(predicted, true, both, sum(pixels.values()))
+
+    def iou(self, class_id: int) -> float:
+        shared = self.both[class_id]
+        return shared / (self.predicted[class_id] + self.true[class_id] - shared)
+
+    def is_kept_for_miou(self, class_id: int, mode: Mode) -> bool:
+        predicted, true = self.predicted[class_id] / self.total, self.true[class_id] / self.total
+        if mode == "strict":
+            return class_id != VOID and (predicted > 0 or true > 0)
+        return predicted >= RARE or true >= RARE
+
+    def is_kept_for_pq(self, class_id: int, mode: Mode) -> bool:
+        predicted, true = self.predicted[class_id] / self.total, self.true[class_id] / self.total
+        if mode == "strict":
+            return class_id != VOID and (predicted > 0 or true > 0)
+        # A class predicted on 0.3 % is dropped while one predicted nowhere stays and scores 0: so does the
+        # original.
+        rare = 0 < predicted < RARE or 0 < true < RARE
+        return (predicted > 0 or true > 0) and not rare
+
+
+@dataclass(frozen=True)
+class _Matches:
+    """Summed IoU of the matched pairs and the counts of matched and unmatched segments, by class."""
+
+    iou: dict[int, float]
+    tp: Counter[int]
+    fp: Counter[int]
+    fn: Counter[int]
+
+    def score(self, class_id: int, name: str, iou: float | None, is_kept: bool) -> ClassScore:
+        """SQ = sum IoU / TP, RQ = TP / (TP + FP/2 + FN/2), PQ = SQ * RQ; 0 where undefined."""
+        if not is_kept:
+            return ClassScore(class_id, name, iou, None, None, None, 0, 0, 0)
+        tp, fp, fn = self.tp[class_id], self.fp[class_id], self.fn[class_id]
+        weight = tp + 0.5 * fp + 0.5 * fn
+        sq = self.iou[class_id] / tp if tp else 0.0
+        rq = tp / weight if weight else 0.0
+        return ClassScore(class_id, name, iou, sq * rq, sq, rq, tp, fp, fn)
+
+
+def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matches:
+    """Match segments of one class whose IoU exceeds 0.5 (at most one partner each follows from that).
+
+    With ``excuse_void`` pixels whose label on the other side is no kept class leave the union, and a segment
+    that lies on such pixels by more than half is no error. Without it predicted void is an ordinary miss.
+    """
+    predicted: Counter[Segment] = Counter()
+    true: Counter[Segment] = Counter()
+    predicted_on_void: Counter[Segment] = Counter()
+    true_on_void: Counter[Segment] = Counter()
+    for (p, t), n in pixels.items():
+        predicted[p] += n
+        true[t] += n
+        if excuse_void and t[0] not in kept:
+            predicted_on_void[p] += n
+        if excuse_void and p[0] not in kept:
+            true_on_void[t] += n
+    matches = _Matches({}, Counter(), Counter(), Counter())
+    matched: set[tuple[str, Segment]] = set()
+    for (p, t), n in pixels.items():
+        if p[0] != t[0] or p[0] not in kept:
+            continue
+        union = predicted[p] - predicted_on_void[p] + true[t] - true_on_void[t] - n
+        if n > 0.5 * union:
+            matches.iou[p[0]] = matches.iou.get(p[0], 0.0) + n / union
+            matches.tp[p[0]] += 1
+            matched |= {("predicted", p), ("true", t)}
+    for p, area in predicted.items():
+        if p[0] in kept and ("predicted", p) not in matched and predicted_on_void[p] <= 0.5 * area:
+            matches.fp[p[0]] += 1
+    for t, area in true.items():
+        if t[0] in kept and ("true", t) not in matched and true_on_void[t] <= 0.5 * area:
+            matches.fn[t[0]] += 1
+    return matches
+
+
+def _shared_pixels(predicted: NDArray[np.int64], true: NDArray[np.int64]) -> dict[Pair, int]:
+    """How many pixels each (predicted, true) pair of packed segments shares, in ascending order of the pair."""
+    p_values, p_index = np.unique(predicted, return_inverse=True)
+    t_values, t_index = np.unique(true, return_inverse=True)
+    pairs, pixels = np.unique(p_index * max(len(t_values), 1) + t_index, return_counts=True)
+    return {
+        (_unpack(int(p_values[k // len(t_values)])), _unpack(int(t_values[k % len(t_values)]))): int(n)
+        for k, n in zip(pairs.tolist(), pixels.tolist(), strict=True)
+    }
+
+
+def _unpack(packed: int) -> Segment:
+    return packed >> 32, packed & 0xFFFFFFFF
+
+
+def _mean(values: Iterable[float | None]) -> float:
+    """Plain mean of what is not None; 0 when nothing is left."""
+    kept = [value for value in values if value is not None]
+    return sum(kept) / len(kept) if kept else 0.0

@@ -1,0 +1,54 @@
+"""PSNR and SSIM against values worked out another way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.metrics import psnr, ssim
+
+
+def _picture(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (24, 20, 3), dtype=np.uint8)
+
+
+def test_psnr_of_a_known_error() -> None:
+    grey = np.full((8, 8, 3), 0.5)
+    assert psnr(grey, grey + 0.1) == pytest.approx(20.0)
+
+
+def test_equal_pictures_score_best() -> None:
+    assert psnr(_picture(1), _picture(1)) == 100.0
+    assert ssim(_picture(1), _picture(1)) == pytest.approx(1.0)
+
+
+def test_bytes_and_floats_mean_the_same() -> None:
+    a, b = _picture(1), _picture(2)
+    assert psnr(a, b) == pytest.approx(psnr(a / 255.0, b / 255.0))
+    assert ssim(a, b) == pytest.approx(ssim(a / 255.0, b / 255.0))
+
+
+def test_ssim_matches_a_plain_convolution() -> None:
+    from scipy.signal import convolve2d
+
+    a, b = _picture(3)[..., 0] / 255.0, _picture(4)[..., 0] / 255.0
+    offsets = np.arange(11) - 5
+    line = np.exp(-(offsets**2) / (2 * 1.5**2))
+    window = np.outer(line, line) / line.sum() ** 2
+
+    def mean(x: np.ndarray) -> np.ndarray:
+        return convolve2d(x, window, mode="same", boundary="fill")
+
+    mean_a, mean_b = mean(a), mean(b)
+    var_a, var_b, cov = mean(a * a) - mean_a**2, mean(b * b) - mean_b**2, mean(a * b) - mean_a * mean_b
+    expected = ((2 * mean_a * mean_b + 1e-4) * (2 * cov + 9e-4)) / (
+        (mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4)
+    )
+    assert ssim(np.stack([a] * 3, -1), np.stack([b] * 3, -1)) == pytest.approx(expected.mean(), abs=1e-10)
+
+
+def test_shapes_must_agree() -> None:
+    with pytest.raises(ValueError, match="differ in shape"):
+        psnr(_picture(1), _picture(1)[1:])
+    with pytest.raises(ValueError, match="differ in shape"):
+        ssim(_picture(1), _picture(1)[1:])

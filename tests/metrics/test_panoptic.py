@@ -1,0 +1,164 @@
+"""The twelve oracle rows of the original evaluator, the strict mode beside them, and what must hold for any
+prediction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from engine.metrics import MODES, PanopticEvaluation, PanopticScores, panoptic
+from engine.scene import Category, ClassTable
+
+THINGS = {4, 5, 6, 14, 15, 16, 17, 18, 20}
+CLASSES = ClassTable(tuple(Category(i, f"class {i}", i in THINGS, (i, i, i)) for i in range(1, 22)))
+
+# (predicted class, predicted id, true class, true id, pixels)
+PERFECT = [(1, 0, 1, 0, 400), (2, 0, 2, 0, 300), (5, 7, 5, 1, 200), (5, 3, 5, 2, 100)]
+SPLIT = [(1, 0, 1, 0, 400), (2, 0, 2, 0, 300), (5, 7, 5, 1, 120), (5, 8, 5, 1, 80), (5, 3, 5, 2, 100)]
+SWAP = [(1, 0, 1, 0, 700), (5, 1, 5, 1, 100), (5, 2, 5, 2, 50), (5, 2, 5, 1, 100), (5, 1, 5, 2, 50)]
+TRUE_VOID = [(1, 0, 1, 0, 500), (2, 0, 2, 0, 300), (5, 1, 0, 0, 200)]
+VOID_10 = [(1, 0, 1, 0, 500), (2, 0, 2, 0, 400), (0, 0, 2, 0, 100)]
+VOID_04 = [(1, 0, 1, 0, 500), (2, 0, 2, 0, 496), (0, 0, 2, 0, 4)]
+RARE_SOFA = [(1, 0, 1, 0, 500), (2, 0, 2, 0, 400), (6, 1, 6, 1, 4), (5, 1, 6, 1, 96)]
+NO_SOFA = [(1, 0, 1, 0, 500), (2, 0, 2, 0, 400), (5, 1, 6, 1, 100)]
+HALLUCINATED = [(1, 0, 1, 0, 500), (2, 0, 2, 0, 400), (5, 1, 1, 0, 100)]
+THING_ZERO = [(1, 0, 1, 0, 500), (5, 1, 5, 0, 200), (5, 2, 5, 3, 300)]
+MERGED = [(1, 0, 1, 0, 700), (5, 1, 5, 1, 200), (5, 1, 5, 2, 100)]
+CONFUSED = [(1, 0, 1, 0, 450), (2, 0, 1, 0, 50), (2, 0, 2, 0, 450), (1, 0, 2, 0, 50)]
+
+PL_COMPAT = {
+    "perfect": (PERFECT, 1, 1, 1, 1),
+    "chair split 60/40": (SPLIT, 1, 0.88, 0.933333, 0.933333),
+    "ids swap between views": (SWAP, 1, 0.5, 0.5, 0.5),
+    "true void ignored": (TRUE_VOID, 1, 1, 1, 1),
+    "10 % predicted void": (VOID_10, 0.6, 0.6, 0.6, 0.666667),
+    "0.4 % predicted void": (VOID_04, 0.996, 1, 1, 1),
+    "sofa 0.4 % predicted": (RARE_SOFA, 0.51, 0.666667, 0.666667, 0.666667),
+    "sofa 0 % predicted": (NO_SOFA, 0.5, 0.5, 0.5, 0.5),
+    "hallucinated class": (HALLUCINATED, 0.611111, 0.611111, 0.611111, 0.666667),
+    "true thing with id 0": (THING_ZERO, 1, 1, 1, 1),
+    "two chairs merged": (MERGED, 1, 0.722222, 0.833333, 0.833333),
+    "10 % confusion": (CONFUSED, 0.818182, 0.818182, 0.818182, 1),
+}
+# By hand: where the two modes part, predicted void is a miss (not a class) and no class is dropped for being
+# rare.
+STRICT = PL_COMPAT | {
+    "10 % predicted void": (VOID_10, 0.9, 0.9, 0.9, 1),
+    "0.4 % predicted void": (VOID_04, 0.996, 0.996, 0.996, 1),
+    "sofa 0.4 % predicted": (RARE_SOFA, 0.51, 0.5, 0.5, 0.5),
+}
+
+
+def lay_out(rows: list[tuple[int, int, int, int, int]]) -> list[np.ndarray]:
+    """The four maps of run-length rows as pictures of one line."""
+    counts = [row[4] for row in rows]
+    return [np.repeat([row[k] for row in rows], counts).astype(np.int32)[None, :] for k in range(4)]
+
+
+@pytest.fixture
+def unstretched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oracle's data are run lengths: stretched to 512x512 they would keep their shares only roughly."""
+    monkeypatch.setattr(panoptic, "nearest", lambda values, size: values)
+
+
+@pytest.mark.usefixtures("unstretched")
+@pytest.mark.parametrize(("mode", "case"), [(m, c) for m in MODES for c in PL_COMPAT])
+def test_oracle(mode: str, case: str) -> None:
+    rows, *expected = (PL_COMPAT if mode == "pl_compat" else STRICT)[case]
+    evaluation = PanopticEvaluation(CLASSES, mode)
+    evaluation.add(*lay_out(rows))
+    scores = evaluation.result()
+    assert (scores.miou, scores.pq, scores.sq, scores.rq) == pytest.approx(expected, abs=1e-6)
+    assert scores.mode == mode
+
+
+@pytest.mark.usefixtures("unstretched")
+@pytest.mark.parametrize("mode", MODES)
+def test_segments_span_all_views(mode: str) -> None:
+    """The rows of "ids swap between views" given one by one score as all at once: PQ is not a mean over
+    views.
+    """
+    evaluation = PanopticEvaluation(CLASSES, mode)
+    for row in SWAP:
+        evaluation.add(*lay_out([row]))
+    assert evaluation.result().pq == pytest.approx(0.5)
+
+
+def test_pl_compat_stretches_every_map_to_512x512() -> None:
+    evaluation = PanopticEvaluation(CLASSES, "pl_compat")
+    predicted = np.array([[1, 1, 2, 2]] * 3)
+    true = np.array([[1] * 5 + [2] * 5] * 7)
+    evaluation.add(predicted, np.zeros_like(predicted), true, np.zeros_like(true))
+    assert evaluation.result().miou == 1.0
+    small = PanopticEvaluation(CLASSES, "pl_compat")
+    for value, size in ((1, (300, 400)), (2, (3, 4))):  # a small view weighs as much as a large one
+        label = np.full(size, value)
+        small.add(np.full(size, 1), np.zeros(size, int), label, np.zeros(size, int))
+    assert small.result().miou == pytest.approx(0.25)
+
+
+def test_strict_refuses_maps_of_different_sizes() -> None:
+    evaluation = PanopticEvaluation(CLASSES, "strict")
+    with pytest.raises(ValueError, match="differ in size"):
+        evaluation.add(*[np.ones((2, 3), int)] * 2, *[np.ones((3, 2), int)] * 2)
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(ValueError, match="unknown mode"):
+        PanopticEvaluation(CLASSES, "lenient")  # type: ignore[arg-type]
+    evaluation = PanopticEvaluation(CLASSES, "strict")
+    with pytest.raises(ValueError, match="negative"):
+        evaluation.add(*[np.full((2, 2), -1)] * 4)
+    evaluation.add(*[np.zeros((2, 2), int)] * 4)
+    with pytest.raises(ValueError, match="no pixel has ground truth"):
+        evaluation.result()
+
+
+def test_a_class_outside_the_table_is_void() -> None:
+    evaluation = PanopticEvaluation(CLASSES, "strict")
+    evaluation.add(*lay_out([(1, 0, 1, 0, 10), (1, 0, 99, 5, 10), (98, 3, 1, 0, 10)]))
+    scores = evaluation.result()
+    assert scores.miou == pytest.approx(0.5)
+    assert [row.class_id for row in scores.per_class] == [1]
+
+
+def test_per_class_rows() -> None:
+    evaluation = PanopticEvaluation(CLASSES, "strict")
+    evaluation.add(*lay_out(SPLIT))
+    rows = {row.class_id: row for row in evaluation.result().per_class}
+    assert sorted(rows) == [1, 2, 5]
+    assert (rows[5].tp, rows[5].fp, rows[5].fn) == (2, 1, 0)
+    assert (rows[5].sq, rows[5].rq) == pytest.approx((0.8, 0.8))
+
+
+a_class, an_id = st.sampled_from([0, 1, 2, 4, 5]), st.integers(0, 3)
+labels = st.lists(st.tuples(a_class, an_id, a_class, an_id, st.integers(1, 40)), min_size=1, max_size=12)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@given(rows=labels)
+@settings(max_examples=25, deadline=None)
+def test_properties(mode: str, rows: list[tuple[int, int, int, int, int]]) -> None:
+    maps = lay_out([*rows, (1, 0, 1, 0, 5)])
+    scores = _scores(mode, *maps)
+    values = (scores.miou, scores.pq, scores.sq, scores.rq)
+    assert all(0.0 <= value <= 1.0 for value in values)
+    assert scores.pq <= min(scores.sq, scores.rq) + 1e-12
+    # Ids are names: permuting them changes nothing.
+    permuted = np.array([2, 7, 1, 12])[maps[1]]
+    other = _scores(mode, maps[0], permuted, maps[2], maps[3])
+    assert (other.miou, other.pq, other.sq, other.rq) == pytest.approx(values)
+    # The truth itself scores 1.
+    perfect = _scores(mode, maps[2], maps[3], maps[2], maps[3])
+    assert (perfect.miou, perfect.pq, perfect.sq, perfect.rq) == (1.0, 1.0, 1.0, 1.0)
+
+
+def _scores(mode: str, *maps: np.ndarray) -> PanopticScores:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(panoptic, "nearest", lambda values, size: values)
+        evaluation = PanopticEvaluation(CLASSES, mode)  # type: ignore[arg-type]
+        evaluation.add(*maps)
+    return evaluation.result()
