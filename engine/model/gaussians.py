@@ -55,10 +55,16 @@ def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
 
 def decode(anchors: Anchors, decoders: Decoders, camera: Camera, *, with_labels: bool = True) -> NeuralGaussians:
     """Decode the Gaussians of every anchor that ``camera`` can see; those with opacity <= 0 are dropped."""
-    visible = visible_anchors(anchors, camera)
+    centre = torch.from_numpy(camera.centre.copy()).float()
+    return decode_rows(anchors, decoders, visible_anchors(anchors, camera), centre, with_labels=with_labels)
+
+
+def decode_rows(
+    anchors: Anchors, decoders: Decoders, visible: torch.Tensor, centre: torch.Tensor, *, with_labels: bool = True
+) -> NeuralGaussians:
+    """Decode the anchors of rows ``visible`` int64 [V] as seen from ``centre`` [3] metres."""
     position = anchors.position[visible]
     feature = anchors.feature[visible]
-    centre = torch.from_numpy(camera.centre.copy()).float()
     seen = decoders.view_input(feature, position, centre)
     k = anchors.gaussians_per_anchor
 

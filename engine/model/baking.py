@@ -1,0 +1,124 @@
+"""A lifted scene as plain arrays: anchors to inspect, and Gaussians that any splat viewer can open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from .gaussians import decode_rows
+from .structured import StructuredScene
+
+CHUNK = 65536
+"""Anchors decoded at a time, which bounds the memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class BakedGaussians:
+    """Gaussians as seen from one point, float32: ``means`` [N, 3] m, ``scales`` [N, 3] m, ``quats`` [N, 4] wxyz unit,
+    ``opacities`` [N] in (0, 1], ``colours`` [N, 3] sRGB in [0, 1]; ``class_id`` and ``instance_id`` int32 [N]."""
+
+    means: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    quats: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+    colours: NDArray[np.float32]
+    class_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class BakedAnchors:
+    """One row an anchor: ``xyz`` float32 [M, 3] m, ``class_id``, ``instance_id``, ``level`` int32 [M], ``opacity`` float32 [M]
+    (mean of max(opacity, 0) over its Gaussians), ``rgb`` uint8 [M, 3]."""
+
+    xyz: NDArray[np.float32]
+    class_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
+    opacity: NDArray[np.float32]
+    level: NDArray[np.int32]
+    rgb: NDArray[np.uint8]
+
+
+def decided_labels(
+    scene: StructuredScene, labels: NDArray[np.float32], thing_ids: frozenset[int]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Class and instance ids, int32 [N] each, from label probabilities [N, C + S]; spare slots are left out, stuff has
+    instance 0."""
+    channels = scene.channels
+    classes = len(channels.class_ids)
+    class_id = np.array(channels.class_ids, np.int32)[labels[:, :classes].argmax(axis=1)]
+    slots = np.array(channels.slot_ids, np.int32)
+    used = np.flatnonzero(slots)
+    if not len(used):
+        return class_id, np.zeros(len(class_id), np.int32)
+    instance_id = slots[used][labels[:, classes + used].argmax(axis=1)]
+    return class_id, np.where(np.isin(class_id, sorted(thing_ids)), instance_id, 0).astype(np.int32)
+
+
+@torch.no_grad()
+def bake(
+    scene: StructuredScene, viewpoint: NDArray[np.float64], thing_ids: frozenset[int]
+) -> tuple[BakedGaussians, BakedAnchors]:
+    """Decode every anchor as seen from ``viewpoint`` [3] metres.
+
+    Colours and shapes depend a little on the viewpoint; a plain splat file cannot keep that. The middle of the cameras is
+    the fairest single choice.
+    """
+    centre = torch.from_numpy(viewpoint.copy()).float()
+    parts: list[dict[str, NDArray]] = []
+    anchor_parts: list[dict[str, NDArray]] = []
+    k = scene.anchors.gaussians_per_anchor
+    for start in range(0, len(scene.anchors), CHUNK):
+        rows = torch.arange(start, min(start + CHUNK, len(scene.anchors)))
+        decoded = decode_rows(scene.anchors, scene.decoders, rows, centre)
+        labels = decoded.labels.numpy()
+        class_id, instance_id = decided_labels(scene, labels, thing_ids)
+        parts.append(
+            {
+                "means": decoded.means.numpy(),
+                "scales": decoded.scales.numpy(),
+                "quats": torch.nn.functional.normalize(decoded.quats, dim=1).numpy(),
+                "opacities": decoded.opacities.numpy(),
+                "colours": decoded.colours.numpy(),
+                "class_id": class_id,
+                "instance_id": instance_id,
+            }
+        )
+        owner = (decoded.kept // k).numpy()
+        weight = decoded.opacities.numpy()
+        anchor_parts.append(_anchor_means(len(rows), owner, weight, decoded.colours.numpy(), labels))
+        anchor_parts[-1]["opacity"] = decoded.all_opacities.clamp_min(0).mean(dim=1).numpy()
+    gaussians = BakedGaussians(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+    joined = {name: np.concatenate([part[name] for part in anchor_parts]) for name in anchor_parts[0]}
+    class_id, instance_id = decided_labels(scene, joined["labels"], thing_ids)
+    anchors = BakedAnchors(
+        xyz=scene.anchors.position.numpy(),
+        class_id=np.where(joined["weight"] > 0, class_id, 0).astype(np.int32),
+        instance_id=np.where(joined["weight"] > 0, instance_id, 0).astype(np.int32),
+        opacity=joined["opacity"],
+        level=scene.anchors.level.numpy().astype(np.int32),
+        rgb=np.round(joined["colour"] * 255).astype(np.uint8),
+    )
+    return gaussians, anchors
+
+
+def _anchor_means(
+    count: int,
+    owner: NDArray[np.int64],
+    weight: NDArray[np.float32],
+    colour: NDArray[np.float32],
+    labels: NDArray[np.float32],
+) -> dict[str, NDArray]:
+    """Opacity-weighted means over each anchor's drawn Gaussians; zeros for an anchor that draws none."""
+    total = np.bincount(owner, weight, count)
+    safe = np.maximum(total, 1e-9)[:, None]
+    mean_colour = np.stack([np.bincount(owner, weight * column, count) for column in colour.T], axis=1) / safe
+    mean_labels = np.stack([np.bincount(owner, weight * column, count) for column in labels.T], axis=1) / safe
+    return {
+        "weight": total.astype(np.float32),
+        "colour": mean_colour.astype(np.float32),
+        "labels": mean_labels.astype(np.float32),
+    }

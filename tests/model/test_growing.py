@@ -1,0 +1,93 @@
+"""Growing and pruning of anchors."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from engine.model.anchors import Anchors, initial_anchors
+from engine.model.growing import GrowthRules, GrowthStatistics, grow_and_prune
+
+RULES = GrowthRules(keep_share=(1.0, 1.0, 1.0))
+
+
+def grid(side: int = 3, k: int = 2) -> Anchors:
+    axis = np.arange(side) * 0.1
+    positions = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+    feature = np.arange(len(positions), dtype=np.float32)[:, None].repeat(4, axis=1)
+    return initial_anchors(
+        positions, np.ones(len(positions), int), gaussians_per_anchor=k, feature=feature, voxel_size=0.1
+    )
+
+
+def watched(anchors: Anchors, opacity: float = 1.0) -> GrowthStatistics:
+    statistics = GrowthStatistics.empty(anchors)
+    statistics.visits += 100
+    statistics.opacity += 100 * opacity
+    statistics.drawn += 100
+    return statistics
+
+
+def round_of(anchors: Anchors, statistics: GrowthStatistics, most: int = 10_000) -> tuple[torch.Tensor, Anchors]:
+    result = grow_and_prune(
+        anchors,
+        statistics,
+        RULES,
+        voxel_size=0.1,
+        steps_between=100,
+        random=np.random.default_rng(0),
+        most_anchors=most,
+    )
+    return result.keep, result.grown
+
+
+def test_transparent_anchors_go_and_the_others_stay() -> None:
+    anchors = grid()
+    statistics = watched(anchors)
+    statistics.opacity[5] = 0.1
+    keep, grown = round_of(anchors, statistics)
+    assert not keep[5] and int(keep.sum()) == len(anchors) - 1
+    assert len(grown) == 0
+
+
+def test_an_anchor_is_judged_only_after_enough_visits() -> None:
+    anchors = grid()
+    statistics = watched(anchors, opacity=0.0)
+    statistics.visits[:] = 70
+    keep, _ = round_of(anchors, statistics)
+    assert keep.all()
+
+
+def test_a_strong_gradient_grows_an_anchor_in_a_free_cell_with_the_greatest_feature() -> None:
+    anchors = grid()
+    anchors.offset[0, 0] = torch.tensor([30.0, 0.0, 0.0])
+    anchors.offset[7, 1] = anchors.position[0] + torch.tensor([3.0, 0, 0]) - anchors.position[7]
+    anchors.log_scale[0] = np.log(0.1)
+    anchors.log_scale[7] = 0.0
+    statistics = watched(anchors)
+    statistics.gradient[0, 0] = 100 * 1e-2
+    statistics.gradient[7, 1] = 100 * 1e-2
+    _, grown = round_of(anchors, statistics)
+    assert len(grown) >= 1
+    assert (grown.initial_class == 0).all() and (grown.level > 0).all()
+    nearest = (grown.position - torch.tensor([3.0, 0, 0])).norm(dim=1)
+    assert nearest.min() < 0.9
+    assert grown.feature[nearest.argmin()].max() == 7
+    assert statistics.gradient[0, 0] == 0
+
+
+def test_occupied_cells_grow_nothing() -> None:
+    anchors = grid()
+    statistics = watched(anchors)
+    statistics.gradient += 100 * 1e-2
+    _, grown = round_of(anchors, statistics)
+    assert len(grown) == 0
+
+
+def test_growth_stops_at_the_cap() -> None:
+    anchors = grid()
+    anchors.offset += torch.randn(anchors.offset.shape, generator=torch.Generator().manual_seed(0)) * 40
+    statistics = watched(anchors)
+    statistics.gradient += 100 * 1e-2
+    _, grown = round_of(anchors, statistics, most=len(anchors) + 3)
+    assert len(grown) == 3

@@ -1,0 +1,72 @@
+"""Losses against plain formulas, and what their gradients must not reach."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from engine.train.losses import cluster_loss, instance_loss, label_loss, reconstruction_loss, structural_similarity
+
+
+def test_ssim_matches_a_direct_computation() -> None:
+    from scipy.ndimage import correlate1d
+
+    rng = np.random.default_rng(0)
+    a, b = rng.random((20, 24, 3)), rng.random((20, 24, 3))
+    x = np.arange(11) - 5
+    window = np.exp(-(x**2) / (2 * 1.5**2))
+    window /= window.sum()
+
+    def blur(image: np.ndarray) -> np.ndarray:
+        image = correlate1d(image, window, axis=0, mode="constant")
+        return correlate1d(image, window, axis=1, mode="constant")
+
+    mean_a, mean_b = blur(a), blur(b)
+    variance_a, variance_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2
+    covariance = blur(a * b) - mean_a * mean_b
+    ssim = (2 * mean_a * mean_b + 1e-4) * (2 * covariance + 9e-4)
+    ssim /= (mean_a**2 + mean_b**2 + 1e-4) * (variance_a + variance_b + 9e-4)
+    ours = structural_similarity(torch.from_numpy(a).float(), torch.from_numpy(b).float())
+    np.testing.assert_allclose(ours.item(), ssim.mean(), atol=1e-5)
+
+
+def test_equal_images_cost_only_their_volume() -> None:
+    image = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(1))
+    loss = reconstruction_loss(image, image, torch.full((5, 3), 0.1), ssim_weight=0.2, volume_weight=0.001)
+    np.testing.assert_allclose(loss.item(), 0.001 * 5 * 1e-3, atol=1e-6)
+
+
+def test_label_loss_ignores_unlabelled_pixels_and_never_reaches_alpha() -> None:
+    coverage = torch.full((2, 2, 3), 0.2, requires_grad=True)
+    alpha = torch.full((2, 2), 0.8, requires_grad=True)
+    target = torch.tensor([[0, -1], [2, -1]])
+    loss = label_loss(coverage, alpha, target)
+    np.testing.assert_allclose(loss.item(), -np.log(0.25), rtol=1e-5)
+    loss.backward()
+    assert alpha.grad is None
+    assert (coverage.grad[:, 1] == 0).all() and (coverage.grad[:, 0] != 0).any()
+
+
+def test_label_loss_without_any_target_is_zero_with_a_gradient() -> None:
+    coverage = torch.rand(2, 2, 3, requires_grad=True)
+    loss = label_loss(coverage, torch.ones(2, 2), torch.full((2, 2), -1))
+    loss.backward()
+    assert loss.item() == 0 and (coverage.grad == 0).all()
+
+
+def test_instance_loss_adds_both_targets_over_the_supervised_pixels() -> None:
+    coverage = torch.tensor([[[0.5, 0.5], [0.25, 0.75], [0.9, 0.1]]])
+    alpha = torch.ones(1, 3)
+    assigned = torch.tensor([[0, -1, -1]])
+    matched = torch.tensor([[1, 1, -1]])
+    loss = instance_loss(coverage, alpha, assigned, matched)
+    expected = -(np.log(0.5) + np.log(0.5) + np.log(0.75)) / 2
+    np.testing.assert_allclose(loss.item(), expected, rtol=1e-5)
+
+
+def test_cluster_loss_counts_every_gaussian_of_labelled_anchors_only() -> None:
+    logits = torch.randn(4, 2, 3, generator=torch.Generator().manual_seed(2))
+    target = torch.tensor([0, -1, 2, -1])
+    log = torch.log_softmax(logits, dim=2)
+    expected = -(log[0, :, 0].sum() + log[2, :, 2].sum()) / 4
+    torch.testing.assert_close(cluster_loss(logits, target), expected)
