@@ -1,0 +1,47 @@
+# PLGS for Blender. `make demo` and `make test` set up what they need; README.md says the rest.
+#
+#   make demo [SCENE=folder] [OUT=folder] [PRESET=preview|standard|paper]
+#   make test, make test-slow, make lint, make clean
+#
+# TORCH_INDEX=<url> names an index of CPU builds of torch for the set-up, where pip does not know one already.
+
+SCENE ?= sample/room
+OUT ?= lifts/demo
+PRESET ?= preview
+
+PYTHON := .venv/bin/python
+PYTEST := -m pytest --durations=5
+# What runs on the next Blender: all that lives in Blender's own Python.
+NEXT_TESTS := $(wildcard tests/scene tests/job tests/plgs_blender)
+
+.PHONY: demo test test-slow lint set-up set-up-next clean
+.NOTPARALLEL:
+
+# A demo that was cut off goes on where it was; a finished one says so and is left as it is.
+demo: set-up
+	$(PYTHON) run_plgs.py $(SCENE) -o $(OUT) --preset $(PRESET) --resume
+
+test: lint set-up-next
+	$(PYTHON) $(PYTEST) -m "not slow"
+	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) -m "not slow" $(NEXT_TESTS); fi
+
+test-slow: set-up-next
+	$(PYTHON) $(PYTEST)
+	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(NEXT_TESTS); fi
+
+# mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve.
+lint: set-up
+	@$(PYTHON) -m ruff check .
+	@mkdir -p build/types && ln -sfn ../.. build/types/plgs
+	@$(PYTHON) -m mypy -p plgs.engine
+
+set-up:
+	@sh set_up/set_up.sh .venv
+
+set-up-next: set-up
+	@sh set_up/set_up.sh .venv-next
+
+# Lifts stay: they are yours.
+clean:
+	rm -rf .venv .venv-next build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,221 @@
+"""Make one of the project's Python environments, or see that it is there already. Standard library only.
+
+    python set_up/environment.py check .venv       # exit code 0: complete and up to date
+    python set_up/environment.py make .venv        # with the Python that the environment shall have
+
+`.venv` runs everything. `.venv-next` is for tests of the Blender side on the next Blender; it has no torch, because the
+engine runs in an environment of its own. An environment counts as complete when its stamp, written last, names the very
+requirements that it was made from; any other one, such as one whose making was cut off, is made anew.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple, NoReturn
+
+ROOT = Path(__file__).resolve().parent.parent
+STAMP = "complete"
+
+# What bpy, open3d and opencv load from the system: the library's file name and the Debian package that has it.
+LIBRARIES = {
+    "libX11.so.6": "libx11-6",
+    "libXext.so.6": "libxext6",
+    "libXrender.so.1": "libxrender1",
+    "libXi.so.6": "libxi6",
+    "libXfixes.so.3": "libxfixes3",
+    "libxkbcommon.so.0": "libxkbcommon0",
+    "libSM.so.6": "libsm6",
+    "libICE.so.6": "libice6",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libusb-1.0.so.0": "libusb-1.0-0",
+}
+
+
+class Recipe(NamedTuple):
+    """What goes into an environment: requirement files, one pip call each, and the modules that must import then."""
+
+    pip_calls: tuple[tuple[str, ...], ...]
+    modules: tuple[str, ...]
+
+
+BLENDER = {(3, 11): "blender-4.5.txt", (3, 13): "blender-5.2.txt"}
+ENGINE_MODULES = ("torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors")
+
+
+def recipe(environment: str, version: tuple[int, int]) -> Recipe:
+    """The recipe of `.venv` or `.venv-next` for a Python `version`; ValueError where Blender has no such Python."""
+    if version not in BLENDER:
+        raise ValueError(f"no Blender runs on Python {version[0]}.{version[1]}")
+    blender = BLENDER[version]
+    if environment == ".venv-next":
+        return Recipe(((blender, "next.txt"),), ("bpy", "numpy", "cv2", "OpenEXR", "pytest"))
+    files = (("torch.txt",), (blender, "engine.txt", "test.txt"))
+    # bpy comes first: 5.2 crashes when it is imported after open3d.
+    return Recipe(files, ("bpy", "numpy", *ENGINE_MODULES, "pytest"))
+
+
+def constraints(version: tuple[int, int]) -> str:
+    """The file that pins what the requirements bring with them."""
+    return f"constraints-{version[0]}.{version[1]}.txt"
+
+
+def stamp_text(environment: str, version: tuple[int, int], requirements: Path) -> str:
+    """What the stamp says: the Python version and the SHA-256 of each requirement file."""
+    names = [name for call in recipe(environment, version).pip_calls for name in call] + [constraints(version)]
+    lines = [f"{hashlib.sha256((requirements / name).read_bytes()).hexdigest()}  {name}" for name in names]
+    return "\n".join([f"Python {version[0]}.{version[1]}", *lines, ""])
+
+
+def is_complete(folder: Path, version: tuple[int, int], requirements: Path) -> bool:
+    """Whether the environment in `folder` was made to its end from these requirements."""
+    stamp = folder / STAMP
+    return stamp.is_file() and stamp.read_text() == stamp_text(folder.name, version, requirements)
+
+
+def missing_packages() -> list[str]:
+    """Debian packages that this machine lacks: parts of Python itself, then the system libraries."""
+    if not sys.platform.startswith("linux"):
+        return []
+    python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    if importlib.util.find_spec("ctypes") is None:  # python3-minimal: it cannot even look
+        return [f"{python}-venv", *LIBRARIES.values()]
+    import ctypes
+
+    missing = [] if importlib.util.find_spec("ensurepip") else [f"{python}-venv"]
+    for library, package in LIBRARIES.items():
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            missing.append(package)
+    return missing
+
+
+def install_packages(packages: list[str]) -> None:
+    """Install Debian packages when root; else say in one line how, and stop."""
+    apt = shutil.which("apt-get")
+    line = f"apt-get install --no-install-recommends {' '.join(packages)}"
+    if apt is None:
+        stop(f"this machine lacks system libraries. With Debian's names: {' '.join(packages)}")
+    if os.geteuid() != 0:
+        stop(f"this machine lacks system packages. Install them, then run make again:\n\n    sudo {line}\n")
+    say(f"installing system packages: {' '.join(packages)}")
+    quiet = ["-qq", "-o", "DPkg::Lock::Timeout=300", "-o", "Dpkg::Use-Pty=0"]
+    run([apt, *quiet, "update"], "apt-get update failed", strict=False)
+    run([apt, *quiet, "-y", "--no-install-recommends", "install", *packages], f"{line} failed")
+
+
+def pip_environment() -> dict[str, str]:
+    """The caller's environment without the pip and Python settings that would send packages elsewhere."""
+    elsewhere = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_CONSTRAINT", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    kept = {key: value for key, value in os.environ.items() if key not in elsewhere}
+    ours = {"PIP_USER": "0", "PIP_REQUIRE_HASHES": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
+    return kept | ours
+
+
+def pip_options(files: tuple[str, ...]) -> list[str]:
+    """Options of one `pip install` call; torch alone is looked for in the index of CPU builds that the user named."""
+    options = ["--constraint", constraints(sys.version_info[:2])]
+    for name in files:
+        options += ["--requirement", name]
+    index = os.environ.get("TORCH_INDEX", "")
+    if index and "torch.txt" in files:
+        options += ["--extra-index-url", index]
+    return options
+
+
+def make(folder: Path) -> None:
+    """Make the environment in `folder` from nothing, with the Python that runs this."""
+    started = time.monotonic()
+    wanted = recipe(folder.name, sys.version_info[:2])
+    packages = missing_packages()
+    if packages:
+        install_packages(packages)
+    if folder.exists():
+        say(f"{folder.name} is incomplete or of older requirements: making it anew")
+        shutil.rmtree(folder)
+    say(f"making {folder.name} for Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable})")
+    # A process of its own: ensurepip may have been installed a moment ago, after this one started.
+    run([sys.executable, "-I", "-m", "venv", str(folder)], f"{folder.name} could not be made")
+    python = str(folder / "bin" / "python")
+    for files in wanted.pip_calls:
+        say(f"installing {', '.join(file.removesuffix('.txt') for file in files)} (this takes a minute or more)")
+        run([python, "-m", "pip", "install", *pip_options(files)], "pip could not install the requirements")
+    # Only what imports is complete: this finds a missing system library now, not in the middle of a lift.
+    run([python, "-c", f"import {', '.join(wanted.modules)}"], "an installed module does not import")
+    write_stamp(folder)
+    say(f"{folder.name} is ready after {time.monotonic() - started:.0f} s")
+
+
+def write_stamp(folder: Path) -> None:
+    """Declare the environment complete, by rename, so that a stamp is there whole or not at all."""
+    temporary = folder / f"{STAMP}.tmp"
+    temporary.write_text(stamp_text(folder.name, sys.version_info[:2], ROOT / "requirements"))
+    temporary.replace(folder / STAMP)
+
+
+def run(command: list[str], failure: str, *, strict: bool = True) -> None:
+    """Run a command, its output to build/set-up.log; when it fails, show the end of that and stop (if `strict`)."""
+    log_path = ROOT / "build" / "set-up.log"
+    with log_path.open("ab") as log:
+        log.write(f"\n$ {' '.join(command)}\n".encode())
+        log.flush()
+        begin = log.tell()
+        # The lock is handed on (close_fds=False): should this process be killed, it stays held until pip has ended too.
+        code = subprocess.run(
+            command, cwd=ROOT / "requirements", env=pip_environment(), stdin=subprocess.DEVNULL,
+            stdout=log, stderr=subprocess.STDOUT, close_fds=False, check=False,
+        ).returncode  # fmt: skip
+    if code == 0:
+        return
+    with log_path.open("rb") as log:
+        log.seek(begin)
+        tail = log.read().decode(errors="replace").splitlines()[-20:]
+    print("\n".join(tail), file=sys.stderr)
+    if strict:
+        stop(f"{failure} (exit code {code}). The whole output: build/set-up.log. Run make again to retry.")
+
+
+def say(message: str) -> None:
+    print(f"set-up: {message}", flush=True)
+
+
+def stop(message: str) -> NoReturn:
+    print(f"set-up: {message}", file=sys.stderr)
+    raise SystemExit(1)
+
+
+def main(arguments: list[str]) -> int:
+    if len(arguments) != 2 or arguments[0] not in ("check", "make") or arguments[1] not in (".venv", ".venv-next"):
+        stop("usage: environment.py check|make .venv|.venv-next")
+    verb, folder = arguments[0], ROOT / arguments[1]
+    requirements = ROOT / "requirements"
+    if verb == "check":
+        return 0 if is_complete(folder, sys.version_info[:2], requirements) else 1
+    (ROOT / "build").mkdir(exist_ok=True)
+    with (ROOT / "build" / "set-up.lock").open("w") as lock:
+        os.set_inheritable(lock.fileno(), True)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say("another set-up of this folder is running: waiting for it")
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        if not is_complete(folder, sys.version_info[:2], requirements):
+            make(folder)
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        raise SystemExit(main(sys.argv[1:]))
+    except KeyboardInterrupt:
+        print("\nset-up: cut off; the next make starts it anew", file=sys.stderr)
+        raise SystemExit(130) from None

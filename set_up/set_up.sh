@@ -1,0 +1,30 @@
+#!/bin/sh
+# Have an environment ready: nothing to do and back in a moment, or made from the first Python that fits.
+#
+#   sh set_up/set_up.sh .venv           runs everything: Python 3.11 (Blender 4.5), else 3.13 (Blender 5.2)
+#   sh set_up/set_up.sh .venv-next      Python 3.13 (Blender 5.2), where .venv has 3.11 and both are there; else nothing
+set -eu
+cd "$(dirname "$0")/.."
+environment=$1
+
+if [ -x "$environment/bin/python" ] && "$environment/bin/python" -I set_up/environment.py check "$environment"; then
+    exit 0
+fi
+
+case $environment in
+    .venv) versions="3.11 3.13" ;;
+    *) if [ -x .venv/bin/python3.11 ]; then versions=3.13; else exit 0; fi ;;
+esac
+
+for version in $versions; do
+    python=$(sh set_up/find_python.sh "$version")
+    if [ -n "$python" ]; then
+        exec "$python" -I set_up/environment.py make "$environment"
+    fi
+done
+
+[ "$environment" = .venv ] || exit 0
+echo "set-up: no Python 3.11 or 3.13 was found, on PATH or from pyenv or uv. On Debian:" >&2
+echo >&2
+echo "    sudo apt-get install python3 python3-venv" >&2
+exit 1

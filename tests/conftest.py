@@ -1,0 +1,64 @@
+"""What every test stands on: the repository on sys.path, Blender without the user's settings, the extension as `plgs`.
+
+Blender comes first: bpy 5.2 crashes when it is imported after open3d in one process.
+"""
+
+from __future__ import annotations
+
+import atexit
+import importlib.util
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def load_package(root: Path, name: str) -> ModuleType:
+    """Import the extension, whose root is the repository's, as `name` whatever the checkout's folder is called."""
+    spec = importlib.util.spec_from_file_location(
+        name, root / "__init__.py", submodule_search_locations=[str(root)]
+    )
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+sys.path.insert(0, str(ROOT))
+
+HAS_BLENDER = importlib.util.find_spec("bpy") is not None
+if HAS_BLENDER:
+    # Before bpy is imported, here or in a process that a test starts: nobody's preferences, nobody's extensions.
+    settings = tempfile.mkdtemp(prefix="plgs-tests-")
+    atexit.register(shutil.rmtree, settings, ignore_errors=True)
+    os.environ["BLENDER_USER_RESOURCES"] = settings
+    import bpy
+
+    load_package(ROOT, "plgs")
+
+collect_ignore = [] if HAS_BLENDER else ["plgs_blender"]
+
+
+def pytest_report_header() -> str:
+    return f"Blender {bpy.app.version_string}" if HAS_BLENDER else "no bpy: the Blender side is not tested"
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The repository."""
+    return ROOT
+
+
+@pytest.fixture
+def plgs() -> ModuleType:
+    """The extension's root package; `from plgs.plgs_blender import …` works at the top of a test too."""
+    if not HAS_BLENDER:
+        pytest.skip("needs bpy")
+    return sys.modules["plgs"]
