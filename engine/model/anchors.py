@@ -59,15 +59,6 @@ class Anchors:
         return Anchors(**{name: torch.cat([mine[name], theirs[name]]) for name in mine})
 
 
-def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.float32]:
-    """Unique voxel centres of ``points`` [N, 3]: V = {[P / eps]} * eps, float32 [M, 3], sorted by x, then y, then z.
-
-    ``[.]`` rounds half to even, as numpy does (paper, first equation of the structured representation).
-    """
-    cells = np.unique(np.round(np.asarray(points, np.float64) / voxel_size).astype(np.int64), axis=0)
-    return (cells * voxel_size).astype(np.float32)
-
-
 def spacing(positions: NDArray[np.float32]) -> NDArray[np.float32]:
     """Root mean square distance in metres to the three nearest other anchors, float32 [M] (Scaffold-GS's initial scale)."""
     neighbours = min(4, len(positions))

@@ -53,7 +53,7 @@ class LossWeights:
 class Preset:
     """Everything that shapes a lift except its input and its seed.
 
-    ``longest_side`` pixels of the frames while training; ``voxel_size`` metres (the paper's epsilon); ``neighbours`` is N_w
+    ``size_within`` (width, height): frames are brought into this box for the lift, never enlarged; ``voxel_size`` metres (the paper's epsilon); ``neighbours`` is N_w
     and ``agreement`` the share of them that must agree (1 = the paper's product). ``instance_slots`` is the least number of
     slots. ``object_votes``: one class vote a view for each matched object, ours, beyond the paper. ``seeded_features``: start
     features from colour and label of the anchors instead of zero.
@@ -61,7 +61,7 @@ class Preset:
 
     name: str
     steps: int
-    longest_side: int
+    size_within: tuple[int, int]
     voxel_size: float
     gaussians_per_anchor: int
     features: int = 32
@@ -83,12 +83,12 @@ class Preset:
 PRESETS = {
     preset.name: preset
     for preset in (
-        Preset("preview", steps=600, longest_side=192, voxel_size=0.06, gaussians_per_anchor=5),
-        Preset("standard", steps=3000, longest_side=320, voxel_size=0.04, gaussians_per_anchor=6),
+        Preset("preview", steps=600, size_within=(192, 192), voxel_size=0.06, gaussians_per_anchor=5),
+        Preset("standard", steps=3000, size_within=(320, 320), voxel_size=0.04, gaussians_per_anchor=6),
         Preset(
             "paper",
             steps=30_000,
-            longest_side=640,
+            size_within=(640, 640),
             voxel_size=0.02,
             gaussians_per_anchor=10,
             most_anchors=2_000_000,
@@ -104,10 +104,10 @@ PRESETS = {
 
 
 def chosen_preset(name: str, steps: int | None = None, size: tuple[int, int] | None = None) -> Preset:
-    """The preset of that name with the user's steps and the longest side of the user's size. KeyError for a wrong name."""
+    """The preset of that name with the user's steps and size. Raises KeyError for a name that is none."""
     preset = PRESETS[name]
     if steps is not None:
         preset = replace(preset, steps=steps)
     if size is not None:
-        preset = replace(preset, longest_side=max(size))
+        preset = replace(preset, size_within=size)
     return preset

@@ -111,7 +111,7 @@ class Trainer:
         semantic = semantic + cluster_loss(gaussians.class_logits, self.initial_channels[gaussians.visible])
         with torch.no_grad():
             probability = slot_coverage.detach() / (rendering.alpha.detach()[..., None] + 1e-8)
-            assigned = assign_slots(target.machine_instances, probability.numpy())
+            assigned = assign_slots(probability.numpy(), target.machine_instances)
         instance = instance_loss(
             slot_coverage, rendering.alpha, torch.from_numpy(assigned.astype(np.int64)), target.matched
         )
@@ -157,7 +157,7 @@ class Trainer:
             check()
             coverage = render_view(self.scene, target.camera).class_coverage
             rendered = class_ids[coverage.argmax(axis=2)]
-            labels = pseudo_labels(view.mask.class_map(), rendered)
+            labels = pseudo_labels(view.mask, rendered)
             target.pseudo = columns_of(labels, self.scene.channels.class_ids)
 
 
