@@ -5,6 +5,8 @@ from __future__ import annotations
 from .camera import Camera
 from .classes import VOID, Category, ClassTable, distinct_colour
 from .frame import Frame, GroundTruth, PanopticMask, Scene, SceneError, Segment, Size
+from .matrices import UpAxis
+from .opening import open_scene
 from .view import View, load_view
 
 __all__ = [
@@ -19,7 +21,9 @@ __all__ = [
     "SceneError",
     "Segment",
     "Size",
+    "UpAxis",
     "View",
     "distinct_colour",
     "load_view",
+    "open_scene",
 ]

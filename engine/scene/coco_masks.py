@@ -1,0 +1,208 @@
+"""COCO panoptic masks: one JSON table and one PNG a frame, id = R + 256 G + 65536 B.
+
+Where it differs between exporters this reader is lenient without guessing: a missing score counts as 1, ``label_id``
+(transformers) is taken for ``category_id``, a palette-free grey PNG holds the ids themselves. What would silently mix
+up segments is refused.
+
+Class ids are the category ids. A table that uses 0 is shifted by one as a whole, as 0 is void here: class id =
+category id + 1, in ground truth too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .classes import Category, ClassTable, distinct_colour
+from .frame import PanopticMask, SceneError, Segment, Size
+from .image_header import read_image_header
+from .json_file import (
+    file_inside,
+    read_json_object,
+    take_flag,
+    take_list,
+    take_objects,
+    take_text,
+    take_whole_number,
+    wrong_type,
+)
+from .layout import listed, require_all
+from .masks import MaskSet
+from .pixels import decode, distinct_ids, resize_nearest
+
+_LARGEST_SEGMENT_ID = 256**3 - 1
+_LARGEST_CLASS_ID = 2**24 - 2
+"""Passes hold class ids as 32-bit floats, which count exactly up to 2**24."""
+
+
+@dataclass(frozen=True)
+class CocoMaskReader:
+    """Reads one frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void."""
+
+    png: Path
+    table: Path
+    segments: tuple[Segment, ...]
+    crowd_ids: frozenset[int] = frozenset()
+
+    def __call__(self, size: Size | None = None) -> PanopticMask:
+        """The mask at ``size`` (width, height) or its own. Raises SceneError for an id that the JSON does not have."""
+        ids = self.read_ids()
+        found, _ = distinct_ids(ids)
+        unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in self.segments} - self.crowd_ids)
+        if unknown:
+            raise SceneError(
+                f"segment ids {listed(unknown)} of the PNG are missing in {self.table.name}",
+                self.png,
+                "Add them to this frame's segments_info, or paint them 0 (id = R + 256 G + 65536 B).",
+            )
+        if self.crowd_ids:
+            ids[np.isin(ids, list(self.crowd_ids))] = 0
+        return PanopticMask(resize_nearest(ids, size) if size else ids, self.segments)
+
+    def read_ids(self) -> NDArray[np.int32]:
+        """The segment ids as stored, int32 [H, W]."""
+        pixels = decode(self.png, as_colour=False)
+        if pixels.ndim == 2:
+            return pixels.astype(np.int32)
+        if pixels.dtype != np.uint8 or pixels.shape[2] < 3:
+            raise SceneError("the mask is not an 8-bit RGB PNG", self.png, "Save ids as R + 256 G + 65536 B.")
+        wide = pixels.astype(np.int32)
+        return wide[..., 0] + 256 * wide[..., 1] + 65536 * wide[..., 2]
+
+
+def open_coco_masks(table: Path, names: Sequence[str]) -> MaskSet:
+    """Open ``table`` (the JSON) and its folder of PNGs, which has the JSON's stem. Raises SceneError."""
+    content = read_json_object(table)
+    class_ids, classes = _read_categories(content, table)
+    folder = table.with_suffix("")
+    if not folder.is_dir():
+        raise SceneError("the folder of mask images is missing", folder, f"Put the PNGs of {table.name} there.")
+    entries = _entries_by_frame(content, table, names)
+    require_all(names, entries, "mask", table, "Add an annotation whose file name has the colour image's stem.")
+    readers = {name: _open_frame(entries[name], name, folder, table, class_ids, classes) for name in names}
+    crowded = [name for name, reader in readers.items() if reader.crowd_ids]
+    return MaskSet(
+        classes=classes,
+        readers=readers,
+        sizes={name: read_image_header(reader.png).size for name, reader in readers.items()},
+        paths={name: reader.png for name, reader in readers.items()},
+        warnings=(f"crowd segments (iscrowd) count as void: {listed(crowded)}",) if crowded else (),
+    )
+
+
+def _read_categories(content: dict[str, Any], table: Path) -> tuple[dict[int, int], ClassTable]:
+    """Class id by category id, and the class table."""
+    found: dict[int, Category] = {}
+    for position, entry in enumerate(take_objects(content, "categories", "the file", table)):
+        context = f"category {position}"
+        category_id = take_whole_number(entry, "id", context, table)
+        if not 0 <= category_id <= _LARGEST_CLASS_ID:
+            raise SceneError(f"the category id {category_id} is out of range", table, "Use ids from 1 up.")
+        if category_id in found:
+            raise SceneError(f"the category id {category_id} occurs twice", table, "Give each category its own id.")
+        found[category_id] = Category(
+            id=category_id,
+            name=take_text(entry, "name", context, table),
+            is_thing=take_flag(entry, "isthing", context, table),
+            colour=_colour(entry, category_id, context, table),
+        )
+    if not found:
+        raise SceneError("there are no categories", table, "List the classes of the masks.")
+    shift = 1 if 0 in found else 0
+    class_ids = {category_id: category_id + shift for category_id in found}
+    categories = (
+        Category(class_ids[old], found[old].name, found[old].is_thing, found[old].colour) for old in sorted(found)
+    )
+    return class_ids, ClassTable(tuple(categories))
+
+
+def _colour(entry: dict[str, Any], category_id: int, context: str, table: Path) -> tuple[int, int, int]:
+    if "color" not in entry:
+        return distinct_colour(category_id)
+    value = take_list(entry, "color", context, table)
+    if len(value) != 3 or not all(type(part) is int and 0 <= part <= 255 for part in value):
+        raise wrong_type("color", "three whole numbers 0..255", value, context, table)
+    return value[0], value[1], value[2]
+
+
+def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The annotation of each frame: the frame's name is the stem of its image's file name, or of the mask's."""
+    images: dict[str, str] = {}
+    if "images" in content:
+        for position, image in enumerate(take_objects(content, "images", "the file", table)):
+            if "id" in image and "file_name" in image:
+                file_name = take_text(image, "file_name", f"image {position}", table)
+                images[str(image["id"])] = _stem(file_name)
+    wanted, found = {*names}, dict[str, dict[str, Any]]()
+    for position, entry in enumerate(take_objects(content, "annotations", "the file", table)):
+        stem = _stem(take_text(entry, "file_name", f"annotation {position}", table))
+        name = images.get(str(entry.get("image_id")), stem)
+        name = name if name in wanted else stem
+        if name in found:
+            raise SceneError(f"frame {name} has two annotations", table, "Keep one annotation a frame.")
+        found[name] = entry
+    return found
+
+
+def _stem(file_name: str) -> str:
+    return file_name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
+
+
+def _open_frame(
+    entry: dict[str, Any], name: str, folder: Path, table: Path, class_ids: dict[int, int], classes: ClassTable
+) -> CocoMaskReader:
+    context = f"the annotation of frame {name}"
+    png = file_inside(folder, take_text(entry, "file_name", context, table), table)
+    header = read_image_header(png)
+    if header.format != "png" or header.bit_depth < 8:
+        raise SceneError("masks must be PNGs of 8 or 16 bits a channel", png, "Save ids as R + 256 G + 65536 B.")
+    segments: dict[int, Segment] = {}
+    crowd_ids: set[int] = set()
+    for info in take_objects(entry, "segments_info", context, table):
+        segment = _segment(info, name, table, class_ids, classes)
+        if segment.id in segments or segment.id in crowd_ids:
+            raise SceneError(
+                f"frame {name} has the segment id {segment.id} twice",
+                table,
+                "Give each segment its own id; with transformers, post-process without label_ids_to_fuse.",
+            )
+        if "iscrowd" in info and take_flag(info, "iscrowd", f"segment {segment.id} of frame {name}", table):
+            crowd_ids.add(segment.id)
+        else:
+            segments[segment.id] = segment
+    return CocoMaskReader(png, table, tuple(segments[key] for key in sorted(segments)), frozenset(crowd_ids))
+
+
+def _segment(info: dict[str, Any], name: str, table: Path, class_ids: dict[int, int], classes: ClassTable) -> Segment:
+    segment_id = take_whole_number(info, "id", f"a segment of frame {name}", table)
+    context = f"segment {segment_id} of frame {name}"
+    if not 1 <= segment_id <= _LARGEST_SEGMENT_ID:
+        raise SceneError(f"{context} has an id that a PNG cannot hold", table, "Number segments from 1; 0 is void.")
+    key = "label_id" if "category_id" not in info and "label_id" in info else "category_id"
+    category_id = take_whole_number(info, key, context, table)
+    if category_id not in class_ids:
+        raise SceneError(
+            f"{context} has the category id {category_id}, which is not in the categories",
+            table,
+            "Add the category, or correct the id.",
+        )
+    class_id = class_ids[category_id]
+    return Segment(segment_id, class_id, classes[class_id].is_thing, _score(info, context, table))
+
+
+def _score(info: dict[str, Any], context: str, table: Path) -> float:
+    """The detector's confidence; 1 where it gave none."""
+    score = info.get("score")
+    if score is None:
+        return 1.0
+    if isinstance(score, bool) or not isinstance(score, int | float) or not math.isfinite(score):
+        raise wrong_type("score", "a number", score, context, table)
+    if not 0.0 <= score <= 1.0:
+        raise wrong_type("score", "between 0 and 1", score, context, table)
+    return float(score)

@@ -1,0 +1,98 @@
+"""Ground truth for the metrics: never read by the lift itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .classes import ClassTable
+from .frame import GroundTruth, SceneError, Size
+from .layout import files_by_stem, natural_order, same_shape, shown_size
+from .panoptic_lifting_masks import REDUCED_CLASSES, check_label_header
+from .pixels import decode_single_channel, resize_nearest
+
+_FIX = "Correct it, or take the ground truth away: only the metrics need it."
+
+
+@dataclass(frozen=True)
+class GroundTruthReader:
+    """Reads one frame's ground truth; class ids that the masks' table does not have become void."""
+
+    semantic: Path
+    instance: Path
+    class_ids: frozenset[int]
+
+    def __call__(self, size: Size | None = None) -> GroundTruth:
+        """Ground truth at ``size`` (width, height) or its own. Raises SceneError when a file is bad."""
+        semantic, instance = decode_single_channel(self.semantic), decode_single_channel(self.instance)
+        if semantic.shape != instance.shape:
+            raise SceneError("classes and instances differ in size", self.instance, _FIX)
+        semantic = np.where(np.isin(semantic, list(self.class_ids)), semantic, 0).astype(np.int32)
+        if size is not None:
+            semantic, instance = resize_nearest(semantic, size), resize_nearest(instance, size)
+        return GroundTruth(semantic, instance)
+
+    def unknown_ids(self) -> frozenset[int]:
+        """Class ids in the file, void aside, that the masks' table does not have."""
+        return frozenset(np.unique(decode_single_channel(self.semantic)).tolist()) - self.class_ids - {0}
+
+
+@dataclass(frozen=True)
+class GroundTruthSet:
+    """Readers by frame, for those frames that have ground truth, and warnings."""
+
+    readers: Mapping[str, GroundTruthReader]
+    warnings: tuple[str, ...] = ()
+
+
+def open_ground_truth(scene: Path, sizes: Mapping[str, Size], classes: ClassTable) -> GroundTruthSet:
+    """Find ``rs_semantics`` and ``rs_instance``, or ``gt/semantic*`` and ``gt/instance``; headers only.
+
+    ``sizes`` are the colour images' by frame. Class ids are those of the masks' table. Raises SceneError when an image
+    is no label image or shows another part of the view.
+    """
+    folders = _find_folders(scene)
+    if folders is None:
+        return GroundTruthSet({})
+    semantics = files_by_stem(folders[0], {".png"}, _FIX)
+    instances = files_by_stem(folders[1], {".png"}, _FIX)
+    readers: dict[str, GroundTruthReader] = {}
+    for name, size in sizes.items():
+        if name in semantics and name in instances:
+            readers[name] = GroundTruthReader(semantics[name], instances[name], frozenset(classes.ids))
+            for path in (semantics[name], instances[name]):
+                own = check_label_header(path)
+                if not same_shape(own, size):
+                    raise SceneError(
+                        f"ground truth of {shown_size(own)} does not fit the colour of {shown_size(size)}", path, _FIX
+                    )
+    return GroundTruthSet(readers, tuple(_warnings(folders[0], list(sizes), readers, classes)))
+
+
+def _find_folders(scene: Path) -> tuple[Path, Path] | None:
+    """The folders of classes and of instances; None when either is missing."""
+    if (scene / "rs_semantics").is_dir() and (scene / "rs_instance").is_dir():
+        return scene / "rs_semantics", scene / "rs_instance"
+    found = [path for path in (scene / "gt").glob("semantic*") if path.is_dir()]
+    if found and (scene / "gt" / "instance").is_dir():
+        return min(found, key=lambda path: natural_order(path.name)), scene / "gt" / "instance"
+    return None
+
+
+def _warnings(
+    folder: Path, names: Sequence[str], readers: Mapping[str, GroundTruthReader], classes: ClassTable
+) -> list[str]:
+    warnings = []
+    if len(readers) < len(names):
+        warnings.append(f"{len(names) - len(readers)} of {len(names)} frames have no ground truth in {folder.name}")
+    if folder.name == "rs_semantics" and {(c.id, c.name) for c in classes.categories} != {
+        (c.id, c.name) for c in REDUCED_CLASSES.categories
+    }:
+        warnings.append(
+            "rs_semantics is in Panoptic Lifting's class table and the masks have one of their own: the metrics "
+            "compare ids, so they only mean something where both agree"
+        )
+    return warnings

@@ -1,0 +1,135 @@
+"""Size and kind of a PNG or JPEG without decoding it, and whether the file is whole. Standard library only.
+
+Scenes are also opened in Blender's Python, which has no OpenCV; and OpenCV itself fills the missing part of a cut-off
+image with grey instead of failing.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+from .frame import SceneError, Size
+
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_END = b"IEND\xaeB\x60\x82"
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+_JPEG_END = b"\xff\xd9"
+_TAIL = 4096
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What the first bytes of an image say; ``palette`` means its values are indices into a colour table."""
+
+    format: Literal["png", "jpeg"]
+    width: int
+    height: int
+    bit_depth: int
+    channels: int
+    palette: bool = False
+
+    @property
+    def size(self) -> Size:
+        return self.width, self.height
+
+
+def read_image_header(path: Path) -> ImageHeader:
+    """Read the header of a PNG or JPEG and see that the file has an end. Raises SceneError."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(33)
+            if not start:
+                raise SceneError("the image is empty", path, "Write this file again.")
+            if start.startswith(_PNG_SIGNATURE):
+                header, end = _png_header(start, path), _PNG_END
+            elif start.startswith(b"\xff\xd8"):
+                header, end = _jpeg_header(file, path), _JPEG_END
+            else:
+                raise SceneError("this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
+            file.seek(0, 2)
+            file.seek(max(0, file.tell() - _TAIL))
+            tail = file.read()
+    except OSError as error:
+        raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    # Some cameras append data after a JPEG's end; then the whole file has to be searched.
+    if end not in tail and (header.format == "png" or not _jpeg_is_whole(path.read_bytes())):
+        raise _truncated(path)
+    return header
+
+
+def check_image_data(data: bytes, path: Path) -> None:
+    """See that an image's bytes are whole and, for a PNG, undamaged (checksums). Raises SceneError."""
+    if not data:
+        raise SceneError("the image is empty", path, "Write this file again.")
+    if data.startswith(_PNG_SIGNATURE):
+        _check_png_chunks(data, path)
+    elif data.startswith(b"\xff\xd8") and not _jpeg_is_whole(data):
+        raise _truncated(path)
+
+
+def _truncated(path: Path) -> SceneError:
+    return SceneError("the image is cut off", path, "Copy or write this file again.")
+
+
+def _png_header(start: bytes, path: Path) -> ImageHeader:
+    if len(start) < 33 or start[12:16] != b"IHDR":
+        raise _truncated(path)
+    width, height, bit_depth, kind = struct.unpack(">IIBB", start[16:26])
+    if kind not in _PNG_CHANNELS or not width or not height:
+        raise SceneError("the PNG header makes no sense", path, "Write this file again.")
+    return ImageHeader("png", width, height, bit_depth, _PNG_CHANNELS[kind], palette=kind == 3)
+
+
+def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
+    """Walk the marker segments up to the frame header (SOF)."""
+    file.seek(2)
+    while True:
+        marker = file.read(2)
+        while marker == b"\xff\xff":
+            marker = b"\xff" + file.read(1)
+        length_bytes = file.read(2)
+        if len(marker) < 2 or len(length_bytes) < 2 or marker[0] != 0xFF:
+            raise _truncated(path)
+        (length,) = struct.unpack(">H", length_bytes)
+        if 0xC0 <= marker[1] <= 0xCF and marker[1] not in (0xC4, 0xC8, 0xCC):
+            body = file.read(6)
+            if len(body) < 6:
+                raise _truncated(path)
+            bit_depth, height, width, channels = struct.unpack(">BHHB", body)
+            if not width or not height:
+                raise SceneError("the JPEG header makes no sense", path, "Write this file again.")
+            return ImageHeader("jpeg", width, height, bit_depth, channels)
+        file.seek(length - 2, 1)
+
+
+def _jpeg_is_whole(data: bytes) -> bool:
+    """Whether the end marker follows the start of the scan (a thumbnail in the metadata has one of its own)."""
+    position = 2
+    while position + 4 <= len(data) and data[position] == 0xFF:
+        if data[position + 1] == 0xFF:
+            position += 1
+        elif data[position + 1] == 0xDA:
+            return data.find(_JPEG_END, position) >= 0
+        else:
+            position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+    return False
+
+
+def _check_png_chunks(data: bytes, path: Path) -> None:
+    position = len(_PNG_SIGNATURE)
+    while position + 12 <= len(data):
+        length = int.from_bytes(data[position : position + 4], "big")
+        kind_and_body = data[position + 4 : position + 8 + length]
+        checksum = data[position + 8 + length : position + 12 + length]
+        if len(checksum) < 4:
+            break
+        if zlib.crc32(kind_and_body) != int.from_bytes(checksum, "big"):
+            raise SceneError("the image is damaged (checksum)", path, "Copy or write this file again.")
+        if kind_and_body.startswith(b"IEND"):
+            return
+        position += 12 + length
+    raise _truncated(path)

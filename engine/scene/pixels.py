@@ -1,0 +1,109 @@
+"""Decoding and resizing of images. OpenCV is imported only when pixels are asked for.
+
+Resizing keeps the edges of the picture where they are, as ``Camera.resized`` does: the centre of target pixel i of n
+lies at (i + 0.5) / n of the way across. Labels and depth take the source pixel that this point falls in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frame import SceneError, Size
+from .image_header import check_image_data
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where a point of the colour image lies in the depth image, in shares of their widths and heights.
+
+    depth_x = x_scale * colour_x + x_shift, and y alike. The identity unless the depth camera has a lens of its own.
+    """
+
+    x_scale: float = 1.0
+    x_shift: float = 0.0
+    y_scale: float = 1.0
+    y_shift: float = 0.0
+
+
+def decode(path: Path, as_colour: bool) -> NDArray[Any]:
+    """Decode an image as uint8 [H, W, 3] RGB, or as it is stored (RGB order), uint8 or uint16 [H, W] or [H, W, C].
+
+    Orientation tags are ignored, as intrinsics refer to the stored pixels. Raises SceneError when the file is damaged.
+    """
+    import cv2
+
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    check_image_data(data, path)
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION if as_colour else cv2.IMREAD_UNCHANGED
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise SceneError(f"the image cannot be decoded ({error.err})", path, "Write it again.") from error
+    if pixels is None:
+        raise SceneError("the image cannot be decoded", path, "Write this file again.")
+    if pixels.ndim == 3:
+        pixels = np.ascontiguousarray(pixels[..., [2, 1, 0]])
+    return pixels
+
+
+def decode_single_channel(path: Path) -> NDArray[np.int32]:
+    """Decode a label image of 8 or 16 bits a pixel to int32 [H, W]. Raises SceneError for a colour image."""
+    pixels = decode(path, as_colour=False)
+    if pixels.ndim != 2:
+        raise SceneError(
+            "a label image must have one channel, not colours", path, "Save the ids themselves as 8- or 16-bit grey."
+        )
+    return pixels.astype(np.int32)
+
+
+def resize_colour(pixels: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:
+    """Resize uint8 [H, W, 3]: area averages when it shrinks, Lanczos when it grows."""
+    height, width = pixels.shape[:2]
+    if (width, height) == size:
+        return pixels
+    import cv2
+
+    shrinks = size[0] < width or size[1] < height
+    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LANCZOS4)  # type: ignore[return-value]
+
+
+def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
+    """Resize [H, W] without mixing values; the same array when the size is right already."""
+    height, width = pixels.shape
+    if (width, height) == size:
+        return pixels
+    rows = (2 * np.arange(size[1]) + 1) * height // (2 * size[1])
+    columns = (2 * np.arange(size[0]) + 1) * width // (2 * size[0])
+    return pixels[rows[:, None], columns]
+
+
+def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> NDArray[Any]:
+    """As ``resize_nearest`` into the colour image's frame; 0 where the source has no such pixel."""
+    if alignment == Alignment():
+        return resize_nearest(pixels, size)
+    height, width = pixels.shape
+    x = (alignment.x_scale * (np.arange(size[0]) + 0.5) / size[0] + alignment.x_shift) * width
+    y = (alignment.y_scale * (np.arange(size[1]) + 0.5) / size[1] + alignment.y_shift) * height
+    columns, rows = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))
+    taken = pixels[rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)]
+    return np.where(inside, taken, taken.dtype.type(0))
+
+
+def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The values that occur in int32 [H, W] (>= 0), ascending, and how many pixels each has. Void (0) included."""
+    low, high = int(ids.min()), int(ids.max())
+    if high - low > 4 * ids.size:
+        values, counts = np.unique(ids, return_counts=True)
+        return values.astype(np.int64), counts.astype(np.int64)
+    counts = np.bincount(ids.ravel() - low)
+    values = np.flatnonzero(counts)
+    return values + low, counts[values]

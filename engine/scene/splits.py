@@ -1,0 +1,73 @@
+"""Which frames are trained on and which are held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from .frame import SceneError
+from .json_file import read_json_object, take_list, wrong_type
+from .layout import listed
+
+_EVERY = 8
+_FIRST = 4
+
+
+@dataclass(frozen=True)
+class Split:
+    """Frame names of each part, in recording order, and warnings."""
+
+    train: tuple[str, ...]
+    test: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def default_split(names: Sequence[str]) -> Split:
+    """Hold out every 8th frame: the 5th, the 13th, ... The first and often the last, which see the most by themselves,
+    are trained on. A scene of fewer than five frames has nothing held out.
+    """
+    test = names[_FIRST::_EVERY]
+    train = tuple(name for name in names if name not in {*test})
+    warnings = () if test else ("there are too few frames to hold one out: nothing is measured on unseen views",)
+    return Split(train, tuple(test), warnings)
+
+
+def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Split:
+    """Read ``splits.json``: {"train": [...], "test": [...]} with stems of colour images.
+
+    Names in ``dropped`` (frames without a pose) are passed over. Raises SceneError for unknown names, and for
+    names that are in both lists or twice in one.
+    """
+    content = read_json_object(path)
+    parts: dict[str, set[str]] = {}
+    for key in ("train", "test"):
+        listed_names = take_list(content, key, "the file", path)
+        for name in listed_names:
+            if not isinstance(name, str):
+                raise wrong_type(key, "a list of frame names", name, "the file", path)
+        parts[key] = {*listed_names}
+        if len(parts[key]) < len(listed_names):
+            twice = sorted({name for name in listed_names if listed_names.count(name) > 1})
+            raise SceneError(f'"{key}" names frames twice ({listed(twice)})', path, "Name each frame once.")
+    unknown = sorted((parts["train"] | parts["test"]) - {*names} - {*dropped})
+    if unknown:
+        raise SceneError(
+            f"frames that do not exist are named ({listed(unknown)})",
+            path,
+            "Use the colour images' names without suffix.",
+        )
+    both = sorted(parts["train"] & parts["test"])
+    if both:
+        raise SceneError(f"frames are in train and in test ({listed(both)})", path, "Put each in one of the two.")
+    left_out = [name for name in names if name not in parts["train"] | parts["test"]]
+    warnings = []
+    if left_out:
+        warnings.append(f"{len(left_out)} frames are in neither list of splits.json and left out: {listed(left_out)}")
+    if not any(name in parts["test"] for name in names):
+        warnings.append("no frame is held out: nothing is measured on unseen views")
+    return Split(
+        train=tuple(name for name in names if name in parts["train"]),
+        test=tuple(name for name in names if name in parts["test"]),
+        warnings=tuple(warnings),
+    )
