@@ -1,0 +1,136 @@
+"""A lift from end to end: frames and machine masks in, one consistent 3D panoptic scene out.
+
+The stages, in the paper's order: read the frames, find out which labels can be believed, match the instances, train the
+structured Gaussians, write the result, bake the passes, evaluate.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors.torch import load_file, save_file
+
+from .job import EventWriter, LiftFolder, StopSignal, write_manifest
+from .lift_result import bake_passes, evaluate_passes, write_scene
+from .scene import ClassTable, Frame, Scene, Size, View, load_view, open_scene
+from .scene.checks import check_scene
+from .train.preparation import PreparedLift, prepare
+from .train.presets import Preset, chosen_preset
+from .train.progress import StageReporter
+from .train.state import restore, trainer_state
+from .train.trainer import Trainer
+
+log = logging.getLogger("plgs.lift")
+
+STAGES = {
+    "check": "Checking the scene",
+    "read": "Reading the frames",
+    "believe": "Finding labels that can be believed",
+    "match": "Matching instances in 3D",
+    "train": "Training the structured Gaussians",
+    "result": "Writing the lifted scene",
+    "bake": "Baking panoptic passes",
+    "evaluate": "Evaluating the held-out frames",
+}
+CHECKPOINT_EVERY_S = 20.0
+"""A kill loses at most this much work. Checkpoints do not change what is computed."""
+
+
+def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+    """Do the lift that ``folder`` asks for, or what is left of it.
+
+    Raises SceneError for input that cannot be lifted, Cancelled when stopped; the folder can be resumed then.
+    """
+    request = folder.request
+    preset = chosen_preset(request.preset, request.steps, request.size)
+    torch.use_deterministic_algorithms(True)
+    stages = StageReporter(events, stop, STAGES)
+
+    with stages.stage("check"):
+        scene = open_scene(request.scene, request.masks, request.up)
+        for warning in (*scene.warnings, *check_scene(scene)):
+            events.warning(warning)
+    with stages.stage("read") as progress:
+        views = []
+        for done, frame in enumerate(scene.train_frames, start=1):
+            views.append(load_view(frame, lift_size(frame, preset.size_within)))
+            progress(done, len(scene.train_frames))
+
+    prepared = prepare(views, scene.classes, preset, request.seed, stages)
+    trainer = Trainer(prepared.scene, prepared.targets, views, preset, request.seed)
+    checkpoint = folder.checkpoints.latest() if resume else None
+    if checkpoint is not None:
+        restore(trainer, load_file(checkpoint.path / "trainer.safetensors"), checkpoint.state)
+        log.info("resuming after step %d", trainer.step_number)
+    train(trainer, folder, stages)
+
+    with stages.stage("result"):
+        write_scene(folder, scene, prepared, trainer.scene, events)
+    with stages.stage("bake") as progress:
+        baked = bake_passes(folder, scene, prepared, trainer.scene, frames_to_bake(scene, request.bake), events, progress)
+    with stages.stage("evaluate") as progress:
+        evaluate_passes(folder, scene, views, baked, events, progress)
+    write_manifest(
+        folder.result_path,
+        versions=library_versions(),
+        seed=request.seed,
+        settings=asdict(preset),
+        timings=stages.timings,
+    )
+
+
+def lift_size(frame: Frame, box: Size) -> Size:
+    """(width, height) of ``frame`` brought into ``box`` with its aspect kept; never larger than the frame."""
+    width, height = frame.size
+    scale = min(1.0, box[0] / width, box[1] / height)
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
+    """The frames whose passes were asked for: "test", "all" or "none"."""
+    return {"test": scene.test_frames, "all": scene.frames, "none": ()}[bake]
+
+
+def train(trainer: Trainer, folder: LiftFolder, stages: StageReporter) -> None:
+    """All steps that are left, with a checkpoint now and then, when stopped, and at the end."""
+    steps = trainer.preset.steps
+    with stages.stage("train") as progress:
+        saved_at = time.monotonic()
+        try:
+            while not trainer.finished:
+                report = trainer.step()
+                progress(report.step, steps, report.loss)
+                if time.monotonic() - saved_at > CHECKPOINT_EVERY_S:
+                    save_checkpoint(trainer, folder)
+                    saved_at = time.monotonic()
+        finally:
+            save_checkpoint(trainer, folder)
+
+
+def save_checkpoint(trainer: Trainer, folder: LiftFolder) -> None:
+    tensors, facts = trainer_state(trainer)
+    contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    folder.checkpoints.save(facts, lambda path: save_file(contiguous, path / "trainer.safetensors"))
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of what computed the result."""
+    import platform
+
+    import cv2
+    import numba
+    import scipy
+
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "torch": torch.__version__,
+        "numba": numba.__version__,
+        "scipy": scipy.__version__,
+        "opencv": cv2.__version__,
+    }

@@ -1,0 +1,67 @@
+"""Adam that survives growing, pruning and being stored."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from engine.model.anchors import Anchors, initial_anchors
+from engine.model.decoders import Decoders, DecoderShape
+from engine.train.optimiser import Optimiser, learning_rate
+from engine.train.presets import LearningRates
+
+SHAPE = DecoderShape(6, 2, 3, 4, distance_input=False, label_view_input=False)
+
+
+def anchors_at(count: int) -> Anchors:
+    positions = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+    feature = np.zeros((count, 6), np.float32)
+    return initial_anchors(positions, np.zeros(count, int), gaussians_per_anchor=2, feature=feature, voxel_size=0.1)
+
+
+def take_steps(optimiser: Optimiser, steps: int, start: int = 0) -> None:
+    for step in range(start, start + steps):
+        generator = torch.Generator().manual_seed(step)
+        loss = sum(
+            (getattr(optimiser.anchors, name) * torch.rand(getattr(optimiser.anchors, name).shape, generator=generator)).sum()
+            for name in Anchors.LEARNT
+        )
+        loss = loss + sum((p * torch.rand(p.shape, generator=generator)).sum() for p in optimiser.decoders.parameters())
+        loss.backward()
+        optimiser.step(step / 100)
+
+
+def test_rates_decay_log_linearly() -> None:
+    assert learning_rate((1e-2, 1e-4), 0.5) == pytest.approx(1e-3)
+    assert learning_rate((1e-2, 1e-4), 0.0) == pytest.approx(1e-2)
+
+
+def test_a_restored_optimiser_goes_on_bit_for_bit() -> None:
+    whole = Optimiser(anchors_at(5), Decoders(SHAPE, 0), LearningRates(), extent=2.0)
+    take_steps(whole, 6)
+    first = Optimiser(anchors_at(5), Decoders(SHAPE, 0), LearningRates(), extent=2.0)
+    take_steps(first, 3)
+    again = Decoders(SHAPE, 9)
+    again.load_state_dict(first.decoders.state_dict())
+    second = Optimiser(first.anchors.select(torch.arange(5)), again, LearningRates(), extent=2.0)
+    second.restore({name: tensor.clone() for name, tensor in first.tensors().items()}, first.count)
+    take_steps(second, 3, start=3)
+    for name in Anchors.LEARNT:
+        assert torch.equal(getattr(second.anchors, name), getattr(whole.anchors, name))
+    for mine, theirs in zip(second.decoders.parameters(), whole.decoders.parameters(), strict=True):
+        assert torch.equal(mine, theirs)
+
+
+def test_pruning_and_growing_keep_the_moments_of_the_anchors_that_stay() -> None:
+    optimiser = Optimiser(anchors_at(5), Decoders(SHAPE, 0), LearningRates(), extent=2.0)
+    take_steps(optimiser, 2)
+    before = {name: tensor.clone() for name, tensor in optimiser.tensors().items()}
+    keep = torch.tensor([True, False, True, True, False])
+    optimiser.replace_anchors(optimiser.anchors.select(keep).extended(anchors_at(2)), keep)
+    after = optimiser.tensors()
+    for name in ("anchors.feature.mean", "anchors.offset.square"):
+        assert torch.equal(after[name][:3], before[name][keep])
+        assert (after[name][3:] == 0).all()
+    assert torch.equal(after["decoders.colour.0.weight.mean"], before["decoders.colour.0.weight.mean"])
+    take_steps(optimiser, 1, start=2)
