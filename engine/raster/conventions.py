@@ -1,0 +1,52 @@
+"""The numbers and the camera that every back end shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+NEAR = 0.01
+"""Metres: nothing at or before this depth is drawn."""
+BLUR = 0.3
+"""Pixels squared, added to both diagonal entries of a 2D covariance: nothing is thinner than a pixel."""
+ALPHA_MAX = 0.99
+"""One Gaussian never closes a pixel; (1 - 0.99)^2 is the transmittance at which a pixel ends."""
+ALPHA_MIN = 1.0 / 255.0
+"""A weaker contribution than this is skipped."""
+TRANSMITTANCE_END = 1e-4
+"""A Gaussian that would leave this transmittance or less is not blended, and the pixel ends."""
+CLAMP_MARGIN = 0.3
+"""The Jacobian of the projection is taken at most this share of the half field of view outside the image."""
+TINY_NORM = 1e-12
+"""Quaternions shorter than this are divided by it instead of by their norm."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A pinhole camera.
+
+    ``rotation`` float64 [3, 3], world to camera (OpenCV axes); ``centre`` float64 [3], metres, world; ``focal`` and ``principal``
+    (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres.
+    """
+
+    rotation: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    focal: tuple[float, float]
+    principal: tuple[float, float]
+    width: int
+    height: int
+    near: float
+
+    def slope_limits(self) -> tuple[float, float, float, float]:
+        """(x low, x high, y low, y high): the slopes x/z and y/z to which the Jacobian's point is clamped."""
+        (fx, fy), (cx, cy) = self.focal, self.principal
+        margin_x = CLAMP_MARGIN * 0.5 * self.width / fx
+        margin_y = CLAMP_MARGIN * 0.5 * self.height / fy
+        return (
+            -cx / fx - margin_x,
+            (self.width - cx) / fx + margin_x,
+            -cy / fy - margin_y,
+            (self.height - cy) / fy + margin_y,
+        )

@@ -1,0 +1,174 @@
+"""The entry: checks its arguments, picks a back end, returns a ``Rendering``."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from .conventions import NEAR, View
+
+Backend = Literal["numba", "reference"]
+BACKENDS: tuple[Backend, ...] = ("numba", "reference")
+
+log = logging.getLogger("plgs.raster")
+_announced: set[str] = set()
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """One view of a set of N Gaussians, over black. Float tensors have the dtype and device of ``means``.
+
+    With the blending weights w_i = alpha_i * prod_{j<i} (1 - alpha_j) of a pixel's Gaussians, front to back:
+
+    ``image`` [H, W, 3]: sum_i w_i colour_i.
+    ``labels`` [H, W, C] or None: sum_i w_i label_i. The weights are detached here: the gradient of ``labels`` reaches the
+    label values and nothing else.
+    ``alpha`` [H, W]: sum_i w_i, in [0, 1].
+    ``depth`` [H, W], metres: sum_i w_i z_i with the planar camera depth z_i of the centres. It is not normalised: divide by
+    ``alpha`` for the expected depth.
+    ``visible`` bool [N]: the Gaussian lies beyond the near plane and its footprint (every pixel where its alpha can reach
+    1/255) overlaps the image. It may still be hidden behind others.
+    ``means2d`` [N, 2], pixels: the projected centres; rows of Gaussians that are not visible hold zeros. With
+    ``want_means2d_grad`` it is a leaf whose ``.grad`` [N, 2] holds dLoss/d(2D mean) after ``backward`` (zero where not visible).
+    ``top_indices`` int32 [H, W, top_k] and ``top_weights`` [H, W, top_k], or None: the Gaussians with the largest weights
+    of each pixel, largest first, -1 and 0 where there are fewer. Not differentiable.
+    """
+
+    image: Tensor
+    labels: Tensor | None
+    alpha: Tensor
+    depth: Tensor
+    visible: Tensor
+    means2d: Tensor
+    top_indices: Tensor | None = None
+    top_weights: Tensor | None = None
+
+
+def rasterize(
+    means: Tensor,
+    scales: Tensor,
+    quats: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    labels: Tensor | None,
+    camera_to_world: Tensor | NDArray[Any],
+    K: Tensor | NDArray[Any],  # noqa: N803 (the intrinsics' usual name)
+    width: int,
+    height: int,
+    *,
+    near: float = NEAR,
+    top_k: int = 0,
+    want_means2d_grad: bool = False,
+    backend: Backend | None = None,
+) -> Rendering:
+    """Draw N Gaussians; differentiable in the first six arguments.
+
+    ``means`` [N, 3], metres, world; ``scales`` [N, 3], standard deviations in metres; ``quats`` [N, 4], wxyz, normalised in
+    here; ``opacities`` [N] in [0, 1] (anything below 1/255, so also <= 0, is not drawn); ``colours`` [N, 3];
+    ``labels`` [N, C] or None. All float32 on one device for the back end ``numba``.
+
+    ``camera_to_world`` [4, 4] with OpenCV axes (x right, y down, z forward); ``K`` [3, 3] with any fx, fy, cx, cy, no skew;
+    the centre of pixel (i, j) is (i + 0.5, j + 0.5). No gradient flows to the camera.
+
+    Conventions (those of gsplat, "classic"): 0.3 px^2 added to the diagonal of the 2D covariance; Gaussians with z <= ``near``
+    (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)), skipped below 1/255 and nowhere else; a pixel ends
+    before the Gaussian that would leave a transmittance <= 1e-4; order by planar depth rounded to float32, ties by index.
+
+    ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device.
+
+    Raises ``ValueError`` on shapes, dtypes or devices that do not fit, an empty image, skew, or an unknown back end.
+    """
+    _check(means, scales, quats, opacities, colours, labels)
+    view = _view(camera_to_world, K, width, height, near)
+    if top_k < 0:
+        raise ValueError(f"top_k is {top_k}; it must be 0 or more")
+    name = _pick(backend, means)
+    arguments = (means, scales, quats, opacities, colours, labels, view, top_k, want_means2d_grad)
+    if name == "reference":
+        from .reference import rasterize_reference
+
+        return rasterize_reference(*arguments)
+    from .native import rasterize_native
+
+    return rasterize_native(*arguments)
+
+
+def _pick(backend: Backend | None, means: Tensor) -> Backend:
+    """The back end's name; said once in the log."""
+    name: Backend = backend if backend is not None else "numba"
+    if name not in BACKENDS:
+        raise ValueError(f"unknown back end {name!r}; there are {', '.join(BACKENDS)}")
+    if name == "numba" and (means.device.type != "cpu" or means.dtype != torch.float32):
+        raise ValueError(
+            f"the back end numba takes float32 tensors on the CPU, these are {means.dtype} on {means.device}; "
+            "move them or choose the back end reference"
+        )
+    if name not in _announced:
+        _announced.add(name)
+        log.info("rasterising with the back end %s on %s", name, means.device)
+    return name
+
+
+def _check(
+    means: Tensor, scales: Tensor, quats: Tensor, opacities: Tensor, colours: Tensor, labels: Tensor | None
+) -> None:
+    count = means.shape[0] if means.ndim else 0
+    expected = {
+        "means": (means, (count, 3)),
+        "scales": (scales, (count, 3)),
+        "quats": (quats, (count, 4)),
+        "opacities": (opacities, (count,)),
+        "colours": (colours, (count, 3)),
+    }
+    if labels is not None:
+        expected["labels"] = (labels, (count, labels.shape[-1] if labels.ndim else 0))
+    for name, (tensor, shape) in expected.items():
+        if tuple(tensor.shape) != shape:
+            raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected {shape}")
+        if tensor.dtype != means.dtype or tensor.device != means.device:
+            raise ValueError(
+                f"{name} is {tensor.dtype} on {tensor.device}, but means is {means.dtype} on {means.device}; "
+                "all must be alike"
+            )
+
+
+def _view(
+    camera_to_world: Tensor | NDArray[Any],
+    intrinsics: Tensor | NDArray[Any],
+    width: int,
+    height: int,
+    near: float,
+) -> View:
+    if width < 1 or height < 1:
+        raise ValueError(f"the image is {width}x{height}; both must be at least 1")
+    pose = _as_float64(camera_to_world)
+    matrix = _as_float64(intrinsics)
+    if pose.shape != (4, 4):
+        raise ValueError(f"camera_to_world has shape {pose.shape}, expected (4, 4)")
+    if matrix.shape != (3, 3):
+        raise ValueError(f"K has shape {matrix.shape}, expected (3, 3)")
+    if matrix[0, 1] != 0.0:
+        raise ValueError("K has skew; only fx, fy, cx, cy are supported")
+    if not near > 0.0:
+        raise ValueError(f"near is {near}; it must be positive")
+    return View(
+        rotation=np.ascontiguousarray(pose[:3, :3].T),
+        centre=np.ascontiguousarray(pose[:3, 3]),
+        focal=(float(matrix[0, 0]), float(matrix[1, 1])),
+        principal=(float(matrix[0, 2]), float(matrix[1, 2])),
+        width=int(width),
+        height=int(height),
+        near=float(near),
+    )
+
+
+def _as_float64(values: Tensor | NDArray[Any]) -> NDArray[np.float64]:
+    if isinstance(values, Tensor):
+        values = values.detach().cpu().numpy()
+    return np.asarray(values, dtype=np.float64)

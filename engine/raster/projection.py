@@ -1,0 +1,196 @@
+"""3D Gaussians to records on the image plane (EWA splatting), and the chain rule back. All in double: it is cheap beside
+the blending, and thin Gaussians need it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import prange
+
+from .compiled import compiled, parallel
+from .conventions import ALPHA_MIN, BLUR, TINY_NORM
+from .records import (
+    BLUE,
+    CENTRE_X,
+    CENTRE_X_LOW,
+    CENTRE_Y,
+    CENTRE_Y_LOW,
+    DEPTH,
+    GREEN,
+    L11,
+    L12,
+    L22,
+    OPACITY,
+    REACH,
+    REACH_MARGIN,
+    RED,
+    TILE,
+    WHITENING,
+)
+
+LOG2_E = math.log2(math.e)
+
+# layout of the camera array that the kernels take
+CAMERA_ROTATION = 0  # nine, row by row
+CAMERA_CENTRE = 9
+CAMERA_FOCAL = 12
+CAMERA_PRINCIPAL = 14
+CAMERA_NEAR = 16
+CAMERA_SLOPES = 17  # x low, x high, y low, y high
+CAMERA = 21
+
+
+@compiled
+def camera_point(camera, x, y, z):
+    """World to camera coordinates, metres."""
+    x -= camera[9]
+    y -= camera[10]
+    z -= camera[11]
+    return (
+        camera[0] * x + camera[1] * y + camera[2] * z,
+        camera[3] * x + camera[4] * y + camera[5] * z,
+        camera[6] * x + camera[7] * y + camera[8] * z,
+    )
+
+
+@compiled
+def unit_quaternion(w, x, y, z):
+    """The normalised quaternion and the norm it was divided by."""
+    norm = max(math.sqrt(w * w + x * x + y * y + z * z), TINY_NORM)
+    return w / norm, x / norm, y / norm, z / norm, norm
+
+
+@compiled
+def rotation_of(w, x, y, z):
+    """The nine entries, row by row, of a unit quaternion's matrix."""
+    return (
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    )
+
+
+@compiled
+def clamped(value, low, high):
+    return min(max(value, low), high)
+
+
+@compiled
+def image_jacobian(camera, x, y, z):
+    """The 2x3 matrix J R from world offsets to pixels at camera point (x, y, z), and the clamped slopes x/z and y/z."""
+    over_z = 1.0 / z
+    u = clamped(x * over_z, camera[17], camera[18])
+    v = clamped(y * over_z, camera[19], camera[20])
+    jx = camera[12] * over_z
+    jy = camera[13] * over_z
+    return (
+        jx * (camera[0] - u * camera[6]),
+        jx * (camera[1] - u * camera[7]),
+        jx * (camera[2] - u * camera[8]),
+        jy * (camera[3] - v * camera[6]),
+        jy * (camera[4] - v * camera[7]),
+        jy * (camera[5] - v * camera[8]),
+        u,
+        v,
+    )
+
+
+@compiled
+def axes_on_image(jacobian, rotation, sx, sy, sz):
+    """The 2x3 matrix J R Q diag(s): the Gaussian's axes, scaled, in pixels."""
+    j0, j1, j2, j3, j4, j5, _, _ = jacobian
+    q0, q1, q2, q3, q4, q5, q6, q7, q8 = rotation
+    return (
+        (j0 * q0 + j1 * q3 + j2 * q6) * sx,
+        (j0 * q1 + j1 * q4 + j2 * q7) * sy,
+        (j0 * q2 + j1 * q5 + j2 * q8) * sz,
+        (j3 * q0 + j4 * q3 + j5 * q6) * sx,
+        (j3 * q1 + j4 * q4 + j5 * q7) * sy,
+        (j3 * q2 + j4 * q5 + j5 * q8) * sz,
+    )
+
+
+@compiled
+def project_range(
+    first, last, means, scales, quats, opacities, colours, camera, width, height, records, boxes
+):
+    """Fill records [N, RECORD] and boxes int32 [N, 4] (tile columns and rows, last ones excluded) of Gaussians first to last.
+
+    A Gaussian that is not visible gets an empty box. Returns how many are visible and how many tiles they touch.
+    """
+    visible = 0
+    touched = 0
+    for i in range(first, last):
+        boxes[i, 0] = boxes[i, 1] = boxes[i, 2] = boxes[i, 3] = 0
+        opacity = float(opacities[i])
+        x, y, z = camera_point(camera, float(means[i, 0]), float(means[i, 1]), float(means[i, 2]))
+        if not (z > camera[16] and opacity >= ALPHA_MIN):
+            continue
+        jacobian = image_jacobian(camera, x, y, z)
+        w, qx, qy, qz, _ = unit_quaternion(
+            float(quats[i, 0]), float(quats[i, 1]), float(quats[i, 2]), float(quats[i, 3])
+        )
+        rotation = rotation_of(w, qx, qy, qz)
+        a0, a1, a2, b0, b1, b2 = axes_on_image(
+            jacobian, rotation, float(scales[i, 0]), float(scales[i, 1]), float(scales[i, 2])
+        )
+        cov_xx = a0 * a0 + a1 * a1 + a2 * a2 + BLUR
+        cov_xy = a0 * b0 + a1 * b1 + a2 * b2
+        cov_yy = b0 * b0 + b1 * b1 + b2 * b2 + BLUR
+        determinant = cov_xx * cov_yy - cov_xy * cov_xy
+        centre_x = camera[12] * x / z + camera[14]
+        centre_y = camera[13] * y / z + camera[15]
+        reach = math.log(opacity / ALPHA_MIN)
+        extent_x = math.sqrt(2.0 * reach * cov_xx)
+        extent_y = math.sqrt(2.0 * reach * cov_yy)
+        low_x = max(math.ceil(centre_x - extent_x - 0.5), 0.0)
+        low_y = max(math.ceil(centre_y - extent_y - 0.5), 0.0)
+        high_x = min(math.floor(centre_x + extent_x - 0.5), width - 1.0)
+        high_y = min(math.floor(centre_y + extent_y - 0.5), height - 1.0)
+        if not (determinant > 0.0 and low_x <= high_x and low_y <= high_y):
+            continue
+        boxes[i, 0] = int(low_x) // TILE
+        boxes[i, 1] = int(high_x) // TILE + 1
+        boxes[i, 2] = int(low_y) // TILE
+        boxes[i, 3] = int(high_y) // TILE + 1
+        visible += 1
+        touched += (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
+
+        root = math.sqrt(cov_yy / determinant)
+        records[i, CENTRE_X] = centre_x
+        records[i, CENTRE_X_LOW] = centre_x - float(records[i, CENTRE_X])
+        records[i, CENTRE_Y] = centre_y
+        records[i, CENTRE_Y_LOW] = centre_y - float(records[i, CENTRE_Y])
+        records[i, L11] = WHITENING * root
+        records[i, L12] = -WHITENING * cov_xy / (determinant * root)
+        records[i, L22] = WHITENING / math.sqrt(cov_yy)
+        records[i, OPACITY] = opacities[i]
+        records[i, REACH] = np.float32(reach * LOG2_E) + REACH_MARGIN
+        records[i, RED] = colours[i, 0]
+        records[i, GREEN] = colours[i, 1]
+        records[i, BLUE] = colours[i, 2]
+        records[i, DEPTH] = z
+    return visible, touched
+
+
+@parallel
+def project_all(
+    workers, means, scales, quats, opacities, colours, camera, width, height, records, boxes, counts
+):
+    """``project_range`` over all; counts int64 [workers, 2] gets each worker's visible Gaussians and touched tiles."""
+    count = means.shape[0]
+    for worker in prange(workers):
+        first = count * worker // workers
+        last = count * (worker + 1) // workers
+        visible, touched = project_range(
+            first, last, means, scales, quats, opacities, colours, camera, width, height, records, boxes
+        )
+        counts[worker, 0] = visible
+        counts[worker, 1] = touched

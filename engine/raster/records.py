@@ -1,0 +1,36 @@
+"""What the kernels know of a projected Gaussian: one cache line of float32, and the form in which its footprint is kept.
+
+A footprint is kept whitened. With the inverse 2D covariance written as L^T L, L upper triangular, and d the offset of a
+pixel from the centre, s = sqrt(log2(e) / 2) * L d has |s|^2 = log2(e) * d^T inv(cov) d / 2, so alpha = opacity * 2^-|s|^2.
+Compared with the usual quadratic form nothing cancels, however long and thin the Gaussian: s1 and s2 are computed to
+float32 precision from a double origin at each tile, s2 is constant along a row of pixels, and s1 is linear in it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+TILE = 16
+"""Pixels: the side of a tile, and the length of the rows that the kernels work on."""
+CHUNK = 64
+"""Gaussians of a tile that are handled together."""
+
+# columns of a record; the centre is the sum of two floats (a double's precision where it matters)
+CENTRE_X, CENTRE_X_LOW, CENTRE_Y, CENTRE_Y_LOW = 0, 1, 2, 3
+L11, L12, L22 = 4, 5, 6
+OPACITY = 7
+REACH = 8  # |s|^2 beyond which alpha < 1/255, a little rounded up
+RED, GREEN, BLUE, DEPTH = 9, 10, 11, 12
+RECORD = 16
+
+# columns of the gradients of one Gaussian in one tile; g = dLoss/d(ln alpha) summed over pixels
+G, G_S1, G_S1S1, G_S2, G_S1S2, G_S2S2 = 0, 1, 2, 3, 4, 5
+D_RED, D_GREEN, D_BLUE, D_DEPTH = 6, 7, 8, 9
+GRADIENT = 10
+
+WHITENING = math.sqrt(0.5 * math.log2(math.e))
+"""s = WHITENING * L d."""
+REACH_MARGIN = np.float32(1e-3)
+"""Added to ``REACH``: far more than the rounding of s, far less than a pixel."""

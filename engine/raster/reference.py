@@ -1,0 +1,146 @@
+"""The oracle: every Gaussian against every pixel, float64, ordinary autograd. Memory and time grow as N * H * W."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .conventions import ALPHA_MAX, ALPHA_MIN, BLUR, TINY_NORM, TRANSMITTANCE_END, View
+from .interface import Rendering
+
+
+def rasterize_reference(
+    means: Tensor,
+    scales: Tensor,
+    quats: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    labels: Tensor | None,
+    view: View,
+    top_k: int,
+    want_means2d_grad: bool,
+) -> Rendering:
+    """As ``rasterize``; computes in float64 whatever the dtype of its input, and returns that dtype."""
+    dtype = means.dtype
+    means, scales, quats, opacities, colours = (
+        tensor.double() for tensor in (means, scales, quats, opacities, colours)
+    )
+    centres, covariances, depths = project(means, scales, quats, view)
+    handle = centres.detach().clone().requires_grad_(want_means2d_grad)
+    # the value of the handle, the gradient of both
+    centres = centres + (handle - handle.detach())
+    visible = footprint_visible(
+        centres.detach(), covariances.detach(), depths.detach(), opacities.detach(), view
+    )
+    # the order that all back ends share: depth rounded to float32, ties by index
+    chosen = torch.nonzero(visible)[:, 0]
+    order = chosen[torch.sort(depths.detach()[chosen].float(), stable=True).indices]
+    weights = blending_weights(centres[order], covariances[order], opacities[order], view)  # [n, H * W]
+
+    def blend(values: Tensor, by: Tensor) -> Tensor:
+        return (by.T @ values[order]).reshape(view.height, view.width, -1).to(dtype)
+
+    with torch.no_grad():
+        handle[~visible] = 0.0
+    top_indices, top_weights = top_contributors(weights.detach(), order, view, top_k)
+    return Rendering(
+        image=blend(colours, weights),
+        labels=None if labels is None else blend(labels.double(), weights.detach()),
+        alpha=weights.sum(0).reshape(view.height, view.width).to(dtype),
+        depth=blend(depths[:, None], weights)[:, :, 0],
+        visible=visible,
+        means2d=handle,
+        top_indices=top_indices,
+        top_weights=None if top_weights is None else top_weights.to(dtype),
+    )
+
+
+def project(means: Tensor, scales: Tensor, quats: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor]:
+    """Centres [N, 2] in pixels, blurred 2D covariances [N, 2, 2] in pixels squared, planar depths [N] in metres.
+
+    Rows at or behind the near plane are computed for a point at depth 1, so that no infinity enters the gradients.
+    """
+    rotation = torch.as_tensor(view.rotation, dtype=means.dtype, device=means.device)
+    centre = torch.as_tensor(view.centre, dtype=means.dtype, device=means.device)
+    x, y, z = ((means - centre) @ rotation.T).unbind(-1)
+    safe = torch.where(z > view.near, z, torch.ones_like(z))
+    (fx, fy), (cx, cy) = view.focal, view.principal
+    x_low, x_high, y_low, y_high = view.slope_limits()
+    u = torch.clamp(x / safe, x_low, x_high)
+    v = torch.clamp(y / safe, y_low, y_high)
+    zero = torch.zeros_like(z)
+    jacobian = torch.stack(
+        [
+            torch.stack([fx / safe, zero, -fx * u / safe], -1),
+            torch.stack([zero, fy / safe, -fy * v / safe], -1),
+        ],
+        -2,
+    )
+    spread = jacobian @ rotation @ (rotation_matrices(quats) * scales[:, None, :])
+    covariances = spread @ spread.transpose(-1, -2) + BLUR * torch.eye(
+        2, dtype=means.dtype, device=means.device
+    )
+    centres = torch.stack([fx * x / safe + cx, fy * y / safe + cy], -1)
+    return centres, covariances, z
+
+
+def rotation_matrices(quats: Tensor) -> Tensor:
+    """[N, 4] wxyz of any length to [N, 3, 3]."""
+    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1, eps=TINY_NORM).unbind(-1)
+    rows = [
+        torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+        torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+        torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+    ]
+    return torch.stack(rows, -2)
+
+
+def footprint_visible(
+    centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, view: View
+) -> Tensor:
+    """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} holds a pixel centre of the image."""
+    reach = 2.0 * torch.log(opacities.clamp(min=1e-30) / ALPHA_MIN)
+    extent = torch.sqrt(reach.clamp(min=0.0)[:, None] * torch.diagonal(covariances, dim1=-2, dim2=-1))
+    size = torch.tensor([view.width, view.height], dtype=centres.dtype, device=centres.device)
+    first = torch.ceil(centres - extent - 0.5).clamp(min=0.0)
+    last = torch.minimum(torch.floor(centres + extent - 0.5), size - 1.0)
+    return (depths > view.near) & (opacities >= ALPHA_MIN) & (first <= last).all(-1)
+
+
+def blending_weights(centres: Tensor, covariances: Tensor, opacities: Tensor, view: View) -> Tensor:
+    """[n, H * W] weights of n Gaussians in front-to-back order."""
+    rows, columns = torch.meshgrid(
+        torch.arange(view.height, dtype=centres.dtype, device=centres.device) + 0.5,
+        torch.arange(view.width, dtype=centres.dtype, device=centres.device) + 0.5,
+        indexing="ij",
+    )
+    dx = columns.reshape(1, -1) - centres[:, 0:1]
+    dy = rows.reshape(1, -1) - centres[:, 1:2]
+    a, b, c = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
+    determinant = a * c - b * b
+    distance = (c[:, None] * dx * dx - 2.0 * b[:, None] * dx * dy + a[:, None] * dy * dy) / determinant[
+        :, None
+    ]
+    alpha = (opacities[:, None] * torch.exp(-0.5 * distance)).clamp(max=ALPHA_MAX)
+    alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
+    after = torch.cumprod(1.0 - alpha, 0)
+    before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
+    return torch.where(after > TRANSMITTANCE_END, alpha * before, torch.zeros_like(alpha))
+
+
+def top_contributors(
+    weights: Tensor, order: Tensor, view: View, top_k: int
+) -> tuple[Tensor | None, Tensor | None]:
+    """int32 [H, W, k] Gaussian indices and [H, W, k] weights, largest first; -1 and 0 where there are fewer."""
+    if top_k == 0:
+        return None, None
+    count = min(top_k, weights.shape[0])
+    # a stable sort, so that the front one of two equal weights comes first
+    values, ranks = torch.sort(weights.T, dim=1, descending=True, stable=True)
+    values, ranks = values[:, :count], ranks[:, :count]
+    indices = torch.where(values > 0.0, order[ranks], -torch.ones_like(ranks))
+    missing = (0, top_k - count)
+    indices = torch.nn.functional.pad(indices, missing, value=-1)
+    values = torch.nn.functional.pad(values, missing, value=0.0)
+    shape = (view.height, view.width, top_k)
+    return indices.to(torch.int32).reshape(shape), values.reshape(shape)
