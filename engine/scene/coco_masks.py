@@ -72,8 +72,10 @@ class CocoMaskReader:
             return pixels.astype(np.int32)
         if pixels.dtype != np.uint8 or pixels.shape[2] < 3:
             raise SceneError("the mask is not an 8-bit RGB PNG", self.png, "Save ids as R + 256 G + 65536 B.")
-        wide = pixels.astype(np.int32)
-        return wide[..., 0] + 256 * wide[..., 1] + 65536 * wide[..., 2]
+        ids = pixels[..., 0].astype(np.int32)
+        for channel in (1, 2):
+            ids += pixels[..., channel].astype(np.int32) << 8 * channel
+        return ids
 
 
 def open_coco_masks(table: Path, names: Sequence[str]) -> MaskSet:

@@ -10,9 +10,10 @@ import numpy as np
 
 from .classes import ClassTable
 from .frame import GroundTruth, SceneError, Size
+from .image_header import check_image_file
 from .layout import files_by_stem, natural_order, same_shape, shown_size
 from .panoptic_lifting_masks import REDUCED_CLASSES, check_label_header
-from .pixels import decode_single_channel, resize_nearest
+from .pixels import decode_single_channel, distinct_ids, resize_nearest
 
 _FIX = "Correct it, or take the ground truth away: only the metrics need it."
 
@@ -30,14 +31,20 @@ class GroundTruthReader:
         semantic, instance = decode_single_channel(self.semantic), decode_single_channel(self.instance)
         if semantic.shape != instance.shape:
             raise SceneError("classes and instances differ in size", self.instance, _FIX)
-        semantic = np.where(np.isin(semantic, list(self.class_ids)), semantic, 0).astype(np.int32)
+        known = np.zeros(int(semantic.max(initial=0)) + 1, np.int32)
+        for class_id in self.class_ids:
+            if class_id < len(known):
+                known[class_id] = class_id
+        semantic = known[semantic]
         if size is not None:
             semantic, instance = resize_nearest(semantic, size), resize_nearest(instance, size)
         return GroundTruth(semantic, instance)
 
     def unknown_ids(self) -> frozenset[int]:
-        """Class ids in the file, void aside, that the masks' table does not have."""
-        return frozenset(np.unique(decode_single_channel(self.semantic)).tolist()) - self.class_ids - {0}
+        """Class ids in the file, void aside, that the masks' table does not have. Raises SceneError for a bad file."""
+        check_image_file(self.instance)
+        found, _ = distinct_ids(decode_single_channel(self.semantic))
+        return frozenset(found.tolist()) - self.class_ids - {0}
 
 
 @dataclass(frozen=True)

@@ -61,14 +61,19 @@ def read_image_header(path: Path) -> ImageHeader:
     return header
 
 
-def check_image_data(data: bytes, path: Path) -> None:
-    """See that an image's bytes are whole and, for a PNG, undamaged (checksums). Raises SceneError."""
+def check_image_file(path: Path) -> bytes:
+    """Read an image's bytes and see that they are whole and, for a PNG, undamaged (checksums). Raises SceneError."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
     if not data:
         raise SceneError("the image is empty", path, "Write this file again.")
     if data.startswith(_PNG_SIGNATURE):
         _check_png_chunks(data, path)
     elif data.startswith(b"\xff\xd8") and not _jpeg_is_whole(data):
         raise _truncated(path)
+    return data
 
 
 def _truncated(path: Path) -> SceneError:

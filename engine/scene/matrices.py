@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -20,6 +21,7 @@ _TO_Z_UP = {
 }
 _RIGID_TOLERANCE = 2e-3
 _NO_SKEW = 1e-3
+_CLEARLY_UP = 0.6
 
 
 def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.float64]:
@@ -77,6 +79,25 @@ def read_pose(path: Path, up: UpAxis) -> NDArray[np.float64] | None:
     straight[:3, :3] = turn @ left @ right
     straight[:3, 3] = turn @ pose[:3, 3]
     return straight
+
+
+def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | None:
+    """A warning when cameras, float64 [4, 4] camera-to-world each, are upright about another axis than z, else None.
+
+    People hold cameras upright: the mean of their own up axes is close to the world's, unless all of them look steeply
+    up or down or lie on their side, and then nothing is said.
+    """
+    mean = -np.mean([pose[:3, 1] for pose in poses], axis=0)
+    axis = int(np.abs(mean).argmax())
+    if abs(mean[axis]) < _CLEARLY_UP or (axis == 2 and mean[2] > 0.0):
+        return None
+    written = _TO_Z_UP[up].T @ mean
+    axis = int(np.abs(written).argmax())
+    name = ("-" if written[axis] < 0.0 else "") + "xyz"[axis]
+    advice = f"lift with --up {name}" if name in _TO_Z_UP else "turn the poses so that z points up"
+    if mean[2] < -_CLEARLY_UP:
+        advice = f"{advice}, or see that poses have y down and z forward (OpenGL's and Blender's are the reverse)"
+    return f"the cameras' up is the axis {name}, not {up}, so boxes would be tilted: {advice}"
 
 
 def _is_orthogonal(rotation: NDArray[np.float64]) -> bool:

@@ -30,7 +30,7 @@ from .ground_truth import open_ground_truth
 from .image_header import read_image_header
 from .layout import files_by_stem, listed, require_all, same_shape, shown_size
 from .masks import open_masks
-from .matrices import UpAxis, placed, read_intrinsics, read_pose
+from .matrices import UpAxis, placed, read_intrinsics, read_pose, up_axis_warning
 from .pixels import decode, resize_colour
 from .splits import default_split, read_split
 
@@ -79,6 +79,7 @@ def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z") -> Sce
                 "Bring masks to the colour images' aspect ratio.",
             )
     truth = open_ground_truth(folder, sizes, mask_set.classes)
+    tilted = up_axis_warning([poses[name] for name in names], up)
     lost = f"{len(dropped)} frames without a pose (inf) are left out: {listed(dropped)}"
     return Scene(
         folder=folder,
@@ -97,7 +98,14 @@ def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z") -> Sce
             for name in names
         ),
         classes=mask_set.classes,
-        warnings=((lost,) if dropped else ()) + split.warnings + depths.warnings + mask_set.warnings + truth.warnings,
+        warnings=(
+            *((lost,) if dropped else ()),
+            *((tilted,) if tilted else ()),
+            *split.warnings,
+            *depths.warnings,
+            *mask_set.warnings,
+            *truth.warnings,
+        ),
     )
 
 

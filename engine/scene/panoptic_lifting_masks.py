@@ -13,7 +13,7 @@ from .frame import PanopticMask, SceneError, Segment, Size
 from .image_header import read_image_header
 from .layout import files_by_stem, listed, require_all, shown_size
 from .masks import READ_FIX, MaskSet
-from .pixels import decode_single_channel, resize_nearest
+from .pixels import decode_single_channel, distinct_ids, resize_nearest
 
 _NAMES = (
     "wall floor cabinet bed chair sofa table door window counter shelves curtain ceiling refrigerator television "
@@ -43,7 +43,7 @@ class PanopticLiftingMaskReader:
     def __call__(self, size: Size | None = None) -> PanopticMask:
         """The mask at ``size`` (width, height) or its own. Raises SceneError for a class outside the table."""
         classes, instances = decode_single_channel(self.semantic), decode_single_channel(self.instance)
-        unknown = sorted({*np.unique(classes).tolist()} - {0} - {*REDUCED_CLASSES.ids})
+        unknown = sorted({*distinct_ids(classes)[0].tolist()} - {0} - {*REDUCED_CLASSES.ids})
         if unknown:
             raise SceneError(
                 f"class ids {listed(unknown)} are not in Panoptic Lifting's reduced table (0 to 21)",
@@ -52,15 +52,16 @@ class PanopticLiftingMaskReader:
             )
         if classes.shape != instances.shape:
             raise SceneError("the instance image has another size", self.instance, "Make it as large as the classes.")
-        pairs, numbers = np.unique(classes.astype(np.int64) << 32 | instances, return_inverse=True)
-        ids = np.zeros(len(pairs), np.int32)
+        # Instances have at most 16 bits in a PNG.
+        pairs = classes << 16 | instances
+        number = np.zeros(int(pairs.max(initial=0)) + 1, np.int32)
         segments: list[Segment] = []
-        for position, pair in enumerate(pairs.tolist()):
-            class_id, instance_id = pair >> 32, pair & 0xFFFFFFFF
+        for pair in distinct_ids(pairs)[0].tolist():
+            class_id, instance_id = pair >> 16, pair & 0xFFFF
             if class_id != 0:
-                ids[position] = len(segments) + 1
+                number[pair] = len(segments) + 1
                 segments.append(Segment(len(segments) + 1, class_id, class_id in _THINGS and instance_id != 0))
-        mask = ids[numbers.reshape(classes.shape)]
+        mask = number[pairs]
         return PanopticMask(resize_nearest(mask, size) if size else mask, tuple(segments))
 
 
