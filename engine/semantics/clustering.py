@@ -1,0 +1,100 @@
+"""Clustering the primary point cloud (paper: K-means, section "Robust Semantic Anchor Point Discovery").
+
+K, seeding and iterations are not given there. Here the seeds are the means of the occupied cells of a grid,
+and at most a few Lloyd steps follow in which a point moves to the nearest centre in the 27 cells around it:
+K-means without chance, in time linear in the points. ``k_means`` is the textbook algorithm with random seeds,
+for comparison.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cloud_index import CloudIndex, cell_keys
+
+PointBatches = Callable[[], Iterable[NDArray[np.float64]]]
+"""Gives the primary cloud from its start each time it is called, in batches of world points, float64 [n, 3].
+"""
+
+_PENDING_ROWS = 2_000_000
+
+
+def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArray[np.float64], float]:
+    """One centre an occupied cell, the mean of its points: float64 [K, 3] with K <= ``cap``, and the spacing
+    used.
+
+    ``spacing`` (metres) is enlarged until no more than ``cap`` cells are occupied. Centres are ordered by
+    cell.
+    """
+    if spacing <= 0 or cap < 1:
+        raise ValueError(f"spacing and cap must be positive, got {spacing} and {cap}")
+    cells = np.zeros((0, 4))
+    pending: list[NDArray[np.float64]] = []
+    rows = 0
+    for points in batches():
+        batch = _merge_cells(np.column_stack([points, np.ones(len(points))]), spacing)
+        pending.append(batch)
+        rows += len(batch)
+        if rows > _PENDING_ROWS:
+            cells, pending, rows = _merge_cells(np.concatenate([cells, *pending]), spacing), [], 0
+    cells = _merge_cells(np.concatenate([cells, *pending]), spacing)
+    while len(cells) > cap:
+        # Surfaces fill space as the square of the spacing; a little more, so that one or two rounds do.
+        spacing *= max(1.01, math.sqrt(len(cells) / cap))
+        cells = _merge_cells(cells, spacing)
+    return cells[:, :3], spacing
+
+
+def _merge_cells(rows: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+    """Rows (mean x, y, z, weight) [n, 4] that share a cell become one row, ordered by cell."""
+    if not len(rows):
+        return rows
+    keys, cell = np.unique(cell_keys(rows[:, :3], spacing), return_inverse=True)
+    cell = cell.reshape(-1)
+    weight = np.bincount(cell, rows[:, 3], len(keys))
+    means = [np.bincount(cell, rows[:, axis] * rows[:, 3], len(keys)) / weight for axis in range(3)]
+    return np.column_stack([*means, weight])
+
+
+def lloyd_step(batches: PointBatches, centres: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+    """Assign each point to the nearest centre within its 27 cells and return the members' means, float64 [K,
+    3].
+
+    A centre that lost all its members is dropped, so K may shrink.
+    """
+    index = CloudIndex(centres, spacing)
+    sums, counts = np.zeros((len(centres), 3)), np.zeros(len(centres))
+    for points in batches():
+        nearest = index.nearest(points, spacing)
+        members = nearest >= 0
+        nearest, points = nearest[members], points[members]
+        counts += np.bincount(nearest, minlength=len(centres))
+        for axis in range(3):
+            sums[:, axis] += np.bincount(nearest, points[:, axis], len(centres))
+    kept = counts > 0
+    means: NDArray[np.float64] = sums[kept] / counts[kept, None]
+    return means
+
+
+def k_means(points: NDArray[np.float64], count: int, iterations: int = 10, seed: int = 0) -> NDArray[np.float64]:
+    """Lloyd's algorithm from ``count`` random points [N, 3]: centres float64 [<= count, 3]. Holds the whole
+    cloud.
+    """
+    from scipy.spatial import cKDTree
+
+    generator = np.random.default_rng(seed)
+    centres = np.asarray(points[np.sort(generator.permutation(len(points))[:count])], np.float64)
+    for _ in range(iterations):
+        nearest = cKDTree(centres).query(points)[1]
+        counts = np.bincount(nearest, minlength=len(centres))
+        kept = counts > 0
+        sums = np.column_stack([np.bincount(nearest, points[:, axis], len(centres)) for axis in range(3)])
+        moved = sums[kept] / counts[kept, None]
+        if len(moved) == len(centres) and np.allclose(moved, centres, atol=1e-6):
+            break
+        centres = moved
+    return centres

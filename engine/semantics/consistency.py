@@ -1,0 +1,152 @@
+"""Consistency-enhanced 2D masks: which pixels do the neighbouring views agree with?
+
+Paper, section "Consistency-enhanced 2D Mask Generation": q(u) is the product of 1{s_u = s_u'} over the pixels
+u' that the neighbouring views warp onto u. Used here in the backward form: each reference pixel is lifted by
+its own depth and looked up in each neighbour, which leaves no holes. A depth test (ours; the paper has none)
+discards what the neighbour does not see, so that an occluder's label cannot veto a correct pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ..scene import VOID, View
+
+SPARSE_OVERLAP = 0.5
+"""Below this median overlap with the nearest view, views are too sparse to compare labels between them."""
+
+
+@dataclass(frozen=True)
+class ConsistencyOptions:
+    """How views are compared.
+
+    ``neighbours`` is N_w, half before and half after in recording order; 0 skips the step. A pixel is kept
+    when at least ``agreement`` of the neighbours that see its surface agree: 1.0 is the paper's product, 0.75
+    keeps more at a similar error. Fewer than ``min_support`` seeing neighbours reject the pixel (0: the empty
+    product is 1). The depth test allows max(``depth_tolerance_m``, ``depth_tolerance_share`` * z);
+    ``depth_test`` False is the paper's letter.
+    """
+
+    neighbours: int = 8
+    agreement: float = 0.75
+    min_support: int = 0
+    depth_tolerance_m: float = 0.05
+    depth_tolerance_share: float = 0.02
+    depth_test: bool = True
+
+    def __post_init__(self) -> None:
+        if self.neighbours < 0 or not 0 < self.agreement <= 1 or self.min_support < 0:
+            raise ValueError(f"neighbours >= 0, 0 < agreement <= 1 and min_support >= 0 are needed: {self}")
+        if self.depth_tolerance_m < 0 or self.depth_tolerance_share < 0:
+            raise ValueError(f"depth tolerances cannot be negative: {self}")
+
+
+def neighbour_indices(index: int, count: int, neighbours: int) -> list[int]:
+    """The views compared with view ``index`` of ``count``: the nearest in recording order, as evenly on both
+    sides as the ends of the recording allow.
+    """
+    size = min(neighbours + 1, count)
+    start = min(max(index - neighbours // 2, 0), count - size)
+    return [i for i in range(start, start + size) if i != index]
+
+
+def consistency_masks(views: Sequence[View], options: ConsistencyOptions) -> Iterator[NDArray[np.bool_]]:
+    """q(u) of every view in turn: bool [H, W], True where the pixel's label can be believed. Void is never
+    True.
+    """
+    window: dict[int, NDArray[np.int32]] = {}
+    for index, view in enumerate(views):
+        others = neighbour_indices(index, len(views), options.neighbours)
+        wanted = [index, *others]
+        window = {i: window[i] if i in window else views[i].mask.class_map() for i in wanted}
+        agree, seen = _compare(view, window[index], [(views[i], window[i]) for i in others], options)
+        kept = (agree >= options.agreement * seen - 1e-9) & (seen >= options.min_support)
+        # Without depth nothing was compared, and nothing can be placed in space either.
+        yield kept & (window[index] != VOID) & (view.depth > 0)
+
+
+def view_overlap(view: View, other: View, options: ConsistencyOptions, stride: int = 8) -> float:
+    """Share of a view's pixels with depth whose surface the other view sees, looked at in every ``stride``-th
+    pixel.
+    """
+    sampled = np.zeros_like(view.depth)
+    sampled[::stride, ::stride] = view.depth[::stride, ::stride]
+    everything = np.ones(view.depth.shape, np.int32)
+    seen = _compare(
+        View(view.name, view.camera, view.colour, sampled, view.mask),
+        everything,
+        [(other, np.ones(other.depth.shape, np.int32))],
+        options,
+    )[1]
+    return float(seen.sum()) / max(int((sampled > 0).sum()), 1)
+
+
+def views_are_sparse(views: Sequence[View], options: ConsistencyOptions) -> bool:
+    """Whether the step had better be skipped: the median overlap with the next view is below SPARSE_OVERLAP."""
+    if len(views) < 2:
+        return True
+    overlaps = [view_overlap(view, other, options) for view, other in zip(views[:-1], views[1:], strict=True)]
+    return float(np.median(overlaps)) < SPARSE_OVERLAP
+
+
+def _compare(
+    view: View, label: NDArray[np.int32], others: Sequence[tuple[View, NDArray[np.int32]]], options: ConsistencyOptions
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """How many neighbours agree with, and how many see with any label, each pixel: int32 [H, W] each."""
+    agree = np.zeros(view.depth.shape, np.int32)
+    seen = np.zeros(view.depth.shape, np.int32)
+    share, metres = options.depth_tolerance_share, options.depth_tolerance_m
+    if not options.depth_test:
+        metres = math.inf
+    here = view.camera
+    for other, other_label in others:
+        there = other.camera
+        relative = there.world_to_camera @ here.camera_to_world
+        _warp_and_compare(
+            view.depth, label, np.array([here.fx, here.fy, here.cx, here.cy]), relative,
+            other.depth, other_label, np.array([there.fx, there.fy, there.cx, there.cy]),
+            float(metres), float(share), agree, seen,
+        )  # fmt: skip
+    return agree, seen
+
+
+@njit(cache=True, nogil=True)
+def _warp_and_compare(depth: Any, label: Any, intrinsics: Any, relative: Any, other_depth: Any, other_label: Any,
+                      other_intrinsics: Any, metres: Any, share: Any, agree: Any, seen: Any) -> None:  # fmt: skip
+    """w(u): lift by depth, move into the neighbour's camera, project, round to the nearest pixel (its centre
+    is +0.5).
+    """
+    fx, fy, cx, cy = intrinsics
+    gx, gy, hx, hy = other_intrinsics
+    height, width = other_depth.shape
+    for j in range(depth.shape[0]):
+        for i in range(depth.shape[1]):
+            d = depth[j, i]
+            if d <= 0 or label[j, i] == 0:
+                continue
+            x, y = (i + 0.5 - cx) / fx * d, (j + 0.5 - cy) / fy * d
+            z = relative[2, 0] * x + relative[2, 1] * y + relative[2, 2] * d + relative[2, 3]
+            if z <= 1e-6:
+                continue
+            u = (relative[0, 0] * x + relative[0, 1] * y + relative[0, 2] * d + relative[0, 3]) / z * gx + hx
+            v = (relative[1, 0] * x + relative[1, 1] * y + relative[1, 2] * d + relative[1, 3]) / z * gy + hy
+            if not (0 <= u < width and 0 <= v < height):
+                continue
+            s, t = int(u), int(v)
+            other = other_label[t, s]
+            if other == 0:
+                continue
+            if metres != np.inf:
+                there = other_depth[t, s]
+                if there <= 0 or abs(z - there) > max(metres, share * z):
+                    continue
+            seen[j, i] += 1
+            if other == label[j, i]:
+                agree[j, i] += 1

@@ -1,0 +1,175 @@
+"""The robust semantic point cloud (paper, section "Robust Semantic Anchor Point Discovery").
+
+Believed labels are placed in space by depth, clustered, and each cluster takes the majority of its members'
+labels. Pixels without a believed label still give geometry, else walls behind rejected edges would have no
+anchors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene import VOID, View
+from .cloud_index import CloudIndex
+from .clustering import k_means, lloyd_step, seed_centres
+
+Progress = Callable[[int, int], None]
+"""Called with (done, total) after each view; may raise to stop."""
+
+
+@dataclass(frozen=True)
+class CloudOptions:
+    """``spacing`` of the clusters in metres (half the anchors' voxel size does well), enlarged until at most
+    ``cap`` clusters remain; ``lloyd_steps`` after seeding; a cluster whose winner has less than ``majority``
+    of the votes is unknown. At most about ``max_pixels`` pixels are used, every s-th row and column.
+    ``method`` "k_means" is textbook K-means on the whole cloud, slow.
+    """
+
+    spacing: float = 0.025
+    cap: int = 200_000
+    lloyd_steps: int = 1
+    majority: float = 0.5
+    max_pixels: int = 16_000_000
+    method: str = "grid"
+
+    def __post_init__(self) -> None:
+        if self.method not in ("grid", "k_means"):
+            raise ValueError(f'method must be "grid" or "k_means", got {self.method!r}')
+        if self.spacing <= 0 or self.cap < 1 or self.lloyd_steps < 0 or self.max_pixels < 1:
+            raise ValueError(f"spacing, cap and max_pixels must be positive: {self}")
+
+
+@dataclass(frozen=True, eq=False)
+class SemanticPointCloud:
+    """Clusters: ``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3], ``class_id`` int32 [N] (0 =
+    unknown), ``confidence`` float32 [N] (share of the winner among the votes, 0 without votes).
+
+    ``votes`` float32 [N, C] holds the votes for each class of ``class_ids`` (length C); ``spacing`` in
+    metres.
+    """
+
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    class_id: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+    votes: NDArray[np.float32]
+    class_ids: tuple[int, ...]
+    spacing: float
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def index(self) -> CloudIndex:
+        """Look-up of the nearest cluster, labelled or not."""
+        return CloudIndex(self.xyz, self.spacing)
+
+    def with_votes(self, votes: NDArray[np.floating], majority: float) -> SemanticPointCloud:
+        """The same clusters decided by other votes, float [N, C]."""
+        class_id, confidence = majority_vote(votes, self.class_ids, majority)
+        return replace(self, votes=votes.astype(np.float32), class_id=class_id, confidence=confidence)
+
+
+def majority_vote(
+    votes: NDArray[np.floating], class_ids: Sequence[int], majority: float
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The winner of each row of votes [N, C]: class id int32 [N] and its share float32 [N].
+
+    Ties go to the lower id; below the share ``majority``, and without votes, the class is 0 (unknown).
+    """
+    if not votes.shape[1]:
+        return np.zeros(len(votes), np.int32), np.zeros(len(votes), np.float32)
+    winner = votes.argmax(1)
+    total = votes.sum(1)
+    share = (votes[np.arange(len(votes)), winner] / np.maximum(total, 1e-12)).astype(np.float32)
+    known = (total > 0) & (share >= majority)
+    return np.where(known, np.asarray(class_ids, np.int32)[winner], VOID).astype(np.int32), share
+
+
+def build_point_cloud(
+    views: Sequence[View],
+    keep: Iterable[NDArray[np.bool_]],
+    class_ids: Sequence[int],
+    options: CloudOptions,
+    progress: Progress | None = None,
+) -> SemanticPointCloud:
+    """Cluster all pixels with depth and let those of ``keep`` (bool [H, W] per view, in order) vote on the
+    labels.
+
+    Raises ValueError when no pixel has depth. Streams over the views; only the clusters stay in memory.
+    """
+    report = progress or (lambda done, total: None)
+    rounds = 2 + (options.lloyd_steps if options.method == "grid" else 0)
+    total = rounds * len(views)
+    stride = _stride(views, options.max_pixels)
+    done = 0
+
+    def batches() -> Iterable[NDArray[np.float64]]:
+        nonlocal done
+        for view in views:
+            yield _points(view, stride)
+            done += 1
+            report(done, total)
+
+    if options.method == "k_means":
+        cloud = np.concatenate(list(batches()))
+        centres, spacing = k_means(cloud, options.cap), options.spacing
+    else:
+        centres, spacing = seed_centres(batches, options.spacing, options.cap)
+        for _ in range(options.lloyd_steps):
+            centres = lloyd_step(batches, centres, spacing)
+    if not len(centres):
+        raise ValueError("no view has a pixel with depth, so there is no point cloud")
+
+    index = CloudIndex(centres, spacing)
+    votes = np.zeros((len(centres), len(class_ids)), np.float32)
+    rgb, members = np.zeros((len(centres), 3)), np.zeros(len(centres))
+    for view, believed in zip(views, keep, strict=True):
+        _vote(view, believed, index, spacing, stride, np.asarray(class_ids), votes, rgb, members)
+        done += 1
+        report(done, total)
+    colour = np.rint(rgb / np.maximum(members, 1)[:, None]).astype(np.uint8)
+    class_id, confidence = majority_vote(votes, class_ids, options.majority)
+    return SemanticPointCloud(
+        centres.astype(np.float32), colour, class_id, confidence, votes, tuple(class_ids), spacing
+    )
+
+
+def _stride(views: Sequence[View], max_pixels: int) -> int:
+    pixels = sum(view.camera.width * view.camera.height for view in views)
+    stride = 1
+    while pixels / stride**2 > max_pixels:
+        stride += 1
+    return stride
+
+
+def _points(view: View, stride: int) -> NDArray[np.float64]:
+    """Every ``stride``-th pixel with depth as a world point, float64 [n, 3]."""
+    depth = view.depth[::stride, ::stride]
+    points: NDArray[np.float64] = view.camera.unproject(view.depth)[::stride, ::stride][depth > 0]
+    return points
+
+
+def _vote(
+    view: View, believed: NDArray[np.bool_], index: CloudIndex, spacing: float, stride: int,
+    class_ids: NDArray[np.int64], votes: NDArray[np.float32], rgb: NDArray[np.float64], members: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Add a view's members, colours and believed labels to the clusters, in place."""
+    depth = view.depth[::stride, ::stride]
+    valid = depth > 0
+    nearest = index.nearest(_points(view, stride), spacing)
+    found = nearest >= 0
+    cluster = nearest[found]
+    colour = view.colour[::stride, ::stride][valid][found]
+    members += np.bincount(cluster, minlength=len(members))
+    for channel in range(3):
+        rgb[:, channel] += np.bincount(cluster, colour[:, channel], len(members))
+    label = view.mask.class_map()[::stride, ::stride][valid][found]
+    column = np.searchsorted(class_ids, label)
+    voting = believed[::stride, ::stride][valid][found] & (column < len(class_ids))
+    voting &= class_ids[np.minimum(column, len(class_ids) - 1)] == label
+    cells, count = np.unique(cluster[voting] * len(class_ids) + column[voting], return_counts=True)
+    votes.reshape(-1)[cells] += count

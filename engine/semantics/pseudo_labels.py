@@ -1,0 +1,51 @@
+"""Pseudo labels for self-training (paper, section "Self-training with Consistency-enhanced Segments")."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene import VOID, PanopticMask
+
+
+def regions(mask: PanopticMask, by: str = "class") -> NDArray[np.int32]:
+    """{R_m}: connected regions of equal class ("class", as in the paper) or of one segment ("segment").
+
+    Region growing on a label map is connected components, here over 4 neighbours. int32 [H, W], 0 = void, 1..
+    regions. Raises ValueError for another ``by``.
+    """
+    if by not in ("class", "segment"):
+        raise ValueError(f'regions are by "class" or "segment", not {by!r}')
+    classes = mask.class_map()
+    values = classes if by == "class" else np.where(classes == VOID, 0, mask.ids)
+    result = np.zeros(values.shape, np.int32)
+    count = 0
+    for value in np.unique(values[values != 0]):
+        number, parts = cv2.connectedComponents((values == value).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+        np.copyto(result, parts + count, where=parts > 0)
+        count += number - 1
+    return result
+
+
+def pseudo_labels(
+    mask: PanopticMask, rendered_class: NDArray[np.int32], by: str = "class", min_area: int = 16
+) -> NDArray[np.int32]:
+    """s_pse: each region takes the majority of the rendered classes in it; int32 [H, W], 0 = no supervision.
+
+    ``rendered_class`` int32 [H, W], 0 = nothing rendered, which does not vote. Ties go to the lower id.
+    Regions of fewer than ``min_area`` pixels keep the rendered class pixel by pixel; void regions stay 0.
+    """
+    if rendered_class.shape != mask.ids.shape:
+        raise ValueError(f"the mask is {mask.ids.shape}, the rendered classes {rendered_class.shape}")
+    region = regions(mask, by)
+    count = int(region.max(initial=0)) + 1
+    ids, column = np.unique(rendered_class, return_inverse=True)
+    votes = np.bincount(region.reshape(-1) * len(ids) + column.reshape(-1), minlength=count * len(ids))
+    votes = votes.reshape(count, len(ids))
+    area = votes.sum(1)
+    votes[:, ids == VOID] = 0
+    winner = np.where(votes.any(1), ids[votes.argmax(1)], VOID).astype(np.int32)
+    winner[0] = VOID
+    small = (area < min_area)[region] & (region > 0)
+    return np.where(small, rendered_class, winner[region]).astype(np.int32)

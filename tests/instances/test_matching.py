@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.instances import (
+    MatchingOptions,
+    OrientedBox,
+    SegmentOptions,
+    local_instances,
+    match_views,
+    merge_duplicates,
+)
+from engine.instances.matching import pair_cost, update_instances
+from engine.scene import Camera, PanopticMask, Segment, View
+from tests.instances.two_chairs import CHAIR, SOFA, THINGS, look, view_of
+
+LEFT = ((-0.56, -0.25, 0.0), (-0.06, 0.25, 0.8))
+RIGHT = ((0.06, -0.25, 0.0), (0.56, 0.25, 0.8))
+CHAIRS = [LEFT, RIGHT]
+SEGMENTS = SegmentOptions(voxel_size=0.03)
+SIZE = (160, 120)
+
+
+def around(angle: float, distance: float = 2.5) -> Camera:
+    x, y = distance * np.sin(np.radians(angle)), -distance * np.cos(np.radians(angle))
+    return look((x, y, 1.4), (0.0, 0.0, 0.4), SIZE)
+
+
+def orbit(boxes: list, bleed: int = 0) -> list[View]:
+    return [view_of(f"{angle:03}", around(angle), boxes, bleed) for angle in range(0, 360, 30)]
+
+
+def only(view: View, keep: int) -> View:
+    """The same view with one chair's segment missed."""
+    ids = np.where((view.mask.ids > 1) & (view.mask.ids != keep), 0, view.mask.ids).astype(np.int32)
+    return replace(view, mask=PanopticMask(ids, tuple(s for s in view.mask.segments if s.id in (1, keep))))
+
+
+def test_two_chairs_12_cm_apart_stay_two() -> None:
+    found = match_views(orbit(CHAIRS), THINGS, SEGMENTS, MatchingOptions())
+    assert len(found) == 2 and [len(item.evidence) > 6 for item in found] == [True, True]
+    for item, (low, high) in zip(sorted(found, key=lambda i: i.box.centre[0]), CHAIRS, strict=True):
+        np.testing.assert_allclose(item.box.centre, np.add(low, high) / 2, atol=0.06)
+
+
+def test_two_chairs_seen_one_a_view_stay_two() -> None:
+    views = [only(view, 2 + i % 2) for i, view in enumerate(orbit(CHAIRS))]
+    assert len(match_views(views, THINGS, SEGMENTS, MatchingOptions())) == 2
+
+
+def test_one_chair_from_two_sides_becomes_one() -> None:
+    views = [view_of("front", around(0), [LEFT]), view_of("side", around(80), [LEFT])]
+    first, second = (local_instances(view, THINGS, SEGMENTS)[0] for view in views)
+    # The two visible halves overlap in a corner only: it is IoM that finds them.
+    assert pair_cost(first.box, second.box) < -0.1
+    found = match_views(views, THINGS, SEGMENTS, MatchingOptions())
+    assert len(found) == 1 and found[0].views == 2
+    assert found[0].evidence[0].cost is None and found[0].evidence[1].cost is not None
+
+
+def test_a_split_segment_leaves_no_duplicate() -> None:
+    views = orbit([LEFT])
+    for at in (3, 6):
+        ids = views[at].mask.ids.copy()
+        rows, columns = np.nonzero(ids == 2)
+        upper = rows < np.median(rows)
+        ids[rows[upper], columns[upper]] = 9
+        mask = PanopticMask(ids, (*views[at].mask.segments, Segment(9, SOFA, True, 0.5)))
+        views[at] = replace(views[at], mask=mask)
+    found = match_views(views, THINGS, SEGMENTS, MatchingOptions())
+    assert len(found) == 1
+    assert found[0].class_id == CHAIR and len(found[0].evidence) == 14 and found[0].views == 12
+
+
+@pytest.mark.parametrize(("erosion", "true_size"), [(2 / 160, True), (0.0, False)])
+def test_bleeding_masks_need_the_erosion(erosion: float, true_size: bool) -> None:
+    options = replace(SEGMENTS, erosion_share=erosion)
+    found = match_views(orbit(CHAIRS, bleed=1), THINGS, options, MatchingOptions())
+    sizes = [item.box.size[0] for item in found]
+    assert (len(found) == 2 and max(sizes) < 0.65) == true_size
+
+
+def unit_box(x: float) -> OrientedBox:
+    return OrientedBox(np.array([x, 0.0, 0.0]), np.ones(3), 0.0)
+
+
+def test_costs_of_both_forms() -> None:
+    assert pair_cost(unit_box(0), unit_box(0)) == pytest.approx(-1.5)
+    assert pair_cost(unit_box(0), unit_box(0), true_iou=True) == pytest.approx(-2.0)
+    assert pair_cost(unit_box(0), unit_box(0.5)) == pytest.approx(-0.25 - 0.5)
+    assert pair_cost(unit_box(0), unit_box(0.5), true_iou=True) == pytest.approx(-1 / 3 - 0.5)
+    assert pair_cost(unit_box(0), unit_box(2)) == 0.0
+
+
+def test_rules_differ_where_the_best_is_taken() -> None:
+    view = view_of("a", around(0), [LEFT, ((0.5, 0.0, 0.0), (1.0, 0.5, 0.8))])
+    known = match_views([view], THINGS, SEGMENTS, MatchingOptions())
+    half = local_instances(view, THINGS, SEGMENTS)[0]
+    halves = [half, replace(half, segment=Segment(8, CHAIR, True))]
+    hybrid = update_instances(known, halves, 0.03, MatchingOptions(rule="hybrid"))
+    literal = update_instances(known, halves, 0.03, MatchingOptions(rule="literal"))
+    # The text forces the second half onto the far chair, its Hungarian partner.
+    assert [len(item.evidence) for item in hybrid] == [3, 1]
+    assert [len(item.evidence) for item in literal] == [2, 2]
+    with pytest.raises(ValueError, match="rule"):
+        MatchingOptions(rule="greedy")
+
+
+def test_duplicates_of_one_class_merge_and_others_stay() -> None:
+    view = view_of("a", around(0), [LEFT])
+    one = match_views([view], THINGS, SEGMENTS, MatchingOptions())[0]
+    twin = replace(one, id=2)
+    sofa = replace(one, id=3, evidence=(replace(one.evidence[0], class_id=SOFA),))
+    merged = merge_duplicates([one, sofa, twin], 0.8, 0.03)
+    assert [item.id for item in merged] == [1, 3] and len(merged[0].evidence) == 2
+
+
+def test_each_view_gives_a_class_its_best_score_once() -> None:
+    view = view_of("a", around(0), [LEFT])
+    one = match_views([view], THINGS, SEGMENTS, MatchingOptions())[0].evidence[0]
+    many = [replace(one, frame="near", segment_id=i, score=0.6) for i in range(3)]
+    others = [replace(one, frame=f, class_id=SOFA, score=0.4) for f in ("b", "c")]
+    item = match_views([view], THINGS, SEGMENTS, MatchingOptions())[0]
+    assert replace(item, evidence=(*many, *others)).class_id == SOFA
+    assert replace(item, evidence=(replace(one, score=0.8), *others)).class_id == CHAIR

@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import numpy as np
+
+from engine.instances.segments import SegmentOptions, edge_distance, local_instances, thin
+from tests.instances.two_chairs import THINGS, WALL, look, view_of
+
+CHAIR_BOX = ((-0.3, -0.3, 0.0), (0.3, 0.3, 0.8))
+
+
+def test_only_big_enough_segments_of_the_asked_classes_enter() -> None:
+    view = view_of("a", look((0, -3, 1.5), (0, 0, 0.4), (160, 120)), [CHAIR_BOX])
+    found = local_instances(view, THINGS, SegmentOptions(0.05))
+    assert [item.segment.id for item in found] == [2]
+    assert len(local_instances(view, frozenset({WALL}), SegmentOptions(0.05))) == 1
+    assert not local_instances(view, THINGS, SegmentOptions(0.05, min_points=10**6))
+
+
+def test_erosion_takes_the_bleed_but_spares_small_segments() -> None:
+    camera = look((0, -3, 1.5), (0, 0, 0.4), (160, 120))
+    bleeding = view_of("a", camera, [CHAIR_BOX], bleed=1)
+    assert local_instances(bleeding, THINGS, SegmentOptions(0.05))[0].box.size[0] < 0.75
+    assert local_instances(bleeding, THINGS, SegmentOptions(0.05, erosion_share=0.0))[0].box.size[0] > 1.5
+    whole = local_instances(bleeding, THINGS, SegmentOptions(0.05, min_eroded=10**6))[0]
+    assert whole.box.size[0] > 1.5
+
+
+def test_distance_to_other_segments_ignores_the_pictures_border() -> None:
+    ids = np.ones((7, 9), np.int32)
+    ids[:, 5:] = 2
+    distance = edge_distance(ids)
+    np.testing.assert_allclose(distance[3], [5, 4, 3, 2, 1, 1, 2, 3, 4], atol=0.1)
+    assert (edge_distance(np.ones((4, 4), np.int32)) >= 4).all()
+
+
+def test_thinning_keeps_one_mean_a_voxel() -> None:
+    points = np.array([[0.01, 0.0, 0.0], [0.03, 0.0, 0.0], [-0.01, 0.0, 0.0], [0.0, 0.0, 7.0]])
+    np.testing.assert_allclose(thin(points, 0.05), [[-0.01, 0, 0], [0.02, 0, 0], [0.0, 0.0, 7.0]])

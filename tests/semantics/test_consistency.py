@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.semantics import ConsistencyOptions, consistency_masks, view_overlap, views_are_sparse
+from engine.semantics.consistency import neighbour_indices
+from tests.semantics.plane_views import CHAIR, SOFA, WALL, square, wall_view
+
+PRODUCT = ConsistencyOptions(neighbours=1, agreement=1.0)
+
+
+def occluded_pair() -> list:
+    """The wall alone, and the wall behind a chair that stands 1 m before the second camera."""
+    chair = slice(10, 20)
+    return [
+        wall_view("open", 0.0),
+        wall_view("occluded", 0.6, square(1.0, 3.0, chair), square(CHAIR, WALL, chair)),
+    ]
+
+
+def test_an_occluders_label_cannot_veto_the_wall_behind_it() -> None:
+    kept = next(consistency_masks(occluded_pair(), PRODUCT))
+    assert kept.all()
+
+
+def test_without_the_depth_test_it_does() -> None:
+    literal = ConsistencyOptions(neighbours=1, agreement=1.0, depth_test=False)
+    kept = next(consistency_masks(occluded_pair(), literal))
+    assert not kept.all() and kept.any()
+
+
+def test_a_dissenting_neighbour_rejects_by_product_but_not_by_three_quarters() -> None:
+    views = [wall_view(str(i), 0.0, classes=SOFA if i == 4 else WALL) for i in range(5)]
+    assert not next(consistency_masks(views, ConsistencyOptions(4, 1.0))).any()
+    assert next(consistency_masks(views, ConsistencyOptions(4, 0.75))).all()
+
+
+def test_void_neighbours_abstain_and_void_pixels_stay_void() -> None:
+    views = [wall_view("a", 0.0, classes=square(0, WALL, slice(5, 9))), wall_view("b", 0.0, classes=0)]
+    kept = list(consistency_masks(views, PRODUCT))
+    np.testing.assert_array_equal(kept[0], views[0].mask.ids == WALL)
+    assert not kept[1].any()
+
+
+def test_an_unseen_pixel_is_kept_unless_support_is_asked_for() -> None:
+    views = [wall_view("a", 0.0), wall_view("b", 1.5)]
+    alone = ConsistencyOptions(neighbours=1, min_support=1)
+    assert next(consistency_masks(views, PRODUCT)).all()
+    kept = next(consistency_masks(views, alone))
+    assert kept[:, -10:].all() and not kept[:, :10].any()
+
+
+def test_pixels_without_depth_are_not_kept() -> None:
+    kept = next(consistency_masks([wall_view("a", 0.0, square(0.0, 3.0, slice(0, 5)))], PRODUCT))
+    assert not kept[10:20, :5].any() and kept[:, 5:].all()
+
+
+def test_neighbours_are_the_nearest_in_recording_order() -> None:
+    assert neighbour_indices(5, 10, 4) == [3, 4, 6, 7]
+    assert neighbour_indices(0, 10, 4) == [1, 2, 3, 4]
+    assert neighbour_indices(9, 10, 4) == [5, 6, 7, 8]
+    assert neighbour_indices(1, 3, 8) == [0, 2]
+    assert neighbour_indices(5, 10, 0) == []
+
+
+def test_far_apart_views_are_sparse() -> None:
+    options = ConsistencyOptions()
+    near = [wall_view(str(i), 0.2 * i) for i in range(4)]
+    assert view_overlap(near[0], near[0], options) == 1.0
+    assert not views_are_sparse(near, options)
+    assert views_are_sparse([wall_view(str(i), 2.5 * i) for i in range(4)], options)
+
+
+def test_options_out_of_range_are_refused() -> None:
+    with pytest.raises(ValueError, match="agreement"):
+        ConsistencyOptions(agreement=0.0)

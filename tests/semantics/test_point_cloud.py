@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.semantics import CloudOptions, build_point_cloud
+from engine.semantics.point_cloud import majority_vote
+from tests.semantics.plane_views import CLASS_IDS, SOFA, WALL, square, wall_view
+
+OPTIONS = CloudOptions(spacing=0.2)
+
+
+def everything(views: list) -> list[np.ndarray]:
+    return [view.mask.ids > 0 for view in views]
+
+
+def test_points_take_the_majority_of_the_views() -> None:
+    views = [wall_view("a", 0.0), wall_view("b", 0.0), wall_view("c", 0.0, classes=SOFA)]
+    cloud = build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS)
+    assert (cloud.class_id == WALL).all()
+    np.testing.assert_allclose(cloud.confidence, 2 / 3, rtol=1e-6)
+    np.testing.assert_allclose(cloud.xyz[:, 1], 3.0, atol=1e-5)
+    assert (cloud.rgb == 128).all()
+
+
+def test_rejected_pixels_give_geometry_without_a_label() -> None:
+    views = [wall_view("a", 0.0)]
+    keep = [square(0, 1, slice(0, 20), slice(0, 30)).astype(bool)]
+    cloud = build_point_cloud(views, keep, CLASS_IDS, OPTIONS)
+    right = cloud.xyz[:, 0] > 0.3
+    assert (cloud.class_id[right] == WALL).all() and (cloud.class_id[cloud.xyz[:, 0] < -0.3] == 0).all()
+
+
+def test_no_majority_is_unknown_and_ties_go_to_the_lower_id() -> None:
+    votes = np.array([[4.0, 3.0, 3.0], [2.0, 2.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 9.0]])
+    class_id, share = majority_vote(votes, (3, 5, 9), 0.5)
+    assert class_id.tolist() == [0, 3, 0, 9]
+    np.testing.assert_allclose(share, [0.4, 0.5, 0.0, 0.9], rtol=1e-6)
+
+
+def test_labels_outside_the_table_do_not_vote() -> None:
+    views = [wall_view("a", 0.0, classes=SOFA)]
+    assert (build_point_cloud(views, everything(views), (WALL,), OPTIONS).class_id == 0).all()
+
+
+def test_the_same_views_give_the_same_cloud_and_progress_counts_up() -> None:
+    views = [wall_view("a", 0.0), wall_view("b", 0.4, classes=square(SOFA, WALL, slice(5, 15)))]
+    seen: list[tuple[int, int]] = []
+    first = build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS, lambda *step: seen.append(step))
+    second = build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS)
+    np.testing.assert_array_equal(first.xyz, second.xyz)
+    np.testing.assert_array_equal(first.votes, second.votes)
+    assert seen == [(i, 6) for i in range(1, 7)]
+
+
+def test_k_means_is_an_option() -> None:
+    views = [wall_view("a", 0.0)]
+    options = CloudOptions(spacing=0.5, cap=40, method="k_means")
+    cloud = build_point_cloud(views, everything(views), CLASS_IDS, options)
+    assert 0 < len(cloud) <= 40 and (cloud.class_id == WALL).all()
+
+
+def test_nothing_with_depth_is_refused() -> None:
+    views = [wall_view("a", 0.0, depth=0.0)]
+    with pytest.raises(ValueError, match="depth"):
+        build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS)

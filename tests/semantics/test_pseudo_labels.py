@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.scene import PanopticMask, Segment
+from engine.semantics import pseudo_labels, regions
+
+WALL, CHAIR, SOFA = 1, 5, 6
+
+
+def two_chairs() -> PanopticMask:
+    """Wall with two chairs that touch, a third that touches one by a corner only, and void at the bottom."""
+    ids = np.full((12, 16), 1, np.int32)
+    ids[0:4, 0:6], ids[0:4, 6:12], ids[4:8, 12:16] = 2, 3, 4
+    ids[10:] = 0
+    return PanopticMask(ids, (Segment(1, WALL, False), *(Segment(i, CHAIR, True) for i in (2, 3, 4))))
+
+
+def test_regions_split_by_class_at_corners_but_not_between_touching_chairs() -> None:
+    region = regions(two_chairs())
+    assert region[0, 0] == region[0, 11] != region[5, 13]
+    # The two chairs and the third, which meet at a corner, cut the wall in two.
+    assert region[0, 13] != region[5, 0]
+    assert (region[10:] == 0).all() and region.max() == 4
+    assert regions(two_chairs(), "segment").max() == 5
+    with pytest.raises(ValueError, match="colour"):
+        regions(two_chairs(), "colour")
+
+
+def test_a_region_takes_the_majority_of_the_rendered_classes() -> None:
+    mask = two_chairs()
+    rendered = np.full((12, 16), WALL, np.int32)
+    rendered[0:4, 0:12] = CHAIR
+    rendered[0:4, 0:6] = SOFA
+    rendered[0, 11] = 0
+    # 24 sofa against 23 chair pixels in the joint region; the segment of its own is chair.
+    label = pseudo_labels(mask, rendered)
+    assert (label[0:4, 0:12] == SOFA).all() and (label[10:] == 0).all()
+    assert (pseudo_labels(mask, rendered, "segment")[0:4, 6:12] == CHAIR).all()
+    assert (label[4:8, 12:16] == WALL).all()
+
+
+def test_ties_go_to_the_lower_class_and_unrendered_regions_have_no_loss() -> None:
+    mask = PanopticMask(np.full((4, 8), 1, np.int32), (Segment(1, WALL, False),))
+    half = np.where(np.arange(8) < 4, SOFA, CHAIR) * np.ones((4, 1), np.int32)
+    assert (pseudo_labels(mask, half.astype(np.int32)) == CHAIR).all()
+    assert (pseudo_labels(mask, np.zeros((4, 8), np.int32)) == 0).all()
+
+
+def test_small_regions_keep_what_is_rendered() -> None:
+    mask = PanopticMask(np.full((3, 5), 1, np.int32), (Segment(1, WALL, False),))
+    rendered = np.arange(15, dtype=np.int32).reshape(3, 5)
+    np.testing.assert_array_equal(pseudo_labels(mask, rendered), rendered)
+    assert (pseudo_labels(mask, np.where(rendered > 4, 7, 3).astype(np.int32), min_area=15) == 7).all()
+
+
+def test_sizes_must_fit() -> None:
+    with pytest.raises(ValueError, match="mask"):
+        pseudo_labels(two_chairs(), np.zeros((3, 3), np.int32))
