@@ -41,7 +41,8 @@ if HAS_BLENDER:
     os.environ["BLENDER_USER_RESOURCES"] = settings
     import bpy
 
-    load_package(ROOT, "plgs")
+    if (ROOT / "__init__.py").is_file():
+        load_package(ROOT, "plgs")
 
 collect_ignore = [] if HAS_BLENDER else ["plgs_blender"]
 
