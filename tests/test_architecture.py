@@ -1,0 +1,247 @@
+"""The import rules of the architecture, read from the source: arrows run one way, the engine stays free of Blender."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Each part of the engine and the parts that it may import. lift.py and command_line stand on top.
+ENGINE_MAY_IMPORT: dict[str, set[str]] = {
+    "": set(),
+    "scene": set(),
+    "job": set(),
+    "raster": set(),
+    "semantics": {"scene"},
+    "instances": {"scene"},
+    "metrics": {"scene"},
+    "model": {"scene", "raster"},
+    "train": {"scene", "job", "raster", "semantics", "instances", "model"},
+    "passes": {"scene", "job", "raster", "model", "train"},
+    "lift": {"scene", "job", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
+    "command_line": {"scene", "job", "metrics", "passes", "lift"},
+    "__main__": {"command_line"},
+}
+# Each part of the extension, the same way. `engine` means scene and job only: the rest runs in a process of its own.
+EXTENSION_MAY_IMPORT: dict[str, set[str]] = {
+    "plgs_blender": {"engine.scene", "engine.job"},
+    "operators": {"plgs_blender"},
+    "ui": {"plgs_blender"},
+    "__init__": {"plgs_blender", "operators", "ui"},
+}
+BLENDER_MODULES = {"bpy", "bpy_extras", "mathutils", "gpu", "gpu_extras", "bmesh", "blf", "bl_ext", "addon_utils"}
+PICKLES = {"pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+THREADS = {"threading", "_thread", "concurrent", "multiprocessing", "asyncio"}
+
+
+@dataclass(frozen=True)
+class Import:
+    """One imported module: as seen from the repository root (`engine.scene.camera`) or from outside (`numpy`)."""
+
+    module: str
+    line: str
+    is_relative: bool
+    is_at_top: bool
+
+
+def modules_under(*names: str) -> list[Path]:
+    """The Python files of packages or single files in the repository root; those not written yet are left out."""
+    paths = [ROOT / name for name in names]
+    return sorted(file for path in paths for file in ([path] if path.is_file() else path.rglob("*.py")))
+
+
+def dotted(path: Path) -> str:
+    """`engine/scene/camera.py` is `engine.scene.camera`; a package's `__init__.py` is the package."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 1 else parts)
+
+
+def imports_of(path: Path) -> Iterator[Import]:
+    """Every import statement of a file, wherever it stands, but for those that only a type checker sees."""
+    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+    top = set(_at_top(tree.body))
+    package = path.relative_to(ROOT).parent.parts
+    for node in _outside_type_checking(tree):
+        where = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
+        if isinstance(node, ast.Import):
+            for name in node.names:
+                yield Import(name.name, where, False, node in top)
+        elif isinstance(node, ast.ImportFrom):
+            climbed = package[: len(package) - node.level + 1] if node.level else ()
+            if node.level > len(package) + 1:
+                pytest.fail(f"{where} climbs out of the repository")
+            base = [*climbed, *([node.module] if node.module else [])]
+            for name in node.names:
+                yield Import(_existing(".".join([*base, name.name])), where, node.level > 0, node in top)
+
+
+def _existing(name: str) -> str:
+    """`engine.scene.Camera` is no module: then it is `engine.scene`. Names from outside lose nothing that matters."""
+    path = ROOT.joinpath(*name.split("."))
+    if path.with_suffix(".py").is_file() or path.is_dir():
+        return name
+    return name.rpartition(".")[0] or name
+
+
+def _at_top(body: list[ast.stmt]) -> Iterator[ast.stmt]:
+    """Statements that run when the module is imported, through `if` and `try`."""
+    for node in body:
+        yield node
+        for block in ("body", "orelse", "handlers", "finalbody"):
+            if isinstance(node, ast.If | ast.Try | ast.With | ast.ExceptHandler) and not _is_type_checking(node):
+                yield from _at_top(getattr(node, block, []))
+
+
+def _outside_type_checking(node: ast.AST) -> Iterator[ast.AST]:
+    for child in ast.iter_child_nodes(node):
+        if not _is_type_checking(child):
+            yield child
+            yield from _outside_type_checking(child)
+
+
+def _is_type_checking(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING")
+
+
+def part_of_engine(module: str) -> str:
+    """`engine.scene.camera` belongs to `scene`, `engine.lift_result` to `lift`, the engine's own `__init__` to ``."""
+    part = module.split(".")[1] if "." in module else ""
+    return "lift" if part.startswith("lift_") else part
+
+
+def first(module: str) -> str:
+    return module.partition(".")[0]
+
+
+EXTENSION = ("plgs_blender", "operators", "ui", "__init__.py")
+
+
+def test_no_bpy_under_engine() -> None:
+    found = [i.line for path in modules_under("engine") for i in imports_of(path) if first(i.module) in BLENDER_MODULES]
+    assert found == []
+
+
+def test_arrows_between_the_parts_of_the_engine_run_one_way() -> None:
+    wrong = []
+    for path in modules_under("engine"):
+        part = part_of_engine(dotted(path))
+        assert part in ENGINE_MAY_IMPORT, f"{path.relative_to(ROOT)} belongs to no known part of the engine"
+        for found in imports_of(path):
+            is_ours = first(found.module) == "engine"
+            if is_ours and part_of_engine(found.module) not in ENGINE_MAY_IMPORT[part] | {part, ""}:
+                wrong.append(f"{found.line} imports {found.module}")
+    assert wrong == []
+
+
+def test_nothing_imports_the_engine_from_inside_by_its_own_name() -> None:
+    """In Blender the engine is `plgs.engine`: only relative imports find it there; and it has to stay inside itself."""
+    ours = {"engine", "plgs_blender", "operators", "ui", "plgs", "run_plgs"}
+    absolute = [
+        i.line for path in modules_under("engine", *EXTENSION) for i in imports_of(path)
+        if first(i.module) in ours and not i.is_relative
+    ]  # fmt: skip
+    assert absolute == []
+    outside = [
+        i.line for path in modules_under("engine") for i in imports_of(path)
+        if i.is_relative and first(i.module) != "engine"
+    ]  # fmt: skip
+    assert outside == []
+
+
+def test_no_cycles() -> None:
+    """Between modules, by the imports that run when a module is imported."""
+    graph: dict[str, set[str]] = {}
+    for path in modules_under("engine", "plgs_blender", "operators", "ui"):
+        name = dotted(path)
+        graph[name] = {i.module for i in imports_of(path) if i.is_relative and i.is_at_top} - {name}
+    done: set[str] = set()
+
+    def visit(name: str, way: tuple[str, ...]) -> None:
+        assert name not in way, " -> ".join([*way[way.index(name) :], name])
+        if name in done or name not in graph:
+            return
+        for target in sorted(graph[name]):
+            visit(target, (*way, name))
+        done.add(name)
+
+    for name in sorted(graph):
+        visit(name, ())
+
+
+def test_arrows_between_the_parts_of_the_extension_run_one_way() -> None:
+    wrong = []
+    for path in modules_under(*EXTENSION):
+        part = first(dotted(path))
+        for found in imports_of(path):
+            target = ".".join(found.module.split(".")[:2]) if first(found.module) == "engine" else first(found.module)
+            if found.is_relative and target not in EXTENSION_MAY_IMPORT[part] | {part, ""}:
+                wrong.append(f"{found.line} imports {found.module}")
+    assert wrong == []
+
+
+def test_the_extension_needs_nothing_but_blender_numpy_and_the_standard_library() -> None:
+    allowed = BLENDER_MODULES | {"numpy"} | set(sys.stdlib_module_names)
+    wrong = [
+        i.line for path in modules_under(*EXTENSION) for i in imports_of(path)
+        if not i.is_relative and first(i.module) not in allowed
+    ]  # fmt: skip
+    assert wrong == []
+
+
+def test_no_threads_in_blender() -> None:
+    wrong = [i.line for path in modules_under(*EXTENSION) for i in imports_of(path) if first(i.module) in THREADS]
+    assert wrong == []
+
+
+def test_job_needs_the_standard_library_only() -> None:
+    wrong = [
+        i.line for path in modules_under("engine/job") for i in imports_of(path)
+        if not i.is_relative and first(i.module) not in sys.stdlib_module_names
+    ]  # fmt: skip
+    assert wrong == []
+
+
+def test_scene_needs_numpy_and_opencv_only_when_it_reads_pixels() -> None:
+    wrong = []
+    for path in modules_under("engine/scene"):
+        for found in imports_of(path):
+            allowed = {"numpy"} if found.is_at_top else {"numpy", "cv2"}
+            if not found.is_relative and first(found.module) not in allowed | set(sys.stdlib_module_names):
+                wrong.append(found.line)
+    assert wrong == []
+
+
+def test_no_pickles() -> None:
+    """Neither the module nor the calls that hide one."""
+    wrong = []
+    for path in modules_under("engine", "plgs_blender", "operators", "ui", "run_plgs.py", "sample", "__init__.py"):
+        wrong += [i.line for i in imports_of(path) if first(i.module) in PICKLES]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            hidden = any(k.arg == "allow_pickle" and ast.unparse(k.value) != "False" for k in node.keywords)
+            if hidden or ast.unparse(node.func) in ("torch.save", "torch.load"):
+                wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert wrong == []
+
+
+@pytest.mark.parametrize(
+    ("module", "unwanted"),
+    [
+        ("engine.scene", {"torch", "cv2", "numba", "scipy", "open3d", "OpenEXR", "safetensors"}),
+        ("engine.job", {"torch", "cv2", "numba", "scipy", "open3d", "OpenEXR", "safetensors", "numpy"}),
+        ("engine.command_line.main", {"torch", "cv2", "numba", "scipy", "open3d", "OpenEXR", "safetensors"}),
+    ],
+)
+def test_imports_quickly(module: str, unwanted: set[str]) -> None:
+    """What Blender and `--help` import must not pull in the heavy libraries."""
+    code = f"import sys, {module}; print(' '.join(sorted({unwanted!r} & set(sys.modules))))"
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert run.stdout.split() == []
