@@ -189,9 +189,7 @@ def _machine_mask(
     return ids, segments
 
 
-def _write_panoptic_lifting(
-    folder: Path, name: str, ids: NDArray[np.int32], segments: list[dict[str, object]]
-) -> None:
+def _write_panoptic_lifting(folder: Path, name: str, ids: NDArray[np.int32], segments: list[dict[str, object]]) -> None:
     """The same mask as m2f_semantics (8 bits) and m2f_instance (16 bits; here a cabinet is stuff)."""
     semantic, instance = np.zeros(ids.shape, np.uint8), np.zeros(ids.shape, np.uint16)
     for segment in segments:

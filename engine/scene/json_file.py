@@ -7,6 +7,7 @@ from pathlib import Path, PureWindowsPath
 from typing import Any, NoReturn
 
 from .frame import SceneError
+from .layout import shown
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
@@ -104,6 +105,8 @@ def file_inside(folder: Path, name: str, path: Path) -> Path:
     parts = PureWindowsPath(name)
     if parts.anchor or ".." in parts.parts or "\0" in name or not parts.parts:
         raise SceneError(
-            f'the file name "{name}" leaves the folder {folder.name}', path, "Use plain names of files in that folder."
+            f'the file name "{shown(name)}" leaves the folder {folder.name}',
+            path,
+            "Use plain names of files in that folder.",
         )
     return folder.joinpath(*parts.parts)

@@ -25,8 +25,12 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
     """
     if not folder.is_dir():
         raise SceneError("a folder is missing", folder, fix)
+    try:
+        paths = [*folder.iterdir()]
+    except OSError as error:
+        raise SceneError(f"the folder cannot be read ({error.strerror})", folder, "Check its permissions.") from error
     found: dict[str, Path] = {}
-    for path in sorted(folder.iterdir(), key=lambda path: (natural_order(path.stem), path.name)):
+    for path in sorted(paths, key=lambda path: (natural_order(path.stem), path.name)):
         # A name that starts with a dot is a file system's own note, such as macOS writes.
         if path.suffix.lower() not in suffixes or path.name.startswith(".") or not path.is_file():
             continue
@@ -48,9 +52,15 @@ def require_all(names: Sequence[str], present: Collection[str], what: str, where
 
 def listed(names: Iterable[object], most: int = 5) -> str:
     """A few names for a message: "0001, 0002, … and 7 more"."""
-    texts = [str(name) for name in names]
+    texts = [shown(name) for name in names]
     more = f" and {len(texts) - most} more" if len(texts) > most else ""
     return ", ".join(texts[:most]) + more
+
+
+def shown(name: object) -> str:
+    """A name out of somebody's file, fit for one line of a terminal."""
+    text = "".join(character if character.isprintable() else "?" for character in str(name))
+    return text if len(text) <= 60 else f"{text[:59]}…"
 
 
 def same_shape(one: Size, other: Size) -> bool:

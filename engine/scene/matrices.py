@@ -44,7 +44,7 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.f
         raise SceneError(f"the matrix is not {wanted}", path, f"Write {wanted} numbers, a row a line.")
     matrix = np.array(rows)
     if np.isnan(matrix).any():
-        raise SceneError("there is a NaN", path, "Correct the file, or leave this frame out.")
+        raise SceneError("there is a NaN", path, "Write numbers that a camera can have.")
     return matrix
 
 

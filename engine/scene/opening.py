@@ -60,11 +60,13 @@ def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z") -> Sce
         raise SceneError("there is no such folder", folder, "Name the folder of a scene.")
     colours = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, _FOLDERS_FIX)
     poses, dropped = _read_poses(folder / "pose", list(colours), up)
+    if not poses:
+        raise SceneError("every pose holds inf (lost tracking)", folder / "pose", "Give frames whose pose is known.")
     names = [name for name in colours if name in poses]
     table = folder / "splits.json"
     split = read_split(table, names, dropped) if table.is_file() else default_split(names)
     if not split.train:
-        raise SceneError("there is no frame to train on", folder, "Give frames with poses, and name some in train.")
+        raise SceneError("there is no frame to train on", table, "Name frames in train.")
     names = [name for name in names if name in {*split.train, *split.test}]
 
     sizes = {name: read_image_header(colours[name]).size for name in names}

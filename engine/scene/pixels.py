@@ -94,12 +94,12 @@ def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> ND
     return np.where(inside, taken, taken.dtype.type(0))
 
 
-def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """The values that occur in int32 [H, W] (>= 0), ascending, and how many pixels each has. Void (0) included."""
     # Counting is faster than sorting, as long as the table is not much larger than the picture.
     if int(ids.max(initial=0)) > ids.size + 65536:
         values, counts = np.unique(ids, return_counts=True)
-        return values.astype(np.int64), counts.astype(np.int64)
+        return values.astype(np.intp), counts
     counts = np.bincount(ids.ravel())
     values = np.flatnonzero(counts)
     return values, counts[values]

@@ -1,0 +1,248 @@
+"""Every bad input gets one clear line: what is wrong, which file, what to do."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, check_scene, open_scene
+from tests.tiny_scene import write_tiny_scene
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_tiny_scene(tmp_path_factory.mktemp("good"), frames=6)
+
+
+@pytest.fixture
+def folder(good: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(good, tmp_path / "scene"))
+
+
+def line(folder: Path) -> str:
+    """The error's one line, without the folder of this test."""
+    with pytest.raises(SceneError) as caught:
+        check_scene(open_scene(folder))
+    text = str(caught.value)
+    assert "\n" not in text
+    return text.replace(f"{folder}/", "").replace(str(folder), "SCENE")
+
+
+Spoil = Callable[[Path], object]
+
+
+def remove(name: str) -> Spoil:
+    def spoil(folder: Path) -> None:
+        path = folder / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    return spoil
+
+
+def write(name: str, content: str | bytes) -> Spoil:
+    data = content.encode() if isinstance(content, str) else content
+    return lambda folder: (folder / name).write_bytes(data)
+
+
+def cut(name: str, share: float = 0.5) -> Spoil:
+    def spoil(folder: Path) -> None:
+        data = (folder / name).read_bytes()
+        (folder / name).write_bytes(data[: int(len(data) * share)])
+
+    return spoil
+
+
+def image(name: str, pixels: Any) -> Spoil:
+    return lambda folder: cv2.imwrite(str(folder / name), pixels)
+
+
+def pose(change: Callable[[np.ndarray], object], name: str = "0001") -> Spoil:
+    def spoil(folder: Path) -> None:
+        matrix = np.loadtxt(folder / "pose" / f"{name}.txt")
+        change(matrix)
+        np.savetxt(folder / "pose" / f"{name}.txt", matrix)
+
+    return spoil
+
+
+def table(change: Callable[[dict[str, Any]], object]) -> Spoil:
+    def spoil(folder: Path) -> None:
+        content = json.loads((folder / "panoptic.json").read_text())
+        change(content)
+        (folder / "panoptic.json").write_text(json.dumps(content))
+
+    return spoil
+
+
+def segment(**values: object) -> Spoil:
+    return table(lambda content: content["annotations"][1]["segments_info"][2].update(values))
+
+
+def splits(content: object) -> Spoil:
+    return write("splits.json", json.dumps(content))
+
+
+def scale(matrix: np.ndarray) -> None:
+    matrix[:3, :3] *= 1.5
+
+
+def mirror(matrix: np.ndarray) -> None:
+    matrix[:3, 0] *= -1.0
+
+
+def shear(matrix: np.ndarray) -> None:
+    matrix[0, 1] += 0.2
+
+
+def damage(name: str) -> Spoil:
+    def spoil(folder: Path) -> None:
+        data = bytearray((folder / name).read_bytes())
+        data[len(data) // 2] ^= 0xFF
+        (folder / name).write_bytes(bytes(data))
+
+    return spoil
+
+
+def metres(folder: Path) -> None:
+    for path in (folder / "depth").iterdir():
+        depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), np.round(depth / 1000.0).astype(np.uint16))
+
+
+def apart(folder: Path) -> None:
+    for index, path in enumerate(sorted((folder / "pose").iterdir())):
+        matrix = np.loadtxt(path)
+        matrix[0, 3] += 100.0 * index
+        np.savetxt(path, matrix)
+
+
+def infinite(folder: Path) -> None:
+    path = folder / "panoptic.json"
+    path.write_text(path.read_text().replace('"category_id": 3', '"category_id": 1e999'))
+
+
+def two_shapes(folder: Path) -> None:
+    image("color/0001.png", np.zeros((64, 48, 3), np.uint8))(folder)
+
+
+PALETTE_PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x40\0\0\0\x30\x08\x03\0\0\0\0\0\0\0IEND\xaeB`\x82"
+"""As much of a 64x48 PNG with a colour table as its header needs."""
+
+CASES: dict[str, Spoil] = {
+    "no folder": lambda folder: shutil.rmtree(folder),
+    "no color": remove("color"),
+    "no depth": remove("depth"),
+    "no pose": remove("pose"),
+    "no intrinsic": remove("intrinsic"),
+    "no intrinsics file": remove("intrinsic/intrinsic_color.txt"),
+    "no masks": remove("panoptic.json"),
+    "no mask folder": remove("panoptic"),
+    "no colour image": lambda folder: [path.unlink() for path in (folder / "color").iterdir()],
+    "a frame without depth": remove("depth/0002.png"),
+    "frames without depth": lambda folder: [remove("depth/0002.png")(folder), remove("depth/0003.png")(folder)],
+    "a frame without pose": remove("pose/0002.txt"),
+    "a frame without mask entry": table(lambda content: content["annotations"].pop(3)),
+    "a frame without mask image": remove("panoptic/0003.png"),
+    "two colour images of a frame": lambda folder: shutil.copy(folder / "color/0001.png", folder / "color/0001.jpg"),
+    # Numbers
+    "NaN in a pose": pose(lambda matrix: matrix.__setitem__((0, 3), np.nan)),
+    "words in a pose": write("pose/0001.txt", "1 0 0 0\n0 1 0 zero\n0 0 1 0\n0 0 0 1"),
+    "a pose of three rows": write("pose/0001.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n"),
+    "a ragged pose": write("pose/0001.txt", "1 0 0 0\n0 1 0\n0 0 1 0\n0 0 0 1"),
+    "an empty pose": write("pose/0001.txt", ""),
+    "a binary pose": write("pose/0001.txt", b"\x93NUMPY\xff\xfe"),
+    "a transposed pose": pose(lambda matrix: matrix.__setitem__(slice(None), matrix.T.copy())),
+    "a scaled pose": pose(scale),
+    "a mirrored pose": pose(mirror),
+    "a sheared pose": pose(shear),
+    "NaN in the intrinsics": write("intrinsic/intrinsic_color.txt", "50 0 nan\n0 50 24\n0 0 1"),
+    "inf in the intrinsics": write("intrinsic/intrinsic_color.txt", "inf 0 32\n0 50 24\n0 0 1"),
+    "negative fy": write("intrinsic/intrinsic_color.txt", "50 0 32\n0 -50 24\n0 0 1"),
+    "skew": write("intrinsic/intrinsic_color.txt", "50 3 32\n0 50 24\n0 0 1"),
+    "intrinsics of larger images": write("intrinsic/intrinsic_color.txt", "500 0 320\n0 500 240\n0 0 1"),
+    # Sizes
+    "depth of another shape": image("depth/0001.png", np.full((48, 48), 999, np.uint16)),
+    "mask of another shape": image("panoptic/0001.png", np.zeros((48, 48, 3), np.uint8)),
+    "ground truth of another shape": image("gt/semantic/0001.png", np.zeros((48, 48), np.uint8)),
+    "colour of another shape": two_shapes,
+    # Depth
+    "8-bit depth": image("depth/0001.png", np.full((48, 64), 99, np.uint8)),
+    "coloured depth": image("depth/0001.png", np.full((48, 64, 3), 99, np.uint16)),
+    "all-zero depth": image("depth/0001.png", np.zeros((48, 64), np.uint16)),
+    "depth in metres": metres,
+    # Images
+    "an empty image": write("color/0001.png", b""),
+    "an empty depth": write("depth/0001.png", b""),
+    "a cut-off image": cut("color/0001.png"),
+    "a cut-off header": cut("color/0001.png", 0.01),
+    "a cut-off depth": cut("depth/0001.png"),
+    "a cut-off mask": cut("panoptic/0001.png"),
+    "a damaged depth": damage("depth/0001.png"),
+    "a damaged colour image": damage("color/0001.png"),
+    "not an image": write("color/0001.png", "GIF89a, honestly"),
+    "palette ground truth": write("gt/semantic/0001.png", PALETTE_PNG),
+    # JSON
+    "an empty JSON": write("panoptic.json", ""),
+    "a cut-off JSON": cut("panoptic.json"),
+    "a JSON list": write("panoptic.json", "[]"),
+    "NaN in the JSON": write("panoptic.json", '{"annotations": [], "categories": [NaN]}'),
+    "no categories": table(lambda content: content.pop("categories")),
+    "empty categories": table(lambda content: content["categories"].clear()),
+    "annotations of a wrong type": table(lambda content: content.update(annotations={"a": 1})),
+    "an annotation of a wrong type": table(lambda content: content.update(annotations=["a"])),
+    "no isthing": table(lambda content: content["categories"][0].pop("isthing")),
+    "isthing of a wrong type": table(lambda content: content["categories"][0].update(isthing="yes")),
+    "a colour of a wrong type": table(lambda content: content["categories"][0].update(color=[1, 2, 300])),
+    "a category twice": table(lambda content: content["categories"].append(content["categories"][0])),
+    "a negative category": table(lambda content: content["categories"][0].update(id=-1)),
+    "an annotation twice": table(lambda content: content["annotations"].append(content["annotations"][0])),
+    "no file name": table(lambda content: content["annotations"][1].pop("file_name")),
+    "a file name that climbs": table(lambda content: content["annotations"][1].update(file_name="../color/0001.png")),
+    "an absolute file name": table(lambda content: content["annotations"][1].update(file_name="/etc/0001.png")),
+    "a Windows file name": table(lambda content: content["annotations"][1].update(file_name="C:\\masks\\0001.png")),
+    "segments of a wrong type": table(lambda content: content["annotations"][1].update(segments_info="none")),
+    "an unknown category": segment(category_id=77),
+    "a category of a wrong type": segment(category_id="chair"),
+    "a segment id of a wrong type": segment(id=True),
+    "a segment id of 0": segment(id=0),
+    "a huge segment id": segment(id=256**3),
+    "a duplicate segment id": segment(id=5),
+    "a score of a wrong type": segment(score="high"),
+    "a score in per cent": segment(score=85),
+    "an infinite number": infinite,
+    "ids in the PNG that the JSON lacks": table(lambda content: content["annotations"][1]["segments_info"].pop(2)),
+    # Splits
+    "unknown names in splits.json": splits({"train": ["0000", "9999"], "test": ["0001.png"]}),
+    "a frame in both splits": splits({"train": ["0000", "0001"], "test": ["0001"]}),
+    "a frame twice in a split": splits({"train": ["0000", "0000"], "test": ["0001"]}),
+    "nothing to train on": splits({"train": [], "test": ["0001"]}),
+    "splits without test": splits({"train": ["0000"]}),
+    "splits of a wrong type": splits({"train": "0000", "test": []}),
+    "a split of numbers": splits({"train": [0], "test": []}),
+    "broken splits": write("splits.json", "{"),
+    # Geometry
+    "no overlap": apart,
+    "all poses lost": lambda folder: [write(f"pose/000{i}.txt", "-inf -inf -inf -inf\n" * 4)(folder) for i in range(6)],
+}
+
+
+EXPECTED = dict(
+    entry.split(": ", 1) for entry in Path(__file__).with_name("bad_input.txt").read_text("utf-8").splitlines()
+)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bad_input_gets_one_clear_line(name: str, folder: Path) -> None:
+    CASES[name](folder)
+    assert line(folder) == EXPECTED[name]
+
+
+def test_the_good_scene_is_good(folder: Path) -> None:
+    assert check_scene(open_scene(folder)) == ()
