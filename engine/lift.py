@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,10 +16,9 @@ from safetensors.torch import load_file, save_file
 
 from .job import EventWriter, LiftFolder, StopSignal, write_manifest
 from .lift_result import bake_passes, evaluate_passes, write_scene
-from .scene import ClassTable, Frame, Scene, Size, View, load_view, open_scene
-from .scene.checks import check_scene
-from .train.preparation import PreparedLift, prepare
-from .train.presets import Preset, chosen_preset
+from .scene import Frame, Scene, check_scene, load_view, open_scene, size_within
+from .train.preparation import prepare
+from .train.presets import chosen_preset
 from .train.progress import StageReporter
 from .train.state import restore, trainer_state
 from .train.trainer import Trainer
@@ -58,7 +56,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     with stages.stage("read") as progress:
         views = []
         for done, frame in enumerate(scene.train_frames, start=1):
-            views.append(load_view(frame, lift_size(frame, preset.size_within)))
+            views.append(load_view(frame, size_within(frame.size, preset.size_within)))
             progress(done, len(scene.train_frames))
 
     prepared = prepare(views, scene.classes, preset, request.seed, stages)
@@ -82,13 +80,6 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
         settings=asdict(preset),
         timings=stages.timings,
     )
-
-
-def lift_size(frame: Frame, box: Size) -> Size:
-    """(width, height) of ``frame`` brought into ``box`` with its aspect kept; never larger than the frame."""
-    width, height = frame.size
-    scale = min(1.0, box[0] / width, box[1] / height)
-    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:

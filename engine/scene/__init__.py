@@ -9,7 +9,7 @@ from .frame import Frame, GroundTruth, PanopticMask, Scene, SceneError, Segment,
 from .matrices import UpAxis
 from .opening import open_scene
 from .report import ClassReport, SceneReport, describe
-from .view import View, load_view
+from .view import View, load_view, size_within
 
 __all__ = [
     "VOID",
@@ -32,4 +32,5 @@ __all__ = [
     "distinct_colour",
     "load_view",
     "open_scene",
+    "size_within",
 ]

@@ -32,3 +32,10 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
         depth=frame.read_depth((width, height)),
         mask=frame.read_mask((width, height)),
     )
+
+
+def size_within(size: Size, box: Size) -> Size:
+    """``size`` (width, height) brought into ``box`` with its aspect kept; never enlarged."""
+    width, height = size
+    scale = min(1.0, box[0] / width, box[1] / height)
+    return max(1, round(width * scale)), max(1, round(height * scale))

@@ -5,52 +5,130 @@ Consistency-enhanced masks, the semantic point cloud, Algorithm 1, anchors by vo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances import MatchedInstances, match_instances
+from ..instances import (
+    GlobalInstance,
+    MatchingOptions,
+    SegmentOptions,
+    match_views,
+    merge_duplicates,
+    restrict_to_things,
+    vote_instances,
+)
 from ..model.anchors import initial_anchors
 from ..model.decoders import Decoders, DecoderShape
 from ..model.features import seeded_features
 from ..model.structured import LabelChannels, StructuredScene
 from ..scene import ClassTable, View
-from ..semantics import SemanticEvidence, gather_evidence
-from ..semantics.anchor_labels import label_anchors, voxelise
-from ..semantics.projection import LabelledPoints, project_labels
+from ..semantics import (
+    CloudOptions,
+    ConsistencyOptions,
+    LabelledPoints,
+    SemanticPointCloud,
+    build_point_cloud,
+    consistency_masks,
+    label_anchors,
+    project_labels,
+    views_are_sparse,
+    voxelise,
+)
 from .presets import Preset
+from .progress import StageReporter
 from .targets import ViewTargets, view_targets
-
-Progress = Callable[[int, int], None]
-"""Called with (done, total); may raise to stop."""
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedLift:
-    """What training starts from; ``instances`` and ``evidence`` also go into the result."""
+    """What training starts from. ``cloud`` with ``instance_of_point`` int32 [N] (0 = none) and ``instances`` also go into
+    the result."""
 
     scene: StructuredScene
     targets: list[ViewTargets]
-    evidence: SemanticEvidence
-    instances: MatchedInstances
+    cloud: SemanticPointCloud
+    instance_of_point: NDArray[np.int32]
+    instances: tuple[GlobalInstance, ...]
 
 
-def label_channels(views: Sequence[View], instances: MatchedInstances, least_slots: int) -> LabelChannels:
-    """A semantic channel for each class that the masks use, an instance slot for each matched object, and spare slots."""
-    class_ids = sorted({segment.class_id for view in views for segment in view.mask.segments} - {0})
-    slots = [instance.id for instance in instances.instances]
-    return LabelChannels(tuple(class_ids), tuple(slots + [0] * max(0, least_slots - len(slots))))
+def prepare(views: Sequence[View], classes: ClassTable, preset: Preset, seed: int, stages: StageReporter) -> PreparedLift:
+    """Everything before the first step. Raises what the progress callbacks raise (Cancelled)."""
+    class_ids = used_classes(views)
+    with stages.stage("believe") as progress:
+        cloud = build_point_cloud(
+            views,
+            consistency_masks(views, consistency_options(views, preset)),
+            class_ids,
+            CloudOptions(spacing=preset.voxel_size / 2),
+            progress,
+        )
+    with stages.stage("match") as progress:
+        segments = SegmentOptions(voxel_size=preset.voxel_size)
+        matching = MatchingOptions(tau_new=preset.tau_new)
+        found = match_views(views, classes.thing_ids, segments, matching, progress)
+        instances = merge_duplicates(found, matching.merge_iom, preset.voxel_size)
+        index = cloud.index()
+        reach = 2 * preset.voxel_size
+        owner_of_segment = {
+            (item.frame, item.segment_id): instance.id for instance in instances for item in instance.evidence
+        }
+        instance_of_point = vote_instances(
+            views, lambda view: index.nearest_of_pixels(view.camera, view.depth, reach), len(cloud), owner_of_segment
+        )
+        instance_of_point[~np.isin(cloud.class_id, sorted(classes.thing_ids))] = 0
+    channels = LabelChannels(class_ids, slots(instances, preset.instance_slots))
+    scene = starting_scene(cloud, instance_of_point, channels, preset, seed)
+    targets = projected_targets(views, cloud, instance_of_point, channels, classes, reach)
+    return PreparedLift(scene, targets, cloud, instance_of_point, tuple(instances))
+
+
+def used_classes(views: Sequence[View]) -> tuple[int, ...]:
+    """Ids of the classes that the masks use, ascending: the semantic channels."""
+    return tuple(sorted({segment.class_id for view in views for segment in view.mask.segments} - {0}))
+
+
+def slots(instances: Sequence[GlobalInstance], least: int) -> tuple[int, ...]:
+    """Instance id of each slot: the matched objects, then spare slots (0) up to ``least``."""
+    ids = [instance.id for instance in instances]
+    return tuple(ids + [0] * max(0, least - len(ids)))
+
+
+def consistency_options(views: Sequence[View], preset: Preset) -> ConsistencyOptions:
+    """The preset's choice, or no comparison at all where views are too sparse for one (as the paper does on HyperSim)."""
+    options = ConsistencyOptions(neighbours=preset.neighbours, agreement=preset.agreement)
+    return ConsistencyOptions(neighbours=0) if views_are_sparse(views, options) else options
+
+
+def projected_targets(
+    views: Sequence[View],
+    cloud: SemanticPointCloud,
+    instance_of_point: NDArray[np.int32],
+    channels: LabelChannels,
+    classes: ClassTable,
+    reach: float,
+) -> list[ViewTargets]:
+    """Each view's semantic mask and M_match, projected from the cloud."""
+    classed = LabelledPoints(cloud.xyz, cloud.class_id, cloud.spacing)
+    owned = LabelledPoints(cloud.xyz, instance_of_point, cloud.spacing)
+    targets = []
+    for view in views:
+        projected = project_labels(view.camera, view.depth, classed, reach)
+        matched = restrict_to_things(
+            project_labels(view.camera, view.depth, owned, reach), projected, classes.thing_ids
+        )
+        targets.append(view_targets(view, channels, projected_class=projected, matched_instance=matched))
+    return targets
 
 
 def starting_scene(
-    evidence: SemanticEvidence, instances: MatchedInstances, channels: LabelChannels, preset: Preset, seed: int
+    cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], channels: LabelChannels, preset: Preset, seed: int
 ) -> StructuredScene:
     """Anchors on the semantic point cloud, decoders drawn from the seed."""
-    cloud = evidence.cloud
     positions = voxelise(cloud.xyz, preset.voxel_size)
-    classes, owners = label_anchors(cloud, instances.instance_of_point, positions, preset.voxel_size)
+    classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
     feature = np.zeros((len(positions), preset.features), np.float32)
     if preset.seeded_features:
         nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
