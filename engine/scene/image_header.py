@@ -50,8 +50,9 @@ def read_image_header(path: Path) -> ImageHeader:
                 header, end = _jpeg_header(file, path), _JPEG_END
             else:
                 raise SceneError("this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
-            file.seek(0, 2)
-            file.seek(max(0, file.tell() - _TAIL))
+            # A thumbnail in the metadata ends like a JPEG, but comes before the frame header.
+            after_header = file.tell()
+            file.seek(max(after_header, file.seek(0, 2) - _TAIL))
             tail = file.read()
     except OSError as error:
         raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error

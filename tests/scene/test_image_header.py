@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from engine.scene import SceneError
+from engine.scene.image_header import check_image_file, read_image_header
+
+same_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
+
+
+@same_folder
+@given(
+    st.integers(1, 70),
+    st.integers(1, 70),
+    st.sampled_from([(np.uint8, 1), (np.uint16, 1), (np.uint8, 3), (np.uint16, 3), (np.uint8, 4)]),
+)
+def test_a_png_header_tells_size_depth_and_channels(
+    tmp_path: Path, width: int, height: int, kind: tuple[type, int]
+) -> None:
+    pixel_type, channels = kind
+    path = tmp_path / "image.png"
+    cv2.imwrite(str(path), np.zeros((height, width, channels), pixel_type))
+    header = read_image_header(path)
+    assert header.size == (width, height)
+    assert (header.format, header.bit_depth, header.channels) == ("png", 8 * pixel_type().itemsize, channels)
+    check_image_file(path)
+
+
+@same_folder
+@given(st.integers(1, 70), st.integers(1, 70), st.sampled_from([1, 3]), st.booleans())
+def test_a_jpeg_header_tells_size_and_channels(
+    tmp_path: Path, width: int, height: int, channels: int, progressive: bool
+) -> None:
+    path = tmp_path / "image.jpg"
+    cv2.imwrite(
+        str(path), np.zeros((height, width, channels), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, int(progressive)]
+    )
+    header = read_image_header(path)
+    assert header.size == (width, height) and (header.format, header.channels) == ("jpeg", channels)
+    check_image_file(path)
+
+
+@pytest.fixture(params=["png", "jpg"])
+def image(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    path = tmp_path / f"image.{request.param}"
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8))
+    return path
+
+
+@pytest.mark.parametrize("share", [0.001, 0.01, 0.3, 0.9, 0.999])
+def test_a_cut_off_image_is_found_without_decoding_it(image: Path, share: float) -> None:
+    data = image.read_bytes()
+    image.write_bytes(data[: max(3, int(len(data) * share))])
+    with pytest.raises(SceneError):
+        read_image_header(image)
+    with pytest.raises(SceneError):
+        check_image_file(image)
+
+
+def test_what_a_camera_appends_to_a_jpeg_does_no_harm(tmp_path: Path) -> None:
+    path = tmp_path / "image.jpg"
+    cv2.imwrite(str(path), np.zeros((48, 64, 3), np.uint8))
+    path.write_bytes(path.read_bytes() + b"trailer" * 1000)
+    assert read_image_header(path).size == (64, 48)
+
+
+def test_the_end_of_a_thumbnail_is_not_the_end_of_a_jpeg(tmp_path: Path) -> None:
+    path = tmp_path / "image.jpg"
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8))
+    data = path.read_bytes()
+    metadata = b"\xff\xe1" + (2 + 6).to_bytes(2, "big") + b"\xff\xd8..\xff\xd9"
+    path.write_bytes(data[:2] + metadata + data[2:-600])
+    with pytest.raises(SceneError, match="cut off"):
+        read_image_header(path)
+
+
+def test_a_missing_image_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="cannot be read"):
+        read_image_header(tmp_path / "none.png")
+
+
+@same_folder
+@given(st.binary(max_size=300), st.sampled_from([b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8"]))
+def test_any_bytes_are_read_or_refused(tmp_path: Path, noise: bytes, start: bytes) -> None:
+    path = tmp_path / "image"
+    path.write_bytes(start + noise)
+    for read in (read_image_header, check_image_file):
+        try:
+            read(path)
+        except SceneError:
+            pass

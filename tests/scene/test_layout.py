@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from engine.scene import SceneError
+from engine.scene.json_file import file_inside
+from engine.scene.layout import files_by_stem, listed, natural_order, same_shape
+
+
+def test_frames_come_in_natural_order() -> None:
+    names = ["10", "9", "0_0010", "0_0009", "frame2", "frame10", "frame-000001.color"]
+    assert sorted(names, key=natural_order) == [
+        "0_0009",
+        "0_0010",
+        "9",
+        "10",
+        "frame2",
+        "frame10",
+        "frame-000001.color",
+    ]
+
+
+def test_files_are_found_by_stem_whatever_the_case_of_their_suffix(tmp_path: Path) -> None:
+    for name in ("10.JPG", "9.png", "._9.png", ".DS_Store", "notes.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "8.png").mkdir()
+    assert list(files_by_stem(tmp_path, {".jpg", ".png"}, "Fix.")) == ["9", "10"]
+
+
+def test_same_shape_forgives_scannet_and_nothing_else() -> None:
+    assert same_shape((1296, 968), (640, 480))
+    assert not same_shape((640, 480), (640, 360))
+    assert not same_shape((640, 480), (480, 640))
+
+
+def test_long_lists_and_strange_names_stay_on_one_line() -> None:
+    assert listed(range(7)) == "0, 1, 2, 3, 4 and 2 more"
+    assert listed(["a\nb\x1b[31m"]) == "a?b?[31m"
+
+
+@pytest.mark.parametrize(
+    "name", ["../a.png", "a/../../b.png", "/a.png", "\\a.png", "C:a.png", "\\\\host\\a.png", "a\0.png", "", "."]
+)
+def test_names_that_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(SceneError, match="leaves the folder"):
+        file_inside(tmp_path, name, tmp_path / "table.json")
+
+
+@pytest.mark.parametrize("name", ["a.png", "sub/a.png", "..a.png"])
+def test_plain_names_are_taken(tmp_path: Path, name: str) -> None:
+    assert file_inside(tmp_path, name, tmp_path / "table.json") == tmp_path / name

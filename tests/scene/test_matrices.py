@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from engine.scene import SceneError, UpAxis
+from engine.scene.matrices import read_intrinsics, read_matrix, read_pose, up_axis_warning
+from tests.tiny_scene import tiny_pose
+
+
+def written(folder: Path, matrix: np.ndarray, form: str = "%.18e") -> Path:
+    np.savetxt(folder / "matrix.txt", matrix, fmt=form)
+    return folder / "matrix.txt"
+
+
+@pytest.mark.parametrize("text", ["1 2\n3 4\n", "1,2\n3,4", "\n1\t2  \n\n 3 4", "1e0 2.0\r\n3 4\r\n"])
+def test_matrices_come_in_many_hands(tmp_path: Path, text: str) -> None:
+    (tmp_path / "matrix.txt").write_text(text)
+    assert read_matrix(tmp_path / "matrix.txt", ((2, 2),)).tolist() == [[1.0, 2.0], [3.0, 4.0]]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30, deadline=None)
+@given(st.integers(0, 9), st.sampled_from(["%.18e", "%.6f", "%.4f"]))
+def test_a_pose_is_straightened_after_rounding(tmp_path: Path, index: int, form: str) -> None:
+    pose = read_pose(written(tmp_path, tiny_pose(index, 10), form), "z")
+    assert pose is not None
+    np.testing.assert_allclose(pose, tiny_pose(index, 10), atol=2e-4)
+    np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-14)
+    assert pose[3].tolist() == [0.0, 0.0, 0.0, 1.0]
+
+
+def test_a_lost_pose_is_none_and_a_nan_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "pose.txt").write_text("-inf -inf -inf -inf\n" * 4)
+    assert read_pose(tmp_path / "pose.txt", "z") is None
+    (tmp_path / "pose.txt").write_text("nan -inf -inf -inf\n" * 4)
+    with pytest.raises(SceneError, match="NaN"):
+        read_pose(tmp_path / "pose.txt", "z")
+
+
+@pytest.mark.parametrize(("up", "axis"), [("z", [0, 0, 1]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])])
+def test_the_named_axis_ends_up_on_z(tmp_path: Path, up: UpAxis, axis: list[int]) -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = axis
+    turned = read_pose(written(tmp_path, pose), up)
+    assert turned is not None
+    np.testing.assert_allclose(turned[:3, 3], [0, 0, 1], atol=1e-15)
+    assert np.linalg.det(turned[:3, :3]) == pytest.approx(1.0)
+
+
+def test_integer_pixel_centres_become_half_ones(tmp_path: Path) -> None:
+    K = np.array([[525.0, 0, 319.5], [0, 520.0, 239.5], [0, 0, 1]])
+    camera = read_intrinsics(written(tmp_path, K), (640, 480))
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (525.0, 520.0, 320.0, 240.0)
+    four = np.eye(4)
+    four[:3, :3] = K
+    assert read_intrinsics(written(tmp_path, four), (640, 480)).cx == 320.0
+
+
+def test_cameras_that_stand_upright_about_another_axis_are_noticed() -> None:
+    upright = [tiny_pose(index, 6) for index in range(6)]
+    assert up_axis_warning(upright, "z") is None
+    y_up = np.eye(4)
+    y_up[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    message = up_axis_warning([y_up @ pose for pose in upright], "z")
+    assert message is not None and "is the axis y, not z" in message and "--up y" in message
+    message = up_axis_warning([np.diag([1.0, -1.0, -1.0, 1.0]) @ pose for pose in upright], "y")
+    assert message is not None and "--up -y" in message
+    x_up = np.eye(4)
+    x_up[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    message = up_axis_warning([x_up @ pose for pose in upright], "z")
+    assert message is not None and "turn the poses so that z points up" in message
+
+
+def test_opengl_axes_are_noticed() -> None:
+    poses = [tiny_pose(index, 6) @ np.diag([1.0, -1.0, -1.0, 1.0]) for index in range(6)]
+    message = up_axis_warning(poses, "z")
+    assert message is not None and "OpenGL" in message
+
+
+def test_cameras_that_look_straight_down_say_nothing_about_up() -> None:
+    down = np.eye(4)
+    down[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    turned = np.eye(4)
+    turned[:2, :2] = -np.eye(2)
+    assert up_axis_warning([down, turned @ down], "z") is None
