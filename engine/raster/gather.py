@@ -25,10 +25,12 @@ from .records import (
     G_S2,
     G_S2S2,
     GRADIENT,
+    GRADIENT_WIDTH,
     L11,
     L12,
     L22,
     OPACITY,
+    TILE,
     WHITENING,
     G,
 )
@@ -162,6 +164,7 @@ def gather_range(
 ):
     total = np.empty(GRADIENT, np.float64)
     channels = d_labels.shape[1]
+    padded = (channels + TILE - 1) // TILE * TILE
     for i in range(first, last):
         hit = False
         for slot in range(slots[i], slots[i + 1]):
@@ -171,12 +174,12 @@ def gather_range(
                 hit = True
                 total[:] = 0.0
                 for c in range(channels):
-                    d_labels[i, c] = slot_labels[slot, c]
+                    d_labels[i, c] = slot_labels[slot * padded + c]
             else:
                 for c in range(channels):
-                    d_labels[i, c] += slot_labels[slot, c]
+                    d_labels[i, c] += slot_labels[slot * padded + c]
             for c in range(GRADIENT):
-                total[c] += slot_gradients[slot, c]
+                total[c] += slot_gradients[slot * GRADIENT_WIDTH + c]
         if not hit:
             d_means[i, :] = F(0.0)
             d_scales[i, :] = F(0.0)

@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import blend_backward, blend_forward, gather, projection, tiles
+from . import gather, projection, tiles, vector_backward, vector_forward
 from .conventions import View
 from .interface import Rendering
-from .records import GRADIENT, RECORD, TILE
+from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE
 
 
 def rasterize_native(
@@ -96,22 +96,30 @@ class _Blend(torch.autograd.Function):
         starts = tiles.deal_all_tiles(workers, order, boxes, slots, columns, histograms, tile_ids, tile_slots)
 
         image = torch.empty((height, width, 3), dtype=torch.float32)
-        labels_out = torch.empty((height, width, features.shape[1]), dtype=torch.float32)
+        channels = features.shape[1]
+        labels_out = torch.empty((height, width, channels), dtype=torch.float32)
         alpha, depth = torch.empty((height, width)), torch.empty((height, width))
-        rest = np.empty((height, width), np.float32)
-        last = np.empty((height, width), np.int32)
-        blend_forward.blend_all(
+        rest = np.empty(height * width, np.float32)
+        last = np.empty(height * width, np.float32)
+        vector_forward.blend_all(
             workers,
+            np.zeros(1, np.int64),
             starts,
             tile_ids,
-            records,
-            features,
-            image.numpy(),
-            labels_out.numpy(),
-            alpha.numpy(),
-            depth.numpy(),
+            records.reshape(-1),
+            features.reshape(-1),
+            channels,
+            width,
+            height,
+            image.numpy().reshape(-1),
+            labels_out.numpy().reshape(-1),
+            alpha.numpy().reshape(-1),
+            depth.numpy().reshape(-1),
             rest,
             last,
+            np.empty((workers, vector_forward.scratch_size(channels)), np.float32),
+            np.empty((workers, TILE * CHUNK), np.int32),
+            np.empty((workers, TILE), np.int64),
         )
         ctx.mark_non_differentiable(visible)
         ctx.save_for_backward(means, scales, quats, opacities)
@@ -126,26 +134,35 @@ class _Blend(torch.autograd.Function):
         means, scales, quats, _opacities = (_array(tensor) for tensor in ctx.saved_tensors)
         count, touches = means.shape[0], tile_ids.shape[0]
         wants_labels = ctx.has_labels and ctx.needs_input_grad[5]
-        d_features = _array(d_labels) if wants_labels else np.empty((*rest.shape, 0), np.float32)
+        height, width = d_alpha.shape
+        d_features = _array(d_labels) if wants_labels else np.empty((0, 0, 0), np.float32)
         channels = d_features.shape[2]
+        padded = vector_forward.padded_channels(channels)
         touched = np.empty(touches, np.uint8)
-        slot_gradients = np.empty((touches, GRADIENT), np.float32)
-        slot_labels = np.empty((touches, channels), np.float32)
-        blend_backward.unblend_all(
+        slot_gradients = np.empty(touches * GRADIENT_WIDTH, np.float32)
+        slot_labels = np.empty(touches * padded, np.float32)
+        vector_backward.unblend_all(
             workers,
+            np.zeros(1, np.int64),
             starts,
             tile_ids,
             tile_slots,
-            records,
+            records.reshape(-1),
             rest,
             last,
-            _array(d_image),
-            d_features,
-            _array(d_alpha),
-            _array(d_depth),
+            _array(d_image).reshape(-1),
+            d_features.reshape(-1),
+            channels,
+            _array(d_alpha).reshape(-1),
+            _array(d_depth).reshape(-1),
+            width,
+            height,
             touched,
             slot_gradients,
             slot_labels,
+            np.empty((workers, vector_backward.scratch_size(channels)), np.float32),
+            np.empty((workers, TILE * CHUNK), np.int32),
+            np.empty((workers, TILE), np.int64),
         )
         shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels), (count, 2))
         gradients = [torch.empty(shape, dtype=torch.float32) for shape in shapes]

@@ -29,6 +29,8 @@ RECORD = 16
 G, G_S1, G_S1S1, G_S2, G_S1S2, G_S2S2 = 0, 1, 2, 3, 4, 5
 D_RED, D_GREEN, D_BLUE, D_DEPTH = 6, 7, 8, 9
 GRADIENT = 10
+GRADIENT_WIDTH = 16
+"""Floats from one slot's gradients to the next."""
 
 WHITENING = math.sqrt(0.5 * math.log2(math.e))
 """s = WHITENING * L d."""

@@ -1,0 +1,349 @@
+"""Sixteen float32 at a time inside Numba: two types (``Lanes`` and ``Flags``) and the few operations the kernels need.
+
+Numba has no vector types, and LLVM does not vectorise the blending loops by itself. Each operation here is one
+``@intrinsic`` that emits generic LLVM vector code: LLVM turns it into AVX-512, AVX2, SSE or NEON, whatever the machine has.
+``+ - *`` work on ``Lanes``; ``fma`` is fused where the machine can, in the same way wherever it is used.
+"""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+
+WIDTH = 16
+
+FLOAT = ir.FloatType()
+INT = ir.IntType(32)
+WORD = ir.IntType(WIDTH)
+LANES_IR = ir.VectorType(FLOAT, WIDTH)
+INTS_IR = ir.VectorType(INT, WIDTH)
+FLAGS_IR = ir.VectorType(ir.IntType(1), WIDTH)
+
+
+class _Vector(types.Type):
+    def __init__(self, name: str) -> None:
+        super().__init__(name=f"plgs_{name}")
+
+
+lanes = _Vector("lanes")
+"""Sixteen float32."""
+flags = _Vector("flags")
+"""Sixteen booleans."""
+
+
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, numba_type: _Vector) -> None:
+        super().__init__(manager, numba_type, LANES_IR if numba_type is lanes else FLAGS_IR)
+
+
+register_model(_Vector)(_VectorModel)
+
+
+def splat(builder: ir.IRBuilder, scalar: ir.Value) -> ir.Value:
+    """One scalar in all lanes."""
+    single = builder.insert_element(ir.Constant(LANES_IR, ir.Undefined), scalar, INT(0))
+    return builder.shuffle_vector(
+        single, ir.Constant(LANES_IR, ir.Undefined), ir.Constant(INTS_IR, [0] * WIDTH)
+    )
+
+
+def constant(value: float) -> ir.Constant:
+    return ir.Constant(LANES_IR, [value] * WIDTH)
+
+
+def call(builder: ir.IRBuilder, name: str, result: ir.Type, arguments: list[ir.Value]) -> ir.Value:
+    """Call one of LLVM's own functions."""
+    signature = ir.FunctionType(result, [argument.type for argument in arguments])
+    return builder.call(cgutils.get_or_insert_function(builder.module, signature, name), arguments)
+
+
+def element(
+    context: Any, builder: ir.IRBuilder, array_type: types.Array, array: ir.Value, index: ir.Value
+) -> ir.Value:
+    """Pointer to ``array[index]`` of a one-dimensional contiguous array, unchecked."""
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.gep(data, [index])
+
+
+def _is_flat(array: types.Type, dtype: types.Type) -> bool:
+    return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C" and array.dtype == dtype
+
+
+@intrinsic
+def load(typing_context, array, index):
+    """array[index : index + 16] of a flat contiguous float32 array; unchecked, any alignment."""
+    if not _is_flat(array, types.float32):
+        return None
+
+    def emit(context, builder, signature, arguments):
+        pointer = element(context, builder, signature.args[0], *arguments)
+        return builder.load(builder.bitcast(pointer, LANES_IR.as_pointer()), align=4)
+
+    return lanes(array, types.int64), emit
+
+
+@intrinsic
+def store(typing_context, array, index, values):
+    """array[index : index + 16] = values; unchecked, any alignment."""
+    if not _is_flat(array, types.float32) or values is not lanes:
+        return None
+
+    def emit(context, builder, signature, arguments):
+        pointer = element(context, builder, signature.args[0], *arguments[:2])
+        builder.store(arguments[2], builder.bitcast(pointer, LANES_IR.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, lanes), emit
+
+
+@intrinsic
+def load_some(typing_context, array, index, wanted):
+    """As ``load`` where wanted, 0 elsewhere; memory outside is not touched."""
+    if not _is_flat(array, types.float32) or wanted is not flags:
+        return None
+
+    def emit(context, builder, signature, arguments):
+        pointer = element(context, builder, signature.args[0], *arguments[:2])
+        pointer = builder.bitcast(pointer, LANES_IR.as_pointer())
+        values = [pointer, INT(4), arguments[2], constant(0.0)]
+        return call(builder, "llvm.masked.load.v16f32.p0", LANES_IR, values)
+
+    return lanes(array, types.int64, flags), emit
+
+
+@intrinsic
+def store_some(typing_context, array, index, values, wanted):
+    """As ``store`` where wanted; memory outside is not touched."""
+    if not _is_flat(array, types.float32) or values is not lanes or wanted is not flags:
+        return None
+
+    def emit(context, builder, signature, arguments):
+        pointer = element(context, builder, signature.args[0], *arguments[:2])
+        pointer = builder.bitcast(pointer, LANES_IR.as_pointer())
+        values = [arguments[2], pointer, INT(4), arguments[3]]
+        call(builder, "llvm.masked.store.v16f32.p0", ir.VoidType(), values)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, lanes, flags), emit
+
+
+@intrinsic
+def spread(typing_context, scalar):
+    """A scalar in all lanes."""
+
+    def emit(context, builder, signature, arguments):
+        return splat(builder, arguments[0])
+
+    return lanes(types.float32), emit
+
+
+@intrinsic
+def lane_numbers(typing_context):
+    """0, 1, ... 15."""
+
+    def emit(context, builder, signature, arguments):
+        return ir.Constant(LANES_IR, [float(lane) for lane in range(WIDTH)])
+
+    return lanes(), emit
+
+
+@intrinsic
+def fma(typing_context, a, b, c):
+    """a * b + c."""
+
+    def emit(context, builder, signature, arguments):
+        return call(builder, "llvm.fmuladd.v16f32", LANES_IR, list(arguments))
+
+    return lanes(lanes, lanes, lanes), emit
+
+
+@intrinsic
+def minimum(typing_context, a, b):
+    """b where it is less than a, else a."""
+
+    def emit(context, builder, signature, arguments):
+        a, b = arguments
+        return builder.select(builder.fcmp_ordered("<", b, a), b, a)
+
+    return lanes(lanes, lanes), emit
+
+
+@intrinsic
+def maximum(typing_context, a, b):
+    """b where it is greater than a, else a."""
+
+    def emit(context, builder, signature, arguments):
+        a, b = arguments
+        return builder.select(builder.fcmp_ordered(">", b, a), b, a)
+
+    return lanes(lanes, lanes), emit
+
+
+@intrinsic
+def choose(typing_context, condition, a, b):
+    """a where the flag is set, else b."""
+
+    def emit(context, builder, signature, arguments):
+        return builder.select(*arguments)
+
+    return lanes(flags, lanes, lanes), emit
+
+
+@intrinsic
+def negative_of(typing_context, a):
+    """-abs(a): the sign bit set."""
+
+    def emit(context, builder, signature, arguments):
+        bits = builder.or_(builder.bitcast(arguments[0], INTS_IR), ir.Constant(INTS_IR, [-(1 << 31)] * WIDTH))
+        return builder.bitcast(bits, LANES_IR)
+
+    return lanes(lanes), emit
+
+
+@intrinsic
+def bits_of(typing_context, condition):
+    """The flags as an integer, lane 0 lowest."""
+
+    def emit(context, builder, signature, arguments):
+        return builder.zext(builder.bitcast(arguments[0], WORD), ir.IntType(64))
+
+    return types.int64(flags), emit
+
+
+@intrinsic
+def lowest_bit(typing_context, bits):
+    """The place of the lowest bit set (bits is not 0)."""
+
+    def emit(context, builder, signature, arguments):
+        return call(builder, "llvm.cttz.i64", ir.IntType(64), [arguments[0], ir.Constant(ir.IntType(1), 1)])
+
+    return types.int64(types.int64), emit
+
+
+# 2^f on [-1/2, 1/2], Chebyshev interpolation; relative error 2.4e-7 in float32
+_EXP2 = [
+    0.0013390863314270973,
+    0.009676031768321991,
+    0.055503569543361664,
+    0.2402210682630539,
+    0.6931471824645996,
+    1.0000001192092896,
+]
+_ROUNDING = 12582912.0  # 1.5 * 2^23: adding it leaves the nearest integer in the low bits of the mantissa
+
+
+@intrinsic
+def exp2(typing_context, a):
+    """2^a for a <= 127; what is below -126 counts as -126."""
+
+    def emit(context, builder, signature, arguments):
+        a = arguments[0]
+        lowest = constant(-126.0)
+        a = builder.select(builder.fcmp_ordered(">", a, lowest), a, lowest)
+        shifted = builder.fadd(a, constant(_ROUNDING))
+        f = builder.fsub(a, builder.fsub(shifted, constant(_ROUNDING)))
+        value: ir.Value = constant(_EXP2[0])
+        for coefficient in _EXP2[1:]:
+            value = call(builder, "llvm.fmuladd.v16f32", LANES_IR, [value, f, constant(coefficient)])
+        exponent = builder.shl(builder.bitcast(shifted, INTS_IR), ir.Constant(INTS_IR, [23] * WIDTH))
+        return builder.bitcast(builder.add(builder.bitcast(value, INTS_IR), exponent), LANES_IR)
+
+    return lanes(lanes), emit
+
+
+@intrinsic
+def totals(typing_context, vectors):
+    """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the others are 0.
+
+    A tree of pairwise sums: neighbours are folded together until one vector is left, always in the same order.
+    """
+
+    def emit(context, builder, signature, arguments):
+        level = list(cgutils.unpack_tuple(builder, arguments[0]))
+        level += [None] * (WIDTH - len(level))
+        width = WIDTH
+        while width > 1:
+            half = width // 2
+            level = [_fold(builder, a, b, width, half) for a, b in zip(level[::2], level[1::2], strict=True)]
+            width = half
+        return level[0]
+
+    return lanes(vectors), emit
+
+
+def _fold(
+    builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: int, half: int
+) -> ir.Value | None:
+    """Vectors of groups of ``width`` partial sums each to one of groups of ``half``: a's groups, then b's."""
+    if a is None:
+        return None
+    b = constant(0.0) if b is None else b
+    groups = range(0, 2 * WIDTH, width)
+    low = [group + lane for group in groups for lane in range(half)]
+    high = [group + half + lane for group in groups for lane in range(half)]
+    return builder.fadd(
+        builder.shuffle_vector(a, b, ir.Constant(INTS_IR, low)),
+        builder.shuffle_vector(a, b, ir.Constant(INTS_IR, high)),
+    )
+
+
+@intrinsic
+def take_next(typing_context, counter):
+    """counter[0], raised by one at once for all threads: deals out work."""
+    if not _is_flat(counter, types.int64):
+        return None
+
+    def emit(context, builder, signature, arguments):
+        pointer = element(context, builder, signature.args[0], arguments[0], ir.IntType(64)(0))
+        return builder.atomic_rmw("add", pointer, ir.IntType(64)(1), "monotonic")
+
+    return types.int64(counter), emit
+
+
+def _register_arithmetic() -> None:
+    def register(function: Any, emit: Any) -> None:
+        @type_callable(function)
+        def type_of(context):
+            return lambda a, b: lanes if a is lanes and b is lanes else None
+
+        @lower_builtin(function, lanes, lanes)
+        def lower(context, builder, signature, arguments):
+            return emit(builder, *arguments)
+
+    register(operator.add, ir.IRBuilder.fadd)
+    register(operator.sub, ir.IRBuilder.fsub)
+    register(operator.mul, ir.IRBuilder.fmul)
+    register(operator.truediv, ir.IRBuilder.fdiv)
+
+
+def _register_comparisons() -> None:
+    def register(function: Any, symbol: str) -> None:
+        @type_callable(function)
+        def type_of(context):
+            return lambda a, b: flags if a is lanes and b is lanes else None
+
+        @lower_builtin(function, lanes, lanes)
+        def lower(context, builder, signature, arguments):
+            return builder.fcmp_ordered(symbol, *arguments)
+
+    register(operator.gt, ">")
+    register(operator.ge, ">=")
+    register(operator.le, "<=")
+    register(operator.lt, "<")
+
+    @type_callable(operator.and_)
+    def type_of(context):
+        return lambda a, b: flags if a is flags and b is flags else None
+
+    @lower_builtin(operator.and_, flags, flags)
+    def lower(context, builder, signature, arguments):
+        return builder.and_(*arguments)
+
+
+_register_arithmetic()
+_register_comparisons()
