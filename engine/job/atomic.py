@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -51,8 +52,10 @@ def flush_to_disk(path: Path) -> None:
 def remove_parts(folder: Path) -> None:
     """Delete what killed writers left under ``folder``. Only for whoever holds the folder's lock."""
     for part in sorted(folder.rglob(PART + "*")):
-        if part.is_file():
-            part.unlink()
+        if part.is_dir():
+            shutil.rmtree(part)
+        else:
+            part.unlink(missing_ok=True)
 
 
 def sha256(path: Path) -> str:

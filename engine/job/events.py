@@ -48,7 +48,7 @@ class EventWriter:
         content = path.read_bytes()
         whole = content.rfind(b"\n") + 1
         if whole < len(content):
-            os.truncate(self._descriptor if os.truncate in os.supports_fd else path, whole)
+            os.ftruncate(self._descriptor, whole)
         return max((event.seq for event in _parse(content[:whole])), default=0)
 
     def hello(self, *, threads: int, resumed: bool) -> None:

@@ -106,9 +106,14 @@ class LiftFolder:
         return FileLock(self.events_path)
 
     def state(self) -> LiftState:
-        """How far the lift is. A result without a whole manifest is no result, whatever the events say."""
-        if self.is_running:
-            return LiftState.RUNNING
+        """How far the lift is. Raises JobError when the file system knows no locks."""
+        return LiftState.RUNNING if self.is_running else self.state_at_rest()
+
+    def state_at_rest(self) -> LiftState:
+        """How far the lift is, for somebody who knows that no other engine is at work.
+
+        A result without a whole manifest is no result, whatever the events say.
+        """
         if self._has_result():
             return LiftState.FINISHED
         events = last_run(self.events_path)
@@ -121,6 +126,11 @@ class LiftFolder:
         if last.kind == "done" and last.data.get("state") == "cancelled":
             return LiftState.CANCELLED
         return LiftState.INTERRUPTED
+
+    def last_exit_code(self) -> int | None:
+        """The exit code that the latest run's error event tells; None when it has none."""
+        codes = [event.data.get("exit_code") for event in last_run(self.events_path) if event.kind == "error"]
+        return codes[-1] if codes and isinstance(codes[-1], int) else None
 
     def ask_to_cancel(self) -> None:
         """Ask the engine to stop at its next step. Raises OSError."""
@@ -144,7 +154,8 @@ class LiftFolder:
             raise JobError("holds work", self.path, "Resume it, or delete it yourself.")
         for path in (self.cancel_path, self.events_path, self.log_path):
             path.unlink(missing_ok=True)
-        shutil.rmtree(self.result_path, ignore_errors=False) if self.result_path.is_dir() else None
+        if self.result_path.is_dir():
+            shutil.rmtree(self.result_path)
         remove_parts(self.path)
         (self.path / "request.json").unlink()
         if not any(self.path.iterdir()):

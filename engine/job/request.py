@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from .. import __version__
 from .errors import JobError
 from .json_file import Json, read_object, to_text
 
 FORMAT = 1
-PRESETS = ("preview", "standard", "paper")
-UPS = ("z", "y", "-y")
-BAKES = ("test", "all", "none")
+Preset = Literal["preview", "standard", "paper"]
+Up = Literal["z", "y", "-y"]
+Bake = Literal["test", "all", "none"]
+PRESETS: tuple[str, ...] = get_args(Preset)
+UPS: tuple[str, ...] = get_args(Up)
+BAKES: tuple[str, ...] = get_args(Bake)
 SMALLEST_SIDE, LARGEST_SIDE = 16, 16384
 _KEYS = {"format", "engine_version", "scene", "masks", "preset", "overrides", "seed", "up", "bake"}
 _OVERRIDES = {"steps", "size"}
@@ -30,12 +33,12 @@ class LiftRequest:
 
     scene: Path
     masks: Path | None = None
-    preset: str = "preview"
+    preset: Preset = "preview"
     steps: int | None = None
     size: tuple[int, int] | None = None
     seed: int = 0
-    up: str = "z"
-    bake: str = "test"
+    up: Up = "z"
+    bake: Bake = "test"
     engine_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:

@@ -1,10 +1,9 @@
-"""How a lift is stopped: by the cancel file, or by the end of the process that started it."""
+"""How a lift is stopped: by the cancel file, by a signal, or by the end of the process that started it."""
 
 from __future__ import annotations
 
 import os
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,8 +12,8 @@ from .events import EventWriter
 from .exit_code import ExitCode
 
 POLL_S = 0.1
-GRACE_S = 0.7
-"""From the request to the hard end. With the poll and the end of a process that is within a second."""
+GRACE_S = 0.6
+"""From the request to the hard end. With the poll, and the process's own end, that is within a second."""
 
 
 class StopSignal:
@@ -23,6 +22,7 @@ class StopSignal:
     def __init__(self, cancel_path: Path) -> None:
         self._cancel_path = cancel_path
         self._reason: str | None = None
+        self.exit_code = ExitCode.CANCELLED
 
     def check(self) -> None:
         """Raise Cancelled when the lift shall stop. Costs some microseconds."""
@@ -37,19 +37,20 @@ class StopSignal:
             self._reason = "the file 'cancel' is there"
         return self._reason
 
-    def ask(self, reason: str) -> None:
-        """Make the next check raise."""
+    def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:
+        """Make the next check raise, and the process end with this code."""
+        self.exit_code = exit_code
         self._reason = reason
 
 
 class Watchdog:
     """Ends the engine when its main thread does not stop in time. For ``with``, around the whole lift.
 
-    Threads are allowed here: this is the engine's own process, not Blender's Python, and these two never
-    touch the lift's data. One polls the cancel file; the other waits for the end of the pipe ``parent_pipe``
-    (a descriptor, its write end held by the parent and by nobody else): it comes when the parent ends, in
-    whatever way, on every system. The hard end is safe because everything in a lift folder is put in place by
-    rename.
+    Threads are allowed here: this is the engine's own process, not Blender's Python, and these two never touch
+    the lift's data. One polls the cancel file; the other waits for the end of the pipe ``parent_pipe`` (a
+    descriptor, its write end held by the parent and by nobody else): it comes when the parent ends, in whatever
+    way, on every system. The hard end is safe because all in a lift folder is put in place by rename. It has to
+    wait while the main thread is inside native code that holds Python's lock; a parent then kills (`follower`).
     """
 
     def __init__(
@@ -88,7 +89,6 @@ class Watchdog:
             if self._over.is_set():
                 return
             self._asked.wait(POLL_S)
-        end = time.monotonic() + self._grace_s
-        if not self._over.wait(max(0.0, end - time.monotonic())):
+        if not self._over.wait(self._grace_s):
             self._events.done("cancelled")
-            self._end_process(ExitCode.CANCELLED)
+            self._end_process(self._stop.exit_code)

@@ -1,0 +1,40 @@
+"""``inspect``: what is in a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..job import ExitCode
+from ..scene import SceneReport, Size, UpAxis, describe, open_scene
+
+
+def inspect_scene(folder: Path, masks: Path | None, up: UpAxis) -> ExitCode:
+    """Decode every frame and print what is there. Raises SceneError for the first thing that is wrong."""
+    report = describe(open_scene(folder, masks, up))
+    print(*_lines(report), sep="\n")
+    return ExitCode.FINISHED
+
+
+def _lines(report: SceneReport) -> Iterator[str]:
+    near, middle, far = report.depth_range
+    fewest, median, most = report.segments_per_frame
+    yield f"scene     {report.folder}"
+    yield f"frames    {report.train_frames} for training, {report.test_frames} held out"
+    yield f"truth     {report.ground_truth_frames or 'no'} frames"
+    yield f"colour    {_sizes(report.colour_sizes)}"
+    yield f"depth     {_sizes(report.depth_sizes)}, {near:.2f} to {far:.2f} m, half within {middle:.2f} m"
+    yield f"masks     {_sizes(report.mask_sizes)}, {fewest} to {most} segments a frame, {median} in the middle"
+    yield "cameras   within " + " x ".join(f"{side:.2f}" for side in report.extent) + " m"
+    yield f"classes   {len(report.classes)}, {report.void_share:.1%} of the pixels without"
+    for entry in sorted(report.classes, key=lambda entry: -entry.share):
+        yield f"  {entry.id:4d}  {entry.name:<24} {'thing' if entry.is_thing else 'stuff'} {entry.share:7.1%}"
+    for warning in report.warnings:
+        yield f"warning: {warning}"
+
+
+def _sizes(sizes: tuple[tuple[Size, int], ...]) -> str:
+    """Such as "640x480", or "640x480 (30), 320x240 (2)"."""
+    if len(sizes) == 1:
+        return "{}x{}".format(*sizes[0][0])
+    return ", ".join(f"{width}x{height} ({count})" for (width, height), count in sizes)

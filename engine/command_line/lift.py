@@ -1,0 +1,44 @@
+"""``lift``: in a folder that is there, or from a scene."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from ..job import ExitCode, JobError, LiftFolder, LiftRequest
+from ..job.report import made_files, metrics_table
+from ..job.session import lift_in_terminal
+from ..job.terminal import Interrupted, Interrupts
+from ..scene import open_scene
+from .run_engine import run_engine
+
+_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", "masks", "up", "bake")
+
+
+def run_folder(options: argparse.Namespace) -> ExitCode:
+    """``lift LIFT``: this process is the engine. Raises JobError."""
+    given = [name for name in _REQUEST_OPTIONS if getattr(options, name) is not None]
+    if given:
+        fix = "Leave them out, or lift a scene into a new folder with -o."
+        raise JobError("a lift's request never changes", ", ".join(f"--{name}" for name in given), fix)
+    folder = LiftFolder.open(options.scene)
+    parent_pipe = sys.stdin.fileno() if options.stay_with_parent else None
+    if parent_pipe is None:
+        print(f"The engine's output goes to {folder.log_path}", flush=True)
+    return run_engine(folder, resume=options.resume, parent_pipe=parent_pipe)
+
+
+def lift_scene(options: argparse.Namespace) -> int:
+    """``lift SCENE -o OUT``: a second process is the engine, this one shows it. Raises JobError, SceneError."""
+    with Interrupts() as interrupts:
+        try:
+            lift, code = lift_in_terminal(options, interrupts, _check)
+        except Interrupted as error:
+            return error.exit_code
+    if code is ExitCode.FINISHED:
+        print(metrics_table(lift), "", *made_files(lift), sep="\n")
+    return code
+
+
+def _check(request: LiftRequest) -> None:
+    open_scene(request.scene, request.masks, request.up)

@@ -1,0 +1,84 @@
+"""The argument parser and the way from a command to its exit code."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from .. import __version__
+from ..job import ExitCode, JobError
+from ..job.options import add_lift_options, add_scene_options
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run a command and return its exit code. Bad arguments end with SystemExit(2), as argparse has it."""
+    options = _parser().parse_args(arguments)
+    from ..scene import SceneError  # numpy, which --help does not wait for
+
+    try:
+        code: int = options.run(options)
+    except (JobError, SceneError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m engine", description="Panoptic lifting with structured 3D Gaussians, without Blender."
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_lift(commands.add_parser("lift", help="lift posed RGB-D frames and their masks"))
+    _add_evaluate(commands.add_parser("evaluate", help="show how good a finished lift is"))
+    _add_inspect(commands.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
+    return parser
+
+
+def _add_lift(parser: argparse.ArgumentParser) -> None:
+    parser.description = "With -o: lift a scene into a new folder. Without: run the lift that a folder asks for."
+    parser.add_argument("scene", type=Path, metavar="SCENE|LIFT", help="the scene (with -o), or a lift folder")
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="the lift folder to make")
+    add_lift_options(parser)
+    parser.add_argument("--resume", action="store_true", help="go on with a lift that was stopped")
+    parser.add_argument(
+        "--stay-with-parent", action="store_true", help="stop when standard input ends (a parent holds it open)"
+    )
+    parser.set_defaults(run=_lift)
+
+
+def _add_evaluate(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Check a finished lift's files against its manifest and print its metrics."
+    parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
+    parser.add_argument("--classes", action="store_true", help="also class by class")
+    parser.set_defaults(run=_evaluate)
+
+
+def _add_inspect(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Read a scene as a lift would, and describe it. Bad input: one line, exit code 2."
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder")
+    add_scene_options(parser)
+    parser.set_defaults(run=_inspect)
+
+
+# The commands' modules load numpy and more; --help and a typing error need none of it.
+
+
+def _lift(options: argparse.Namespace) -> int:
+    from . import lift
+
+    return lift.lift_scene(options) if options.output else lift.run_folder(options)
+
+
+def _evaluate(options: argparse.Namespace) -> ExitCode:
+    from .evaluate import evaluate
+
+    return evaluate(options.lift, per_class=options.classes)
+
+
+def _inspect(options: argparse.Namespace) -> ExitCode:
+    from .inspect_scene import inspect_scene
+
+    return inspect_scene(options.scene, options.masks, options.up or "z")

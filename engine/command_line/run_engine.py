@@ -1,0 +1,150 @@
+"""One run of the engine in a lift folder, from the lock to the exit code."""
+
+from __future__ import annotations
+
+import faulthandler
+import logging
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Protocol, TextIO
+
+from ..job import Cancelled, EventWriter, ExitCode, JobError, LiftFolder, LiftState, StopSignal, Watchdog
+from ..scene import SceneError
+from .log_output import output_to
+
+
+class Lift(Protocol):
+    """The work itself: it ends by writing the manifest, or by raising."""
+
+    def __call__(self, folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None: ...
+
+
+def run_engine(
+    folder: LiftFolder, *, resume: bool = False, parent_pipe: int | None = None, lift: Lift | None = None
+) -> ExitCode:
+    """Lift, and answer how it ended. ``parent_pipe``: see Watchdog. ``lift``: what to run instead of `run_lift`.
+
+    Raises JobError before anything is changed: another engine is at work, or the folder was used and ``resume`` is
+    not given. Later every error is an event, a line on standard error and an exit code.
+    """
+    with folder.lock():
+        state = folder.state_at_rest()
+        if state is LiftState.FINISHED and resume:
+            print(f"This lift is finished already: {folder.result_path}")
+            return ExitCode.FINISHED
+        if state is not LiftState.NOT_STARTED and not resume:
+            fix = "Choose another folder." if state is LiftState.FINISHED else "Add --resume to go on with it."
+            raise JobError(f"holds a lift that was begun before ({state.value})", folder.path, fix)
+        with output_to(folder.log_path) as terminal:
+            return _run(folder, resume, parent_pipe, lift, terminal)
+
+
+def _run(folder: LiftFolder, resume: bool, parent_pipe: int | None, lift: Lift | None, terminal: TextIO) -> ExitCode:
+    _prepare_log()
+    if resume:
+        folder.prepare_run()
+    events = EventWriter(folder.events_path)
+    try:
+        events.hello(threads=_threads(), resumed=resume and folder.checkpoints.exists)
+        stop = StopSignal(folder.cancel_path)
+        with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
+            code = _lift(folder, events, stop, resume, lift, terminal)
+        if code is ExitCode.FINISHED:
+            events.done("finished")
+        elif code in (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED):
+            events.done("cancelled")
+        return code
+    finally:
+        events.close()
+
+
+def _lift(
+    folder: LiftFolder, events: EventWriter, stop: StopSignal, resume: bool, lift: Lift | None, terminal: TextIO
+) -> ExitCode:
+    """Do the work; turn what it raises into an event, a line for people and an exit code."""
+    try:
+        stop.check()
+        (lift or _run_lift())(folder, events, stop, resume=resume)
+        if folder.state_at_rest() is not LiftState.FINISHED:
+            raise RuntimeError("the lift ended without a manifest")
+        return ExitCode.FINISHED
+    except Cancelled as error:
+        print(f"Stopped: {error}. The lift can be resumed: {folder.path}", file=terminal)
+        return stop.exit_code
+    except (SceneError, JobError) as error:
+        return _fail(events, terminal, error.what, error.where, error.fix, ExitCode.BAD_INPUT)
+    except ModuleNotFoundError as error:
+        traceback.print_exc()
+        fix = "Set the environment up anew with 'make set-up', then resume."
+        return _fail(events, terminal, str(error), sys.executable, fix, ExitCode.INTERNAL_ERROR)
+    except MemoryError:
+        traceback.print_exc()
+        fix = "Resume after closing other programs, or lift anew with a smaller --size."
+        return _fail(events, terminal, "memory ran out", folder.path, fix, ExitCode.INTERNAL_ERROR)
+    except Exception as error:  # the process's outermost frame: the traceback is kept, the user gets a line
+        traceback.print_exc()
+        what = f"the engine failed ({type(error).__name__}: {_first_line(error)})"
+        fix = "The log has the details. After a full disk or the like, resume."
+        return _fail(events, terminal, what, folder.log_path, fix, ExitCode.INTERNAL_ERROR)
+
+
+def _run_lift() -> Lift:
+    """The real one, loaded late: it brings torch, and by now the watchdog can stop even a slow import."""
+    from ..lift import run_lift
+
+    return run_lift
+
+
+def _fail(events: EventWriter, terminal: TextIO, what: str, where: object, fix: str, code: ExitCode) -> ExitCode:
+    print(f"error: {what}: {where}. {fix}", file=terminal)
+    try:
+        events.error(what, str(where), fix, code)
+    except OSError:  # the full disk that may be the very reason: the line above and the exit code tell it
+        traceback.print_exc()
+    return code
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [""])[0][:300]
+
+
+def _prepare_log() -> None:
+    """Log lines appear at once, and a crash in native code leaves the Python lines that led there."""
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure:
+            reconfigure(line_buffering=True)
+    faulthandler.enable(file=2)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s: %(message)s")
+
+
+@contextmanager
+def _signals_ask(stop: StopSignal) -> Iterator[None]:
+    """Ctrl-C and SIGTERM stop the lift like the cancel file does, with their own exit codes."""
+    if threading.current_thread() is not threading.main_thread():  # only there Python lets handlers be set
+        yield
+        return
+    codes = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}
+
+    def ask(signum: int, frame: FrameType | None) -> None:
+        stop.ask(f"signal {signum}", codes[signal.Signals(signum)])
+
+    before = {number: signal.signal(number, ask) for number in codes}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _threads() -> int:
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    if given.isdecimal() and int(given) > 0:
+        return int(given)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,177 @@
+"""Follow a lift that an engine works on: a state machine that is polled, for a terminal's loop or Blender's timer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from .events import Event, EventReader
+from .exit_code import ExitCode
+from .folder import LiftFolder, LiftState
+from .json_file import Json
+from .process import EngineProcess, engine_command, engine_python
+
+CANCEL_WAIT_S = 0.8
+"""How long an engine may take to stop by itself before it is killed. Its own watchdog needs 0.7 s at most."""
+
+
+@dataclass
+class LiftStatus:
+    """What is known of the lift so far. ``stage_index`` counts from 1; ``step`` of ``steps`` of this stage are done."""
+
+    stage: str = ""
+    label: str = "Starting"
+    stage_index: int = 0
+    stage_count: int = 0
+    step: int = 0
+    steps: int = 0
+    loss: float | None = None
+    eta_s: float | None = None
+    metrics: dict[str, Mapping[str, Json]] = field(default_factory=dict)
+    artifacts: list[tuple[str, Path]] = field(default_factory=list)
+    previews: list[Path] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How it ended. ``error`` is one line for people, None when it finished or was cancelled."""
+
+    code: ExitCode
+    error: str | None = None
+
+
+class LiftFollower:
+    """Poll it often; between polls it does nothing, and it starts no threads.
+
+    With a process it owns the engine: ``cancel`` ends in a kill if it must, and the engine ends when this Python does.
+    Without one it watches an engine that somebody else started, in this machine or elsewhere.
+    """
+
+    def __init__(
+        self,
+        folder: LiftFolder,
+        process: EngineProcess | None = None,
+        *,
+        reader: EventReader | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.folder, self.status = folder, LiftStatus()
+        self.outcome: Outcome | None = None
+        self._process, self._clock = process, clock
+        self._reader = reader or EventReader(folder.events_path)
+        self._kill_at: float | None = None
+        self._error: Event | None = None
+
+    @classmethod
+    def start(cls, folder: LiftFolder, *, resume: bool, python: Path | None = None) -> LiftFollower:
+        """Start an engine and follow it. Raises JobError when no Python for it is found or it does not start."""
+        reader = EventReader(folder.events_path, from_end=True)
+        if resume:
+            # Here, before the engine lives: a cancel that is asked for from now on is not to be taken for an old one.
+            folder.cancel_path.unlink(missing_ok=True)
+        process = EngineProcess(engine_command(python or engine_python(), folder.path, resume=resume))
+        return cls(folder, process, reader=reader)
+
+    def poll(self) -> list[Event]:
+        """The new events; ``status`` and ``outcome`` (None while it goes on) are up to date afterwards."""
+        if self.outcome is not None:
+            return []
+        code = self._process.exit_code() if self._process else None
+        ended = code is not None if self._process else not self.folder.is_running
+        events = self._reader.poll()  # after the look at the process: so the last events are among them
+        for event in events:
+            self._take(event)
+        if ended:
+            self.outcome = self._outcome(code)
+        elif self._process:
+            self._kill_if_deaf()
+        return events
+
+    def cancel(self) -> None:
+        """Ask the engine to stop; polling goes on until it has. Raises OSError when the folder cannot be written."""
+        self.folder.ask_to_cancel()
+        self._begin_waiting()
+
+    def kill(self) -> None:
+        """End the engine at once; the lift can be resumed. Only for an engine of one's own."""
+        if self._process:
+            self._process.kill()
+
+    def close(self) -> None:
+        """Let go. An engine of one's own that still runs ends within a second."""
+        if self._process:
+            self._process.close()
+            self._process = None
+
+    def _begin_waiting(self) -> None:
+        if self._kill_at is None:
+            self._kill_at = self._clock() + CANCEL_WAIT_S
+
+    def _kill_if_deaf(self) -> None:
+        """Somebody else may have made the cancel file: native code can keep the engine's own watchdog from running."""
+        assert self._process is not None
+        if self._kill_at is None and self.folder.cancel_path.exists():
+            self._begin_waiting()
+        if self._kill_at is not None and self._clock() >= self._kill_at:
+            self._process.kill()
+
+    def _take(self, event: Event) -> None:
+        data, status = event.data, self.status
+        match event.kind:
+            case "stage":
+                status.stage, status.label = str(data["name"]), str(data["label"])
+                status.stage_index, status.stage_count = _int(data["index"]), _int(data["count"])
+                status.step, status.steps, status.loss, status.eta_s = 0, 0, None, None
+            case "progress":
+                status.step, status.steps = _int(data["step"]), _int(data["steps"])
+                status.loss, status.eta_s = _float(data.get("loss")), _float(data.get("eta_s"))
+            case "metric":
+                values = data["values"]
+                status.metrics[str(data["name"])] = values if isinstance(values, dict) else {}
+            case "artifact":
+                status.artifacts.append((str(data["kind"]), self.folder.path / str(data["path"])))
+            case "preview":
+                status.previews.append(self.folder.path / str(data["path"]))
+            case "warning":
+                status.warnings.append(str(data["message"]))
+            case "error":
+                self._error = event
+
+    def _outcome(self, code: int | None) -> Outcome:
+        if self._error is not None:
+            data = self._error.data
+            return Outcome(_exit_code(data.get("exit_code")), f"{data['what']}: {data['where']}. {data['fix']}")
+        state = self.folder.state_at_rest()
+        if state is LiftState.FINISHED:
+            return Outcome(ExitCode.FINISHED)
+        if state is LiftState.CANCELLED or self._kill_at is not None:
+            return Outcome(ExitCode.CANCELLED)
+        if code is not None and code < 0:
+            what = f"the engine was ended by signal {-code} (9 often means: out of memory)"
+            return Outcome(ExitCode.INTERNAL_ERROR, f"{what}: {self.folder.path}. The lift can be resumed.")
+        return Outcome(_exit_code(code), self._last_words())
+
+    def _last_words(self) -> str:
+        """Of an engine that ended without an event."""
+        words = self._process.words() if self._process else ""
+        if not words:
+            return f"the engine ended without a word: {self.folder.log_path}. The log may tell more."
+        return words.splitlines()[-1]
+
+
+def _int(value: Json) -> int:
+    return value if isinstance(value, int) else 0
+
+
+def _float(value: Json) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _exit_code(value: Json) -> ExitCode:
+    """The engine's own code, or INTERNAL_ERROR for one that means nothing, or nothing bad, here."""
+    if isinstance(value, int) and value in (ExitCode.BAD_INPUT, ExitCode.CANCELLED):
+        return ExitCode(value)
+    return ExitCode.INTERNAL_ERROR

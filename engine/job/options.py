@@ -1,0 +1,77 @@
+"""The options of a lift on a command line: the same for the engine and for run_plgs.py."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from .errors import JobError
+from .folder import LiftFolder
+from .request import BAKES, PRESETS, UPS, LiftRequest
+
+_DEFAULTS = LiftRequest(scene=Path.cwd())
+
+
+def add_lift_options(parser: argparse.ArgumentParser) -> None:
+    """Everything that ends up in the request. What is not given is None, so that --resume can tell."""
+    parser.add_argument(
+        "--preset",
+        choices=PRESETS,
+        help=f"how much work to spend: preview takes minutes, standard tens of minutes, paper follows the paper's "
+        f"own settings (default: {_DEFAULTS.preset})",
+    )
+    parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
+    parser.add_argument("--size", type=picture_size, metavar="WxH", help="train at this picture size, such as 320x240")
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help=f"start of all chance: same seed, same result (default: {_DEFAULTS.seed})"
+    )
+    add_scene_options(parser)
+    parser.add_argument(
+        "--bake",
+        choices=BAKES,
+        help=f"which frames to render as passes: the held-out ones, all, or none (default: {_DEFAULTS.bake})",
+    )
+
+
+def add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """How to read the scene's folder."""
+    parser.add_argument("--masks", type=Path, metavar="PATH", help="panoptic masks, where not in SCENE itself")
+    parser.add_argument("--up", choices=UPS, help=f"the axis of the poses that points up (default: {_DEFAULTS.up})")
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """(width, height) from "640x480"; for argparse, so it raises ArgumentTypeError."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT, such as 640x480")
+    return int(width), int(height)
+
+
+def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -> LiftRequest:
+    """The request that the options of `add_lift_options` and ``scene`` ask for; the rest as in ``base``.
+
+    Raises JobError when a value is out of range.
+    """
+    names = ("preset", "steps", "size", "seed", "up", "bake")
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    if options.masks is not None:
+        given["masks"] = options.masks.resolve()
+    scene = options.scene.resolve()
+    return LiftRequest(scene=scene, **given) if base is None else replace(base, scene=scene, **given)
+
+
+def resumable(options: argparse.Namespace) -> LiftFolder | None:
+    """The lift in ``options.output`` that --resume goes on with; None when there is nothing to go on with.
+
+    Raises JobError when the options ask for another lift than the one there.
+    """
+    folder: Path = options.output
+    if not options.resume or not (folder / "request.json").exists():
+        return None
+    lift = LiftFolder.open(folder)
+    differing = request_from(options, base=lift.request).differences(lift.request)
+    if differing:
+        fix = "Leave these options as they were, or choose another output folder."
+        raise JobError(f"holds a lift with another {', '.join(differing)}", lift.path, fix)
+    return lift

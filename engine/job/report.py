@@ -1,0 +1,70 @@
+"""What a finished lift is worth, and where its files are, as text: for a terminal, with or without Blender."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from .folder import LiftFolder
+from .json_file import Json, read_object
+
+_SHARES = (("miou", "mIoU %"), ("pq", "PQ %"), ("sq", "SQ %"), ("rq", "RQ %"))
+_CLASS_SHARES = (("iou", "IoU %"), *_SHARES[1:])
+_COUNTS = ("tp", "fp", "fn")
+_SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.json", "previews", "passes")
+
+
+def metrics_table(lift: LiftFolder) -> str:
+    """metrics.json, a line for each method and mode: shares in per cent, PSNR in dB. Raises JobError."""
+    rows = [["", "mode", *(heading for _, heading in _SHARES), "PSNR dB", "SSIM"]]
+    for table in _tables(lift):
+        shares = [_number(table.get(key), 100.0, 1) for key, _ in _SHARES]
+        pictures = [_number(table.get("psnr"), 1.0, 2), _number(table.get("ssim"), 1.0, 3)]
+        rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *pictures])
+    return _aligned(rows, left=2) if len(rows) > 1 else "No metrics: the held-out frames have no ground truth."
+
+
+def class_tables(lift: LiftFolder) -> str:
+    """metrics.json class by class, a table for each method and mode that has one. Raises JobError."""
+    texts = []
+    for table in _tables(lift):
+        entries = [entry for entry in _list(table.get("per_class")) if isinstance(entry, dict)]
+        if entries:
+            heading = f"{table.get('name')}, {table.get('mode')}"
+            rows = [[heading, *(title for _, title in _CLASS_SHARES), *(key.upper() for key in _COUNTS)]]
+            rows += [_class_row(entry) for entry in entries]
+            texts.append(_aligned(rows, left=1))
+    return "\n\n".join(texts)
+
+
+def made_files(lift: LiftFolder) -> list[Path]:
+    """The files and folders of the result that a user may want to open, those that are there."""
+    return [path for path in (lift.result_path / name for name in _SHOWN) if path.exists()]
+
+
+def _tables(lift: LiftFolder) -> Iterable[Mapping[str, Json]]:
+    content = read_object(lift.result_path / "metrics.json", "Resume the lift: it makes the result anew.")
+    return (table for table in _list(content.get("tables")) if isinstance(table, dict))
+
+
+def _class_row(entry: Mapping[str, Json]) -> list[str]:
+    shares = [_number(entry.get(key), 100.0, 1) for key, _ in _CLASS_SHARES]
+    return [str(entry.get("name")), *shares, *(_number(entry.get(key), 1, 0) for key in _COUNTS)]
+
+
+def _list(value: Json) -> list[Json]:
+    return value if isinstance(value, list) else []
+
+
+def _number(value: Json, factor: float, digits: int) -> str:
+    return f"{value * factor:.{digits}f}" if isinstance(value, int | float) else "-"
+
+
+def _aligned(rows: Sequence[Sequence[str]], left: int) -> str:
+    """Columns two spaces apart: the first ``left`` ones flush left, the others flush right."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = zip(row, widths, strict=True)
+        lines.append("  ".join(c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(cells)).rstrip())
+    return "\n".join(lines)

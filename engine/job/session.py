@@ -1,0 +1,62 @@
+"""A whole lift from a command line: folder, engine, live line, and what to tell at the end."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from .exit_code import ExitCode
+from .folder import LiftFolder, LiftState
+from .follower import LiftFollower
+from .options import request_from, resumable
+from .process import engine_python
+from .request import LiftRequest
+from .terminal import Interrupts, LiveLine, follow
+
+
+def lift_in_terminal(
+    options: argparse.Namespace, interrupts: Interrupts, check: Callable[[LiftRequest], object]
+) -> tuple[LiftFolder, ExitCode]:
+    """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask, showing it on stderr.
+
+    ``check`` looks at the scene before any folder is made, and raises when it is bad. A folder that was made here
+    and came to nothing is removed, so that the corrected command just works. Raises JobError; Interrupted on
+    Ctrl-C, when the engine has ended.
+    """
+    python = engine_python()
+    lift = resumable(options)
+    is_new = lift is None
+    if lift is None:
+        request = request_from(options)
+        check(request)
+        lift = LiftFolder.create(options.output, request)
+    elif lift.state() is LiftState.FINISHED:
+        print(f"This lift is finished already: {lift.path}", file=sys.stderr)
+        return lift, ExitCode.FINISHED
+    try:
+        code = _run(lift, interrupts, python, resume=not is_new)
+    finally:
+        if is_new and _came_to_nothing(lift):
+            lift.discard()
+    return lift, code
+
+
+def _run(lift: LiftFolder, interrupts: Interrupts, python: Path, *, resume: bool) -> ExitCode:
+    with interrupts.deferred():
+        follower = LiftFollower.start(lift, resume=resume, python=python)
+        outcome = follow(follower, interrupts, LiveLine(sys.stderr))
+    if outcome.error is not None:
+        print(f"error: {outcome.error}", file=sys.stderr)
+    elif outcome.code is ExitCode.CANCELLED:
+        print(f"Cancelled. Give the same command with --resume to go on: {lift.path}", file=sys.stderr)
+    return outcome.code
+
+
+def _came_to_nothing(lift: LiftFolder) -> bool:
+    """No engine got as far as a checkpoint: it never started, or refused the input."""
+    if lift.is_running or lift.checkpoints.exists:
+        return False
+    state = lift.state_at_rest()
+    return state is LiftState.NOT_STARTED or (state is LiftState.FAILED and lift.last_exit_code() == ExitCode.BAD_INPUT)

@@ -1,0 +1,146 @@
+"""A lift in a terminal: one live line, and Ctrl-C that ends both processes within a second."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, TextIO
+
+from .follower import LiftFollower, LiftStatus, Outcome
+
+_POLL_S = 0.05
+_PLAIN_LINE_S = 5.0
+_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+class Interrupted(BaseException):
+    """A signal asked this process to end. The exit code is 128 + ``signum``, as in a shell (Ctrl-C: 130)."""
+
+    def __init__(self, signum: int) -> None:
+        super().__init__(signum)
+        self.exit_code = 128 + signum
+
+
+class Interrupts:
+    """Takes SIGINT, SIGTERM and SIGHUP over, from Blender's own handlers too. For ``with``, in the main thread.
+
+    They raise Interrupted at once, or inside `deferred` only at its end: there code runs that must not be torn.
+    """
+
+    def __init__(self) -> None:
+        self.pending: int | None = None
+        self._deferred = False
+        self._before: list[Any] = []
+
+    def __enter__(self) -> Interrupts:
+        self._before = [signal.signal(number, self._on_signal) for number in _SIGNALS]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in zip(_SIGNALS, self._before, strict=True):
+            # None: it was installed by something else than Python (Blender); it cannot be put back from here.
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def _on_signal(self, signum: int, frame: FrameType | None) -> None:
+        self.pending = signum
+        if not self._deferred:
+            raise Interrupted(signum)
+
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
+        """Look at ``pending`` inside; Interrupted is raised at the end when it is set and nothing else is raised."""
+        self._deferred = True
+        try:
+            yield
+        finally:
+            self._deferred = False
+        if self.pending is not None:
+            raise Interrupted(self.pending)
+
+
+def follow(follower: LiftFollower, interrupts: Interrupts, line: LiveLine) -> Outcome:
+    """Show the lift until it ends. Call it inside `interrupts.deferred()`, as the start of the engine, too.
+
+    A signal cancels the lift; one that is deaf is killed. The lift can then be resumed.
+    """
+    asked = False
+    try:
+        while True:
+            events = follower.poll()
+            for event in events:
+                if event.kind == "warning":
+                    line.say(f"warning: {event.data.get('message')}")
+            line.show(follower.status)
+            if follower.outcome is not None:
+                return follower.outcome
+            if interrupts.pending is not None and not asked:
+                asked = True
+                line.say("Stopping ...")
+                follower.cancel()
+            time.sleep(_POLL_S)
+    finally:
+        line.end()
+        if follower.outcome is None:  # a full disk, say: never leave an engine behind
+            follower.kill()
+        follower.close()
+
+
+class LiveLine:
+    """Progress on one line that is written over and over; where that cannot be, a line every few seconds."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._live = stream.isatty()
+        self._shown = ""
+        self._stage = ""
+        self._next = 0.0
+
+    def show(self, status: LiftStatus) -> None:
+        """The newest state; costs nothing when nothing changed."""
+        text = describe(status)
+        if self._live:
+            if text != self._shown:
+                self._overwrite(text)
+            return
+        now = time.monotonic()
+        if text != self._shown and (status.stage != self._stage or now >= self._next):
+            self._shown, self._stage, self._next = text, status.stage, now + _PLAIN_LINE_S
+            print(text, file=self._stream, flush=True)
+
+    def say(self, text: str) -> None:
+        """A line of its own, above the live one."""
+        if self._live and self._shown:
+            self._overwrite("")
+        print(text, file=self._stream, flush=True)
+
+    def end(self) -> None:
+        """Leave the last state standing; what follows begins a new line."""
+        if self._live and self._shown:
+            print(file=self._stream, flush=True)
+            self._shown = ""
+
+    def _overwrite(self, text: str) -> None:
+        text = text[: shutil.get_terminal_size().columns - 1]
+        self._stream.write("\r" + text + " " * max(0, len(self._shown) - len(text)))
+        if not text:
+            self._stream.write("\r")
+        self._stream.flush()
+        self._shown = text
+
+
+def describe(status: LiftStatus) -> str:
+    """Such as "[3/6] Training  1200/3000  loss 0.0123  2:31 left"."""
+    parts = [f"[{status.stage_index}/{status.stage_count}] {status.label}" if status.stage_count else status.label]
+    if status.steps:
+        parts.append(f"{status.step}/{status.steps}")
+    if status.loss is not None:
+        parts.append(f"loss {status.loss:.4f}")
+    if status.eta_s is not None:
+        minutes, seconds = divmod(round(max(0.0, status.eta_s)), 60)
+        hours, minutes = divmod(minutes, 60)
+        parts.append((f"{hours}:{minutes:02d}" if hours else f"{minutes}") + f":{seconds:02d} left")
+    return "  ".join(parts)
