@@ -1,0 +1,78 @@
+"""What the pixels say about a scene; ``test_bad_input`` has the errors."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import check_scene, describe, open_scene
+from tests.tiny_scene import write_tiny_scene
+
+
+def repaint(folder: Path, scale: float) -> None:
+    for path in (folder / "depth").iterdir():
+        cv2.imwrite(str(path), (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) * scale).astype(np.uint16))
+
+
+def test_a_sound_scene_has_no_warnings_noise_or_not(tmp_path: Path) -> None:
+    assert check_scene(open_scene(write_tiny_scene(tmp_path, frames=9, noise=0.4, seed=3))) == ()
+
+
+def test_depth_beyond_any_room_is_a_warning(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    repaint(folder, 10.0)
+    warnings = check_scene(open_scene(folder))
+    assert warnings[0].endswith("which is far for a room: is it in millimetres?")
+
+
+def test_sparse_depth_and_empty_masks_are_warnings(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    depth = np.zeros((48, 64), np.uint16)
+    depth[20:24, 30:34] = 1500
+    cv2.imwrite(str(folder / "depth" / "0001.png"), depth)
+    cv2.imwrite(str(folder / "panoptic" / "0002.png"), np.zeros((48, 64, 3), np.uint8))
+    warnings = check_scene(open_scene(folder))
+    assert "1 frames have depth on less than 5 % of their pixels: 0001" in warnings
+    assert "1 frames have an empty mask: 0002" in warnings
+
+
+def test_one_frame_alone_is_a_warning(tmp_path: Path) -> None:
+    warnings = check_scene(open_scene(write_tiny_scene(tmp_path, frames=1)))
+    assert warnings[-1] == "there is only one frame: nothing can be checked against another view"
+
+
+def test_a_description_sums_the_scene_up(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=9, depth_size=(32, 24))
+    report = describe(open_scene(folder))
+    assert (report.train_frames, report.test_frames, report.ground_truth_frames) == (8, 1, 9)
+    assert report.colour_sizes == (((64, 48), 9),) and report.depth_sizes == (((32, 24), 9),)
+    assert report.mask_sizes == (((64, 48), 9),)
+    near, middle, far = report.depth_range
+    assert 0.3 < near < middle < far < 5.0
+    assert report.segments_per_frame == (4, 4, 4)
+    assert [(entry.id, entry.name, entry.is_thing) for entry in report.classes][2] == (3, "cabinet", True)
+    assert sum(entry.share for entry in report.classes) + report.void_share == pytest.approx(1.0)
+    assert report.void_share == 0.0 and report.warnings == ()
+    assert all(0.1 < length < 4.0 for length in report.extent)
+
+
+def test_unpainted_segments_do_not_count(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    content = json.loads((folder / "panoptic.json").read_text())
+    content["annotations"][0]["segments_info"].append({"id": 99, "category_id": 5})
+    (folder / "panoptic.json").write_text(json.dumps(content))
+    assert describe(open_scene(folder)).segments_per_frame[2] == 4
+
+
+@pytest.mark.slow
+def test_a_frame_is_checked_in_milliseconds(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=20, size=(640, 480))
+    check_scene(open_scene(folder))
+    start = time.process_time()
+    check_scene(open_scene(folder))
+    assert (time.process_time() - start) / 20 < 0.08, "300 frames are to take seconds"

@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, UpAxis, check_scene, load_view, open_scene
+from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
+
+
+def test_a_scene_comes_back_as_it_was_written(tmp_path: Path) -> None:
+    scene = open_scene(write_tiny_scene(tmp_path, frames=6))
+    assert [frame.name for frame in scene.frames] == [f"{i:04d}" for i in range(6)]
+    assert [frame.name for frame in scene.test_frames] == ["0004"] and len(scene.train_frames) == 5
+    assert scene.warnings == () and scene.has_ground_truth
+    K = tiny_intrinsics((64, 48))
+    for index, frame in enumerate(scene.frames):
+        np.testing.assert_allclose(frame.camera.K, K, rtol=1e-12)
+        np.testing.assert_allclose(frame.camera.camera_to_world, tiny_pose(index, 6), atol=1e-12)
+        np.testing.assert_array_equal(frame.read_colour(None), trace_view(tiny_pose(index, 6), K, (64, 48)).colour)
+
+
+def test_jpeg_colour_is_close_and_in_rgb(tmp_path: Path) -> None:
+    frame = open_scene(write_tiny_scene(tmp_path, frames=5, colour_format="jpg")).frames[1]
+    exact = trace_view(tiny_pose(1, 5), tiny_intrinsics((64, 48)), (64, 48)).colour
+    difference = np.abs(frame.read_colour(None).astype(int) - exact.astype(int))
+    assert frame.colour_path.suffix == ".jpg" and difference.mean() < 8
+
+
+def test_a_view_has_one_size(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5, depth_size=(32, 24), mask_size=(128, 96))
+    frame = open_scene(folder).frames[0]
+    assert frame.size == (64, 48) and frame.read_mask(None).ids.shape == (96, 128)
+    for size in (None, (32, 24), (50, 40), (96, 72)):
+        view = load_view(frame, size)
+        width, height = size or (64, 48)
+        assert view.colour.shape == (height, width, 3)
+        assert view.depth.shape == view.mask.ids.shape == (height, width)
+        assert (view.camera.width, view.camera.height) == (width, height)
+    assert check_scene(open_scene(folder)) == ()
+
+
+@pytest.mark.parametrize("up", ["z", "y", "-y"])
+def test_any_up_axis_gives_the_same_room(tmp_path: Path, up: UpAxis) -> None:
+    scene = open_scene(write_tiny_scene(tmp_path, frames=5, up=up), up=up)
+    assert scene.warnings == ()
+    for index, frame in enumerate(scene.frames):
+        np.testing.assert_allclose(frame.camera.camera_to_world, tiny_pose(index, 5), atol=1e-12)
+
+
+def test_a_wrong_up_axis_is_a_warning(tmp_path: Path) -> None:
+    scene = open_scene(write_tiny_scene(tmp_path, frames=5, up="y"))
+    assert len(scene.warnings) == 1 and "lift with --up y" in scene.warnings[0]
+
+
+def test_lost_poses_drop_their_frames(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=7)
+    for index in (0, 3):
+        (folder / "pose" / f"{index:04d}.txt").write_text("-inf -inf -inf -inf\n" * 4)
+    scene = open_scene(folder)
+    assert [frame.name for frame in scene.frames] == ["0001", "0002", "0004", "0005", "0006"]
+    assert [frame.name for frame in scene.test_frames] == ["0006"]
+    assert scene.warnings == ("2 frames without a pose (inf) are left out: 0000, 0003",)
+
+
+def test_splits_choose_the_frames_and_only_these_need_their_files(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=6, splits={"train": ["0001", "0002"], "test": ["0005"]})
+    (folder / "depth" / "0000.png").unlink()
+    (folder / "panoptic" / "0003.png").unlink()
+    scene = open_scene(folder)
+    assert [frame.name for frame in scene.train_frames] == ["0001", "0002"]
+    assert [frame.name for frame in scene.test_frames] == ["0005"]
+    assert scene.warnings == ("3 frames are in neither list of splits.json and left out: 0000, 0003, 0004",)
+    check_scene(scene)
+
+
+def test_splits_may_name_frames_whose_tracking_was_lost(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=3, splits={"train": ["0000", "0001"], "test": ["0002"]})
+    (folder / "pose" / "0001.txt").write_text("inf inf inf inf\n" * 4)
+    assert [frame.name for frame in open_scene(folder).train_frames] == ["0000"]
+
+
+def test_one_intrinsic_is_scaled_to_frames_of_another_size(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=6)
+    large = trace_view(tiny_pose(0, 6), tiny_intrinsics((128, 96)), (128, 96))
+    cv2.imwrite(str(folder / "color" / "0000.png"), large.colour[..., ::-1])
+    scene = open_scene(folder)
+    assert scene.frames[0].size == (128, 96) and scene.frames[1].size == (64, 48)
+    np.testing.assert_allclose(scene.frames[0].camera.K, tiny_intrinsics((128, 96)), rtol=1e-12)
+    np.testing.assert_allclose(scene.frames[1].camera.K, tiny_intrinsics((64, 48)), rtol=1e-12)
+    assert check_scene(scene) == ()
+
+
+def test_a_frame_may_have_intrinsics_and_a_shape_of_its_own(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=6)
+    size, K = (48, 64), tiny_intrinsics((48, 64))
+    view = trace_view(tiny_pose(2, 6), K, size)
+    cv2.imwrite(str(folder / "color" / "0002.png"), view.colour[..., ::-1])
+    cv2.imwrite(str(folder / "depth" / "0002.png"), np.round(view.depth * 1000).astype(np.uint16))
+    cv2.imwrite(str(folder / "panoptic" / "0002.png"), np.zeros((64, 48, 3), np.uint8))
+    for kind in ("semantic", "instance"):
+        (folder / "gt" / kind / "0002.png").unlink()
+    K[:2, 2] -= 0.5
+    np.savetxt(folder / "intrinsic" / "0002.txt", K)
+    scene = open_scene(folder)
+    np.testing.assert_allclose(scene.frames[2].camera.K, tiny_intrinsics(size), rtol=1e-9)
+    assert [warning.split(":")[0] for warning in check_scene(scene)] == [
+        "1 of 6 frames have no ground truth in semantic",
+        "1 frames have an empty mask",
+        "4 segments of the masks' table have no pixel in the PNGs (the first",
+    ]
+
+
+def test_intrinsics_of_every_frame_need_no_shared_file(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    shared = folder / "intrinsic" / "intrinsic_color.txt"
+    for index in range(5):
+        (folder / "intrinsic" / f"{index:04d}.txt").write_bytes(shared.read_bytes())
+    shared.unlink()
+    np.testing.assert_allclose(open_scene(folder).frames[3].camera.K, tiny_intrinsics((64, 48)), rtol=1e-12)
+
+
+def test_an_orientation_tag_does_not_turn_the_picture(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5, colour_format="jpg")
+    path = folder / "color" / "0000.jpg"
+    before = open_scene(folder).frames[0].read_colour(None)
+    data = path.read_bytes()
+    quarter_turn = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+    path.write_bytes(data[:2] + b"\xff\xe1" + (2 + len(quarter_turn)).to_bytes(2, "big") + quarter_turn + data[2:])
+    frame = open_scene(folder).frames[0]
+    assert frame.size == (64, 48)
+    np.testing.assert_array_equal(frame.read_colour(None), before)
+
+
+def test_opening_reads_no_pixels_and_needs_no_opencv(tmp_path: Path, root: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    program = (
+        "import sys; sys.modules['cv2'] = None; from pathlib import Path; from engine.scene import open_scene; "
+        f"print(len(open_scene(Path({str(folder)!r})).frames)); "
+        "print([name for name in ('torch', 'numba') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=root, capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == ["5", "[]"]
+
+
+def test_a_folder_that_cannot_be_read_says_so(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    (folder / "depth").chmod(0)
+    try:
+        if os.access(folder / "depth", os.R_OK):
+            pytest.skip("this user may read everything")
+        with pytest.raises(SceneError, match="cannot be read"):
+            open_scene(folder)
+    finally:
+        (folder / "depth").chmod(0o755)
+
+
+@pytest.mark.parametrize("file", ["panoptic.json", "splits.json"])
+def test_a_byte_order_mark_does_no_harm(tmp_path: Path, file: str) -> None:
+    names = [f"{i:04d}" for i in range(5)]
+    folder = write_tiny_scene(tmp_path, frames=5, splits={"train": names[:4], "test": names[4:]})
+    (folder / file).write_bytes(b"\xef\xbb\xbf" + json.dumps(json.loads((folder / file).read_text())).encode())
+    assert len(open_scene(folder).frames) == 5

@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import Scene, SceneError, check_scene, open_scene
+from engine.scene.panoptic_lifting_masks import REDUCED_CLASSES
+from tests.tiny_scene import write_tiny_scene
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_tiny_scene(tmp_path / "scene", frames=6, size=(32, 24), masks="panoptic_lifting")
+
+
+def paint(path: Path, pixels: np.ndarray) -> None:
+    path.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(path), pixels)
+
+
+def classes_seen(scene: Scene) -> np.ndarray:
+    return scene.frames[1].read_mask(None).class_map()
+
+
+def test_the_reduced_table_is_the_papers() -> None:
+    assert len(REDUCED_CLASSES) == 21 and REDUCED_CLASSES[21].name == "otherprop"
+    assert {REDUCED_CLASSES[i].name for i in REDUCED_CLASSES.thing_ids} == {
+        *("bed chair sofa refrigerator television person toilet sink bag".split())
+    }
+    assert not REDUCED_CLASSES[7].is_thing and REDUCED_CLASSES[19].name == "lamp"
+
+
+def test_segments_are_the_pairs_that_occur(folder: Path) -> None:
+    frame = open_scene(folder).frames[1]
+    mask = frame.read_mask(None)
+    truth = cv2.imread(str(folder / "gt" / "semantic" / "0001.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(mask.class_map(), truth)
+    assert [segment.id for segment in mask.segments] == list(range(1, len(mask.segments) + 1))
+    assert {s.class_id: s.is_thing for s in mask.segments} == {1: False, 2: False, 3: False, 5: True}
+    assert mask.ids.min() > 0 and check_scene(open_scene(folder)) == ()
+
+
+@pytest.mark.parametrize("pixel_type", [np.uint8, np.uint16])
+def test_two_chairs_are_two_segments_at_any_bit_depth(folder: Path, pixel_type: type) -> None:
+    semantic, instance = np.full((24, 32), 5, pixel_type), np.zeros((24, 32), pixel_type)
+    semantic[:4] = 0
+    instance[4:, :10], instance[4:, 10:20] = 200, 201
+    paint(folder / "m2f_semantics" / "0001.png", semantic)
+    paint(folder / "m2f_instance" / "0001.png", instance)
+    mask = open_scene(folder).frames[1].read_mask(None)
+    assert not mask.ids[:4].any()
+    assert [(s.class_id, s.is_thing) for s in mask.segments] == [(5, False), (5, True), (5, True)]
+    assert (mask.ids[5, 25], mask.ids[5, 0], mask.ids[5, 15]) == (1, 2, 3)
+
+
+def test_ids_do_not_depend_on_the_size_asked_for(folder: Path) -> None:
+    frame = open_scene(folder).frames[0]
+    own, small = frame.read_mask(None), frame.read_mask((16, 12))
+    np.testing.assert_array_equal(small.ids, own.ids[1::2, 1::2])
+    assert small.segments == own.segments
+
+
+def test_classes_outside_the_table_are_refused(folder: Path) -> None:
+    paint(folder / "m2f_semantics" / "0001.png", np.full((24, 32), 30, np.uint8))
+    with pytest.raises(SceneError, match=r"class ids 30 are not in .* reduced table"):
+        check_scene(open_scene(folder))
+
+
+def test_masks_of_two_sizes_are_refused(folder: Path) -> None:
+    paint(folder / "m2f_instance" / "0001.png", np.zeros((12, 16), np.uint8))
+    with pytest.raises(SceneError, match="not 32x24 as the classes are"):
+        open_scene(folder)
+
+
+def test_colours_in_place_of_ids_are_refused(folder: Path) -> None:
+    paint(folder / "m2f_semantics" / "0001.png", np.zeros((24, 32, 3), np.uint8))
+    with pytest.raises(SceneError, match="one channel"):
+        open_scene(folder)
+
+
+def test_the_set_without_augmentation_is_used_where_it_is_alone_or_named(folder: Path) -> None:
+    for kind in ("semantics", "instance"):
+        (folder / f"m2f_{kind}").rename(folder / f"m2f_notta_{kind}")
+    assert set(classes_seen(open_scene(folder)).ravel()) >= {1, 2}
+    for index in range(6):
+        paint(folder / "m2f_semantics" / f"{index:04d}.png", np.full((24, 32), 4, np.uint8))
+        paint(folder / "m2f_instance" / f"{index:04d}.png", np.ones((24, 32), np.uint8))
+    both = open_scene(folder)
+    assert (classes_seen(both) == 4).all() and "name m2f_notta_semantics" in both.warnings[0]
+    named = open_scene(folder, masks=folder / "m2f_notta_semantics")
+    assert (classes_seen(named) != 4).all() and named.warnings == ()
+
+
+def test_masks_may_lie_elsewhere(folder: Path, tmp_path: Path) -> None:
+    for kind in ("semantics", "instance"):
+        (tmp_path / "masks").mkdir(exist_ok=True)
+        (folder / f"m2f_{kind}").rename(tmp_path / "masks" / f"m2f_{kind}")
+    with pytest.raises(SceneError, match="no masks"):
+        open_scene(folder)
+    assert len(open_scene(folder, masks=tmp_path / "masks").frames) == 6
+    with pytest.raises(SceneError, match="no masks"):
+        open_scene(folder, masks=tmp_path / "nowhere")
+
+
+def test_coco_masks_may_be_named_by_file_or_folder(tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path / "scene", frames=5, size=(32, 24))
+    (tmp_path / "masks").mkdir()
+    (scene / "panoptic").rename(tmp_path / "masks" / "detector")
+    (scene / "panoptic.json").rename(tmp_path / "masks" / "detector.json")
+    assert len(open_scene(scene, masks=tmp_path / "masks" / "detector.json").frames) == 5
+    (tmp_path / "masks" / "detector").rename(tmp_path / "masks" / "panoptic")
+    (tmp_path / "masks" / "detector.json").rename(tmp_path / "masks" / "panoptic.json")
+    assert len(open_scene(scene, masks=tmp_path / "masks").frames) == 5
