@@ -4,5 +4,27 @@ from __future__ import annotations
 
 from .images import psnr, ssim
 from .panoptic import MODES, ClassScore, Mode, PanopticEvaluation, PanopticScores
+from .report import LIFTED, MACHINE_MASKS, VOXEL_VOTE, PredictedView, Report, add_rivals, evaluate_views
+from .table import format_classes, format_table
+from .voxel_vote import VoxelMap, VoxelVote
 
-__all__ = ["MODES", "ClassScore", "Mode", "PanopticEvaluation", "PanopticScores", "psnr", "ssim"]
+__all__ = [
+    "LIFTED",
+    "MACHINE_MASKS",
+    "MODES",
+    "VOXEL_VOTE",
+    "ClassScore",
+    "Mode",
+    "PanopticEvaluation",
+    "PanopticScores",
+    "PredictedView",
+    "Report",
+    "VoxelMap",
+    "VoxelVote",
+    "add_rivals",
+    "evaluate_views",
+    "format_classes",
+    "format_table",
+    "psnr",
+    "ssim",
+]

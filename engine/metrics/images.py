@@ -57,6 +57,4 @@ def _same_shape(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
 def _window_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
     import cv2
 
-    return np.asarray(
-        cv2.GaussianBlur(values, (WINDOW, WINDOW), SIGMA, borderType=cv2.BORDER_CONSTANT), np.float64
-    )
+    return np.asarray(cv2.GaussianBlur(values, (WINDOW, WINDOW), SIGMA, borderType=cv2.BORDER_CONSTANT), np.float64)

@@ -95,6 +95,11 @@ class PanopticEvaluation:
         for pair, pixels in _shared_pixels(predicted[valid], true[valid]).items():
             self._pixels[pair] += pixels
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether no pixel with ground truth was added yet."""
+        return not self._pixels
+
     def _segments(self, semantic: NDArray[np.integer], instance: NDArray[np.integer]) -> NDArray[np.int64]:
         """Class and instance packed into one int64 a pixel, flat; stuff has no instance."""
         if semantic.size and min(int(semantic.min()), int(instance.min())) < 0:
@@ -106,7 +111,7 @@ class PanopticEvaluation:
 
     def result(self) -> PanopticScores:
         """The scores of all views added so far. Raises ValueError when no pixel had ground truth."""
-        if not self._pixels:
+        if self.is_empty:
             raise ValueError("nothing to score: no pixel has ground truth")
         ids = (VOID, *self.classes.ids)
         areas = _ClassAreas.of(self._pixels)
@@ -231,7 +236,7 @@ def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matc
 
 
 def _shared_pixels(predicted: NDArray[np.int64], true: NDArray[np.int64]) -> dict[Pair, int]:
-    """How many pixels each (predicted, true) pair of packed segments shares, in ascending order of the pair."""
+    """How many pixels each (predicted, true) pair of packed segments shares, in ascending order."""
     p_values, p_index = np.unique(predicted, return_inverse=True)
     t_values, t_index = np.unique(true, return_inverse=True)
     pairs, pixels = np.unique(p_index * max(len(t_values), 1) + t_index, return_counts=True)

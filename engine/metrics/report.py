@@ -1,0 +1,171 @@
+"""The figures of a lift: who scored what on the held-out frames, as metrics.json has it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene import ClassTable, Frame, GroundTruth, PanopticMask, Scene, load_view
+from .images import psnr, ssim
+from .panoptic import MODES, PanopticEvaluation, PanopticScores
+from .voxel_vote import VoxelMap, VoxelVote
+
+FORMAT = 1
+MACHINE_MASKS = "machine masks"
+LIFTED = "lifted"
+VOXEL_VOTE = "voxel vote (with test depth)"
+METHODS = (MACHINE_MASKS, LIFTED, VOXEL_VOTE)
+
+VOTING_WIDTH = 320
+"""Training views vote at most this wide: a pixel is still far smaller than a voxel, and rooms take seconds.
+"""
+
+Progress = Callable[[int, int], None]
+"""Called with (done, total) after each view; may raise to stop."""
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedView:
+    """What a method says about one frame, at the frame's own size.
+
+    ``semantic`` and ``instance`` int32 [H, W] (0 = void, none); ``image`` [H, W, 3], uint8 or floats in [0,
+    1], sRGB-encoded, or None when the method renders no picture.
+    """
+
+    semantic: NDArray[np.int32]
+    instance: NDArray[np.int32]
+    image: NDArray[np.generic] | None = None
+
+
+class Report:
+    """Collects scores, view after view and method after method, and writes them as tables."""
+
+    def __init__(self, classes: ClassTable) -> None:
+        self.classes = classes
+        self._labels: dict[str, list[PanopticEvaluation]] = {}
+        self._images: dict[str, list[tuple[float, float]]] = {}
+        self._frames: list[str] = []
+
+    def add(self, method: str, frame: Frame, view: PredictedView) -> None:
+        """Score one held-out view: its labels where the frame has ground truth, its picture if it has one.
+
+        Raises ValueError when the view has not the frame's size, SceneError when a file is bad.
+        """
+        if frame.name not in self._frames:
+            self._frames.append(frame.name)
+        if view.image is not None:
+            photo = frame.read_colour(frame.size)
+            scores = psnr(view.image, photo), ssim(view.image, photo)
+            self._images.setdefault(method, []).append(scores)
+        if frame.read_ground_truth is not None:
+            self._add_labels(method, view, frame.read_ground_truth(frame.size))
+
+    def _add_labels(self, method: str, view: PredictedView, truth: GroundTruth) -> None:
+        if method not in self._labels:
+            self._labels[method] = [PanopticEvaluation(self.classes, mode) for mode in MODES]
+        for evaluation in self._labels[method]:
+            evaluation.add(view.semantic, view.instance, truth.semantic, truth.instance)
+
+    def to_json(self) -> dict[str, object]:
+        """metrics.json: shares in [0, 1] (percent nowhere), decibels, null where something was not measured."""
+        methods = sorted({*self._labels, *self._images}, key=_place)
+        return {
+            "format": FORMAT,
+            "test_frames": list(self._frames),
+            "tables": [table for method in methods for table in self._tables(method)],
+        }
+
+    def _tables(self, method: str) -> Iterator[dict[str, object]]:
+        """One table a mode; just one, without a mode, when no labels could be scored."""
+        pictures = self._images.get(method, [])
+        image_scores = {
+            "psnr": sum(p for p, _ in pictures) / len(pictures) if pictures else None,
+            "ssim": sum(s for _, s in pictures) / len(pictures) if pictures else None,
+        }
+        scores = [evaluation.result() for evaluation in self._labels.get(method, []) if not evaluation.is_empty]
+        for score in scores:
+            yield {"name": method, **_label_scores(score), **image_scores}
+        if not scores and pictures:
+            nothing: dict[str, object] = {
+                "mode": None,
+                "miou": None,
+                "pq": None,
+                "sq": None,
+                "rq": None,
+                "per_class": [],
+            }
+            yield {"name": method, **nothing, **image_scores}
+
+
+def _label_scores(scores: PanopticScores) -> dict[str, object]:
+    return {**asdict(scores), "per_class": [asdict(row) for row in scores.per_class]}
+
+
+def _place(method: str) -> tuple[int, str]:
+    return (METHODS.index(method) if method in METHODS else len(METHODS), method)
+
+
+def evaluate_views(
+    scene: Scene, lifted: Callable[[Frame], PredictedView], progress: Progress | None = None
+) -> dict[str, object]:
+    """The whole report: machine masks, the lifted model (``lifted`` renders a held-out frame) and the
+    yardstick.
+
+    Returns what ``Report.to_json`` returns. Raises SceneError when a file is bad, and what ``lifted`` raises.
+    """
+    report = Report(scene.classes)
+    for frame in scene.test_frames:
+        report.add(LIFTED, frame, lifted(frame))
+    add_rivals(report, scene, progress)
+    return report.to_json()
+
+
+def add_rivals(report: Report, scene: Scene, progress: Progress | None = None) -> None:
+    """Score the machine masks as they are, and the voxel vote, on the held-out frames that have ground truth.
+
+    Does nothing without ground truth. Raises SceneError when a file is bad.
+    """
+    frames = [frame for frame in scene.test_frames if frame.read_ground_truth is not None]
+    if not frames:
+        return
+    first_id = 1
+    for frame in frames:
+        view = masks_as_prediction(frame.read_mask(frame.size), first_id)
+        first_id = max(first_id, int(view.instance.max(initial=0)) + 1)
+        report.add(MACHINE_MASKS, frame, view)
+    voxels = vote(scene, progress)
+    if voxels is None:
+        return
+    for frame in frames:
+        report.add(VOXEL_VOTE, frame, read_voxels(voxels, frame))
+
+
+def masks_as_prediction(mask: PanopticMask, first_id: int) -> PredictedView:
+    """A machine mask as a prediction. Its ids become ``first_id``.., because ids of different views mean
+    different things.
+    """
+    values, index = np.unique(mask.ids, return_inverse=True)
+    fresh = np.where(values > 0, np.cumsum(values > 0) + first_id - 1, 0).astype(np.int32)
+    return PredictedView(mask.class_map(), fresh[index.reshape(mask.ids.shape)])
+
+
+def vote(scene: Scene, progress: Progress | None = None) -> VoxelMap | None:
+    """The yardstick's map from the training views, or None when no pixel could vote. Raises SceneError."""
+    votes = VoxelVote(scene.classes)
+    frames = scene.train_frames
+    for done, frame in enumerate(frames, start=1):
+        width, height = frame.size
+        scale = min(1.0, VOTING_WIDTH / width)
+        view = load_view(frame, (round(width * scale), max(1, round(height * scale))))
+        votes.add(view.camera, view.depth, view.mask.class_map())
+        if progress:
+            progress(done, len(frames))
+    return None if votes.is_empty else votes.result()
+
+
+def read_voxels(voxels: VoxelMap, frame: Frame) -> PredictedView:
+    """The yardstick's answer for a held-out frame, read with that frame's own depth. Raises SceneError."""
+    return PredictedView(*voxels.look_up(frame.camera, frame.read_depth(frame.size)))

@@ -1,0 +1,106 @@
+"""The report over a scene held in memory, and its table."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.metrics import (
+    LIFTED,
+    MACHINE_MASKS,
+    VOXEL_VOTE,
+    PredictedView,
+    Report,
+    evaluate_views,
+    format_classes,
+    format_table,
+)
+from engine.scene import Camera, Category, ClassTable, Frame, GroundTruth, PanopticMask, Scene, Segment
+
+CLASSES = ClassTable((Category(1, "wall", False, (9, 9, 9)), Category(5, "chair", True, (200, 9, 9))))
+SIZE = (60, 40)
+TRUE_CLASS = np.full((40, 60), 1, np.int32)
+TRUE_CLASS[5:35, 5:25] = 5
+TRUE_CLASS[5:35, 35:55] = 5
+TRUE_ID = np.where(TRUE_CLASS == 5, 1 + (np.arange(60) > 30), 0).astype(np.int32)
+PHOTO = np.random.default_rng(0).integers(0, 256, (40, 60, 3), dtype=np.uint8)
+
+
+def _frame(index: int, wrong: bool) -> Frame:
+    """A view whose machine mask has ids of its own and, when ``wrong``, calls the left chair a wall."""
+    ids = np.where(TRUE_CLASS == 5, TRUE_ID + 10 * (index + 1), 1).astype(np.int32)
+    left = 11 + 10 * index
+    segments = (Segment(1, 1, False), Segment(left, 1 if wrong else 5, not wrong), Segment(left + 1, 5, True))
+    return Frame(
+        name=f"{index:04d}",
+        camera=Camera(*SIZE, 60.0, 60.0, 30.0, 20.0, np.eye(4)),
+        held_out=index >= 3,
+        colour_path=Path(),
+        depth_path=Path(),
+        read_colour=lambda size: PHOTO,
+        read_depth=lambda size: np.full((40, 60), 2.0, np.float32),
+        read_mask=lambda size: PanopticMask(ids, segments),
+        read_ground_truth=lambda size: GroundTruth(TRUE_CLASS, TRUE_ID),
+    )
+
+
+SCENE = Scene(Path(), tuple(_frame(index, wrong=index in (1, 4)) for index in range(5)), CLASSES)
+
+
+def _perfect(frame: Frame) -> PredictedView:
+    return PredictedView(TRUE_CLASS, TRUE_ID, PHOTO)
+
+
+def test_three_methods_in_two_modes() -> None:
+    metrics = evaluate_views(SCENE, _perfect)
+    tables = {(table["name"], table["mode"]): table for table in metrics["tables"]}  # type: ignore[attr-defined]
+    assert list(tables) == [(n, m) for n in (MACHINE_MASKS, LIFTED, VOXEL_VOTE) for m in ("strict", "pl_compat")]
+    assert metrics["test_frames"] == ["0003", "0004"]
+    lifted, masks = tables[LIFTED, "strict"], tables[MACHINE_MASKS, "strict"]
+    assert (lifted["miou"], lifted["pq"], lifted["psnr"]) == (1.0, 1.0, 100.0)
+    # Ids are new in every view: each true chair spans two views, so no segment covers more than half of it.
+    assert masks["per_class"][1]["pq"] == 0.0
+    assert masks["psnr"] is None
+    assert masks["miou"] < tables[VOXEL_VOTE, "strict"]["miou"] < 1.0
+    assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
+
+
+def test_without_ground_truth_only_pictures_are_scored() -> None:
+    scene = replace(SCENE, frames=tuple(replace(f, read_ground_truth=None) for f in SCENE.frames))
+    metrics = evaluate_views(scene, _perfect)
+    (table,) = metrics["tables"]  # type: ignore[misc]
+    assert (table["name"], table["mode"], table["miou"], table["psnr"]) == (LIFTED, None, None, 100.0)
+    assert "100.0" in format_table(metrics)
+
+
+def test_void_ground_truth_gives_no_table() -> None:
+    nothing = np.zeros((40, 60), np.int32)
+    frame = replace(SCENE.frames[3], read_ground_truth=lambda size: GroundTruth(nothing, nothing))
+    report = Report(CLASSES)
+    report.add(MACHINE_MASKS, frame, PredictedView(TRUE_CLASS, TRUE_ID))
+    assert report.to_json()["tables"] == []
+    assert "no ground truth" in format_table(report.to_json())
+
+
+def test_a_view_of_another_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="differ"):
+        Report(CLASSES).add(LIFTED, SCENE.frames[3], PredictedView(TRUE_CLASS[1:], TRUE_ID[1:]))
+
+
+def test_the_table_names_the_mode_beside_every_number() -> None:
+    lines = format_table(evaluate_views(SCENE, _perfect)).splitlines()
+    assert len(lines) == 7
+    assert lines[3].split() == ["lifted", "strict", "100.0", "100.0", "100.0", "100.0", "100.0", "1.000"]
+    assert all(("strict" in line) != ("pl_compat" in line) for line in lines[1:])
+    assert max(len(line) for line in lines) <= 81  # 80 but for the PSNR of equal pictures
+
+
+def test_the_table_of_classes() -> None:
+    lines = format_classes(evaluate_views(SCENE, _perfect)).splitlines()
+    assert lines[0].startswith("lifted, strict")
+    assert lines[2].split() == ["chair", "100.0", "100.0", "100.0", "100.0", "2", "0", "0"]
+    assert format_classes({"tables": []}) == ""
