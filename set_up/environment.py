@@ -123,7 +123,8 @@ def pip_environment() -> dict[str, str]:
 
 def pip_options(files: tuple[str, ...]) -> list[str]:
     """Options of one `pip install` call; torch alone is looked for in the index of CPU builds that the user named."""
-    options = ["--constraint", constraints(sys.version_info[:2])]
+    # Most of the packages' files are never imported: Python compiles those that are, the first time.
+    options = ["--no-compile", "--constraint", constraints(sys.version_info[:2])]
     for name in files:
         options += ["--requirement", name]
     index = os.environ.get("TORCH_INDEX", "")
