@@ -178,7 +178,8 @@ def _machine_mask(
         semantic, instance = semantic[rows, columns], instance[rows, columns]
     ids = np.zeros(semantic.shape, np.int32)
     segments: list[dict[str, object]] = []
-    for class_id, number in sorted({*zip(semantic.ravel().tolist(), instance.ravel().tolist(), strict=True)}):
+    for pair in np.unique(semantic * 16 + instance).tolist():
+        class_id, number = divmod(pair, 16)
         segment_id = first_id + len(segments)
         where = (semantic == class_id) & (instance == number)
         ids[where] = segment_id
