@@ -6,7 +6,7 @@ compare with the depth there (equation "ProjectionEquation" of the paper, with a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -48,8 +48,11 @@ class Overlap:
     agreement: float
 
 
-def measure_overlap(thumbnails: Sequence[Thumbnail]) -> Overlap:
-    """Compare every frame with the next three, and 24 frames spread over the scene with each other."""
+def measure_overlap(thumbnails: Sequence[Thumbnail], tick: Callable[[], object] | None = None) -> Overlap:
+    """Compare every frame with the next three, and 24 frames spread over the scene with each other.
+
+    ``tick`` is called after each pair.
+    """
     count = len(thumbnails)
     spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
     pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
@@ -61,6 +64,8 @@ def measure_overlap(thumbnails: Sequence[Thumbnail]) -> Overlap:
         best[i], best[j] = max(best[i], agreeing), max(best[j], agreeing)
         if inside >= _LOOKED_AT:
             looks.append((inside, agreeing / inside))
+        if tick is not None:
+            tick()
     medians = np.median(np.array(looks), axis=0) if looks else np.zeros(2)
     return Overlap(
         lonely=tuple(thumbnail.name for thumbnail, share in zip(thumbnails, best, strict=True) if share < _OVERLAPPING),

@@ -23,6 +23,20 @@ def test_a_sound_scene_has_no_warnings_noise_or_not(tmp_path: Path) -> None:
     assert check_scene(open_scene(write_tiny_scene(tmp_path, frames=9, noise=0.4, seed=3))) == ()
 
 
+def test_progress_is_told_and_may_end_the_check(tmp_path: Path) -> None:
+    scene = open_scene(write_tiny_scene(tmp_path, frames=5, size=(32, 24)))
+    seen: list[tuple[int, int]] = []
+    check_scene(scene, progress=lambda done, total: seen.append((done, total)))
+    assert seen[:5] == [(done, 5) for done in range(1, 6)] and {*seen[5:]} == {(5, 5)}
+
+    def cancel(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        check_scene(scene, progress=cancel)
+
+
 def test_depth_beyond_any_room_is_a_warning(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     repaint(folder, 10.0)

@@ -49,6 +49,6 @@ def test_opengl_poses_get_two_warnings(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=8)
     for path in (folder / "pose").iterdir():
         np.savetxt(path, np.loadtxt(path) @ np.diag([1.0, -1.0, -1.0, 1.0]))
-    warnings = check_scene(open_scene(folder))
-    assert "OpenGL" in warnings[0]
-    assert warnings[1].startswith("frames disagree about where surfaces are")
+    scene = open_scene(folder)
+    assert "OpenGL" in scene.warnings[0]
+    assert check_scene(scene)[0].startswith("frames disagree about where surfaces are")
