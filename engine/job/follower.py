@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -66,13 +66,16 @@ class LiftFollower:
         self._error: Event | None = None
 
     @classmethod
-    def start(cls, folder: LiftFolder, *, resume: bool, python: Path | None = None) -> LiftFollower:
-        """Start an engine and follow it. Raises JobError when no Python for it is found or it does not start."""
+    def start(cls, folder: LiftFolder, *, resume: bool, command: Sequence[str | Path] | None = None) -> LiftFollower:
+        """Start an engine, with its usual command unless told otherwise, and follow it.
+
+        Raises JobError when no Python for it is found or it does not start.
+        """
         reader = EventReader(folder.events_path, from_end=True)
         if resume:
             # Here, before the engine lives: a cancel that is asked for from now on is not to be taken for an old one.
             folder.cancel_path.unlink(missing_ok=True)
-        process = EngineProcess(engine_command(python or engine_python(), folder.path, resume=resume))
+        process = EngineProcess(command or engine_command(engine_python(), folder.path, resume=resume))
         return cls(folder, process, reader=reader)
 
     def poll(self) -> list[Event]:
@@ -144,6 +147,8 @@ class LiftFollower:
         if self._error is not None:
             data = self._error.data
             return Outcome(_exit_code(data.get("exit_code")), f"{data['what']}: {data['where']}. {data['fix']}")
+        if code in (ExitCode.BAD_INPUT, ExitCode.INTERNAL_ERROR):  # without an event: it never began
+            return Outcome(_exit_code(code), self._last_words())
         state = self.folder.state_at_rest()
         if state is LiftState.FINISHED:
             return Outcome(ExitCode.FINISHED)

@@ -11,7 +11,7 @@ from .exit_code import ExitCode
 from .folder import LiftFolder, LiftState
 from .follower import LiftFollower
 from .options import request_from, resumable
-from .process import engine_python
+from .process import engine_command, engine_python
 from .request import LiftRequest
 from .terminal import Interrupts, LiveLine, follow
 
@@ -45,7 +45,7 @@ def lift_in_terminal(
 
 def _run(lift: LiftFolder, interrupts: Interrupts, python: Path, *, resume: bool) -> ExitCode:
     with interrupts.deferred():
-        follower = LiftFollower.start(lift, resume=resume, python=python)
+        follower = LiftFollower.start(lift, resume=resume, command=engine_command(python, lift.path, resume=resume))
         outcome = follow(follower, interrupts, LiveLine(sys.stderr))
     if outcome.error is not None:
         print(f"error: {outcome.error}", file=sys.stderr)

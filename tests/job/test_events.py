@@ -1,0 +1,126 @@
+"""events.jsonl: one whole line after another, across kills."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+import pytest
+
+from engine.job import EventReader, EventWriter, last_run
+
+
+def lines(path: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+def test_writes_what_the_contract_says(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    writer = EventWriter(path)
+    writer.hello(threads=2, resumed=False)
+    writer.stage("train", 2, 3, "Training")
+    writer.progress("train", 5, 10, loss=float("nan"), eta_s=1.5)
+    writer.metric("lifted", {"miou": 0.5, "psnr": float("inf")})
+    writer.preview(tmp_path / "result" / "previews" / "a.png")
+    writer.artifact(Path("/elsewhere/b.exr"), "pass")
+    writer.warning("dark")
+    writer.error("is bad", tmp_path, "Mend it.", 2)
+    writer.done("finished")
+    written = lines(path)
+    assert [entry.pop("seq") for entry in written] == list(range(1, 10))
+    assert all(isinstance(entry.pop("time"), float) for entry in written)
+    assert set(written[0]) == {"event", "engine_version", "pid", "python", "threads", "resumed"}
+    assert written[1] == {"event": "stage", "name": "train", "index": 2, "count": 3, "label": "Training"}
+    assert written[2] == {"event": "progress", "stage": "train", "step": 5, "steps": 10, "loss": None, "eta_s": 1.5}
+    assert written[3] == {"event": "metric", "name": "lifted", "values": {"miou": 0.5, "psnr": None}}
+    assert written[4] == {"event": "preview", "path": "result/previews/a.png"}
+    assert written[5] == {"event": "artifact", "path": "/elsewhere/b.exr", "kind": "pass"}
+    assert written[7] == {"event": "error", "what": "is bad", "where": str(tmp_path), "fix": "Mend it.", "exit_code": 2}
+    assert written[8]["event"] == "done" and written[8]["state"] == "finished"
+
+
+@pytest.mark.parametrize("torn", [b'{"seq": 3, "time": 1.0, "ev', b"\0\0\0\0", b'{"seq":3,"time":1.0,"event":"done"}'])
+def test_goes_on_after_a_torn_line(tmp_path: Path, torn: bytes) -> None:
+    path = tmp_path / "events.jsonl"
+    first = EventWriter(path)
+    first.warning("one")
+    first.warning("two")
+    first.close()
+    with path.open("ab") as file:
+        file.write(torn)
+    reader = EventReader(path)
+    assert [event.seq for event in reader.poll()] == [1, 2]
+    second = EventWriter(path)
+    second.warning("a longer line than the torn one, so that a wrong position would show at once")
+    assert [entry["seq"] for entry in lines(path)] == [1, 2, 3]
+    assert [event.seq for event in reader.poll()] == [3]
+
+
+def test_reads_every_line_once_however_it_arrives(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    source = tmp_path / "source.jsonl"
+    writer = EventWriter(source)
+    for number in range(5):
+        writer.warning(f"number {number} – ü")
+    reader, seen = EventReader(path), []
+    assert reader.poll() == []
+    with path.open("ab", buffering=0) as file:
+        for byte in source.read_bytes():
+            file.write(bytes([byte]))
+            seen += [event.seq for event in reader.poll()]
+    assert seen == [1, 2, 3, 4, 5]
+
+
+def test_leaves_out_what_it_does_not_know(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_text(
+        '{"seq":1,"time":0,"event":"warning","message":"a"}\nnonsense\n[1]\n{"seq":2}\n'
+        '{"seq":3,"time":0,"event":"fanfare"}\n{"seq":4,"time":0,"event":"warning","message":"b"}\n'
+    )
+    assert [event.data["message"] for event in EventReader(path).poll()] == ["a", "b"]
+    writer = EventWriter(path)
+    writer.warning("c")
+    assert json.loads(path.read_text().splitlines()[-1])["seq"] == 5
+
+
+def test_begins_at_the_end_when_asked(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    writer = EventWriter(path)
+    writer.warning("old")
+    reader = EventReader(path, from_end=True)
+    writer.warning("new")
+    assert [event.data["message"] for event in reader.poll()] == ["new"]
+
+
+def test_nothing_comes_after_done(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    writer = EventWriter(path)
+    writer.done("cancelled")
+    writer.done("finished")
+    writer.warning("late")
+    assert [entry.get("state") for entry in lines(path)] == ["cancelled"]
+
+
+def test_two_threads_never_mix_their_lines(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    writer = EventWriter(path)
+    threads = [
+        threading.Thread(target=lambda: [writer.progress("train", step, 200) for step in range(200)]) for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [entry["seq"] for entry in lines(path)] == list(range(1, 801))
+
+
+def test_last_run_begins_with_the_last_hello(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    writer = EventWriter(path)
+    writer.hello(threads=1, resumed=False)
+    writer.warning("one")
+    writer.hello(threads=1, resumed=True)
+    writer.warning("two")
+    assert [event.seq for event in last_run(path)] == [3, 4]
+    assert last_run(tmp_path / "missing") == []

@@ -1,0 +1,155 @@
+"""The lift folder: made once, never taken over, and its state is what happened."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from engine.job import EventWriter, JobError, LiftFolder, LiftRequest, LiftState, StopSignal
+from tests.job.lift_folders import new_lift, tiny_lift
+
+
+def run_tiny(folder: LiftFolder) -> None:
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=False)
+    tiny_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
+    events.done("finished")
+    events.close()
+
+
+def test_opens_what_was_created(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path / "deep")
+    again = LiftFolder.open(folder.path)
+    assert again == folder and again.state() is LiftState.NOT_STARTED
+    assert [path.name for path in folder.path.iterdir()] == ["request.json"]
+
+
+def test_takes_an_empty_folder_even_after_a_kill_in_create(tmp_path: Path) -> None:
+    (tmp_path / "lift").mkdir()
+    (tmp_path / "lift" / ".part-123-request.json").write_text("{")
+    assert new_lift(tmp_path).state() is LiftState.NOT_STARTED
+
+
+def test_never_takes_over_a_folder(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    before = (folder.path / "request.json").read_bytes()
+    with pytest.raises(JobError, match="already holds a lift.*--resume"):
+        LiftFolder.create(folder.path, LiftRequest(scene=tmp_path, seed=9))
+    assert (folder.path / "request.json").read_bytes() == before
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
+    with pytest.raises(JobError, match=r"'cat\.jpg'"):
+        new_lift(tmp_path, "photos")
+    assert [path.name for path in (tmp_path / "photos").iterdir()] == ["cat.jpg"]
+    (tmp_path / "file").write_bytes(b"")
+    for name in ("file", "file/below"):
+        with pytest.raises(JobError):
+            new_lift(tmp_path, name)
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere")
+def test_says_when_it_may_not_write(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(JobError, match="cannot be written"):
+        new_lift(tmp_path)
+
+
+def test_says_when_a_folder_cannot_be_made(tmp_path: Path) -> None:
+    with pytest.raises(JobError, match="cannot be written"):
+        new_lift(tmp_path, "n" * 300)
+
+
+def test_refuses_what_is_no_lift(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "missing"):
+        with pytest.raises(JobError):
+            LiftFolder.open(path)
+
+
+def test_the_state_is_what_happened(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    events = EventWriter(folder.events_path)
+    assert folder.state() is LiftState.NOT_STARTED
+    events.hello(threads=1, resumed=False)
+    assert folder.state() is LiftState.INTERRUPTED
+    events.error("broke", "here", "Mend it.", 2)
+    assert folder.state() is LiftState.FAILED and folder.last_exit_code() == 2
+    events.hello(threads=1, resumed=True)
+    assert folder.state() is LiftState.INTERRUPTED and folder.last_exit_code() is None
+    events.done("cancelled")
+    assert folder.state() is LiftState.CANCELLED
+    with folder.lock():
+        assert folder.state() is LiftState.RUNNING
+    run_tiny(folder)
+    assert folder.state() is LiftState.FINISHED
+
+
+def test_events_alone_never_make_it_finished(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    run_tiny(folder)
+    (folder.result_path / "metrics.json").write_text("{")
+    assert folder.state() is LiftState.INTERRUPTED
+    folder.manifest_path.unlink()
+    assert folder.state() is LiftState.INTERRUPTED
+
+
+def test_preparing_a_run_clears_what_must_not_outlive_the_last(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    run_tiny(folder)
+    folder.checkpoints.save({"step": 1}, lambda path: (path / "m").write_bytes(b""))
+    folder.ask_to_cancel()
+    (folder.result_path / ".part-x.exr").write_bytes(b"")
+    folder.prepare_run()
+    assert not folder.cancel_path.exists() and not folder.manifest_path.exists()
+    assert folder.checkpoints.latest() is not None
+    assert [path.name for path in folder.result_path.iterdir()] == ["metrics.json"]
+
+
+def test_discards_only_what_came_to_nothing(tmp_path: Path) -> None:
+    empty = new_lift(tmp_path, "empty")
+    empty.log_path.write_text("bad input")
+    empty.discard()
+    assert not empty.path.exists()
+    done = new_lift(tmp_path, "done")
+    run_tiny(done)
+    begun = new_lift(tmp_path, "begun")
+    begun.checkpoints.save({"step": 1}, lambda path: (path / "m").write_bytes(b""))
+    running = new_lift(tmp_path, "running")
+    with running.lock():
+        for folder in (done, begun, running):
+            with pytest.raises(JobError, match="holds work"):
+                folder.discard()
+            assert (folder.path / "request.json").exists()
+    kept = new_lift(tmp_path, "kept")
+    (kept.path / "lift.blend").write_bytes(b"somebody's")
+    kept.discard()
+    assert [path.name for path in kept.path.iterdir()] == ["lift.blend"]
+
+
+def test_only_one_engine_at_a_time(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    with folder.lock(), pytest.raises(JobError, match="another engine"), folder.lock():
+        pass
+    with folder.lock():
+        pass
+
+
+def test_the_lock_ends_with_its_process(tmp_path: Path, root: Path) -> None:
+    folder = new_lift(tmp_path)
+    code = (
+        "import sys, time; from pathlib import Path; from engine.job import LiftFolder\n"
+        "with LiftFolder.open(Path(sys.argv[1])).lock(): print(flush=True); time.sleep(60)"
+    )
+    holder = subprocess.Popen([sys.executable, "-c", code, folder.path], cwd=root, stdout=subprocess.PIPE)
+    with holder:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        assert folder.is_running
+        for _ in range(5):  # looking does not disturb the holder
+            assert folder.state() is LiftState.RUNNING
+        holder.kill()
+        holder.wait()
+        assert not folder.is_running

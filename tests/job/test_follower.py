@@ -1,0 +1,201 @@
+"""Two processes: whatever happens to one, the other does the right thing within a second."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from engine.job import EventReader, ExitCode, LiftFolder, LiftState
+from engine.job.follower import LiftFollower
+from engine.job.process import EngineProcess
+from tests.job.lift_folders import new_lift
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+FAKE = Path(__file__).parent / "fake_engine.py"
+A_SECOND = 1.4
+"""With what a loaded machine needs to look."""
+Start = Callable[..., LiftFollower]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> LiftFolder:
+    return new_lift(tmp_path)
+
+
+@pytest.fixture
+def start(folder: LiftFolder) -> Iterator[Start]:
+    followers = []
+
+    def start_one(behaviour: str, resume: bool = False) -> LiftFollower:
+        command = [sys.executable, FAKE, behaviour, folder.path, *(["--resume"] if resume else [])]
+        followers.append(LiftFollower.start(folder, resume=resume, command=command))
+        return followers[-1]
+
+    yield start_one
+    for follower in followers:
+        follower.kill()
+        follower.close()
+
+
+def follow(follower: LiftFollower, until: Callable[[], bool] = lambda: False, patience: float = 20.0) -> float:
+    """Poll until the end, or until something holds; returns the seconds it took."""
+    began = time.monotonic()
+    while follower.outcome is None and not until():
+        assert time.monotonic() - began < patience, follower.status
+        follower.poll()
+        time.sleep(0.02)
+    return time.monotonic() - began
+
+
+def step_reached(follower: LiftFollower, step: int) -> Callable[[], bool]:
+    return lambda: follower.status.step >= step
+
+
+def code_of(follower: LiftFollower) -> ExitCode:
+    assert follower.outcome is not None
+    return follower.outcome.code
+
+
+def test_follows_to_the_end(folder: LiftFolder, start: Start) -> None:
+    follower = start("short")
+    follow(follower)
+    assert follower.outcome is not None and follower.outcome.error is None
+    assert code_of(follower) is ExitCode.FINISHED and folder.state() is LiftState.FINISHED
+    assert follower.status.label == "Training" and follower.status.step == 1
+    log = folder.log_path.read_text()
+    assert "python talks\n" in log and "native code talks\n" in log
+
+
+def test_cancel_stops_it_and_resume_goes_on(folder: LiftFolder, start: Start) -> None:
+    follower = start("patient")
+    follow(follower, step_reached(follower, 3))
+    follower.cancel()
+    assert follow(follower) < A_SECOND
+    assert code_of(follower) is ExitCode.CANCELLED and folder.state() is LiftState.CANCELLED
+    checkpoint = folder.checkpoints.latest()
+    assert checkpoint is not None
+    again = start("short", resume=True)
+    follow(again)
+    assert code_of(again) is ExitCode.FINISHED and not folder.cancel_path.exists()
+    steps = [event.data["step"] for event in EventReader(folder.events_path).poll() if event.kind == "progress"]
+    assert steps == [*range(1, 11), 1]  # no step was done twice; the last one is the tiny lift's own
+
+
+@pytest.mark.parametrize("behaviour", ["deaf", "holds the lock"])
+def test_cancel_ends_a_deaf_engine_within_a_second(folder: LiftFolder, start: Start, behaviour: str) -> None:
+    follower = start(behaviour)
+    follow(follower, step_reached(follower, 5))
+    folder.cancel_path.touch()  # somebody else asks
+    assert follow(follower) < A_SECOND
+    assert code_of(follower) is ExitCode.CANCELLED
+    assert folder.checkpoints.latest() is not None and not folder.is_running
+
+
+def test_a_killed_engine_is_told_and_can_be_resumed(folder: LiftFolder, start: Start) -> None:
+    follower = start("patient")
+    follow(follower, step_reached(follower, 3))
+    follower.kill()
+    follow(follower)
+    assert code_of(follower) is ExitCode.INTERNAL_ERROR
+    assert follower.outcome is not None and "signal 9" in str(follower.outcome.error)
+    assert folder.state() is LiftState.INTERRUPTED
+    again = start("short", resume=True)
+    follow(again)
+    assert code_of(again) is ExitCode.FINISHED
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "code", "told", "logged"),
+    [
+        ("bad input", ExitCode.BAD_INPUT, "is too dark: {scene}. Switch the light on.", "python talks"),
+        ("broken", ExitCode.INTERNAL_ERROR, "ZeroDivisionError: no such luck", "Traceback"),
+        ("memory", ExitCode.INTERNAL_ERROR, "memory ran out", "MemoryError"),
+        ("segfault", ExitCode.INTERNAL_ERROR, "signal 11", "Segmentation fault"),
+        ("exits", ExitCode.INTERNAL_ERROR, "{log}", "python talks"),
+    ],
+)
+def test_every_end_is_told(
+    folder: LiftFolder, start: Start, behaviour: str, code: ExitCode, told: str, logged: str
+) -> None:
+    follower = start(behaviour)
+    follow(follower)
+    assert code_of(follower) is code
+    assert follower.outcome is not None and follower.outcome.error is not None
+    assert told.format(scene=folder.request.scene, log=folder.log_path) in follower.outcome.error
+    assert "\n" not in follower.outcome.error
+    assert logged in folder.log_path.read_text()
+    assert folder.state() in (LiftState.FAILED, LiftState.INTERRUPTED)
+
+
+def test_what_stops_it_before_it_begins_is_told(folder: LiftFolder, start: Start) -> None:
+    with folder.lock():
+        follower = start("short")
+        follow(follower)
+    assert follower.outcome is not None and "another engine is at work" in str(follower.outcome.error)
+    nonsense = LiftFollower(folder, EngineProcess([sys.executable, "-c", "raise SystemExit('no such thing')"]))
+    follow(nonsense)
+    assert nonsense.outcome is not None and nonsense.outcome.error == "no such thing"
+    nonsense.close()
+
+
+def test_a_finished_lift_is_left_as_it_is(folder: LiftFolder, start: Start) -> None:
+    follow(start("short"))
+    before = {path: path.stat().st_mtime_ns for path in folder.path.rglob("*")}
+    again = start("short", resume=True)
+    follow(again)
+    assert code_of(again) is ExitCode.FINISHED
+    refused = start("short")
+    follow(refused)
+    assert refused.outcome is not None and "begun before (finished)" in str(refused.outcome.error)
+    assert {path: path.stat().st_mtime_ns for path in folder.path.rglob("*")} == before
+
+
+def test_without_resume_a_begun_lift_is_refused(folder: LiftFolder, start: Start) -> None:
+    follower = start("patient")
+    follow(follower, step_reached(follower, 2))
+    follower.kill()
+    follow(follower)
+    before = folder.events_path.read_bytes()
+    refused = start("short")
+    follow(refused)
+    assert refused.outcome is not None and "--resume" in str(refused.outcome.error)
+    assert folder.events_path.read_bytes() == before
+
+
+@pytest.mark.parametrize("behaviour", ["patient", "deaf"])
+def test_the_engine_ends_when_its_parent_is_killed(folder: LiftFolder, root: Path, behaviour: str) -> None:
+    code = (
+        "import sys, time; from pathlib import Path; from engine.job.process import EngineProcess\n"
+        "process = EngineProcess(sys.argv[1:]); time.sleep(60)"
+    )
+    command = [sys.executable, "-c", code, sys.executable, FAKE, behaviour, folder.path]
+    with subprocess.Popen(command, cwd=root) as parent:
+        watcher = LiftFollower(folder)
+        began = time.monotonic()
+        while watcher.status.step < 5:
+            assert time.monotonic() - began < 20
+            watcher.outcome = None  # until the engine holds its lock it looks as if nobody worked there
+            watcher.poll()
+            time.sleep(0.02)
+        assert folder.is_running
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+        assert follow(watcher) < A_SECOND
+    assert folder.state() is LiftState.CANCELLED
+
+
+def test_watching_somebody_elses_engine(folder: LiftFolder, start: Start) -> None:
+    own = start("patient")
+    follow(own, step_reached(own, 2))
+    watcher = LiftFollower(folder)
+    watcher.poll()
+    assert watcher.outcome is None and watcher.status.step >= 2
+    watcher.cancel()
+    follow(watcher)
+    assert code_of(watcher) is ExitCode.CANCELLED

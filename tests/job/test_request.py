@@ -1,0 +1,98 @@
+"""request.json: what goes in comes out, and everything else is refused with a reason."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from engine.job import JobError, LiftRequest
+
+FULL = LiftRequest(
+    scene=Path("/scenes/room"),
+    masks=Path("/masks"),
+    preset="paper",
+    steps=9,
+    size=(64, 48),
+    seed=3,
+    up="-y",
+    bake="all",
+)
+
+
+def test_comes_back_as_it_went(tmp_path: Path) -> None:
+    for request in (FULL, LiftRequest(scene=Path("/scenes/Zimmer für zwei"))):
+        (tmp_path / "request.json").write_text(request.to_json(), encoding="utf-8")
+        assert LiftRequest.read(tmp_path / "request.json") == request
+
+
+def test_has_the_documented_form() -> None:
+    content = json.loads(LiftRequest(scene=Path("/s")).to_json())
+    assert content == {
+        "format": 1,
+        "engine_version": content["engine_version"],
+        "scene": "/s",
+        "masks": None,
+        "preset": "preview",
+        "overrides": {"steps": None, "size": None},
+        "seed": 0,
+        "up": "z",
+        "bake": "test",
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"format": 2}, "format 2"),
+        ({"format": None}, "format None"),
+        ({"colour": 1}, "'colour'"),
+        ({"overrides": {"step": 3}}, "'step'"),
+        ({"overrides": [1]}, "'overrides'"),
+        ({"overrides": {"steps": "many"}}, "steps = 'many'"),
+        ({"overrides": {"steps": 0}}, "steps = 0"),
+        ({"overrides": {"steps": True}}, "steps = True"),
+        ({"overrides": {"size": [64]}}, "size = (64,)"),
+        ({"overrides": {"size": [64, 4.5]}}, "4.5"),
+        ({"overrides": {"size": "64x48"}}, "'size'"),
+        ({"overrides": {"size": [8, 48]}}, "size = (8, 48)"),
+        ({"seed": -1}, "seed = -1"),
+        ({"seed": 2**32}, "seed"),
+        ({"seed": None}, "seed = None"),
+        ({"scene": 5}, "'scene'"),
+        ({"scene": "relative"}, "'scene'"),
+        ({"masks": 5}, "'masks'"),
+        ({"preset": "best"}, "preview, standard, paper"),
+        ({"preset": None}, "'preset'"),
+        ({"up": "x"}, "z, y, -y"),
+        ({"bake": "some"}, "test, all, none"),
+        ({"engine_version": 1}, "'engine_version'"),
+    ],
+)
+def test_refuses(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+    path = tmp_path / "request.json"
+    path.write_text(json.dumps(json.loads(FULL.to_json()) | change))
+    with pytest.raises(JobError) as caught:
+        LiftRequest.read(path)
+    assert told in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert caught.value.fix.endswith(".")
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe{}", b"null"])
+def test_refuses_what_is_no_request(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "request.json"
+    path.write_bytes(content)
+    with pytest.raises(JobError, match=r"request\.json"):
+        LiftRequest.read(path)
+
+
+def test_tells_what_differs() -> None:
+    assert FULL.differences(LiftRequest(scene=FULL.scene, masks=FULL.masks, preset="paper", seed=3)) == [
+        "steps",
+        "size",
+        "up",
+        "bake",
+    ]

@@ -1,0 +1,87 @@
+"""Cancelling: by the file, by the parent's end, and against a main thread that does not listen."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from engine.job import Cancelled, EventWriter, ExitCode, StopSignal, Watchdog, last_run
+
+
+class Ended:
+    """Stands for the end of the process."""
+
+    def __init__(self) -> None:
+        self.code: int | None = None
+        self.when = threading.Event()
+
+    def __call__(self, code: int) -> None:
+        self.code = code
+        self.when.set()
+
+
+@pytest.fixture
+def events(tmp_path: Path) -> Iterator[EventWriter]:
+    writer = EventWriter(tmp_path / "events.jsonl")
+    writer.hello(threads=1, resumed=False)
+    yield writer
+    writer.close()
+
+
+def test_a_check_is_cheap_and_raises_once_the_file_is_there(tmp_path: Path) -> None:
+    stop = StopSignal(tmp_path / "cancel")
+    began = time.perf_counter()
+    for _ in range(1000):
+        stop.check()
+    assert time.perf_counter() - began < 0.5
+    (tmp_path / "cancel").touch()
+    with pytest.raises(Cancelled, match="cancel"):
+        stop.check()
+
+
+def test_ends_a_deaf_engine_within_a_second(tmp_path: Path, events: EventWriter) -> None:
+    ended, stop = Ended(), StopSignal(tmp_path / "cancel")
+    with Watchdog(stop, events, end_process=ended):
+        time.sleep(0.15)
+        (tmp_path / "cancel").touch()
+        assert ended.when.wait(1.0)
+    assert ended.code == ExitCode.CANCELLED
+    assert last_run(tmp_path / "events.jsonl")[-1].data["state"] == "cancelled"
+
+
+def test_leaves_an_engine_alone_that_stops_by_itself(tmp_path: Path, events: EventWriter) -> None:
+    ended, stop = Ended(), StopSignal(tmp_path / "cancel")
+    with Watchdog(stop, events, end_process=ended, grace_s=0.2):
+        (tmp_path / "cancel").touch()
+        with pytest.raises(Cancelled):
+            stop.check()
+    assert not ended.when.wait(0.5)
+
+
+def test_notices_the_end_of_the_parent(tmp_path: Path, events: EventWriter) -> None:
+    ended, stop = Ended(), StopSignal(tmp_path / "cancel")
+    ours, parents = os.pipe()
+    try:
+        with Watchdog(stop, events, parent_pipe=ours, end_process=ended, grace_s=0.2):
+            os.write(parents, b"anything")
+            time.sleep(0.1)
+            stop.check()
+            os.close(parents)
+            assert ended.when.wait(1.0)
+        with pytest.raises(Cancelled, match="gone"):
+            stop.check()
+    finally:
+        os.close(ours)
+
+
+def test_keeps_the_exit_code_of_the_signal_that_asked(tmp_path: Path, events: EventWriter) -> None:
+    ended, stop = Ended(), StopSignal(tmp_path / "cancel")
+    with Watchdog(stop, events, end_process=ended, grace_s=0.1):
+        stop.ask("Ctrl-C", ExitCode.INTERRUPTED)
+        assert ended.when.wait(1.0)
+    assert ended.code == 130
