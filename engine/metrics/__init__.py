@@ -5,7 +5,6 @@ from __future__ import annotations
 from .images import psnr, ssim
 from .panoptic import MODES, ClassScore, Mode, PanopticEvaluation, PanopticScores
 from .report import LIFTED, MACHINE_MASKS, VOXEL_VOTE, PredictedView, Report, add_rivals, evaluate_views
-from .table import format_classes, format_table
 from .voxel_vote import VoxelMap, VoxelVote
 
 __all__ = [
@@ -23,8 +22,6 @@ __all__ = [
     "VoxelVote",
     "add_rivals",
     "evaluate_views",
-    "format_classes",
-    "format_table",
     "psnr",
     "ssim",
 ]

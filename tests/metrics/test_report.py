@@ -1,4 +1,4 @@
-"""The report over a scene held in memory, and its table."""
+"""The report over a scene held in memory."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from engine.metrics import (
     PredictedView,
     Report,
     evaluate_views,
-    format_classes,
-    format_table,
 )
 from engine.scene import Camera, Category, ClassTable, Frame, GroundTruth, PanopticMask, Scene, Segment
 
@@ -74,7 +72,6 @@ def test_without_ground_truth_only_pictures_are_scored() -> None:
     metrics = evaluate_views(scene, _perfect)
     (table,) = metrics["tables"]  # type: ignore[misc]
     assert (table["name"], table["mode"], table["miou"], table["psnr"]) == (LIFTED, None, None, 100.0)
-    assert "100.0" in format_table(metrics)
 
 
 def test_void_ground_truth_gives_no_table() -> None:
@@ -83,24 +80,8 @@ def test_void_ground_truth_gives_no_table() -> None:
     report = Report(CLASSES)
     report.add(MACHINE_MASKS, frame, PredictedView(TRUE_CLASS, TRUE_ID))
     assert report.to_json()["tables"] == []
-    assert "no ground truth" in format_table(report.to_json())
 
 
 def test_a_view_of_another_size_is_refused() -> None:
     with pytest.raises(ValueError, match="differ"):
         Report(CLASSES).add(LIFTED, SCENE.frames[3], PredictedView(TRUE_CLASS[1:], TRUE_ID[1:]))
-
-
-def test_the_table_names_the_mode_beside_every_number() -> None:
-    lines = format_table(evaluate_views(SCENE, _perfect)).splitlines()
-    assert len(lines) == 7
-    assert lines[3].split() == ["lifted", "strict", "100.0", "100.0", "100.0", "100.0", "100.0", "1.000"]
-    assert all(("strict" in line) != ("pl_compat" in line) for line in lines[1:])
-    assert max(len(line) for line in lines) <= 81  # 80 but for the PSNR of equal pictures
-
-
-def test_the_table_of_classes() -> None:
-    lines = format_classes(evaluate_views(SCENE, _perfect)).splitlines()
-    assert lines[0].startswith("lifted, strict")
-    assert lines[2].split() == ["chair", "100.0", "100.0", "100.0", "100.0", "2", "0", "0"]
-    assert format_classes({"tables": []}) == ""

@@ -1,0 +1,36 @@
+"""Views to layers: EXR, Cryptomatte, previews, COCO panoptic, PLY, and the arrays of a result."""
+
+from __future__ import annotations
+
+from .coco import write_coco
+from .contact_sheet import SheetRow, chosen, write_contact_sheet
+from .exr import read_exr, write_exr
+from .layers import PanopticLayers, decide, encoded, linear
+from .ply import Splats, read_ply, write_ply
+from .previews import colour_picture, instance_picture, semantic_picture, write_previews
+from .result_files import InstanceRecord, SegmentLink, write_anchors, write_instances, write_semantic_points
+
+__all__ = [
+    "InstanceRecord",
+    "PanopticLayers",
+    "SegmentLink",
+    "SheetRow",
+    "Splats",
+    "chosen",
+    "colour_picture",
+    "decide",
+    "encoded",
+    "instance_picture",
+    "linear",
+    "read_exr",
+    "read_ply",
+    "semantic_picture",
+    "write_anchors",
+    "write_coco",
+    "write_contact_sheet",
+    "write_exr",
+    "write_instances",
+    "write_ply",
+    "write_previews",
+    "write_semantic_points",
+]

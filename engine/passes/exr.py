@@ -1,0 +1,90 @@
+"""One multilayer EXR a view: single part, ZIP, 32-bit float, names as Blender's compositor reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..job import write_atomically
+from ..model.rendering import PanopticRendering
+from ..scene import ClassTable
+from . import cryptomatte
+from .layers import PanopticLayers
+
+LAYER = "PLGS"
+CRYPTO_INSTANCE, CRYPTO_CLASS = "CryptoInstance", "CryptoClass"
+LARGEST_ID = 1 << 24
+"""Ids below this are exact in 32-bit floats."""
+
+
+def write_exr(
+    path: Path,
+    layers: PanopticLayers,
+    rendering: PanopticRendering,
+    classes: ClassTable,
+    instance_names: Mapping[int, str],
+) -> None:
+    """Write a baked view, whole or not at all; same input, same bytes.
+
+    ``instance_names`` (instance id to name, such as "chair 1") become matte names; see ``matte_names``.
+    Raises ValueError for ids that a 32-bit float cannot hold, OSError when the file cannot be written.
+    """
+    if max(int(layers.semantic.max(initial=0)), int(layers.instance.max(initial=0))) >= LARGEST_ID:
+        raise ValueError(f"class and instance ids must be below {LARGEST_ID} to be exact in an EXR")
+    channels = _pass_channels(layers)
+    header: dict[str, str] = {}
+    mattes = {
+        CRYPTO_INSTANCE: cryptomatte.instance_coverage(rendering, classes, instance_names),
+        CRYPTO_CLASS: cryptomatte.class_coverage(rendering, classes),
+    }
+    for layer, coverage in mattes.items():
+        channels |= cryptomatte.channels(layer, coverage, rendering.alpha)
+        header |= cryptomatte.header(layer, list(coverage))
+    write_atomically(path, lambda part: _write(part, header, channels))
+
+
+def read_exr(path: Path) -> PanopticLayers:
+    """The PLGS layer of a baked view. Raises ValueError when the file has no such layer, OSError when
+    unreadable.
+    """
+    import OpenEXR
+
+    if not path.is_file():
+        raise FileNotFoundError(path)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        found = {name: channel.pixels for name, channel in file.channels().items()}
+    names = [f"{LAYER}.Combined.{c}" for c in "RGBA"]
+    names += [f"{LAYER}.{name}.V" for name in ("Depth", "Semantic", "Instance", "Confidence", "Entropy")]
+    missing = [name for name in names if name not in found]
+    if missing:
+        raise ValueError(f"{path} has no channel {missing[0]}: it is no pass of a lift")
+    combined, (depth, semantic, instance, confidence, entropy) = names[:4], (found[name] for name in names[4:])
+    return PanopticLayers(
+        combined=np.stack([found[name] for name in combined], axis=-1),
+        depth=depth,
+        semantic=np.rint(semantic).astype(np.int32),
+        instance=np.rint(instance).astype(np.int32),
+        confidence=confidence,
+        entropy=entropy,
+    )
+
+
+def _pass_channels(layers: PanopticLayers) -> dict[str, NDArray[np.float32]]:
+    channels = {f"{LAYER}.Combined.{c}": layers.combined[..., k] for k, c in enumerate("RGBA")}
+    channels[f"{LAYER}.Depth.V"] = layers.depth
+    channels[f"{LAYER}.Semantic.V"] = layers.semantic.astype(np.float32)
+    channels[f"{LAYER}.Instance.V"] = layers.instance.astype(np.float32)
+    channels[f"{LAYER}.Confidence.V"] = layers.confidence
+    channels[f"{LAYER}.Entropy.V"] = layers.entropy
+    return {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
+
+
+def _write(path: Path, text: Mapping[str, str], channels: dict[str, NDArray[np.float32]]) -> None:
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **text}
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(path))

@@ -1,0 +1,81 @@
+"""A plain 3D Gaussian Splatting PLY that any splat viewer opens, with class and instance of every Gaussian."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..job import write_atomically
+
+SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)
+"""The constant spherical harmonic: colour = 0.5 + SH_DEGREE_0 * f_dc."""
+
+_FLOATS = ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity",
+           "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")  # fmt: skip
+_VERTEX = np.dtype([*((name, "<f4") for name in _FLOATS), ("class_id", "<i4"), ("instance_id", "<i4")])
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """Gaussians as arrays of float32: ``means`` [N, 3] world metres, ``scales`` [N, 3] metres (standard
+    deviations), ``quats`` [N, 4] wxyz, ``opacities`` [N] in (0, 1), ``colours`` [N, 3] sRGB in [0, 1];
+    ``class_id`` and ``instance_id`` int32 [N], 0 = unknown, none.
+    """
+
+    means: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    quats: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+    colours: NDArray[np.float32]
+    class_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
+
+
+def write_ply(path: Path, splats: Splats) -> None:
+    """Binary little endian, spherical harmonics of degree 0, opacity as logit, scale as logarithm. Raises
+    OSError.
+    """
+    vertices = np.zeros(len(splats.means), _VERTEX)
+    opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
+    _set(vertices, ("x", "y", "z"), splats.means)
+    _set(vertices, ("f_dc_0", "f_dc_1", "f_dc_2"), (splats.colours - 0.5) / SH_DEGREE_0)
+    vertices["opacity"] = np.log(opacity / (1 - opacity))
+    _set(vertices, ("scale_0", "scale_1", "scale_2"), np.log(np.maximum(splats.scales, 1e-9)))
+    _set(vertices, ("rot_0", "rot_1", "rot_2", "rot_3"), splats.quats)
+    vertices["class_id"], vertices["instance_id"] = splats.class_id, splats.instance_id
+    kinds = {"<f4": "float", "<i4": "int"}
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    lines += [f"property {kinds[_VERTEX[name].str]} {name}" for name in _VERTEX.names or ()]
+    write_atomically(path, "\n".join([*lines, "end_header\n"]).encode() + vertices.tobytes())
+
+
+def read_ply(path: Path) -> Splats:
+    """The inverse of ``write_ply``, for its files only. Raises ValueError for any other PLY, OSError."""
+    head, mark, body = path.read_bytes().partition(b"end_header\n")
+    lines = head.decode("ascii", "replace").splitlines()
+    names = [line.split()[2] for line in lines if line.startswith("property ")]
+    if not mark or lines[:2] != ["ply", "format binary_little_endian 1.0"] or names != list(_VERTEX.names or ()):
+        raise ValueError(f"{path} is no PLY of this program")
+    vertices = np.frombuffer(body, _VERTEX)
+    return Splats(
+        means=_get(vertices, ("x", "y", "z")),
+        scales=np.exp(_get(vertices, ("scale_0", "scale_1", "scale_2"))),
+        quats=_get(vertices, ("rot_0", "rot_1", "rot_2", "rot_3")),
+        opacities=1 / (1 + np.exp(-vertices["opacity"])),
+        colours=0.5 + np.float32(SH_DEGREE_0) * _get(vertices, ("f_dc_0", "f_dc_1", "f_dc_2")),
+        class_id=vertices["class_id"].copy(),
+        instance_id=vertices["instance_id"].copy(),
+    )
+
+
+def _set(vertices: NDArray[np.void], names: tuple[str, ...], values: NDArray[np.floating]) -> None:
+    for column, name in enumerate(names):
+        vertices[name] = values[:, column]
+
+
+def _get(vertices: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float32]:
+    return np.stack([vertices[name] for name in names], axis=-1).astype(np.float32)

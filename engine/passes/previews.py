@@ -1,0 +1,87 @@
+"""Pictures of a baked view for people: colour, classes, instances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..job import write_atomically
+from ..scene import ClassTable, distinct_colour
+from .layers import PanopticLayers, encoded
+
+Picture = NDArray[np.uint8]
+"""uint8 [H, W, 3], RGB."""
+Colour = tuple[int, int, int]
+
+STUFF = (52, 54, 58)
+"""Where there is no instance: dark, so that objects stand out."""
+NOTHING = (0, 0, 0)
+
+
+def write_previews(
+    folder: Path,
+    frame: str,
+    layers: PanopticLayers,
+    classes: ClassTable,
+    instance_colours: Mapping[int, Colour] | None = None,
+) -> tuple[Path, Path, Path]:
+    """Write ``<frame>_colour.png``, ``<frame>_semantic.png``, ``<frame>_instance.png`` and return their
+    paths.
+
+    Raises OSError when a file cannot be written.
+    """
+    pictures = {
+        "colour": colour_picture(layers),
+        "semantic": semantic_picture(layers.semantic, classes),
+        "instance": instance_picture(layers.instance, instance_colours),
+    }
+    paths = []
+    for kind, picture in pictures.items():
+        paths.append(folder / f"{frame}_{kind}.png")
+        write_atomically(paths[-1], png_bytes(picture))
+    return paths[0], paths[1], paths[2]
+
+
+def colour_picture(layers: PanopticLayers) -> Picture:
+    """The rendered colours as a viewer shows them."""
+    return np.rint(encoded(layers.combined[..., :3]) * 255).astype(np.uint8)
+
+
+def semantic_picture(semantic: NDArray[np.int32], classes: ClassTable) -> Picture:
+    """Pure class colours; black where there is no class of the table."""
+    table = np.zeros((max(int(semantic.max(initial=0)), max(classes.ids, default=0)) + 1, 3), np.uint8)
+    for category in classes.categories:
+        table[category.id] = category.colour
+    return table[semantic]
+
+
+def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] | None = None) -> Picture:
+    """A colour an instance (``distinct_colour`` of its id unless ``colours`` has one), dark grey elsewhere."""
+    ids, index = np.unique(instance, return_inverse=True)
+    given = colours or {}
+    table = [STUFF if i == 0 else given.get(i, distinct_colour(i)) for i in ids.tolist()]
+    return np.array(table, np.uint8)[index.reshape(instance.shape)]
+
+
+def shaded(labels: Picture, photo: Picture) -> Picture:
+    """A label picture that lets the photo's light and edges through, with thin dark lines between labels."""
+    luma = photo.astype(np.float32) @ np.array([0.2126, 0.7152, 0.0722], np.float32) / 255
+    lit = labels * (0.6 + 0.4 * luma[..., None])
+    edge = np.zeros(labels.shape[:2], bool)
+    edge[:, 1:] |= (labels[:, 1:] != labels[:, :-1]).any(axis=-1)
+    edge[1:] |= (labels[1:] != labels[:-1]).any(axis=-1)
+    lit[edge] *= 0.45
+    return np.rint(np.clip(lit, 0, 255)).astype(np.uint8)
+
+
+def png_bytes(picture: Picture) -> bytes:
+    """An RGB picture as PNG. Raises ValueError when it cannot be encoded."""
+    import cv2
+
+    done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
+    if not done:
+        raise ValueError(f"cannot encode a picture of shape {picture.shape} as PNG")
+    return data.tobytes()
