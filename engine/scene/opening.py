@@ -16,7 +16,7 @@ Masks: see ``masks.py``. Ground truth: see ``ground_truth.py``.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,11 +29,13 @@ from .frame import Frame, Scene, SceneError, Size
 from .ground_truth import open_ground_truth
 from .image_header import read_image_header
 from .layout import files_by_stem, listed, require_all, same_shape, shown_size
-from .masks import open_masks
+from .masks import MaskSet, open_masks
 from .matrices import UpAxis, placed, read_intrinsics, read_pose, up_axis_warning
 from .pixels import decode, resize_colour
 from .splits import default_split, read_split
 
+_FAR_ASIDE = 0.2
+_ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
 _FOLDERS_FIX = "A scene has the folders color, depth, pose and intrinsic."
 
 
@@ -56,59 +58,85 @@ def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z") -> Sce
     wrong; ``check_scene`` looks into the pixels as well.
     """
     folder, masks = Path(folder), None if masks is None else Path(masks)
-    if not folder.is_dir():
-        raise SceneError("there is no such folder", folder, "Name the folder of a scene.")
-    colours = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, _FOLDERS_FIX)
-    poses, dropped = _read_poses(folder / "pose", list(colours), up)
-    if not poses:
-        raise SceneError("every pose holds inf (lost tracking)", folder / "pose", "Give frames whose pose is known.")
-    names = [name for name in colours if name in poses]
-    table = folder / "splits.json"
-    split = read_split(table, names, dropped) if table.is_file() else default_split(names)
-    if not split.train:
-        raise SceneError("there is no frame to train on", table, "Name frames in train.")
-    names = [name for name in names if name in {*split.train, *split.test}]
-
-    sizes = {name: read_image_header(colours[name]).size for name in names}
+    colours, poses, held_out, warnings = _find_frames(folder, up)
+    sizes = {name: read_image_header(path).size for name, path in colours.items()}
     lenses = _read_lenses(folder / "intrinsic", sizes)
-    depths = open_depth(folder, {name: lenses[name] for name in names})
-    mask_set = open_masks(folder, masks, names)
-    for name in names:
-        if not same_shape(mask_set.sizes[name], sizes[name]):
-            raise SceneError(
-                f"a mask of {shown_size(mask_set.sizes[name])} does not fit the colour of {shown_size(sizes[name])}",
-                mask_set.paths[name],
-                "Bring masks to the colour images' aspect ratio.",
-            )
+    depths = open_depth(folder, lenses)
+    mask_set = open_masks(folder, masks, list(colours))
+    _check_mask_shapes(mask_set, sizes)
     truth = open_ground_truth(folder, sizes, mask_set.classes)
-    tilted = up_axis_warning([poses[name] for name in names], up)
-    lost = f"{len(dropped)} frames without a pose (inf) are left out: {listed(dropped)}"
     return Scene(
         folder=folder,
         frames=tuple(
             Frame(
                 name=name,
                 camera=placed(lenses[name], poses[name]),
-                held_out=name in {*split.test},
-                colour_path=colours[name],
+                held_out=name in held_out,
+                colour_path=path,
                 depth_path=depths.readers[name].path,
-                read_colour=ColourReader(colours[name]),
+                read_colour=ColourReader(path),
                 read_depth=depths.readers[name],
                 read_mask=mask_set.readers[name],
                 read_ground_truth=truth.readers.get(name),
             )
-            for name in names
+            for name, path in colours.items()
         ),
         classes=mask_set.classes,
         warnings=(
-            *((lost,) if dropped else ()),
-            *((tilted,) if tilted else ()),
-            *split.warnings,
+            *warnings,
+            *_camera_warnings(lenses, [poses[name] for name in colours], up),
             *depths.warnings,
             *mask_set.warnings,
             *truth.warnings,
         ),
     )
+
+
+def _find_frames(
+    folder: Path, up: UpAxis
+) -> tuple[dict[str, Path], dict[str, NDArray[np.float64]], frozenset[str], list[str]]:
+    """The frames in use: colour images by name, poses by name, which names are held out; and warnings."""
+    if not folder.is_dir():
+        raise SceneError("there is no such folder", folder, "Name the folder of a scene.")
+    colours = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, _FOLDERS_FIX)
+    poses, dropped = _read_poses(folder / "pose", list(colours), up)
+    if not poses:
+        raise SceneError("every pose holds inf (lost tracking)", folder / "pose", "Give frames whose pose is known.")
+    table = folder / "splits.json"
+    split = read_split(table, list(poses), dropped) if table.is_file() else default_split(list(poses))
+    if not split.train:
+        raise SceneError("there is no frame to train on", table, "Name frames in train.")
+    chosen = {*split.train, *split.test}
+    lost = f"{len(dropped)} frames without a pose (inf) are left out: {listed(dropped)}"
+    return (
+        {name: path for name, path in colours.items() if name in chosen},
+        poses,
+        frozenset(split.test),
+        [*([lost] if dropped else []), *split.warnings],
+    )
+
+
+def _check_mask_shapes(masks: MaskSet, sizes: Mapping[str, Size]) -> None:
+    for name, size in sizes.items():
+        if not same_shape(masks.sizes[name], size):
+            raise SceneError(
+                f"a mask of {shown_size(masks.sizes[name])} does not fit the colour of {shown_size(size)}",
+                masks.paths[name],
+                "Bring masks to the colour images' aspect ratio.",
+            )
+
+
+def _camera_warnings(lenses: Mapping[str, Camera], poses: Sequence[NDArray[np.float64]], up: UpAxis) -> Iterable[str]:
+    tilted = up_axis_warning(poses, up)
+    if tilted:
+        yield tilted
+    aside = [name for name, lens in lenses.items() if _is_far_aside(lens)]
+    if aside:
+        yield f"{_ASIDE}: {listed(aside)}"
+
+
+def _is_far_aside(lens: Camera) -> bool:
+    return abs(lens.cx / lens.width - 0.5) > _FAR_ASIDE or abs(lens.cy / lens.height - 0.5) > _FAR_ASIDE
 
 
 def _read_poses(folder: Path, names: Sequence[str], up: UpAxis) -> tuple[dict[str, NDArray[np.float64]], list[str]]:

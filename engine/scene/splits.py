@@ -28,7 +28,7 @@ def default_split(names: Sequence[str]) -> Split:
     are trained on. A scene of fewer than five frames has nothing held out.
     """
     test = names[_FIRST::_EVERY]
-    train = tuple(name for name in names if name not in {*test})
+    train = tuple(name for index, name in enumerate(names) if index % _EVERY != _FIRST)
     warnings = () if test else ("there are too few frames to hold one out: nothing is measured on unseen views",)
     return Split(train, tuple(test), warnings)
 
@@ -60,7 +60,8 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
     both = sorted(parts["train"] & parts["test"])
     if both:
         raise SceneError(f"frames are in train and in test ({listed(both)})", path, "Put each in one of the two.")
-    left_out = [name for name in names if name not in parts["train"] | parts["test"]]
+    chosen = parts["train"] | parts["test"]
+    left_out = [name for name in names if name not in chosen]
     warnings = []
     if left_out:
         warnings.append(f"{len(left_out)} frames are in neither list of splits.json and left out: {listed(left_out)}")
