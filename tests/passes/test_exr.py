@@ -1,0 +1,130 @@
+"""EXR round trip, and what Blender's compositor makes of the file."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.passes import decide, read_exr, write_exr
+from tests.passes.views import CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, made_rendering
+
+OpenEXR = pytest.importorskip("OpenEXR")
+
+
+def _write(path: Path) -> Path:
+    rendering = made_rendering()
+    write_exr(path, decide(rendering, CLASSES), rendering, CLASSES, NAMES)
+    return path
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    written, read = decide(made_rendering(), CLASSES), read_exr(_write(tmp_path / "a.exr"))
+    for field in fields(written):
+        assert (getattr(written, field.name) == getattr(read, field.name)).all(), field.name
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
+
+
+def test_single_part_zip_float(tmp_path: Path) -> None:
+    with OpenEXR.File(str(_write(tmp_path / "a.exr")), separate_channels=True) as file:
+        assert len(file.parts) == 1
+        assert file.header()["compression"] == OpenEXR.ZIP_COMPRESSION
+        names = set(file.channels())
+        assert {channel.pixels.dtype for channel in file.channels().values()} == {np.dtype(np.float32)}
+    assert {"PLGS.Combined.R", "PLGS.Combined.A", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.V"} < names
+    assert {"PLGS.Confidence.V", "PLGS.Entropy.V", "CryptoInstance00.r", "CryptoClass02.a"} < names
+    assert len(names) == 9 + 12 + 12
+
+
+def test_same_input_same_bytes(tmp_path: Path) -> None:
+    assert _write(tmp_path / "a.exr").read_bytes() == _write(tmp_path / "b.exr").read_bytes()
+
+
+def test_refusals(tmp_path: Path) -> None:
+    rendering = made_rendering()
+    layers = replace(decide(rendering, CLASSES), instance=np.full((6, 8), 1 << 24, np.int32))
+    with pytest.raises(ValueError, match="exact"):
+        write_exr(tmp_path / "a.exr", layers, rendering, CLASSES, NAMES)
+    with OpenEXR.File({}, {"Y": np.zeros((2, 2), np.float32)}) as file:
+        file.write(str(tmp_path / "b.exr"))
+    with pytest.raises(ValueError, match="no pass of a lift"):
+        read_exr(tmp_path / "b.exr")
+    with pytest.raises(FileNotFoundError):
+        read_exr(tmp_path / "c.exr")
+
+
+def test_blender_reads_ids_and_mattes(tmp_path: Path) -> None:
+    bpy = pytest.importorskip("bpy")
+    image = bpy.data.images.load(str(_write(tmp_path / "a.exr")))
+    image.size[:]  # loads the file
+    scene = bpy.data.scenes.new("passes")
+    tree = _compositor(bpy, scene)
+    source = tree.nodes.new("CompositorNodeImage")
+    source.image, source.layer = image, "PLGS"
+    outputs = {socket.name: socket for socket in source.outputs if socket.enabled}
+    wanted = {"instance": outputs["Instance"], "semantic": outputs["Semantic"], "colour": outputs["Combined"]}
+    wanted |= {"depth": outputs["Depth"], "confidence": outputs["Confidence"], "entropy": outputs["Entropy"]}
+    for stem, layer, name in (
+        ("matte_1", "CryptoInstance", "chair 1"),
+        ("matte_2", "CryptoInstance", "chair 2"),
+        ("matte_sofa", "CryptoClass", "sofa long"),
+    ):
+        node = tree.nodes.new("CompositorNodeCryptomatteV2")
+        node.source, node.image, node.layer_name, node.matte_id = "IMAGE", image, layer, name
+        wanted[stem] = node.outputs["Matte"]
+    for stem, socket in wanted.items():
+        _save(bpy, tree, tmp_path, stem, socket)
+    with bpy.context.temp_override(scene=scene):
+        bpy.ops.render.render()
+    seen = {stem: _pixels(tmp_path / f"{stem}_0001.exr") for stem in wanted}
+    bpy.data.scenes.remove(scene)
+    bpy.data.images.remove(image)
+
+    layers = decide(made_rendering(), CLASSES)
+    assert (seen["instance"][..., 0] == layers.instance).all()
+    assert (seen["semantic"][..., 0] == layers.semantic).all()
+    assert seen["colour"][0, 0] == pytest.approx(layers.combined[0, 0], abs=1e-6)
+    assert seen["depth"][..., 0] == pytest.approx(layers.depth)
+    assert seen["confidence"][..., 0] == pytest.approx(layers.confidence)
+    assert seen["entropy"][..., 0] == pytest.approx(layers.entropy)
+    matte_1, matte_2, sofa = (seen[name][..., 0] for name in ("matte_1", "matte_2", "matte_sofa"))
+    assert matte_1[LEFT] == pytest.approx(1.0, abs=1e-6)
+    assert matte_1[EDGE] == pytest.approx(0.6, abs=1e-6)
+    assert not matte_1[RIGHT].any() and not matte_1[NOTHING].any()
+    assert matte_2[RIGHT] == pytest.approx(1.0, abs=1e-6)
+    assert sofa[RIGHT] == pytest.approx(0.25, abs=1e-6)
+
+
+def _compositor(bpy, scene):  # type: ignore[no-untyped-def]
+    """An empty compositor tree of the scene, exact, in Blender 4 and 5."""
+    scene.frame_current = 1
+    scene.render.use_compositing = True
+    scene.render.compositor_device, scene.render.compositor_precision = "CPU", "FULL"
+    if bpy.app.version >= (5, 0, 0):
+        scene.compositing_node_group = bpy.data.node_groups.new("passes", "CompositorNodeTree")
+        return scene.compositing_node_group
+    scene.use_nodes = True
+    scene.node_tree.nodes.clear()
+    return scene.node_tree
+
+
+def _save(bpy, tree, folder: Path, stem: str, socket) -> None:  # type: ignore[no-untyped-def]
+    node = tree.nodes.new("CompositorNodeOutputFile")
+    if bpy.app.version >= (5, 0, 0):
+        node.directory, node.file_name, node.format.media_type = str(folder), f"{stem}_####", "IMAGE"
+        node.file_output_items.clear()
+        node.file_output_items.new("RGBA" if socket.type == "RGBA" else "FLOAT", "")
+    else:
+        node.base_path, node.file_slots[0].path = str(folder), f"{stem}_####"
+    node.format.file_format, node.format.color_depth = "OPEN_EXR", "32"
+    tree.links.new(socket, node.inputs[0])
+
+
+def _pixels(path: Path) -> np.ndarray:
+    """All channels of an EXR, [H, W, C], in the order R G B A where it has those, else its only one."""
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        found = {name: channel.pixels for name, channel in file.channels().items()}
+    names = [name for name in "RGBA" if name in found] or sorted(found)
+    return np.stack([found[name] for name in names], axis=-1)

@@ -1,0 +1,187 @@
+"""PLY, COCO, npz, instances.json and pictures: what was written is what is read, and twice the same."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.passes import (
+    InstanceRecord,
+    SegmentLink,
+    SheetRow,
+    Splats,
+    chosen,
+    decide,
+    read_ply,
+    write_anchors,
+    write_coco,
+    write_contact_sheet,
+    write_instances,
+    write_ply,
+    write_previews,
+    write_semantic_points,
+)
+from engine.scene import GroundTruth
+from tests.passes.views import CLASSES, made_rendering
+
+RANDOM = np.random.default_rng(5)
+COUNT = 50
+
+
+def _splats() -> Splats:
+    quats = RANDOM.normal(size=(COUNT, 4)).astype(np.float32)
+    return Splats(
+        means=RANDOM.normal(size=(COUNT, 3)).astype(np.float32),
+        scales=RANDOM.uniform(0.001, 0.2, (COUNT, 3)).astype(np.float32),
+        quats=quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        opacities=RANDOM.uniform(0.01, 0.99, COUNT).astype(np.float32),
+        colours=RANDOM.uniform(0, 1, (COUNT, 3)).astype(np.float32),
+        class_id=RANDOM.integers(0, 22, COUNT).astype(np.int32),
+        instance_id=RANDOM.integers(0, 99, COUNT).astype(np.int32),
+    )
+
+
+def test_ply_round_trip(tmp_path: Path) -> None:
+    splats = _splats()
+    write_ply(tmp_path / "a.ply", splats)
+    read = read_ply(tmp_path / "a.ply")
+    for name in ("means", "scales", "quats", "opacities", "colours"):
+        assert getattr(read, name) == pytest.approx(getattr(splats, name), rel=1e-5, abs=1e-6), name
+    assert (read.class_id == splats.class_id).all()
+    assert (read.instance_id == splats.instance_id).all()
+
+
+def test_ply_is_what_splat_viewers_expect(tmp_path: Path) -> None:
+    write_ply(tmp_path / "a.ply", _splats())
+    head = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")[0].decode().splitlines()
+    names = [line.split()[-1] for line in head if line.startswith("property float")]
+    assert names[:6] == ["x", "y", "z", "nx", "ny", "nz"]
+    assert names[6:] == [*(f"f_dc_{k}" for k in range(3)), "opacity"] + [
+        *(f"scale_{k}" for k in range(3)),
+        *(f"rot_{k}" for k in range(4)),
+    ]
+    assert head[-2:] == ["property int class_id", "property int instance_id"]
+
+
+@pytest.mark.slow
+def test_open3d_reads_the_ply(tmp_path: Path) -> None:
+    open3d = pytest.importorskip("open3d")
+    splats = _splats()
+    write_ply(tmp_path / "a.ply", splats)
+    cloud = open3d.t.io.read_point_cloud(str(tmp_path / "a.ply"))
+    assert cloud.point.positions.numpy() == pytest.approx(splats.means)
+
+
+def test_another_ply_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_text("ply\nformat ascii 1.0\nelement vertex 0\nend_header\n")
+    with pytest.raises(ValueError, match="no PLY of this program"):
+        read_ply(tmp_path / "a.ply")
+
+
+def test_arrays_are_read_back_and_their_bytes_repeat(tmp_path: Path) -> None:
+    points = {
+        "xyz": RANDOM.normal(size=(9, 3)),
+        "rgb": RANDOM.integers(0, 256, (9, 3), dtype=np.uint8),
+        "class_id": np.arange(9),
+        "instance_id": np.arange(9) * 2,
+        "confidence": RANDOM.uniform(size=9),
+    }
+    for name in "ab":
+        write_semantic_points(tmp_path / f"{name}.npz", **points)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as read:
+        assert set(read) == set(points)
+        kinds = {name: read[name].dtype.str for name in read}
+        assert read["xyz"] == pytest.approx(points["xyz"], rel=1e-6)
+    assert kinds == {"xyz": "<f4", "rgb": "|u1", "class_id": "<i4", "instance_id": "<i4", "confidence": "<f4"}
+    with pytest.raises(ValueError, match="differ in length"):
+        write_semantic_points(tmp_path / "c.npz", **(points | {"xyz": points["xyz"][1:]}))
+
+
+def test_anchors(tmp_path: Path) -> None:
+    ones = np.ones(4, int)
+    arrays = {"class_id": ones, "instance_id": ones, "opacity": ones / 2, "level": ones * 0}
+    write_anchors(tmp_path / "a.npz", xyz=np.zeros((4, 3)), rgb=np.zeros((4, 3), np.uint8), **arrays)
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as read:
+        assert (read["opacity"] == 0.5).all()
+        assert read["level"].dtype == np.int32
+
+
+def _record(number: int) -> InstanceRecord:
+    return InstanceRecord(
+        id=number,
+        name=f"chair {number}",
+        class_id=5,
+        class_name="chair",
+        colour=(1, 2, 3),
+        centre=(0.0, 1.0, 2.0),
+        size=(1.0, 1.0, 1.0),
+        yaw=0.5,
+        rotation=(1.0, 0.0, 0.0, 0.0),
+        views=3,
+        score=0.9,
+        points=100,
+        segments=(SegmentLink("0001", 17, 5, 0.8, None),),
+    )
+
+
+def test_instances(tmp_path: Path) -> None:
+    write_instances(tmp_path / "instances.json", CLASSES, [_record(2), _record(1)])
+    content = json.loads((tmp_path / "instances.json").read_text(encoding="utf-8"))
+    assert [instance["id"] for instance in content["instances"]] == [1, 2]
+    assert content["instances"][0]["segments"][0]["cost"] is None
+    assert content["classes"][1] == {"id": 5, "name": "chair", "is_thing": True, "colour": [210, 70, 60]}
+    with pytest.raises(ValueError, match="unique"):
+        write_instances(tmp_path / "instances.json", CLASSES, [_record(1), _record(1)])
+
+
+def test_coco_round_trip(tmp_path: Path) -> None:
+    layers = decide(made_rendering(), CLASSES)
+    instance = np.where(layers.instance == 70001, 4, layers.instance).astype(np.int32)
+    write_coco(tmp_path, CLASSES, [("0001", layers.semantic, instance)])
+    content = json.loads((tmp_path / "panoptic.json").read_text())
+    bgr = cv2.imread(str(tmp_path / "panoptic" / "0001.png")).astype(np.int64)
+    ids = bgr[..., 2] + 256 * bgr[..., 1] + 65536 * bgr[..., 0]
+    segments = content["annotations"][0]["segments_info"]
+    assert {s["id"] for s in segments} == set(np.unique(ids[ids > 0]).tolist())
+    category = {s["id"]: s["category_id"] for s in segments} | {0: 0}
+    assert (np.vectorize(category.get)(ids) == layers.semantic).all()
+    assert sum(s["area"] for s in segments) == (layers.semantic > 0).sum()
+    assert segments[0]["bbox"] == [3, 0, 2, 6]
+    with pytest.raises(ValueError, match="below 4096"):
+        write_coco(tmp_path, CLASSES, [("0001", layers.semantic, layers.instance)])
+
+
+def test_previews(tmp_path: Path) -> None:
+    layers = decide(made_rendering(), CLASSES)
+    paths = write_previews(tmp_path, "0001", layers, CLASSES, {3: (1, 2, 3)})
+    assert [path.name for path in paths] == ["0001_colour.png", "0001_semantic.png", "0001_instance.png"]
+    colour, semantic, instance = (cv2.imread(str(path))[..., ::-1] for path in paths)
+    assert colour[0, 0].tolist() == [128, 64, 255]  # the colour that was rendered, not its linear value
+    assert semantic[0, 3].tolist() == [120, 130, 140]
+    assert semantic[0, 7].tolist() == [0, 0, 0]
+    assert instance[0, 0].tolist() == [1, 2, 3]
+    assert instance[0, 3].tolist() == [52, 54, 58]
+
+
+def test_contact_sheet(tmp_path: Path) -> None:
+    layers = decide(made_rendering(), CLASSES)
+    photo = np.full((6, 8, 3), 200, np.uint8)
+    row = SheetRow("0001", photo, layers.semantic, layers)
+    truth = GroundTruth(layers.semantic, layers.instance)
+    write_contact_sheet(tmp_path / "a.png", [row], CLASSES)
+    write_contact_sheet(tmp_path / "b.png", [row, SheetRow("ä", photo, layers.semantic, layers, truth)], CLASSES)
+    without, with_truth = (cv2.imread(str(tmp_path / f"{name}.png")) for name in "ab")
+    assert with_truth.shape[1] - without.shape[1] == 326
+    assert with_truth.shape[0] - without.shape[0] == 246
+    with pytest.raises(ValueError, match="at least one"):
+        write_contact_sheet(tmp_path / "c.png", [], CLASSES)
+
+
+def test_a_sheet_shows_eight_frames_spread_evenly() -> None:
+    assert chosen(3) == [0, 1, 2]
+    assert chosen(40) == [0, 6, 11, 17, 22, 28, 33, 39]
