@@ -37,6 +37,7 @@ LIBRARIES = {
     "libGL.so.1": "libgl1",
     "libEGL.so.1": "libegl1",
     "libusb-1.0.so.0": "libusb-1.0-0",
+    "libidn2.so.0": "libidn2-0",
 }
 
 
