@@ -29,19 +29,22 @@ class Interrupts:
     """Takes SIGINT, SIGTERM and SIGHUP over, from Blender's own handlers too. For ``with``, in the main thread.
 
     They raise Interrupted at once, or inside `deferred` only at its end: there code runs that must not be torn.
+    A signal that was ignored before, as nohup does it, stays ignored.
     """
 
     def __init__(self) -> None:
         self.pending: int | None = None
         self._deferred = False
-        self._before: list[Any] = []
+        self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        self._before = [signal.signal(number, self._on_signal) for number in _SIGNALS]
+        for number in _SIGNALS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in zip(_SIGNALS, self._before, strict=True):
+        for number, handler in self._before.items():
             # None: it was installed by something else than Python (Blender); it cannot be put back from here.
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
@@ -95,21 +98,24 @@ class LiveLine:
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._live = stream.isatty()
+        self._newest = ""
         self._shown = ""
         self._stage = ""
         self._next = 0.0
 
     def show(self, status: LiftStatus) -> None:
-        """The newest state; costs nothing when nothing changed."""
+        """The newest state; costs next to nothing when nothing changed."""
         text = describe(status)
         if self._live:
             if text != self._shown:
                 self._overwrite(text)
             return
-        now = time.monotonic()
-        if text != self._shown and (status.stage != self._stage or now >= self._next):
-            self._shown, self._stage, self._next = text, status.stage, now + _PLAIN_LINE_S
-            print(text, file=self._stream, flush=True)
+        is_new_stage = status.stage != self._stage
+        if is_new_stage:
+            self._print_newest()  # how far the last stage came
+        self._newest, self._stage = text, status.stage
+        if is_new_stage or time.monotonic() >= self._next:
+            self._print_newest()
 
     def say(self, text: str) -> None:
         """A line of its own, above the live one."""
@@ -119,9 +125,16 @@ class LiveLine:
 
     def end(self) -> None:
         """Leave the last state standing; what follows begins a new line."""
-        if self._live and self._shown:
+        if not self._live:
+            self._print_newest()
+        elif self._shown:
             print(file=self._stream, flush=True)
             self._shown = ""
+
+    def _print_newest(self) -> None:
+        if self._newest and self._newest != self._shown:
+            print(self._newest, file=self._stream, flush=True)
+            self._shown, self._next = self._newest, time.monotonic() + _PLAIN_LINE_S
 
     def _overwrite(self, text: str) -> None:
         text = text[: shutil.get_terminal_size().columns - 1]

@@ -32,7 +32,7 @@ class Pretence:
         events.stage("train", 1, 2, "Training")
         checkpoint = folder.checkpoints.latest() if resume else None
         step = 0 if checkpoint is None else int(str(checkpoint.state["step"]))
-        steps = 10 if self.behaviour == "short" else 2000
+        steps = 10 if self.behaviour.startswith("short") else 2000
         while step < steps:
             step += 1
             folder.checkpoints.save({"step": step}, lambda path: (path / "model").write_bytes(b"model"))

@@ -1,0 +1,188 @@
+"""Lift a scene and put the result into a .blend, without a window. Either of
+
+    blender -b --python-exit-code 1 --python run_plgs.py -- SCENE -o OUT
+    python run_plgs.py SCENE -o OUT          (a Python that has the bpy module, or with `make set-up` done)
+
+Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 130 Ctrl-C. What was cancelled or
+interrupted goes on with --resume.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import subprocess
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from plgs.engine.job import ExitCode, LiftFolder, LiftRequest
+    from plgs.engine.job.terminal import Interrupts
+
+ROOT = Path(__file__).resolve().parent
+
+
+def load_package() -> None:
+    """Make the folder of this script importable as ``plgs``, whatever it is called.
+
+    The extension's own __init__ is for Blender's window: it registers operators, and imports bpy, which a typing error
+    in the command line should not have to wait for.
+    """
+    package = ModuleType("plgs")
+    package.__path__ = [str(ROOT)]
+    sys.modules.setdefault("plgs", package)
+
+
+def script_arguments(argv: Sequence[str]) -> list[str]:
+    """What is meant for this script: all behind ``--``; without one, in plain Python only, all."""
+    if "--" in argv:
+        return list(argv[argv.index("--") + 1 :])
+    blender = sys.modules.get("bpy")
+    return [] if blender is not None and blender.app.binary_path else list(argv[1:])
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The whole run; returns the exit code."""
+    load_package()
+    from plgs.engine.job import ExitCode, JobError
+    from plgs.engine.job.terminal import Interrupted, Interrupts
+
+    options = parse(arguments)
+    try:
+        with Interrupts() as interrupts:
+            blender = python_with_blender()
+            if blender is None:
+                return lift_to_blend(options, interrupts)
+        return run_again(blender, arguments)
+    except JobError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    except Interrupted as interrupted:
+        print(f"Stopped. Give the same command with --resume to go on: {options.output}", file=sys.stderr)
+        return interrupted.exit_code
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """The options; SystemExit(2) when they make no sense, SystemExit(0) after --help."""
+    from plgs.engine.job.options import add_lift_options
+
+    parser = argparse.ArgumentParser(prog="run_plgs.py", description="Lift a scene and put the result into a .blend.")
+    parser.add_argument(
+        "scene", type=Path, metavar="SCENE", help="folder with color/, depth/, pose/, intrinsic/ and the masks"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="OUT", help="the lift folder to make; all results go there"
+    )
+    add_lift_options(parser)
+    parser.add_argument("--save", type=Path, metavar="FILE.blend", help="the .blend (default: OUT/lift.blend)")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with the lift in OUT that was stopped or killed; start it when there is none",
+    )
+    return parser.parse_args(arguments)
+
+
+def python_with_blender() -> Path | None:
+    """None when this Python has bpy, else one that has. Raises JobError when there is none."""
+    from plgs.engine.job import JobError
+    from plgs.engine.job.process import engine_python, missing_modules
+
+    if "bpy" in sys.modules or importlib.util.find_spec("bpy"):
+        return None
+    python = engine_python()
+    if missing_modules(python, ["bpy"]):
+        fix = f"Run 'make set-up' in {ROOT}, or let Blender run this script: blender -b --python run_plgs.py -- ..."
+        raise JobError("has no bpy, the Blender module", python, fix)
+    return python
+
+
+def run_again(python: Path, arguments: Sequence[str]) -> int:
+    """Let another Python do it all; on POSIX it takes this process's place, so signals reach it."""
+    from plgs.engine.job.process import clean_environment
+
+    command = [str(python), str(Path(__file__).resolve()), *arguments]
+    if os.name == "nt":
+        return subprocess.call(command, env=clean_environment())
+    os.execve(python, command, clean_environment())
+
+
+def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
+    """Lift, then build the .blend, then tell what was made. Raises JobError, Interrupted."""
+    from plgs.engine.job import ExitCode, JobError
+    from plgs.engine.job.report import made_files, metrics_table
+    from plgs.engine.job.session import lift_in_terminal
+    from plgs.engine.scene import SceneError
+
+    blend = blend_path(options)
+    try:
+        lift, code = lift_in_terminal(options, interrupts, check_scene_folder)
+        if code != ExitCode.FINISHED:
+            return code
+        if options.save is not None or is_older(blend, lift.manifest_path):
+            print("Building the .blend ...", file=sys.stderr, flush=True)
+            code = build_blend(lift, blend)
+    except SceneError as error:
+        raise JobError(error.what, error.where, error.fix) from error
+    if code == ExitCode.FINISHED:
+        print(metrics_table(lift), "", blend, *made_files(lift), sep="\n", flush=True)
+    return code
+
+
+def check_scene_folder(request: LiftRequest) -> None:
+    """The quick look, before any folder is made. Raises SceneError."""
+    from plgs.engine.scene import open_scene
+
+    open_scene(request.scene, request.masks, request.up)
+
+
+def blend_path(options: argparse.Namespace) -> Path:
+    """Where the .blend goes. Raises JobError when it could not be written at the end."""
+    from plgs.engine.job import JobError
+
+    if options.save is None:
+        return Path(options.output).absolute() / "lift.blend"
+    blend: Path = options.save.absolute()
+    is_in_lift = blend.parent == options.output.absolute()  # which need not be there yet
+    if blend.suffix != ".blend" or blend.is_dir():
+        raise JobError("is no name for a .blend", blend, "Give --save a file name that ends in .blend.")
+    if not is_in_lift and not os.access(blend.parent, os.W_OK):
+        raise JobError("cannot be written to, or is not there", blend.parent, "Give --save another folder.")
+    return blend
+
+
+def is_older(path: Path, than: Path) -> bool:
+    """Whether ``path`` is missing or was made before ``than``."""
+    return not path.exists() or path.stat().st_mtime < than.stat().st_mtime
+
+
+def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
+    """Make the .blend. An error becomes a line, its details go to the log; the lift itself stays finished."""
+    from plgs.engine.job import ExitCode, JobError
+    from plgs.engine.scene import SceneError
+
+    try:
+        from plgs.plgs_blender.lift_scene import save_lift  # brings bpy
+
+        save_lift(lift.path, blend)
+    except (JobError, SceneError):
+        raise
+    except Exception as error:
+        with lift.log_path.open("a", encoding="utf-8") as log:
+            traceback.print_exc(file=log)
+        what = f"the .blend could not be made ({type(error).__name__}: {error})"
+        print(f"error: {what}: {lift.log_path}. --resume tries again; the lift is done.", file=sys.stderr)
+        return ExitCode.INTERNAL_ERROR
+    return ExitCode.FINISHED
+
+
+if __name__ == "__main__":
+    if sys.version_info < (3, 11):  # noqa: UP036 - said here, because the imports in main say it in riddles
+        print("error: Python 3.11 or newer is needed. Run 'make set-up', then .venv/bin/python run_plgs.py ...")
+        sys.exit(2)
+    sys.exit(main(script_arguments(sys.argv)))

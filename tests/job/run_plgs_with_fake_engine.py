@@ -1,0 +1,53 @@
+"""run_plgs.py with another engine and, unless told otherwise, without Blender: for tests of what surrounds both.
+
+run_plgs_with_fake_engine.py BEHAVIOUR ARGS...: for the behaviours see fake_engine.py.
+"""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+
+def main(behaviour: str, arguments: list[str]) -> int:
+    """What run_plgs.main returns."""
+    import run_plgs
+
+    # A shell that runs tests in the background makes them ignore Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    run_plgs.load_package()
+    session = importlib.import_module("plgs.engine.job.session")
+
+    def fake_command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
+        fake = Path(__file__).with_name("fake_engine.py")
+        return [sys.executable, fake, behaviour, lift, *(["--resume"] if resume else [])]
+
+    vars(session)["engine_command"] = fake_command
+    vars(run_plgs)["check_scene_folder"] = lambda request: None
+    blender = ModuleType("plgs.plgs_blender.lift_scene")
+    vars(blender)["save_lift"] = slow_save if behaviour == "short, slow save" else save_lift
+    sys.modules["bpy"] = sys.modules.get("bpy") or ModuleType("bpy")
+    sys.modules["plgs.plgs_blender"] = ModuleType("plgs.plgs_blender")
+    sys.modules["plgs.plgs_blender.lift_scene"] = blender
+    return run_plgs.main(arguments)
+
+
+def save_lift(lift: Path, blend: Path) -> None:
+    """Stands for Blender's part."""
+    blend.write_bytes(b"BLENDER of " + lift.name.encode())
+
+
+def slow_save(lift: Path, blend: Path) -> None:
+    """A Blender that takes its time."""
+    time.sleep(60)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1], sys.argv[2:]))

@@ -1,0 +1,101 @@
+"""The live line, and the signals around a lift."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+
+import pytest
+
+from engine.job.follower import LiftStatus
+from engine.job.terminal import Interrupted, Interrupts, LiveLine, describe
+
+TRAINING = LiftStatus("train", "Training", 2, 3, step=5, steps=10, loss=0.25, eta_s=61.0)
+
+
+class Terminal(io.StringIO):
+    """A stream that a person looks at."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("status", "text"),
+    [
+        (LiftStatus(), "Starting"),
+        (LiftStatus("train", "Training", 2, 3), "[2/3] Training"),
+        (TRAINING, "[2/3] Training  5/10  loss 0.2500  1:01 left"),
+        (LiftStatus("bake", "Baking", 3, 3, step=1, steps=9, eta_s=3725.2), "[3/3] Baking  1/9  1:02:05 left"),
+    ],
+)
+def test_describes(status: LiftStatus, text: str) -> None:
+    assert describe(status) == text
+
+
+def test_a_terminal_gets_one_line_that_changes() -> None:
+    stream = Terminal()
+    line = LiveLine(stream)
+    line.show(LiftStatus("train", "Training with a long label", 1, 1))
+    line.show(TRAINING)
+    line.show(TRAINING)
+    line.say("warning: dark")
+    line.show(TRAINING)
+    line.end()
+    assert stream.getvalue().count("\n") == 2
+    assert [part.strip() for part in stream.getvalue().split("\r")[1:]] == [
+        "[1/1] Training with a long label",
+        describe(TRAINING),
+        "",
+        "warning: dark",
+        describe(TRAINING),
+    ]
+
+
+def test_a_file_gets_few_whole_lines() -> None:
+    stream = io.StringIO()
+    line = LiveLine(stream)
+    line.show(LiftStatus())
+    for step in range(1000):
+        line.show(LiftStatus("train", "Training", 1, 2, step=step, steps=1000))
+    line.show(LiftStatus("bake", "Baking", 2, 2))
+    line.end()
+    assert stream.getvalue().splitlines() == [
+        "Starting",
+        "[1/2] Training  0/1000",
+        "[1/2] Training  999/1000",
+        "[2/2] Baking",
+    ]
+
+
+def test_signals_interrupt_and_are_given_back() -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(Interrupted) as caught, Interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+        assert caught.value.exit_code == 130
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_deferred_code_is_not_torn() -> None:
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    steps = []
+    try:
+        with pytest.raises(Interrupted) as caught, Interrupts() as interrupts, interrupts.deferred():
+            os.kill(os.getpid(), signal.SIGTERM)
+            steps.append(interrupts.pending)
+        assert steps == [signal.SIGTERM] and caught.value.exit_code == 143
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_what_was_ignored_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Interrupts():
+            os.kill(os.getpid(), signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -1,0 +1,236 @@
+"""run_plgs.py from outside: arguments, exit codes, Ctrl-C, and what is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from engine.job import LiftFolder, LiftState
+from tests.tiny_scene import write_tiny_scene
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+A_SECOND = 1.4
+"""With what a loaded machine needs to look."""
+
+Run = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture
+def run(root: Path) -> Iterator[Run]:
+    """Start run_plgs.py with a fake engine."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(behaviour: str, *arguments: str | Path) -> subprocess.Popen[str]:
+        script = root / "tests" / "job" / "run_plgs_with_fake_engine.py"
+        command = [sys.executable, script, behaviour, *arguments]
+        started.append(subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=env()))
+        return started[-1]
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def env() -> dict[str, str]:
+    """Whatever environment lies beside the code: these tests run the engine with the Python that runs them."""
+    return os.environ | {"PLGS_ENGINE_PYTHON": sys.executable}
+
+
+def run_script(root: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """The real one."""
+    command = [sys.executable, root / "run_plgs.py", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=env())
+
+
+def wait_for(process: subprocess.Popen[str], ready: Callable[[], bool]) -> None:
+    began = time.monotonic()
+    while not ready():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() - began < 30
+        time.sleep(0.02)
+
+
+def has_begun(out: Path) -> Callable[[], bool]:
+    """Five steps are done: from here on the deaf engine is deaf."""
+    events = out / "events.jsonl"
+    return lambda: events.exists() and b'"step": 5' in events.read_bytes()
+
+
+def test_finishes(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    stdout, stderr = (process := run("short", tmp_path / "scene", "-o", out)).communicate(timeout=60)
+    assert process.returncode == 0, stderr
+    assert LiftFolder.open(out).state() is LiftState.FINISHED
+    assert (out / "lift.blend").read_bytes() == b"BLENDER of out"
+    assert "Training" in stderr and "loss" in stderr
+    assert str(out / "lift.blend") in stdout and str(out / "result" / "metrics.json") in stdout
+
+
+def test_resume_of_a_finished_lift_touches_nothing_but_mends_the_blend(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first = run("short", tmp_path / "scene", "-o", out, "--seed", "4")
+    first.communicate(timeout=60)
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
+    again = run("broken", tmp_path / "scene", "-o", out, "--resume")
+    assert "finished already" in again.communicate(timeout=60)[1]
+    assert again.returncode == 0
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()} == before
+    (out / "lift.blend").unlink()
+    mending = run("broken", tmp_path / "scene", "-o", out, "--resume", "--seed", "4")
+    mending.communicate(timeout=60)
+    assert mending.returncode == 0 and (out / "lift.blend").exists()
+    other = run("broken", tmp_path / "scene", "-o", out, "--resume", "--seed", "5")
+    assert "another seed" in other.communicate(timeout=60)[1]
+    assert other.returncode == 2
+    refused = run("broken", tmp_path / "scene", "-o", out)
+    assert "--resume" in refused.communicate(timeout=60)[1]
+    assert refused.returncode == 2
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "number", "code"),
+    [
+        ("patient", signal.SIGINT, 130),
+        ("deaf", signal.SIGINT, 130),
+        ("holds the lock", signal.SIGINT, 130),
+        ("patient", signal.SIGTERM, 143),
+    ],
+)
+def test_a_signal_ends_both_within_a_second(
+    run: Run, tmp_path: Path, behaviour: str, number: signal.Signals, code: int
+) -> None:
+    out = tmp_path / "out"
+    process = run(behaviour, tmp_path / "scene", "-o", out)
+    wait_for(process, has_begun(out))
+    process.send_signal(number)
+    began = time.monotonic()
+    _, stderr = process.communicate(timeout=20)
+    assert time.monotonic() - began < A_SECOND
+    assert process.returncode == code
+    assert "--resume" in stderr
+    lift = LiftFolder.open(out)
+    assert not lift.is_running and lift.state() in (LiftState.CANCELLED, LiftState.INTERRUPTED)
+    again = run("short", tmp_path / "scene", "-o", out, "--resume")
+    assert again.communicate(timeout=60) and again.returncode == 0
+
+
+def test_ctrl_c_while_blender_builds(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = run("short, slow save", tmp_path / "scene", "-o", out)
+    wait_for(process, (out / "result" / "manifest.json").exists)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    began = time.monotonic()
+    process.communicate(timeout=20)
+    assert time.monotonic() - began < A_SECOND and process.returncode == 130
+    assert not (out / "lift.blend").exists()
+
+
+def test_the_engine_ends_when_run_plgs_is_killed(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = run("deaf", tmp_path / "scene", "-o", out)
+    wait_for(process, has_begun(out))
+    process.kill()
+    process.wait()
+    began = time.monotonic()
+    lift = LiftFolder.open(out)
+    while lift.is_running:
+        assert time.monotonic() - began < A_SECOND
+        time.sleep(0.02)
+    assert lift.state() is LiftState.CANCELLED
+
+
+def test_the_cancel_file(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = run("patient", tmp_path / "scene", "-o", out)
+    wait_for(process, has_begun(out))
+    (out / "cancel").touch()
+    _, stderr = process.communicate(timeout=20)
+    assert process.returncode == 3 and "--resume" in stderr
+
+
+@pytest.mark.parametrize(("behaviour", "code"), [("bad input", 2), ("broken", 1), ("segfault", 1)])
+def test_errors_are_one_line_and_a_code(run: Run, tmp_path: Path, behaviour: str, code: int) -> None:
+    out = tmp_path / "out"
+    _, stderr = (process := run(behaviour, tmp_path / "scene", "-o", out)).communicate(timeout=60)
+    assert process.returncode == code
+    errors = [line for line in stderr.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1 and "Traceback" not in stderr
+    assert out.exists() == (code == 1)  # bad input leaves nothing that blocks the corrected command
+
+
+def test_help_is_fast_and_says_all(root: Path) -> None:
+    code = (
+        "import sys, runpy; sys.argv = ['run_plgs.py', '--help']\n"
+        "try: runpy.run_path(sys.argv[0], run_name='__main__')\n"
+        "finally: print('HEAVY', {'torch', 'bpy', 'numpy', 'cv2'} & set(sys.modules))"
+    )
+    began = time.monotonic()
+    said = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=20)
+    assert time.monotonic() - began < 1.0
+    assert said.returncode == 0 and "HEAVY set()" in said.stdout
+    for option in "SCENE -o --preset --steps --size --seed --masks --up --bake --save --resume".split():
+        assert option in said.stdout
+
+
+def test_bad_input_is_found_before_anything_is_made(root: Path, tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path / "scene")
+    out = tmp_path / "out"
+    used = tmp_path / "used"
+    used.mkdir()
+    (used / "diary.txt").write_text("private")
+    for arguments, told in (
+        ((tmp_path / "nowhere", "-o", out), "nowhere"),
+        ((scene, "-o", out, "--steps", "0"), "steps = 0"),
+        ((scene, "-o", out, "--steps", "many"), "many"),
+        ((scene, "-o", out, "--size", "640"), "640"),
+        ((scene, "-o", out, "--size", "2x2"), "(2, 2)"),
+        ((scene, "-o", out, "--preset", "best"), "best"),
+        ((scene, "-o", out, "--seed", "-1"), "seed = -1"),
+        ((scene, "-o", out, "--save", tmp_path / "a.txt"), ".blend"),
+        ((scene, "-o", out, "--save", tmp_path / "no" / "a.blend"), str(tmp_path / "no")),
+        ((scene, "-o", used), "diary.txt"),
+        ((scene, "-o", used, "--resume"), "diary.txt"),
+        ((scene, "-o", scene / "color" / "0000.png"), "0000.png"),
+        ((scene,), "-o"),
+    ):
+        said = run_script(root, *arguments)
+        assert said.returncode == 2, said
+        assert told in said.stderr and "Traceback" not in said.stderr
+        assert not out.exists()
+    assert [path.name for path in used.iterdir()] == ["diary.txt"]
+
+
+def test_says_when_the_engines_python_is_unfit(root: Path, tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path / "scene", frames=3)
+    bare = tmp_path / "bare"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True)
+    for python, told in ((bare / "bin" / "python", "lacks torch"), (tmp_path / "none", "is not there")):
+        command = [sys.executable, root / "run_plgs.py", scene, "-o", tmp_path / "out"]
+        env = os.environ | {"PLGS_ENGINE_PYTHON": str(python)}
+        said = subprocess.run(command, capture_output=True, text=True, timeout=60, env=env)
+        assert said.returncode == 2 and told in said.stderr and "PLGS_ENGINE_PYTHON" in said.stderr
+        assert not (tmp_path / "out").exists()
+
+
+def test_without_bpy_anywhere_says_what_to_do(root: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True)
+    packages = bare / f"lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages"
+    for name in ("torch", "numpy"):
+        (packages / f"{name}.py").write_text("")
+    python = bare / "bin" / "python"
+    command = [python, root / "run_plgs.py", tmp_path, "-o", tmp_path / "out"]
+    env = os.environ | {"PLGS_ENGINE_PYTHON": str(python)}
+    said = subprocess.run(command, capture_output=True, text=True, timeout=60, env=env)
+    assert said.returncode == 2 and "bpy" in said.stderr and "make set-up" in said.stderr
+    assert len(said.stderr.splitlines()) == 1
