@@ -6,7 +6,7 @@ from .coco import write_coco
 from .contact_sheet import SheetRow, chosen, write_contact_sheet
 from .exr import read_exr, write_exr
 from .layers import PanopticLayers, decide, encoded, linear
-from .ply import Splats, read_ply, write_ply
+from .ply import read_ply, write_ply
 from .previews import colour_picture, instance_picture, semantic_picture, write_previews
 from .result_files import InstanceRecord, SegmentLink, write_anchors, write_instances, write_semantic_points
 
@@ -15,7 +15,6 @@ __all__ = [
     "PanopticLayers",
     "SegmentLink",
     "SheetRow",
-    "Splats",
     "chosen",
     "colour_picture",
     "decide",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..job import write_atomically
+from ..model.baking import BakedGaussians
 
 SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)
 """The constant spherical harmonic: colour = 0.5 + SH_DEGREE_0 * f_dc."""
@@ -19,23 +19,7 @@ _FLOATS = ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opaci
 _VERTEX = np.dtype([*((name, "<f4") for name in _FLOATS), ("class_id", "<i4"), ("instance_id", "<i4")])
 
 
-@dataclass(frozen=True, eq=False)
-class Splats:
-    """Gaussians as arrays of float32: ``means`` [N, 3] world metres, ``scales`` [N, 3] metres (standard
-    deviations), ``quats`` [N, 4] wxyz, ``opacities`` [N] in (0, 1), ``colours`` [N, 3] sRGB in [0, 1];
-    ``class_id`` and ``instance_id`` int32 [N], 0 = unknown, none.
-    """
-
-    means: NDArray[np.float32]
-    scales: NDArray[np.float32]
-    quats: NDArray[np.float32]
-    opacities: NDArray[np.float32]
-    colours: NDArray[np.float32]
-    class_id: NDArray[np.int32]
-    instance_id: NDArray[np.int32]
-
-
-def write_ply(path: Path, splats: Splats) -> None:
+def write_ply(path: Path, splats: BakedGaussians) -> None:
     """Binary little endian, spherical harmonics of degree 0, opacity as logit, scale as logarithm. Raises
     OSError.
     """
@@ -53,7 +37,7 @@ def write_ply(path: Path, splats: Splats) -> None:
     write_atomically(path, "\n".join([*lines, "end_header\n"]).encode() + vertices.tobytes())
 
 
-def read_ply(path: Path) -> Splats:
+def read_ply(path: Path) -> BakedGaussians:
     """The inverse of ``write_ply``, for its files only. Raises ValueError for any other PLY, OSError."""
     head, mark, body = path.read_bytes().partition(b"end_header\n")
     lines = head.decode("ascii", "replace").splitlines()
@@ -61,7 +45,7 @@ def read_ply(path: Path) -> Splats:
     if not mark or lines[:2] != ["ply", "format binary_little_endian 1.0"] or names != list(_VERTEX.names or ()):
         raise ValueError(f"{path} is no PLY of this program")
     vertices = np.frombuffer(body, _VERTEX)
-    return Splats(
+    return BakedGaussians(
         means=_get(vertices, ("x", "y", "z")),
         scales=np.exp(_get(vertices, ("scale_0", "scale_1", "scale_2"))),
         quats=_get(vertices, ("rot_0", "rot_1", "rot_2", "rot_3")),

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from engine.model.baking import BakedGaussians
 from engine.passes import (
     InstanceRecord,
     SegmentLink,
     SheetRow,
-    Splats,
     chosen,
     decide,
     read_ply,
@@ -32,9 +32,9 @@ RANDOM = np.random.default_rng(5)
 COUNT = 50
 
 
-def _splats() -> Splats:
+def _splats() -> BakedGaussians:
     quats = RANDOM.normal(size=(COUNT, 4)).astype(np.float32)
-    return Splats(
+    return BakedGaussians(
         means=RANDOM.normal(size=(COUNT, 3)).astype(np.float32),
         scales=RANDOM.uniform(0.001, 0.2, (COUNT, 3)).astype(np.float32),
         quats=quats / np.linalg.norm(quats, axis=1, keepdims=True),

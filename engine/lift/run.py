@@ -14,14 +14,15 @@ import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
 
-from .job import EventWriter, LiftFolder, StopSignal, write_manifest
-from .lift_result import bake_passes, evaluate_passes, write_scene
-from .scene import Frame, Scene, check_scene, load_view, open_scene, size_within
-from .train.preparation import prepare
-from .train.presets import chosen_preset
-from .train.progress import StageReporter
-from .train.state import restore, trainer_state
-from .train.trainer import Trainer
+from ..job import EventWriter, LiftFolder, StopSignal, write_manifest
+from ..scene import Frame, Scene, check_scene, load_view, open_scene, size_within
+from ..train.preparation import prepare
+from ..train.presets import chosen_preset
+from ..train.progress import StageReporter
+from ..train.state import restore, trainer_state
+from ..train.trainer import Trainer
+from .baking import FrameBaker, bake_and_evaluate
+from .scene_files import write_scene_files
 
 log = logging.getLogger("plgs.lift")
 
@@ -49,15 +50,15 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     torch.use_deterministic_algorithms(True)
     stages = StageReporter(events, stop, STAGES)
 
-    with stages.stage("check"):
+    with stages.stage("check") as progress:
         scene = open_scene(request.scene, request.masks, request.up)
-        for warning in (*scene.warnings, *check_scene(scene)):
+        for warning in (*scene.warnings, *check_scene(scene, progress)):
             events.warning(warning)
     with stages.stage("read") as progress:
         views = []
-        for done, frame in enumerate(scene.train_frames, start=1):
+        for frame in scene.train_frames:
             views.append(load_view(frame, size_within(frame.size, preset.size_within)))
-            progress(done, len(scene.train_frames))
+            progress(len(views), len(scene.train_frames))
 
     prepared = prepare(views, scene.classes, preset, request.seed, stages)
     trainer = Trainer(prepared.scene, prepared.targets, views, preset, request.seed)
@@ -68,11 +69,9 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     train(trainer, folder, stages)
 
     with stages.stage("result"):
-        write_scene(folder, scene, prepared, trainer.scene, events)
-    with stages.stage("bake") as progress:
-        baked = bake_passes(folder, scene, prepared, trainer.scene, frames_to_bake(scene, request.bake), events, progress)
-    with stages.stage("evaluate") as progress:
-        evaluate_passes(folder, scene, views, baked, events, progress)
+        write_scene_files(folder, scene, prepared, trainer.scene, events)
+    baker = FrameBaker(scene, prepared, trainer.scene)
+    bake_and_evaluate(folder, baker, frames_to_bake(scene, request.bake), events, stages)
     write_manifest(
         folder.result_path,
         versions=library_versions(),

@@ -1,0 +1,92 @@
+"""The lifted scene as files: the semantic points, the instances, the anchors, the Gaussians, the model."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from safetensors.torch import save
+
+from ..instances import GlobalInstance
+from ..job import EventWriter, LiftFolder, write_atomically
+from ..model.baking import bake
+from ..model.structured import StructuredScene, to_tensors
+from ..passes import InstanceRecord, SegmentLink, write_anchors, write_instances, write_ply, write_semantic_points
+from ..scene import ClassTable, Scene, distinct_colour
+from ..train.preparation import PreparedLift
+
+
+def write_scene_files(
+    folder: LiftFolder, scene: Scene, prepared: PreparedLift, lifted: StructuredScene, events: EventWriter
+) -> None:
+    """Write everything of the result that needs no rendering. Raises OSError when the disk is full."""
+    result = folder.result_path
+    cloud = prepared.cloud
+    viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
+    gaussians, anchors = bake(lifted, viewpoint, scene.classes.thing_ids)
+    write_semantic_points(
+        result / "semantic_points.npz",
+        xyz=cloud.xyz,
+        rgb=cloud.rgb,
+        class_id=cloud.class_id,
+        instance_id=prepared.instance_of_point,
+        confidence=cloud.confidence,
+    )
+    records = instance_records(prepared, scene.classes)
+    write_instances(result / "instances.json", scene.classes, records)
+    write_anchors(result / "anchors.npz", **vars(anchors))
+    write_ply(result / "gaussians.ply", gaussians)
+    write_model(folder, lifted)
+    for name in ("semantic_points.npz", "instances.json", "anchors.npz", "gaussians.ply", "model.safetensors"):
+        events.artifact(result / name, name.partition(".")[0])
+
+
+def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
+    """model.safetensors: the tensors, and in its header under "plgs" what makes a scene of them again (JSON)."""
+    tensors, facts = to_tensors(lifted)
+    contiguous: dict[str, torch.Tensor] = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    content = save(contiguous, metadata={"plgs": json.dumps(facts, sort_keys=True)})
+    write_atomically(folder.result_path / "model.safetensors", content)
+
+
+def instance_names(instances: Sequence[GlobalInstance], classes: ClassTable) -> dict[int, str]:
+    """ "chair 1", "chair 2", ... in ascending order of id."""
+    names: dict[int, str] = {}
+    count: dict[int, int] = {}
+    for instance in sorted(instances, key=lambda instance: instance.id):
+        count[instance.class_id] = count.get(instance.class_id, 0) + 1
+        names[instance.id] = f"{classes[instance.class_id].name} {count[instance.class_id]}"
+    return names
+
+
+def instance_records(prepared: PreparedLift, classes: ClassTable) -> list[InstanceRecord]:
+    """The matched objects as instances.json lists them."""
+    names = instance_names(prepared.instances, classes)
+    points = np.bincount(prepared.instance_of_point, minlength=max(names, default=0) + 1)
+    records = []
+    for instance in prepared.instances:
+        x, y, z = instance.box.centre.tolist()
+        length, width, height = instance.box.size.tolist()
+        records.append(
+            InstanceRecord(
+                id=instance.id,
+                name=names[instance.id],
+                class_id=instance.class_id,
+                class_name=classes[instance.class_id].name,
+                colour=distinct_colour(instance.id),
+                centre=(x, y, z),
+                size=(length, width, height),
+                yaw=instance.box.yaw,
+                rotation=instance.box.rotation,
+                views=instance.views,
+                score=instance.score,
+                points=int(points[instance.id]),
+                segments=tuple(
+                    SegmentLink(item.frame, item.segment_id, item.class_id, item.score, item.cost)
+                    for item in instance.evidence
+                ),
+            )
+        )
+    return records
