@@ -14,5 +14,5 @@ def evaluate(path: Path, *, per_class: bool) -> ExitCode:
     verify(lift.result_path)
     print(metrics_table(lift))
     if per_class:
-        print(class_tables(lift))
+        print("", class_tables(lift), sep="\n")
     return ExitCode.FINISHED

@@ -2,36 +2,56 @@
 
 from __future__ import annotations
 
+import faulthandler
+import logging
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import TextIO
 
 
 @contextmanager
 def output_to(log: Path) -> Iterator[TextIO]:
-    """Append standard output and error of the whole process to ``log`` meanwhile; yields the real standard error.
+    """Append all that is said meanwhile to ``log``; yields the real standard error, for the few lines that are for it.
 
-    File descriptors are moved, not Python's objects: so what C++ prints lands there too, and a crash's last words.
+    Python's streams and its logging go there, and the file descriptors below them: so what C++ prints lands there too,
+    and the Python lines that led to a crash in it.
     """
-    _flush()
-    out, err = os.dup(1), os.dup(2)
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-    os.dup2(descriptor, 1)
-    os.dup2(descriptor, 2)
-    os.close(descriptor)
-    try:
-        with os.fdopen(os.dup(err), "w", encoding="utf-8", errors="replace", buffering=1) as terminal:
-            yield terminal
-    finally:
-        _flush()
-        for saved, number in ((out, 1), (err, 2)):
-            os.dup2(saved, number)
-            os.close(saved)
-
-
-def _flush() -> None:
     sys.stdout.flush()
     sys.stderr.flush()
+    out, err = os.dup(1), os.dup(2)
+    with (
+        log.open("a", encoding="utf-8", errors="replace", buffering=1) as file,
+        os.fdopen(os.dup(2), "w", encoding="utf-8", errors="replace", buffering=1) as terminal,
+    ):
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+        try:
+            with redirect_stdout(file), redirect_stderr(file), _logging_to(file):
+                yield terminal
+        finally:
+            for saved, number in ((out, 1), (err, 2)):
+                os.dup2(saved, number)
+                os.close(saved)
+
+
+@contextmanager
+def _logging_to(file: TextIO) -> Iterator[None]:
+    handler = logging.StreamHandler(file)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(name)s: %(message)s"))
+    root = logging.getLogger()
+    level, were_faults_told = root.level, faulthandler.is_enabled()
+    root.addHandler(handler)
+    root.setLevel(logging.INFO)
+    faulthandler.enable(file=file)
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)
+        root.setLevel(level)
+        if were_faults_told:
+            faulthandler.enable(file=sys.__stderr__ or 2)
+        else:
+            faulthandler.disable()

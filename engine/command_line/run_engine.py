@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import faulthandler
-import logging
 import os
 import signal
 import sys
@@ -46,7 +44,6 @@ def run_engine(
 
 
 def _run(folder: LiftFolder, resume: bool, parent_pipe: int | None, lift: Lift | None, terminal: TextIO) -> ExitCode:
-    _prepare_log()
     if resume:
         folder.prepare_run()
     events = EventWriter(folder.events_path)
@@ -112,16 +109,6 @@ def _fail(events: EventWriter, terminal: TextIO, what: str, where: object, fix: 
 
 def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [""])[0][:300]
-
-
-def _prepare_log() -> None:
-    """Log lines appear at once, and a crash in native code leaves the Python lines that led there."""
-    for stream in (sys.stdout, sys.stderr):
-        reconfigure = getattr(stream, "reconfigure", None)
-        if reconfigure:
-            reconfigure(line_buffering=True)
-    faulthandler.enable(file=2)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s: %(message)s")
 
 
 @contextmanager

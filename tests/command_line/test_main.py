@@ -1,0 +1,107 @@
+"""``python -m engine``: what it answers, and with which exit code."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from engine.command_line.main import main
+from engine.job import write_atomically, write_manifest
+from tests.job.lift_folders import new_lift
+from tests.tiny_scene import write_tiny_scene
+
+
+def code_of(*arguments: str | Path) -> int:
+    try:
+        return int(main([str(argument) for argument in arguments]))
+    except SystemExit as error:
+        assert isinstance(error.code, int)
+        return error.code
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["lift", "--help"], ["evaluate", "--help"], ["inspect", "--help"]])
+def test_help_is_fast(root: Path, arguments: list[str]) -> None:
+    code = (
+        "import sys\n"
+        "from engine.command_line.main import main\n"
+        "try: main(sys.argv[1:])\n"
+        "finally: print('HEAVY', {'torch', 'numpy', 'cv2', 'numba'} & set(sys.modules))"
+    )
+    began = time.monotonic()
+    said = subprocess.run([sys.executable, "-c", code, *arguments], cwd=root, capture_output=True, text=True)
+    assert time.monotonic() - began < 1.0
+    assert said.returncode == 0 and "HEAVY set()" in said.stdout and "usage:" in said.stdout
+
+
+def test_runs_as_a_module(root: Path) -> None:
+    said = subprocess.run([sys.executable, "-m", "engine", "--version"], cwd=root, capture_output=True, text=True)
+    assert said.returncode == 0 and said.stdout.strip()
+
+
+def test_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for arguments in ([], ["dance"], ["lift"], ["lift", tmp_path, "--size", "big"], ["inspect", tmp_path, "--up", "x"]):
+        assert code_of(*arguments) == 2
+        assert "usage:" in capsys.readouterr().err
+
+
+def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    lift = new_lift(tmp_path)
+    for arguments, told in (
+        (["inspect", tmp_path / "none"], "none"),
+        (["lift", tmp_path / "none"], "is no folder"),
+        (["lift", tmp_path], "request.json"),
+        (["lift", lift.path, "--seed", "3"], "--seed"),
+        (["evaluate", tmp_path], "request.json"),
+        (["evaluate", lift.path], "not finished"),
+    ):
+        assert code_of(*arguments) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("error: ") and said.count("\n") == 1 and told in said
+
+
+def test_a_bad_scene_leaves_no_folder(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
+    (tmp_path / "scene").mkdir()
+    assert code_of("lift", tmp_path / "scene", "-o", tmp_path / "out") == 2
+    assert capsys.readouterr().err.startswith("error: ")
+    assert os.listdir(tmp_path) == ["scene"]
+
+
+def test_inspect(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path / "scene", frames=9)
+    assert code_of("inspect", scene) == 0
+    said = capsys.readouterr().out
+    for told in ("64x48", "chair", "thing", "wall", "stuff", "held out", " m"):
+        assert told in said
+
+
+METRICS = """{"format": 1, "test_frames": ["0000"], "tables": [
+ {"name": "machine masks", "mode": "strict", "miou": 0.5, "pq": 0.25, "sq": 0.75, "rq": 0.3, "psnr": null, "ssim": null,
+  "per_class": []},
+ {"name": "lifted", "mode": "strict", "miou": 0.625, "pq": 0.5, "sq": 0.8, "rq": 0.6, "psnr": 21.5, "ssim": 0.75,
+  "per_class": [{"name": "chair", "iou": 0.5, "pq": 1, "sq": 1, "rq": 1, "tp": 3, "fp": 0, "fn": 1}]}]}"""
+
+
+def test_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    lift = new_lift(tmp_path)
+    write_atomically(lift.result_path / "metrics.json", METRICS)
+    write_manifest(lift.result_path, versions={}, seed=0, settings={}, timings={})
+    assert code_of("evaluate", lift.path, "--classes") == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "               mode    mIoU %  PQ %  SQ %  RQ %  PSNR dB   SSIM",
+        "machine masks  strict    50.0  25.0  75.0  30.0        -      -",
+        "lifted         strict    62.5  50.0  80.0  60.0    21.50  0.750",
+        "",
+        "lifted, strict  IoU %   PQ %   SQ %   RQ %  TP  FP  FN",
+        "chair            50.0  100.0  100.0  100.0   3   0   1",
+    ]
+    (lift.result_path / "metrics.json").write_text(METRICS.replace("0.625", "0.925"))
+    assert code_of("evaluate", lift.path) == 2
+    assert "was changed" in capsys.readouterr().err

@@ -1,0 +1,114 @@
+"""One run of the engine, in this process: where output goes and how it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from engine.command_line.run_engine import run_engine
+from engine.job import EventWriter, ExitCode, JobError, LiftFolder, LiftState, StopSignal, last_run
+from engine.scene import SceneError
+from tests.job.lift_folders import new_lift, tiny_lift
+
+
+def raising(error: BaseException) -> object:
+    """A lift that fails like this."""
+
+    def lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+        raise error
+
+    return lift
+
+
+def test_a_lift_that_works(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = new_lift(tmp_path)
+
+    def talkative(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+        print("python out")
+        print("python err", file=sys.stderr)
+        os.write(1, b"native out\n")
+        tiny_lift(folder, events, stop, resume=resume)
+
+    assert run_engine(folder, lift=talkative) is ExitCode.FINISHED
+    print("afterwards")
+    assert capfd.readouterr() == ("afterwards\n", "")
+    assert folder.state() is LiftState.FINISHED
+    for line in ("python out", "python err", "native out"):
+        assert line in folder.log_path.read_text()
+    kinds = [event.kind for event in last_run(folder.events_path)]
+    assert kinds == ["hello", "stage", "progress", "done"]
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (SceneError("is 8-bit", "/a/depth.png", "Write 16 bits."), 2, "is 8-bit: /a/depth.png. Write 16 bits."),
+        (JobError("is damaged", "/a", "Delete it."), 2, "is damaged: /a. Delete it."),
+        (MemoryError(), 1, "memory ran out"),
+        (ValueError("first line\nsecond"), 1, "ValueError: first line)"),
+        (ModuleNotFoundError("No module named 'torch'"), 1, "make set-up"),
+        (OSError(28, "No space left on device"), 1, "No space left"),
+    ],
+)
+def test_a_lift_that_fails(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], error: Exception, code: int, told: str
+) -> None:
+    folder = new_lift(tmp_path)
+    assert run_engine(folder, lift=raising(error)) == code  # type: ignore[arg-type]
+    said = capfd.readouterr().err
+    assert told in said and said.startswith("error: ") and said.count("\n") == 1
+    assert folder.state() is LiftState.FAILED and folder.last_exit_code() == code
+    assert ("Traceback" in folder.log_path.read_text()) == (code == 1)
+
+
+def test_a_lift_without_a_manifest_is_no_success(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    assert run_engine(folder, lift=lambda folder, events, stop, *, resume: None) is ExitCode.INTERNAL_ERROR
+
+
+def test_cancelled_before_it_began(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    folder.ask_to_cancel()
+    assert run_engine(folder, lift=tiny_lift) is ExitCode.CANCELLED
+    assert folder.state() is LiftState.CANCELLED
+    assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
+
+
+def test_resume(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = new_lift(tmp_path)
+    assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED  # nothing to go on with: it starts
+    before = folder.events_path.read_bytes()
+    assert run_engine(folder, resume=True, lift=raising(ValueError())) is ExitCode.FINISHED  # type: ignore[arg-type]
+    assert "finished already" in capfd.readouterr().out
+    with pytest.raises(JobError, match="finished"):
+        run_engine(folder, lift=tiny_lift)
+    assert folder.events_path.read_bytes() == before
+
+
+def test_a_broken_result_is_made_anew(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    run_engine(folder, lift=tiny_lift)
+    (folder.result_path / "metrics.json").unlink()
+    assert folder.state() is LiftState.INTERRUPTED
+    assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
+    assert folder.state() is LiftState.FINISHED
+
+
+def test_signals_are_given_back(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    run_engine(new_lift(tmp_path), lift=tiny_lift)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_ctrl_c_has_its_own_code(tmp_path: Path) -> None:
+    def interrupted(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        stop.check()
+
+    folder = new_lift(tmp_path)
+    assert run_engine(folder, lift=interrupted) is ExitCode.INTERRUPTED
+    assert folder.state() is LiftState.CANCELLED
