@@ -1,27 +1,34 @@
-"""Which masks are one object? Oriented boxes, Algorithm 1, linear assignment."""
+"""Which masks are one object? Oriented boxes and Algorithm 1, the views' consent, linear assignment."""
 
 from __future__ import annotations
 
+from .consensus import ConsensusOptions, ObjectMasks, ViewPoints, find_objects
 from .linear_assignment import assign_slots
 from .masks import instance_map, restrict_to_things, vote_instances
 from .matching import Evidence, GlobalInstance, MatchingOptions, match_views, merge_duplicates
+from .objects import object_instances
 from .oriented_box import OrientedBox, fit_box, intersection_volume
 from .segments import LocalInstance, SegmentOptions, local_instances
 
 __all__ = [
+    "ConsensusOptions",
     "Evidence",
     "GlobalInstance",
     "LocalInstance",
     "MatchingOptions",
+    "ObjectMasks",
     "OrientedBox",
     "SegmentOptions",
+    "ViewPoints",
     "assign_slots",
+    "find_objects",
     "fit_box",
     "instance_map",
     "intersection_volume",
     "local_instances",
     "match_views",
     "merge_duplicates",
+    "object_instances",
     "restrict_to_things",
     "vote_instances",
 ]

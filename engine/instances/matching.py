@@ -6,6 +6,7 @@ defaults are the ones that held up best in measurements.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -55,26 +56,13 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class GlobalInstance:
-    """{P_g, B_g} and where it comes from: ``points`` float64 [n, 3] metres, thinned."""
+    """{P_g, B_g}, what it is and where it comes from: ``points`` float64 [n, 3] metres, thinned."""
 
     id: int
     points: NDArray[np.float64]
     box: OrientedBox
     evidence: tuple[Evidence, ...]
-
-    @property
-    def class_id(self) -> int:
-        """The class with the greatest sum of scores, each view giving a class its best score once; ties:
-        lower id.
-        """
-        best: dict[tuple[str, int], float] = {}
-        for item in self.evidence:
-            key = (item.frame, item.class_id)
-            best[key] = max(item.score, best.get(key, 0.0))
-        votes: dict[int, float] = {}
-        for (_, class_id), score in best.items():
-            votes[class_id] = votes.get(class_id, 0.0) + score
-        return min(votes, key=lambda class_id: (-votes[class_id], class_id))
+    class_id: int
 
     @property
     def views(self) -> int:
@@ -97,6 +85,21 @@ def pair_cost(local: OrientedBox, known: OrientedBox, true_iou: bool = False) ->
         return 0.0
     union = local.volume + known.volume - (inter if true_iou else 0.0)
     return -inter / union - inter / min(local.volume, known.volume)
+
+
+def class_by_views(evidence: Sequence[Evidence]) -> int:
+    """The class most voted for: in each view the segments share the square root of their pixels; ties: lower
+    id.
+
+    So a near view, which sees more, counts for more, but cannot outvote the others by its mass of pixels.
+    """
+    seen: dict[str, int] = {}
+    for item in evidence:
+        seen[item.frame] = seen.get(item.frame, 0) + item.pixels
+    votes: dict[int, float] = {}
+    for item in evidence:
+        votes[item.class_id] = votes.get(item.class_id, 0.0) + item.pixels / math.sqrt(max(seen[item.frame], 1))
+    return min(votes, key=lambda class_id: (-round(votes[class_id], 9), class_id))
 
 
 def match_views(
@@ -128,7 +131,7 @@ def update_instances(
         evidence = Evidence(item.frame, item.segment.id, item.segment.class_id, item.segment.score, item.pixels,
                             None if target is None else float(cost[row, target]))  # fmt: skip
         if target is None:
-            updated.append(GlobalInstance(len(updated) + 1, item.points, item.box, (evidence,)))
+            updated.append(GlobalInstance(len(updated) + 1, item.points, item.box, (evidence,), evidence.class_id))
         else:
             updated[target] = _joined(updated[target], item.points, (evidence,), voxel_size)
     return updated
@@ -157,7 +160,8 @@ def _joined(
     instance: GlobalInstance, points: NDArray[np.float64], evidence: tuple[Evidence, ...], voxel_size: float
 ) -> GlobalInstance:
     together = thin(np.concatenate([instance.points, points]), voxel_size)
-    return replace(instance, points=together, box=fit_box(together, voxel_size), evidence=instance.evidence + evidence)
+    box, both = fit_box(together, voxel_size), instance.evidence + evidence
+    return replace(instance, points=together, box=box, evidence=both, class_id=class_by_views(both))
 
 
 def merge_duplicates(instances: Sequence[GlobalInstance], iom: float, voxel_size: float) -> list[GlobalInstance]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from .anchor_labels import label_anchors, voxelise
 from .cloud_index import CloudIndex
 from .consistency import ConsistencyOptions, consistency_masks, view_overlap, views_are_sparse
+from .object_votes import label_by_object, vote_classes
 from .point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud
 from .projection import LabelledPoints, project_labels, read_labels
 from .pseudo_labels import pseudo_labels, regions
@@ -18,11 +19,13 @@ __all__ = [
     "build_point_cloud",
     "consistency_masks",
     "label_anchors",
+    "label_by_object",
     "project_labels",
     "pseudo_labels",
     "read_labels",
     "regions",
     "view_overlap",
     "views_are_sparse",
+    "vote_classes",
     "voxelise",
 ]

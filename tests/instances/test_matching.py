@@ -13,7 +13,7 @@ from engine.instances import (
     match_views,
     merge_duplicates,
 )
-from engine.instances.matching import pair_cost, update_instances
+from engine.instances.matching import Evidence, class_by_views, pair_cost, update_instances
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, THINGS, look, view_of
 
@@ -113,16 +113,19 @@ def test_duplicates_of_one_class_merge_and_others_stay() -> None:
     view = view_of("a", around(0), [LEFT])
     one = match_views([view], THINGS, SEGMENTS, MatchingOptions())[0]
     twin = replace(one, id=2)
-    sofa = replace(one, id=3, evidence=(replace(one.evidence[0], class_id=SOFA),))
+    sofa = replace(one, id=3, class_id=SOFA)
     merged = merge_duplicates([one, sofa, twin], 0.8, 0.03)
     assert [item.id for item in merged] == [1, 3] and len(merged[0].evidence) == 2
 
 
-def test_each_view_gives_a_class_its_best_score_once() -> None:
-    view = view_of("a", around(0), [LEFT])
-    one = match_views([view], THINGS, SEGMENTS, MatchingOptions())[0].evidence[0]
-    many = [replace(one, frame="near", segment_id=i, score=0.6) for i in range(3)]
-    others = [replace(one, frame=f, class_id=SOFA, score=0.4) for f in ("b", "c")]
-    item = match_views([view], THINGS, SEGMENTS, MatchingOptions())[0]
-    assert replace(item, evidence=(*many, *others)).class_id == SOFA
-    assert replace(item, evidence=(replace(one, score=0.8), *others)).class_id == CHAIR
+def test_near_views_count_more_but_do_not_outvote() -> None:
+    def seen(frame: str, class_id: int, pixels: int) -> Evidence:
+        return Evidence(frame, 1, class_id, 0.9, pixels, None)
+
+    near, far = seen("near", SOFA, 1600), [seen(f, CHAIR, 100) for f in "abcde"]
+    assert class_by_views([near, *far[:3]]) == SOFA
+    assert class_by_views([near, *far]) == CHAIR
+    # Four pieces in one view have no more votes than one of their size.
+    pieces = [replace(near, segment_id=i, pixels=400) for i in range(4)]
+    assert class_by_views([*pieces, *far]) == CHAIR
+    assert class_by_views([seen("a", SOFA, 50), seen("b", CHAIR, 50)]) == CHAIR
