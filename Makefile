@@ -11,6 +11,8 @@ PRESET ?= preview
 
 PYTHON := .venv/bin/python
 PYTEST := -m pytest --durations=5
+# What mypy reads, as far as it is there.
+TYPED := $(addprefix -p plgs.,$(wildcard engine plgs_blender operators ui)) $(if $(wildcard run_plgs.py),-m plgs.run_plgs)
 # What runs on the next Blender: all that lives in Blender's own Python.
 NEXT_TESTS := $(wildcard tests/scene tests/job tests/plgs_blender)
 
@@ -33,7 +35,7 @@ test-slow: set-up-next
 lint: set-up
 	@$(PYTHON) -m ruff check .
 	@mkdir -p build/types && ln -sfn ../.. build/types/plgs
-	@$(PYTHON) -m mypy -p plgs.engine
+	@$(PYTHON) -m mypy $(TYPED)
 
 set-up:
 	@sh set_up/set_up.sh .venv

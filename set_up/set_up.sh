@@ -7,7 +7,7 @@ set -eu
 cd "$(dirname "$0")/.."
 environment=$1
 
-if [ -x "$environment/bin/python" ] && "$environment/bin/python" -I set_up/environment.py check "$environment"; then
+if [ -x "$environment/bin/python" ] && "$environment/bin/python" -I -S set_up/environment.py check "$environment"; then
     exit 0
 fi
 
