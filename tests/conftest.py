@@ -41,8 +41,7 @@ if HAS_BLENDER:
     os.environ["BLENDER_USER_RESOURCES"] = settings
     import bpy
 
-    if (ROOT / "__init__.py").is_file():
-        load_package(ROOT, "plgs")
+    load_package(ROOT, "plgs")
 
 collect_ignore = [] if HAS_BLENDER else ["plgs_blender"]
 

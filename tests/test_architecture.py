@@ -251,3 +251,11 @@ def test_imports_quickly(module: str, unwanted: set[str]) -> None:
     code = f"import sys, {module}; print(' '.join(sorted({unwanted!r} & set(sys.modules))))"
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert run.stdout.split() == []
+
+
+@pytest.mark.skipif("bpy" not in sys.modules, reason="needs bpy")
+def test_the_extension_is_loaded_once() -> None:
+    """pytest would import the root `__init__.py` again, under the folder's name, were it not kept from it."""
+    ours = str(ROOT / "__init__.py")
+    names = [name for name, module in sys.modules.items() if getattr(module, "__file__", "") == ours]
+    assert names == ["plgs"]
