@@ -31,10 +31,10 @@ class ConsensusOptions:
     many views do not take long.
     """
 
-    visible: float = 0.3
+    visible: float = 0.2
     contained: float = 0.7
     torn: float = 0.5
-    consent: float = 0.4
+    consent: float = 0.35
     min_masks: int = 3
     min_points: int = 3
     max_judges: int = 100
@@ -76,6 +76,13 @@ def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
     points, first = np.unique(rows[order], return_index=True)
     pixels = np.bincount(row, minlength=int(points[-1]) + 1 if len(points) else 0)[points]
     return ViewPoints(points.astype(np.int32), segments[order][first].astype(np.int32), pixels.astype(np.int32))
+
+
+def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
+    """The class that a view shows at each of its points, int32 [n], 0 = none."""
+    class_of = {segment.id: segment.class_id for segment in view.mask.segments}
+    present, inverse = np.unique(summary.segment, return_inverse=True)
+    return np.array([class_of.get(int(segment), 0) for segment in present], np.int32)[inverse.reshape(-1)]
 
 
 def find_objects(

@@ -28,14 +28,13 @@ class MatchingOptions:
     Hungarian partner if its cost is at most tau, else the best global instance if that is, else a new one;
     "literal" is the text of Algorithm 1. ``true_iou`` subtracts the intersection from the union, which the
     paper's formula does not. ``merge_iom``: at the end, instances of one class with a greater IoM are merged
-    (None: never). ``max_instances`` caps their number; those with the most pixels stay.
+    (None: never).
     """
 
     tau_new: float = -0.1
     rule: str = "hybrid"
     true_iou: bool = False
-    merge_iom: float | None = 0.8
-    max_instances: int = 255
+    merge_iom: float | None = None
 
     def __post_init__(self) -> None:
         if self.rule not in ("hybrid", "literal"):
@@ -164,13 +163,13 @@ def _joined(
     return replace(instance, points=together, box=box, evidence=both, class_id=class_by_views(both))
 
 
-def merge_duplicates(instances: Sequence[GlobalInstance], iom: float, voxel_size: float) -> list[GlobalInstance]:
+def merge_duplicates(instances: Sequence[GlobalInstance], iom: float | None, voxel_size: float) -> list[GlobalInstance]:
     """Merge instances of one class whose boxes have a greater IoM, the older id surviving, until none are
-    left.
+    left. None merges nothing: in furnished rooms the boxes of different chairs contain each other.
     """
     merged = list(instances)
     first = 0
-    while first < len(merged):
+    while iom is not None and first < len(merged):
         for second in range(first + 1, len(merged)):
             one, two = merged[first], merged[second]
             inter = intersection_volume(one.box, two.box)
@@ -182,3 +181,20 @@ def merge_duplicates(instances: Sequence[GlobalInstance], iom: float, voxel_size
                 break
         first += 1
     return merged
+
+
+def limit_instances(
+    instances: Sequence[GlobalInstance], instance_of_point: NDArray[np.int32], most: int
+) -> tuple[list[GlobalInstance], NDArray[np.int32], int]:
+    """Keep the ``most`` instances with the most pixels, renumbered 1.. in their order.
+
+    Gives them, the points' instances int32 [N] in the new numbers (0 = none or dropped), and how many were
+    dropped, of which the user should be told.
+    """
+    largest = sorted(instances, key=lambda item: (-item.pixels, item.id))[:most]
+    kept = sorted(largest, key=lambda item: item.id)
+    number = np.zeros(max([int(instance_of_point.max(initial=0)), *(item.id for item in instances)], default=0) + 1)
+    for new, item in enumerate(kept, start=1):
+        number[item.id] = new
+    renumbered = [replace(item, id=new) for new, item in enumerate(kept, start=1)]
+    return renumbered, number[instance_of_point].astype(np.int32), len(instances) - len(kept)

@@ -67,4 +67,4 @@ def _majority(group: NDArray[np.int64], label: NDArray[np.int32], groups: int) -
     voting = (group >= 0) & (label > VOID)
     ids, column = np.unique(label[voting], return_inverse=True)
     votes = np.bincount(group[voting] * len(ids) + column.reshape(-1), minlength=groups * len(ids))
-    return majority_vote(votes.reshape(groups, len(ids)), ids.tolist(), 0.0)[0]
+    return majority_vote(votes.reshape(groups, len(ids)).astype(np.float64), ids.tolist(), 0.0)[0]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.instances import ConsensusOptions, find_objects, object_instances
-from engine.instances.consensus import join, view_points
+from engine.instances.consensus import join, shown_classes, view_points
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
 
@@ -94,6 +94,7 @@ def test_points_show_the_segment_of_most_of_their_inner_pixels() -> None:
     rows[3, 4] = 8
     found = view_points(view, rows)
     assert found.row.tolist() == [2, 8] and found.segment.tolist() == [9, 9] and found.pixels.tolist() == [6, 1]
+    assert shown_classes(view, found).tolist() == [WALL, WALL]
 
 
 @settings(max_examples=40, deadline=None)

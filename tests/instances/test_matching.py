@@ -9,6 +9,7 @@ from engine.instances import (
     MatchingOptions,
     OrientedBox,
     SegmentOptions,
+    limit_instances,
     local_instances,
     match_views,
     merge_duplicates,
@@ -115,6 +116,7 @@ def test_duplicates_of_one_class_merge_and_others_stay() -> None:
     twin = replace(one, id=2)
     sofa = replace(one, id=3, class_id=SOFA)
     merged = merge_duplicates([one, sofa, twin], 0.8, 0.03)
+    assert len(merge_duplicates([one, sofa, twin], None, 0.03)) == 3
     assert [item.id for item in merged] == [1, 3] and len(merged[0].evidence) == 2
 
 
@@ -129,3 +131,13 @@ def test_near_views_count_more_but_do_not_outvote() -> None:
     pieces = [replace(near, segment_id=i, pixels=400) for i in range(4)]
     assert class_by_views([*pieces, *far]) == CHAIR
     assert class_by_views([seen("a", SOFA, 50), seen("b", CHAIR, 50)]) == CHAIR
+
+
+def test_beyond_the_cap_the_largest_stay_and_are_renumbered() -> None:
+    view = view_of("a", around(0), [LEFT])
+    one = match_views([view], THINGS, SEGMENTS, MatchingOptions())[0]
+    items = [replace(one, id=i, evidence=(replace(one.evidence[0], pixels=p),)) for i, p in ((2, 50), (5, 10), (7, 90))]
+    kept, of_point, dropped = limit_instances(items, np.array([0, 2, 5, 7], np.int32), 2)
+    assert [(item.id, item.pixels) for item in kept] == [(1, 50), (2, 90)]
+    assert of_point.tolist() == [0, 1, 0, 2] and dropped == 1
+    assert limit_instances([], np.zeros(3, np.int32), 2)[1].tolist() == [0, 0, 0]
