@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
+from numba import njit
 
 from ..scene import Camera
 from .anchors import Anchors
 from .decoders import Decoders
+from .rows import take_rows
 
 NEAR = 0.2
 """Anchors closer to the image plane than this, in metres, are left out (Scaffold-GS's near plane)."""
@@ -41,16 +46,40 @@ def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
 
     Each anchor counts as a sphere of its largest offset scale, which bounds where its Gaussians can be.
     """
-    pose = torch.from_numpy(camera.camera_to_world).float()
-    local = (anchors.position - pose[:3, 3]) @ pose[:3, :3]
-    depth = local[:, 2]
-    reach = 3.0 * anchors.log_scale.detach()[:, :3].max(dim=1).values.exp()
-    safe = depth.clamp_min(NEAR)
-    x = local[:, 0] / safe * camera.fx + camera.cx
-    y = local[:, 1] / safe * camera.fy + camera.cy
-    rx, ry = reach / safe * camera.fx, reach / safe * camera.fy
-    inside = (depth > NEAR) & (x + rx > 0) & (x - rx < camera.width) & (y + ry > 0) & (y - ry < camera.height)
-    return inside.nonzero().squeeze(1)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    rows = _rows_in_picture(
+        anchors.position.numpy(),
+        anchors.log_scale.detach().numpy(),
+        camera.world_to_camera,
+        intrinsics,
+        camera.width,
+        camera.height,
+    )
+    return torch.from_numpy(rows)
+
+
+@njit(cache=True, nogil=True)
+def _rows_in_picture(
+    position: Any, log_scale: Any, world_to_camera: Any, intrinsics: Any, width: Any, height: Any
+) -> Any:
+    """The loop behind ``visible_anchors``: one pass over position [M, 3] and log_scale [M, 6]."""
+    fx, fy, cx, cy = intrinsics
+    rows = np.empty(len(position), np.int64)
+    count = 0
+    for row in range(len(position)):
+        x, y, z = position[row, 0], position[row, 1], position[row, 2]
+        depth = world_to_camera[2, 0] * x + world_to_camera[2, 1] * y + world_to_camera[2, 2] * z + world_to_camera[2, 3]
+        if depth <= NEAR:
+            continue
+        reach = 3.0 * math.exp(max(log_scale[row, 0], log_scale[row, 1], log_scale[row, 2])) / depth
+        right = world_to_camera[0, 0] * x + world_to_camera[0, 1] * y + world_to_camera[0, 2] * z + world_to_camera[0, 3]
+        down = world_to_camera[1, 0] * x + world_to_camera[1, 1] * y + world_to_camera[1, 2] * z + world_to_camera[1, 3]
+        u, v = right / depth * fx + cx, down / depth * fy + cy
+        across, along = reach * fx, reach * fy
+        if u + across > 0 and u - across < width and v + along > 0 and v - along < height:
+            rows[count] = row
+            count += 1
+    return rows[:count].copy()
 
 
 def decode(anchors: Anchors, decoders: Decoders, camera: Camera, *, with_labels: bool = True) -> NeuralGaussians:
@@ -63,35 +92,31 @@ def decode_rows(
     anchors: Anchors, decoders: Decoders, visible: torch.Tensor, centre: torch.Tensor, *, with_labels: bool = True
 ) -> NeuralGaussians:
     """Decode the anchors of rows ``visible`` int64 [V] as seen from ``centre`` [3] metres."""
-    position = anchors.position[visible]
-    feature = anchors.feature[visible]
+    position = anchors.position.index_select(0, visible)
+    feature = take_rows(anchors.feature, visible)
     seen = decoders.view_input(feature, position, centre)
     k = anchors.gaussians_per_anchor
 
     opacity = torch.tanh(decoders.opacity(seen))
     kept = (opacity.detach().reshape(-1) > 0).nonzero().squeeze(1)
     owner = kept // k
-    shape = decoders.covariance(seen).view(-1, 7)[kept]
-    colour = torch.sigmoid(decoders.colour(seen).view(-1, 3)[kept])
-    scale = anchors.log_scale[visible].exp()
-    owner_scale = scale[owner]
-    offset = anchors.offset[visible].view(-1, 3)[kept]
+    shape = take_rows(decoders.covariance(seen).view(-1, 7), kept)
+    colour = torch.sigmoid(take_rows(decoders.colour(seen).view(-1, 3), kept))
+    owner_scale = take_rows(anchors.log_scale, visible).exp().index_select(0, owner)
+    offset = take_rows(take_rows(anchors.offset, visible).view(-1, 3), kept)
 
     labels, class_logits = None, None
     if with_labels:
         class_logits, instance_logits = decoders.label_logits(feature, seen)
         labels = torch.cat(
-            [
-                torch.softmax(class_logits.reshape(len(visible) * k, -1)[kept], dim=1),
-                torch.softmax(instance_logits.reshape(len(visible) * k, -1)[kept], dim=1),
-            ],
+            [torch.softmax(take_rows(logits.flatten(0, 1), kept), dim=1) for logits in (class_logits, instance_logits)],
             dim=1,
         )
     return NeuralGaussians(
-        means=position[owner] + offset * owner_scale[:, :3],
+        means=position.index_select(0, owner) + offset * owner_scale[:, :3],
         scales=owner_scale[:, 3:] * torch.sigmoid(shape[:, :3]),
         quats=shape[:, 3:],
-        opacities=opacity.reshape(-1)[kept],
+        opacities=take_rows(opacity.reshape(-1), kept),
         colours=colour,
         labels=labels,
         visible=visible,

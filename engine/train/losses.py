@@ -2,75 +2,78 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch.nn import functional
+
+from .similarity import PhotoMoments, structural_similarity
 
 TINY = 1e-8
 
 
-def _gaussian_window(size: int = 11, sigma: float = 1.5) -> torch.Tensor:
-    x = torch.arange(size, dtype=torch.float32) - size // 2
-    window = torch.exp(-(x**2) / (2 * sigma**2))
-    return window / window.sum()
-
-
-def structural_similarity(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Mean SSIM of two images [H, W, 3] in [0, 1]: 11x11 Gaussian window of sigma 1.5, zero padding, K1 = 0.01, K2 = 0.03.
-
-    The five blurred moments go through one separable convolution.
-    """
-    window = _gaussian_window()
-    maps = torch.cat([a, b, a * a, b * b, a * b], dim=2).permute(2, 0, 1)[:, None]
-    blurred = functional.conv2d(maps, window.view(1, 1, -1, 1), padding=(5, 0))
-    blurred = functional.conv2d(blurred, window.view(1, 1, 1, -1), padding=(0, 5)).view(5, 3, *a.shape[:2])
-    mean_a, mean_b, square_a, square_b, product = blurred
-    variance_a, variance_b = square_a - mean_a**2, square_b - mean_b**2
-    covariance = product - mean_a * mean_b
-    c1, c2 = 0.01**2, 0.03**2
-    ssim = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
-    ssim = ssim / ((mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2))
-    return ssim.mean()
-
-
 def reconstruction_loss(
-    image: torch.Tensor, photo: torch.Tensor, scales: torch.Tensor, *, ssim_weight: float, volume_weight: float
+    image: torch.Tensor,
+    photo: torch.Tensor,
+    moments: PhotoMoments,
+    scales: torch.Tensor,
+    *,
+    ssim_weight: float,
+    volume_weight: float,
 ) -> torch.Tensor:
     """L_recon: L1 + lambda_ssim (1 - SSIM) + lambda_vol sum of prod(scales), scales [N, 3] in metres."""
     l1 = (image - photo).abs().mean()
-    return l1 + ssim_weight * (1 - structural_similarity(image, photo)) + volume_weight * scales.prod(dim=1).sum()
+    volume = (scales[:, 0] * scales[:, 1] * scales[:, 2]).sum()
+    return l1 + ssim_weight * (1 - structural_similarity(image, moments)) + volume_weight * volume
 
 
-def label_loss(coverage: torch.Tensor, alpha: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """-log of the rendered probability of the target label, mean over the pixels that have one.
+class _TargetNegativeLog(torch.autograd.Function):
+    """Weighted sum of -log(coverage[pixel, channel] / alpha[pixel] + TINY) over chosen (pixel, channel) pairs.
 
-    ``coverage`` [H, W, C], blended probabilities; ``alpha`` [H, W], detached here, since only the reconstruction loss may
-    reach opacity; ``target`` int64 [H, W], -1 where no label is known. 0 when there is no target at all.
+    One dense gradient is written once, where slices, divisions and logarithms of whole label pictures would write many.
     """
-    known = target >= 0
-    if not bool(known.any()):
-        return coverage.sum() * 0.0
-    rows = known.nonzero(as_tuple=True)
-    probability = coverage[rows[0], rows[1], target[known]] / (alpha.detach()[known] + TINY)
-    return -torch.log(probability + TINY).mean()
+
+    @staticmethod
+    def forward(
+        ctx: Any, coverage: torch.Tensor, alpha: torch.Tensor, place: torch.Tensor, weight: torch.Tensor
+    ) -> torch.Tensor:
+        chosen = coverage.reshape(-1).index_select(0, place)
+        visible = alpha.reshape(-1).index_select(0, place // coverage.shape[-1]) + TINY
+        probability = chosen / visible + TINY
+        ctx.save_for_backward(place, -weight / (probability * visible))
+        ctx.shape = coverage.shape
+        return -(weight * torch.log(probability)).sum()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
+        place, slope = ctx.saved_tensors
+        gradient = slope.new_zeros(ctx.shape.numel())
+        gradient.index_add_(0, place, slope * gradients[0])
+        return gradient.view(ctx.shape), None, None, None
 
 
-def instance_loss(
-    coverage: torch.Tensor, alpha: torch.Tensor, assigned: torch.Tensor, matched: torch.Tensor
+def label_loss(
+    coverage: torch.Tensor, alpha: torch.Tensor, first: int, targets: tuple[torch.Tensor, ...]
 ) -> torch.Tensor:
-    """L_ins: the linear assignment's target and the 3D match's target added up, mean over pixels that have either.
+    """-log of the rendered probability of the target label, added over ``targets``, mean over pixels that have any.
 
-    ``assigned`` and ``matched`` int64 [H, W] hold slots, -1 = none.
+    ``coverage`` [H, W, C] holds blended probabilities, of which those from channel ``first`` on count; ``alpha`` [H, W] only
+    divides: no gradient reaches it, since only the reconstruction loss may reach opacity. A target is int64 [H, W]:
+    channel - first, or -1 where no label is known. The semantic loss has one target, L_ins two (linear assignment and
+    M_match). 0 when there is no target at all.
     """
-    supervised = (assigned >= 0) | (matched >= 0)
-    count = int(supervised.sum())
-    if not count:
-        return coverage.sum() * 0.0
-    total = coverage.new_zeros(())
-    for target in (assigned, matched):
-        known = int((target >= 0).sum())
-        if known:
-            total = total + label_loss(coverage, alpha, target) * (known / count)
-    return total
+    known = targets[0] >= 0
+    for target in targets[1:]:
+        known = known | (target >= 0)
+    weight = 1.0 / max(int(known.sum()), 1)
+    places = []
+    for target in targets:
+        flat = target.reshape(-1)
+        pixel = (flat >= 0).nonzero().squeeze(1)
+        places.append(pixel * coverage.shape[-1] + first + flat.index_select(0, pixel))
+    place = torch.cat(places)
+    loss: torch.Tensor = _TargetNegativeLog.apply(coverage, alpha.detach(), place, torch.full((len(place),), weight))
+    return loss
 
 
 def cluster_loss(class_logits: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
@@ -78,9 +81,9 @@ def cluster_loss(class_logits: torch.Tensor, target: torch.Tensor) -> torch.Tens
 
     All k Gaussians of an anchor count, drawn or not (equation "Cluster Loss").
     """
-    known = target >= 0
-    if not bool(known.any()):
+    if not bool((target >= 0).any()):
         return class_logits.sum() * 0.0
-    logits = class_logits[known]
-    k = logits.shape[1]
-    return functional.cross_entropy(logits.reshape(-1, logits.shape[2]), target[known].repeat_interleave(k))
+    k = class_logits.shape[1]
+    return functional.cross_entropy(
+        class_logits.reshape(-1, class_logits.shape[2]), target.repeat_interleave(k), ignore_index=-1
+    )

@@ -16,7 +16,7 @@ from ..model.structured import StructuredScene
 from ..raster import Rendering, rasterize
 from ..scene import View
 from ..semantics.pseudo_labels import pseudo_labels
-from .losses import cluster_loss, instance_loss, label_loss, reconstruction_loss
+from .losses import cluster_loss, label_loss, reconstruction_loss
 from .optimiser import Optimiser
 from .presets import Preset
 from .targets import ViewTargets, columns_of
@@ -68,7 +68,12 @@ class Trainer:
         rendering = self._rasterize(gaussians, target)
         weights = self.preset.weights
         reconstruction = reconstruction_loss(
-            rendering.image, target.photo, gaussians.scales, ssim_weight=weights.ssim, volume_weight=weights.volume
+            rendering.image,
+            target.photo,
+            target.moments,
+            gaussians.scales,
+            ssim_weight=weights.ssim,
+            volume_weight=weights.volume,
         )
         semantic, instance = self._label_losses(gaussians, rendering, target)
         loss = reconstruction + weights.semantic * semantic + weights.instance * instance
@@ -106,16 +111,13 @@ class Trainer:
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets
     ) -> tuple[torch.Tensor, torch.Tensor]:
         classes = len(self.scene.channels.class_ids)
-        class_coverage, slot_coverage = rendering.labels[..., :classes], rendering.labels[..., classes:]
-        semantic = label_loss(class_coverage, rendering.alpha, target.semantic)
-        semantic = semantic + cluster_loss(gaussians.class_logits, self.initial_channels[gaussians.visible])
+        assert rendering.labels is not None and gaussians.class_logits is not None
         with torch.no_grad():
-            probability = slot_coverage.detach() / (rendering.alpha.detach()[..., None] + 1e-8)
-            assigned = assign_slots(probability.numpy(), target.machine_instances)
-        instance = instance_loss(
-            slot_coverage, rendering.alpha, torch.from_numpy(assigned.astype(np.int64)), target.matched
-        )
-        return semantic, instance
+            probability = rendering.labels[..., classes:] / (rendering.alpha[..., None] + 1e-8)
+            assigned = torch.from_numpy(assign_slots(probability.numpy(), target.machine_instances).astype(np.int64))
+        semantic = label_loss(rendering.labels, rendering.alpha, 0, (target.semantic,))
+        semantic = semantic + cluster_loss(gaussians.class_logits, self.initial_channels[gaussians.visible])
+        return semantic, label_loss(rendering.labels, rendering.alpha, classes, (assigned, target.matched))
 
     def _gather_statistics(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from engine.train.losses import cluster_loss, instance_loss, label_loss, reconstruction_loss, structural_similarity
+from engine.train.losses import cluster_loss, label_loss, reconstruction_loss
+from engine.train.similarity import PhotoMoments, structural_similarity
 
 
 def test_ssim_matches_a_direct_computation() -> None:
@@ -26,13 +27,13 @@ def test_ssim_matches_a_direct_computation() -> None:
     covariance = blur(a * b) - mean_a * mean_b
     ssim = (2 * mean_a * mean_b + 1e-4) * (2 * covariance + 9e-4)
     ssim /= (mean_a**2 + mean_b**2 + 1e-4) * (variance_a + variance_b + 9e-4)
-    ours = structural_similarity(torch.from_numpy(a).float(), torch.from_numpy(b).float())
+    ours = structural_similarity(torch.from_numpy(a).float(), PhotoMoments.of(torch.from_numpy(b).float()))
     np.testing.assert_allclose(ours.item(), ssim.mean(), atol=1e-5)
 
 
 def test_equal_images_cost_only_their_volume() -> None:
     image = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(1))
-    loss = reconstruction_loss(image, image, torch.full((5, 3), 0.1), ssim_weight=0.2, volume_weight=0.001)
+    loss = reconstruction_loss(image, image, PhotoMoments.of(image), torch.full((5, 3), 0.1), ssim_weight=0.2, volume_weight=0.001)
     np.testing.assert_allclose(loss.item(), 0.001 * 5 * 1e-3, atol=1e-6)
 
 
@@ -40,7 +41,7 @@ def test_label_loss_ignores_unlabelled_pixels_and_never_reaches_alpha() -> None:
     coverage = torch.full((2, 2, 3), 0.2, requires_grad=True)
     alpha = torch.full((2, 2), 0.8, requires_grad=True)
     target = torch.tensor([[0, -1], [2, -1]])
-    loss = label_loss(coverage, alpha, target)
+    loss = label_loss(coverage, alpha, 0, (target,))
     np.testing.assert_allclose(loss.item(), -np.log(0.25), rtol=1e-5)
     loss.backward()
     assert alpha.grad is None
@@ -49,7 +50,7 @@ def test_label_loss_ignores_unlabelled_pixels_and_never_reaches_alpha() -> None:
 
 def test_label_loss_without_any_target_is_zero_with_a_gradient() -> None:
     coverage = torch.rand(2, 2, 3, requires_grad=True)
-    loss = label_loss(coverage, torch.ones(2, 2), torch.full((2, 2), -1))
+    loss = label_loss(coverage, torch.ones(2, 2), 1, (torch.full((2, 2), -1),))
     loss.backward()
     assert loss.item() == 0 and (coverage.grad == 0).all()
 
@@ -59,7 +60,7 @@ def test_instance_loss_adds_both_targets_over_the_supervised_pixels() -> None:
     alpha = torch.ones(1, 3)
     assigned = torch.tensor([[0, -1, -1]])
     matched = torch.tensor([[1, 1, -1]])
-    loss = instance_loss(coverage, alpha, assigned, matched)
+    loss = label_loss(coverage, alpha, 0, (assigned, matched))
     expected = -(np.log(0.5) + np.log(0.5) + np.log(0.75)) / 2
     np.testing.assert_allclose(loss.item(), expected, rtol=1e-5)
 
