@@ -1,0 +1,24 @@
+"""PLGS for Blender: posed RGB-D frames and noisy panoptic masks become one consistent 3D panoptic scene.
+
+This folder is a Blender extension and the repository at once. Here things are only registered; what they do is in
+`plgs_blender`, the method itself in `engine`. Importing this needs no Blender.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+_PARTS: tuple[ModuleType, ...] = ()
+"""Modules with `register` and `unregister`, in order. None has anything that Blender must know yet."""
+
+
+def register() -> None:
+    """Called by Blender when the extension is switched on."""
+    for part in _PARTS:
+        part.register()
+
+
+def unregister() -> None:
+    """Called by Blender when the extension is switched off: the same, backwards."""
+    for part in reversed(_PARTS):
+        part.unregister()

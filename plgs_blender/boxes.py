@@ -1,0 +1,55 @@
+"""One oriented box for each instance, drawn as coloured lines and rendered as coloured bars."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Quaternion, Vector
+
+from .colour import object_colour
+from .materials import box_material
+from .owned import Holdings
+from .results import Instance
+
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+_BAR = 0.018
+"""Thickness of a rendered bar, metres."""
+
+
+def place_boxes(
+    holdings: Holdings, parent: bpy.types.Collection, instances: Iterable[Instance]
+) -> list[bpy.types.Object]:
+    """One mesh object an instance, named as the engine named it, of its true size (object scale 1)."""
+    return [_place(holdings, parent, instance) for instance in instances]
+
+
+def _place(holdings: Holdings, parent: bpy.types.Collection, instance: Instance) -> bpy.types.Object:
+    key = f"instance:{instance.id}"
+    mesh = holdings.data_of(key) or holdings.new_data(bpy.data.meshes.new(instance.name), key)
+    mesh.clear_geometry()
+    mesh.from_pydata((_CORNERS * instance.size).tolist(), [], _FACES)
+    mesh.update()
+    mesh.materials.clear()
+    mesh.materials.append(box_material(holdings))
+    ob = holdings.object(key, instance.name, mesh, parent)
+    ob.matrix_world = Matrix.LocRotScale(Vector(instance.centre), Quaternion(instance.rotation), None)
+    ob.color = object_colour(instance.colour)
+    # Lines are coloured by the object only on meshes with faces. Renders ignore the display type, hence the bars.
+    ob.display_type, ob.show_name = "WIRE", True
+    bars = ob.modifiers.get("Bars") or ob.modifiers.new("Bars", "WIREFRAME")
+    bars.thickness, bars.offset, bars.show_viewport, bars.show_render = _BAR, 0.0, False, True
+    _describe(ob, instance)
+    return ob
+
+
+def _describe(ob: bpy.types.Object, instance: Instance) -> None:
+    ob["class"], ob["class_id"], ob["instance_id"] = instance.class_name, instance.class_id, instance.id
+    ob["views"], ob["score"], ob["points"] = instance.views, instance.score, instance.points
+    ob["size"], ob["colour"] = list(instance.size), [channel / 255.0 for channel in instance.colour]
+    ob.id_properties_ui("score").update(min=0.0, max=1.0, description="How sure the masks were of it")
+    ob.id_properties_ui("views").update(min=0, description="In how many frames a mask saw it")
+    ob.id_properties_ui("size").update(subtype="XYZ", description="Metres along the box's own axes")
+    ob.id_properties_ui("colour").update(subtype="COLOR_GAMMA", min=0.0, max=1.0)

@@ -1,0 +1,95 @@
+"""The semantic points and the anchors as Blender point clouds.
+
+Solid shading knows one colour an object, so the semantic points are one cloud a class in the class's colour; the
+photo's colours are in the attribute Col, which the material shows in Cycles and EEVEE.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine.scene import VOID, ClassTable
+from .colour import UNKNOWN, linear_rgba, object_colour
+from .compat import new_point_cloud
+from .materials import point_material
+from .normals import point_radii
+from .owned import Holdings
+from .results import Anchors, SemanticPoints
+
+_SMALLEST, _LARGEST = 0.002, 0.03
+"""Radius of a point in metres."""
+_FOREACH = {"FLOAT_COLOR": "color", "FLOAT_VECTOR": "vector", "INT": "value", "FLOAT": "value"}
+
+
+def place_semantic_points(
+    holdings: Holdings,
+    parent: bpy.types.Collection,
+    points: SemanticPoints,
+    normals: NDArray[np.float32],
+    classes: ClassTable,
+) -> list[bpy.types.Object]:
+    """One cloud for each class that has points, with Col, class_id, instance_id, confidence and normal [N, 3]."""
+    colour = linear_rgba(points.rgb)
+    radius = point_radii(points.xyz, _SMALLEST, _LARGEST)
+    placed = []
+    for class_id in np.unique(points.class_id).tolist():
+        chosen = points.class_id == class_id
+        name, srgb = _name_and_colour(class_id, classes)
+        attributes = [
+            ("Col", "FLOAT_COLOR", colour[chosen]),
+            ("class_id", "INT", points.class_id[chosen]),
+            ("instance_id", "INT", points.instance_id[chosen]),
+            ("confidence", "FLOAT", points.confidence[chosen]),
+            ("normal", "FLOAT_VECTOR", normals[chosen]),
+        ]
+        ob = _place(holdings, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes)
+        ob.color = object_colour(srgb)
+        ob["class"], ob["class_id"], ob["points"] = name, class_id, int(chosen.sum())
+        placed.append(ob)
+    return placed
+
+
+def place_anchors(holdings: Holdings, parent: bpy.types.Collection, anchors: Anchors) -> bpy.types.Object:
+    """One cloud of all anchors, with Col, class_id, instance_id, opacity and level."""
+    radius = point_radii(anchors.xyz, _SMALLEST, _LARGEST)
+    attributes = [
+        ("Col", "FLOAT_COLOR", linear_rgba(anchors.rgb)),
+        ("class_id", "INT", anchors.class_id),
+        ("instance_id", "INT", anchors.instance_id),
+        ("opacity", "FLOAT", anchors.opacity),
+        ("level", "INT", anchors.level),
+    ]
+    ob = _place(holdings, parent, "anchors", "Anchors", anchors.xyz, radius, attributes)
+    ob.color = (0.8, 0.8, 0.8, 1.0)
+    ob["points"] = len(anchors.xyz)
+    return ob
+
+
+def _place(
+    holdings: Holdings,
+    parent: bpy.types.Collection,
+    key: str,
+    name: str,
+    xyz: NDArray[np.float32],
+    radius: NDArray[np.float32],
+    attributes: list[tuple[str, str, NDArray[Any]]],
+) -> bpy.types.Object:
+    """Our cloud object `key` with these points, radii float32 [N] in metres, and attributes (name, type, values [N, ...])."""
+    cloud = holdings.new_data(new_point_cloud(name, xyz), key)
+    sizes = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
+    sizes.data.foreach_set("value", radius)
+    for attribute, kind, values in attributes:
+        layer = cloud.attributes.new(attribute, kind, "POINT")
+        layer.data.foreach_set(_FOREACH[kind], np.ascontiguousarray(values).ravel())
+    cloud.materials.append(point_material(holdings))
+    return holdings.object(key, name, cloud, parent)
+
+
+def _name_and_colour(class_id: int, classes: ClassTable) -> tuple[str, tuple[int, int, int]]:
+    if class_id == VOID or class_id not in classes:
+        return "unknown", UNKNOWN
+    return classes[class_id].name, classes[class_id].colour

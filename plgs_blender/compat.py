@@ -1,0 +1,139 @@
+"""What differs between Blender 4.2 and 5.2, and nothing else: the rest of the extension reads one way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+_COMPOSITOR_IS_A_GROUP = bpy.app.version >= (5, 0, 0)
+
+
+def new_point_cloud(name: str, xyz: NDArray[np.float32]) -> bpy.types.PointCloud:
+    """A point cloud data-block with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be resized."""
+    if "resize" in bpy.types.PointCloud.bl_rna.functions:
+        cloud = bpy.data.pointclouds.new(name)
+        cloud.resize(len(xyz))
+    else:
+        cloud = _cloud_by_nodes(len(xyz))
+        cloud.name = name
+    if len(xyz):
+        cloud.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(xyz, np.float32).ravel())
+    return cloud
+
+
+def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
+    """Let geometry nodes turn a mesh's vertices into points, in a scene of its own, and keep a copy of the result."""
+    if not count:
+        return bpy.data.pointclouds.new("empty")
+    scene = bpy.data.scenes.new("PLGS conversion")
+    mesh = bpy.data.meshes.new("PLGS conversion")
+    mesh.vertices.add(count)
+    ob = bpy.data.objects.new("PLGS conversion", mesh)
+    scene.collection.objects.link(ob)
+    group = bpy.data.node_groups.new("PLGS conversion", "GeometryNodeTree")
+    try:
+        for direction in ("INPUT", "OUTPUT"):
+            group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+        start, convert, end = (
+            group.nodes.new(kind) for kind in ("NodeGroupInput", "GeometryNodeMeshToPoints", "NodeGroupOutput")
+        )
+        group.links.new(start.outputs[0], convert.inputs[0])
+        group.links.new(convert.outputs[0], end.inputs[0])
+        ob.modifiers.new("convert", "NODES").node_group = group
+        layer = scene.view_layers[0]
+        layer.update()
+        instances = layer.depsgraph.object_instances
+        return next(each.object.data.copy() for each in instances if each.object.type == "POINTCLOUD")
+    finally:
+        bpy.data.objects.remove(ob)
+        bpy.data.meshes.remove(mesh)
+        bpy.data.node_groups.remove(group)
+        bpy.data.scenes.remove(scene)
+
+
+def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
+    """The scene's compositor nodes, None when it has none."""
+    if _COMPOSITOR_IS_A_GROUP:
+        return scene.compositing_node_group
+    return scene.node_tree if scene.use_nodes else None
+
+
+def new_compositor_tree(scene: bpy.types.Scene, name: str) -> bpy.types.NodeTree:
+    """An empty compositor for the scene, with one image as its result."""
+    if not _COMPOSITOR_IS_A_GROUP:
+        scene.use_nodes = True
+        scene.node_tree.nodes.clear()
+        return scene.node_tree
+    tree = bpy.data.node_groups.new(name, "CompositorNodeTree")
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    scene.compositing_node_group = tree
+    return tree
+
+
+COMPOSITE_OUTPUT = "NodeGroupOutput" if _COMPOSITOR_IS_A_GROUP else "CompositorNodeComposite"
+"""The node whose first input is what a render writes."""
+
+
+def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
+    """A node of the first kind that this Blender knows; RuntimeError when it knows none."""
+    for kind in kinds:
+        try:
+            return tree.nodes.new(kind)
+        except RuntimeError:
+            continue
+    raise RuntimeError(f"this Blender ({bpy.app.version_string}) has none of the nodes {', '.join(kinds)}")
+
+
+def new_colour_mix(tree: bpy.types.NodeTree) -> tuple[bpy.types.Node, Any, Any, Any, Any]:
+    """A compositor node that mixes two colours, and its sockets: (node, factor, first, second, result)."""
+    node = new_node(tree, "ShaderNodeMix", "CompositorNodeMixRGB")
+    if node.bl_idname == "ShaderNodeMix":
+        node.data_type = "RGBA"
+    factor, first, second = [socket for socket in node.inputs if socket.enabled]
+    return node, factor, first, second, next(socket for socket in node.outputs if socket.enabled)
+
+
+def new_palette_lookup(tree: bpy.types.NodeTree) -> bpy.types.Node:
+    """A Map UV node that takes the nearest pixel and blends nothing. Inputs Image, UV; output 0."""
+    node = tree.nodes.new("CompositorNodeMapUV")
+    if "Interpolation" in node.inputs:
+        node.inputs["Interpolation"].default_value = "Nearest"
+    else:
+        node.filter_type = "NEAREST"
+    return node
+
+
+def constant_keys(tree: bpy.types.NodeTree, path: str, values: list[int]) -> None:
+    """Give a property of the tree one value a frame, from frame 1, without interpolation; earlier keys go."""
+    for curve in _curves(tree):
+        if curve.data_path == path:
+            curve.keyframe_points.clear()
+    for frame, value in enumerate(values, start=1):
+        owner, _, name = path.rpartition(".")
+        setattr(tree.path_resolve(owner), name, value)
+        tree.keyframe_insert(path, frame=frame)
+    for curve in _curves(tree):
+        if curve.data_path == path:
+            for key in curve.keyframe_points:
+                key.interpolation = "CONSTANT"
+
+
+def _curves(block: Any) -> list[Any]:
+    """Every animation curve of a data-block."""
+    action = block.animation_data and block.animation_data.action
+    if action is None:
+        return []
+    if hasattr(action, "layers"):
+        slot = block.animation_data.action_slot
+        bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
+        return [curve for bag in bags if bag is not None for curve in bag.fcurves]
+    return list(action.fcurves)
+
+
+def composite_without_gpu(scene: bpy.types.Scene) -> None:
+    """Composite on the processor in full precision, so that ids stay whole and machines without a GPU can do it."""
+    scene.render.compositor_device = "CPU"
+    scene.render.compositor_precision = "FULL"

@@ -1,0 +1,112 @@
+"""A scene's frames as camera objects, with their pictures behind (or rather before) the view and on the timeline."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+from mathutils import Matrix
+
+from ..engine.scene import Camera, Frame
+from .cameras import SENSOR_WIDTH, lens_of, object_matrix
+from .owned import Holdings, key_of
+
+FIRST_FRAME = "plgs_first_frame"
+"""Property of a lift's collection: where on the timeline its first frame lies."""
+
+_DISPLAY_SIZE = 0.15  # metres: the camera path stays readable between furniture
+
+
+def place_frames(holdings: Holdings, parent: bpy.types.Collection, frames: Sequence[Frame]) -> list[bpy.types.Object]:
+    """One camera a frame in `parent`: exact lens and pose, the colour image in view, what is known as properties."""
+    cameras = []
+    for frame in frames:
+        key = f"frame:{frame.name}"
+        data = holdings.data_of(key) or _new_camera(holdings, key, frame.name)
+        set_lens(data, frame.camera)
+        data.display_size = _DISPLAY_SIZE
+        _show_picture(data, holdings, frame)
+        ob = holdings.object(key, frame.name, data, parent)
+        ob.matrix_world = Matrix(object_matrix(frame.camera).tolist())
+        _describe(ob, frame)
+        cameras.append(ob)
+    return cameras
+
+
+def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
+    """Give a Blender camera the engine camera's intrinsics. Sizes and pixel aspect are the scene's: `look_through`."""
+    lens = lens_of(camera)
+    data.type, data.lens_unit, data.sensor_fit = "PERSP", "MILLIMETERS", "HORIZONTAL"
+    data.sensor_width = SENSOR_WIDTH
+    data.lens, data.shift_x, data.shift_y = lens.focal_length, lens.shift_x, lens.shift_y
+    data.clip_start, data.clip_end = 0.01, 1000.0
+
+
+def look_through(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
+    """Make one of our cameras the scene's, with the size and pixel aspect of its frame: what is rendered then lies on
+    the photo pixel by pixel. Resolution belongs to the scene in Blender, so frames of different sizes need this.
+    """
+    render = scene.render
+    scene.camera = ob
+    render.resolution_x, render.resolution_y, render.resolution_percentage = ob["width"], ob["height"], 100
+    aspect = ob["fx"] / ob["fy"]
+    render.pixel_aspect_x, render.pixel_aspect_y = (1.0, aspect) if aspect >= 1.0 else (1.0 / aspect, 1.0)
+
+
+def mark_timeline(
+    scene: bpy.types.Scene,
+    root: bpy.types.Collection,
+    lift: str,
+    overview: bpy.types.Object,
+    cameras: Sequence[bpy.types.Object],
+) -> None:
+    """A marker for the overview and one for each frame, bound to their cameras: scrubbing walks through them.
+
+    Ours are the markers bound to our cameras. A scene that already has a camera of the user's keeps it: then ours lie
+    behind the end of its own frames, and its camera gets a marker at the start, since the first bound marker rules all
+    frames before it.
+    """
+    markers = scene.timeline_markers
+    for marker in [m for m in markers if m.camera is not None and key_of(m.camera, lift) is not None]:
+        markers.remove(marker)
+    if FIRST_FRAME not in root:
+        theirs = scene.camera is not None and key_of(scene.camera, lift) is None
+        bound = any(marker.camera is not None for marker in markers)
+        root[FIRST_FRAME] = scene.frame_end + 1 if theirs or bound else 0
+        if theirs and not bound:
+            markers.new(scene.camera.name, frame=scene.frame_start).camera = scene.camera
+    for frame, camera in enumerate([overview, *cameras], start=root[FIRST_FRAME]):
+        markers.new(camera.get("frame", camera.name), frame=frame).camera = camera
+
+
+def _new_camera(holdings: Holdings, key: str, name: str) -> bpy.types.Camera:
+    return holdings.new_data(bpy.data.cameras.new(name), key)
+
+
+def _show_picture(data: bpy.types.Camera, holdings: Holdings, frame: Frame) -> None:
+    """The colour image, half transparent before the scene: it shows whether the scene fits it."""
+    image = holdings.block("images", f"picture:{frame.name}", lambda: _load(frame.colour_path))
+    image.filepath = str(frame.colour_path)
+    data.background_images.clear()
+    background = data.background_images.new()
+    background.image = image
+    background.display_depth, background.alpha = "FRONT", 0.5
+    # With square pixels CROP is right in scenes of any shape; else only stretching is, once the scene has the aspect.
+    squareness = frame.camera.fx / frame.camera.fy
+    background.frame_method = "CROP" if abs(squareness - 1.0) < 1e-3 else "STRETCH"
+    background.show_expanded = False
+    data.show_background_images = True
+
+
+def _load(path: Path) -> bpy.types.Image:
+    """The image's data-block; Blender reads the pixels when somebody looks through the camera."""
+    return bpy.data.images.load(str(path), check_existing=False)
+
+
+def _describe(ob: bpy.types.Object, frame: Frame) -> None:
+    camera = frame.camera
+    ob["frame"], ob["held_out"] = frame.name, bool(frame.held_out)
+    ob["width"], ob["height"] = int(camera.width), int(camera.height)
+    for name in ("fx", "fy", "cx", "cy"):
+        ob[name] = float(getattr(camera, name))

@@ -1,0 +1,207 @@
+"""A finished lift in Blender: `place_lift` into an open scene, `save_lift` into a file.
+
+Nothing is touched but our own: a collection "PLGS <scene>" and what is in it, our data-blocks, the timeline markers that
+are bound to our cameras, and a scene for the passes. Placing a lift of the same scene again replaces the earlier one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from uuid import uuid4
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ..engine.job import JobError
+from .boxes import place_boxes
+from .cameras import object_matrix
+from .clouds import place_anchors, place_semantic_points
+from .frames import mark_timeline, place_frames, set_lens
+from .normals import point_normals
+from .open_room import open_room
+from .overview import overview_camera
+from .owned import KEY, LIFT, Holdings, key_of, tag
+from .passes import place_passes
+from .results import LiftResult, read_result
+from .viewport import look_from, start_file
+
+FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
+"""Properties of a lift's collection: the folders of the lift and of the scene it was made from."""
+
+_ROOT = "lift"
+_MOST_NORMALS_VIEWPOINTS = 200
+
+
+def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
+    """Put a finished lift into a scene, or put it there anew, and return its collection.
+
+    Found again by the folder of the lift or of its scene. Raises JobError or SceneError, before anything is changed,
+    when the lift is not finished or cannot be read.
+    """
+    result = read_result(lift)
+    root = _root_collection(result, scene)
+    holdings = Holdings(root[LIFT], scene)
+    points, frames = result.points, result.scene.frames
+    seen_from = np.array([frame.camera.centre for frame in frames])[:: max(1, len(frames) // _MOST_NORMALS_VIEWPOINTS)]
+    normals = point_normals(points.xyz, seen_from)
+
+    cameras = place_frames(holdings, _child(root, "Cameras"), frames)
+    clouds = place_semantic_points(holdings, _child(root, "Semantic points"), points, normals, result.classes)
+    open_room(holdings, clouds)
+    place_anchors(holdings, _child(root, "Anchors", scene, hidden=True), result.anchors)
+    place_boxes(holdings, _child(root, "Instances"), result.instances)
+    overview = _place_overview(holdings, root, result, normals)
+    mark_timeline(scene, root, root[LIFT], overview, cameras)
+    if scene.camera is None:
+        scene.camera = overview
+    place_passes(holdings, result)
+    holdings.sweep()
+    if bpy.data.filepath:
+        relate_paths(root, Path(bpy.data.filepath).parent)
+    return root
+
+
+def save_lift(lift: Path, blend: Path) -> None:
+    """Put a finished lift into a .blend file: the file is opened and saved again, or made when it does not exist.
+
+    Raises JobError or SceneError for the lift, JobError when the file cannot be opened or written; then the file is as
+    it was.
+    """
+    blend = blend.absolute()
+    read_result(lift)  # before another file is opened
+    is_new = not blend.exists()
+    scene = start_file() if is_new else _open(blend, lift)
+    root = place_lift(lift, scene)
+    if is_new:
+        _dress(scene, root)
+        relate_paths(root, blend.parent)
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True, relative_remap=False)
+    except RuntimeError as error:
+        fix = "Choose a place that you may write to, on a disk with space."
+        raise JobError(f"cannot be written ({str(error).strip()})", blend, fix) from error
+
+
+def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    """The collections of the lifts that were placed in a scene."""
+    return [c for c in scene.collection.children_recursive if LIFT in c and c.get(KEY) == _ROOT]
+
+
+def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
+    """A lift's overview camera, None when the user removed it."""
+    return next((ob for ob in root.all_objects if key_of(ob, root[LIFT]) == "overview"), None)
+
+
+def relate_paths(root: bpy.types.Collection, base: Path) -> None:
+    """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds both."""
+    for image in bpy.data.images:
+        if key_of(image, root[LIFT]) is not None and image.filepath:
+            image.filepath = _relative(image.filepath, base)
+    root[FOLDER] = _relative(root[FOLDER], base)
+
+
+def _relative(path: str, base: Path) -> str:
+    if path.startswith("//"):
+        return path
+    try:
+        return bpy.path.relpath(path, start=str(base))
+    except ValueError:  # another drive
+        return path
+
+
+def _root_collection(result: LiftResult, scene: bpy.types.Scene) -> bpy.types.Collection:
+    """The collection of an earlier lift of the same scene, or a new one."""
+    name = f"PLGS {result.name}"
+    for root in lifts_in(scene):
+        is_same_lift = _same_place(root.get(FOLDER, ""), result.folder)
+        if root.library is None and (is_same_lift or _same_place(root.get(SCENE, ""), result.scene.folder)):
+            break
+    else:
+        root = bpy.data.collections.new(name)
+        tag(root, uuid4().hex, _ROOT)
+        scene.collection.children.link(root)
+    root.name = name
+    root[FOLDER], root[SCENE] = str(result.folder), str(result.scene.folder.absolute())
+    return root
+
+
+def _same_place(stored: str, folder: Path) -> bool:
+    return bool(stored) and Path(bpy.path.abspath(stored)).resolve() == folder.resolve()
+
+
+def _child(
+    root: bpy.types.Collection, name: str, scene: bpy.types.Scene | None = None, hidden: bool = False
+) -> bpy.types.Collection:
+    """Our collection `name` under the root. One made `hidden` starts with its eye and camera off in the scene."""
+    key = f"collection:{name}"
+    for child in root.children:
+        if key_of(child, root[LIFT]) == key:
+            return child
+    child = bpy.data.collections.new(name)
+    tag(child, root[LIFT], key)
+    root.children.link(child)
+    if hidden and scene is not None:
+        child.hide_render = True
+        for view_layer in scene.view_layers:
+            for found in _layer_collections(view_layer.layer_collection):
+                if found.collection == child:
+                    found.hide_viewport = True
+    return child
+
+
+def _layer_collections(top: bpy.types.LayerCollection) -> list[bpy.types.LayerCollection]:
+    return [top, *(found for child in top.children for found in _layer_collections(child))]
+
+
+def _place_overview(
+    holdings: Holdings, root: bpy.types.Collection, result: LiftResult, normals: np.ndarray
+) -> bpy.types.Object:
+    """A camera that looks into the whole room from above. Where a user moved it, a new lift moves it back."""
+    camera = overview_camera(result.points.xyz, normals)
+    data = holdings.data_of("overview") or holdings.new_data(bpy.data.cameras.new("Overview"), "overview")
+    set_lens(data, camera)
+    data.display_size = 0.4
+    ob = holdings.object("overview", "Overview", data, root)
+    ob.matrix_world = Matrix(object_matrix(camera).tolist())
+    return ob
+
+
+def _open(blend: Path, lift: Path) -> bpy.types.Scene:
+    """Open a file, its screens too, and choose the scene that has the lift, else the one that was worked in."""
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=True, use_scripts=False)
+    except RuntimeError as error:
+        fix = "Check that it is a Blender file of this version or an older one, or name another with --save."
+        raise JobError(f"cannot be opened ({str(error).strip()})", blend, fix) from error
+    scenes = [s for s in bpy.data.scenes if s.library is None and KEY not in s]
+    holding = [s for s in scenes if any(_same_place(root.get(FOLDER, ""), lift) for root in lifts_in(s))]
+    current = [bpy.context.scene] if bpy.context.scene in scenes else []
+    chosen = [*holding, *current, *scenes]
+    if not chosen:
+        raise JobError("has no scene to put the lift into", blend, "Name another file with --save.")
+    return chosen[0]
+
+
+def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
+    """The first sight of a file that we started: the whole room from the overview camera, at frame 0."""
+    overview = overview_of(root)
+    assert overview is not None
+    scene.frame_start, scene.frame_end = 0, max(marker.frame for marker in scene.timeline_markers)
+    scene.frame_set(0)
+    scene.camera = overview
+    scene.view_layers[0].update()
+    look_from(scene, overview, _middle_of_points(root))
+
+
+def _middle_of_points(root: bpy.types.Collection) -> Vector:
+    """The middle of the clouds' bounding boxes, metres."""
+    corners = [
+        ob.matrix_world @ Vector(corner)
+        for ob in root.all_objects
+        if ob.type == "POINTCLOUD"
+        for corner in ob.bound_box
+    ]
+    low = Vector(min(corner[axis] for corner in corners) for axis in range(3))
+    high = Vector(max(corner[axis] for corner in corners) for axis in range(3))
+    return (low + high) / 2.0

@@ -1,0 +1,86 @@
+"""The two materials of a lift, both unlit: photos bring their light with them, and boxes are drawings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from .owned import Holdings
+
+CLASS_COLOURS, RELIEF = "Class colours", "Relief"
+"""Labels of the value nodes of the points' material, 0..1: class colour instead of the photo's, and shading by normal."""
+
+_LIGHT = (0.35, -0.25, 0.9)
+_MIDDLE, _CONTRAST = 0.74, 0.3
+
+
+def point_material(holdings: Holdings) -> bpy.types.Material:
+    """Shows the attribute Col or, by CLASS_COLOURS, the object's colour; RELIEF shades it by the attribute normal."""
+    material = holdings.block("materials", "points", lambda: bpy.data.materials.new("PLGS points"))
+    material.use_nodes = True
+    if value_node(material, CLASS_COLOURS) is None:  # else the user may have set it, or built upon it
+        _build_points(material.node_tree)
+    return material
+
+
+def box_material(holdings: Holdings) -> bpy.types.Material:
+    """Shows the object's colour."""
+    material = holdings.block("materials", "boxes", lambda: bpy.data.materials.new("PLGS boxes"))
+    material.use_nodes = True
+    tree = material.node_tree
+    if not any(node.bl_idname == "ShaderNodeObjectInfo" for node in tree.nodes):
+        tree.nodes.clear()
+        _emit(tree, _node(tree, "ShaderNodeObjectInfo", 0, 0).outputs["Color"])
+    if hasattr(material, "cycles"):  # not in builds without Cycles
+        material.cycles.emission_sampling = "NONE"  # a drawing lights nothing
+    return material
+
+
+def value_node(material: bpy.types.Material, label: str) -> bpy.types.Node | None:
+    """The node to set CLASS_COLOURS or RELIEF on: `.outputs[0].default_value`."""
+    return next((node for node in material.node_tree.nodes if node.label == label), None)
+
+
+def _build_points(tree: bpy.types.NodeTree) -> None:
+    tree.nodes.clear()
+    photo, normal = _node(tree, "ShaderNodeAttribute", 0, 0), _node(tree, "ShaderNodeAttribute", 0, -400)
+    photo.attribute_name, normal.attribute_name = "Col", "normal"
+    own = _node(tree, "ShaderNodeObjectInfo", 0, -180)
+    switch, relief = _node(tree, "ShaderNodeValue", 0, 140), _node(tree, "ShaderNodeValue", 2, 140)
+    switch.label, relief.label = CLASS_COLOURS, RELIEF
+    switch.outputs[0].default_value = relief.outputs[0].default_value = 0.0
+    colour = _mix(tree, 1, 0, "MIX", switch.outputs[0], photo.outputs["Color"], own.outputs["Color"])
+    facing = _node(tree, "ShaderNodeVectorMath", 1, -400)
+    facing.operation, facing.inputs[1].default_value = "DOT_PRODUCT", _LIGHT
+    tree.links.new(normal.outputs["Vector"], facing.inputs[0])
+    shade = _node(tree, "ShaderNodeMath", 2, -400)
+    shade.operation = "MULTIPLY_ADD"
+    shade.inputs[1].default_value, shade.inputs[2].default_value = _CONTRAST, _MIDDLE
+    tree.links.new(facing.outputs["Value"], shade.inputs[0])
+    _emit(tree, _mix(tree, 3, 0, "MULTIPLY", relief.outputs[0], colour, shade.outputs[0]))
+
+
+def _mix(
+    tree: bpy.types.NodeTree, column: int, row: int, blend: str, factor: Any, first: Any, second: Any
+) -> Any:
+    """Mix two colours; returns the socket of the result."""
+    node = _node(tree, "ShaderNodeMix", column, row)
+    node.data_type, node.blend_type = "RGBA", blend
+    for output, target in zip((factor, first, second), [s for s in node.inputs if s.enabled], strict=True):
+        tree.links.new(output, target)
+    return next(socket for socket in node.outputs if socket.enabled)
+
+
+def _emit(tree: bpy.types.NodeTree, colour: Any) -> None:
+    """Let the surface glow in this colour, to the right of everything."""
+    column = max(node.location.x for node in tree.nodes) // 220 + 1
+    light, end = _node(tree, "ShaderNodeEmission", column, 0), _node(tree, "ShaderNodeOutputMaterial", column + 1, 0)
+    tree.links.new(colour, light.inputs["Color"])
+    tree.links.new(light.outputs[0], end.inputs["Surface"])
+
+
+def _node(tree: bpy.types.NodeTree, kind: str, column: float, row: float) -> bpy.types.Node:
+    node = tree.nodes.new(kind)
+    node.location = (220 * column, row)
+    return node

@@ -1,0 +1,124 @@
+"""Which data-blocks are ours.
+
+Each block we make carries two custom properties: the lift it belongs to and what it is there ("frame:0012", "instance:3").
+Names serve people only; users rename. A second placement finds the blocks by these properties and fills them anew, so
+that whatever points at them (the active camera, a constraint, a marker) keeps pointing, and `sweep` removes what the new
+result no longer has. Blocks without our properties are never touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import bpy
+
+LIFT = "plgs_lift"
+KEY = "plgs_key"
+
+# Users before what they use: a background image is free only when its camera is gone.
+_DATA = ("cameras", "pointclouds", "meshes", "materials", "node_groups", "images")
+
+
+def tag(block: Any, lift: str, key: str) -> None:
+    """Mark a data-block, or a node, as ours."""
+    block[LIFT], block[KEY] = lift, key
+
+
+def untag(block: Any) -> None:
+    """Leave a block to the user."""
+    for name in (LIFT, KEY):
+        if name in block:
+            del block[name]
+
+
+def key_of(block: Any, lift: str) -> str | None:
+    """What a block is in this lift, or None when it is not ours (or linked from another file)."""
+    if getattr(block, "library", None) is not None or block.get(LIFT) != lift:
+        return None
+    return block.get(KEY)
+
+
+class Holdings:
+    """The blocks of one lift in one scene, during one placement."""
+
+    def __init__(self, lift: str, scene: bpy.types.Scene) -> None:
+        self.lift = lift
+        self._scene = scene
+        self._kept: set[Any] = set()
+        self._objects: dict[str, bpy.types.Object] = {}
+        for ob in self._own_objects():
+            key = key_of(ob, lift)
+            assert key is not None
+            if key in self._objects:  # the user duplicated one of ours: the copy is theirs
+                untag(ob)
+            else:
+                self._objects[key] = ob
+
+    def object(self, key: str, name: str, data: bpy.types.ID, parent: bpy.types.Collection) -> bpy.types.Object:
+        """Our object `key` with this name and data, in our collection `parent` if it is new."""
+        ob = self._objects.get(key)
+        if ob is None or ob.type != _object_type(data):
+            ob = bpy.data.objects.new(name, data)
+            tag(ob, self.lift, key)
+            parent.objects.link(ob)
+            self._objects[key] = ob
+        ob.name, ob.data = name, data
+        self._kept.add(ob)
+        return ob
+
+    def data_of(self, key: str) -> Any | None:
+        """The data of our object `key`, to be filled anew; None when there is none, or it is shared with the user."""
+        ob = self._objects.get(key)
+        if ob is None or ob.data is None or key_of(ob.data, self.lift) is None or ob.data.users > 1:
+            return None
+        return ob.data
+
+    def new_data(self, data: Any, key: str) -> Any:
+        """Mark fresh data for our object `key`."""
+        tag(data, self.lift, key)
+        return data
+
+    def block(self, kind: str, key: str, create: Callable[[], Any]) -> Any:
+        """Our block `key` of `bpy.data.<kind>`, made by `create` when missing."""
+        for block in getattr(bpy.data, kind):
+            if key_of(block, self.lift) == key:
+                break
+        else:
+            block = create()
+            tag(block, self.lift, key)
+        self._kept.add(block)
+        return block
+
+    def drop(self, kind: str, key: str) -> None:
+        """Remove our block `key` of `bpy.data.<kind>` if it exists, whoever uses it."""
+        blocks = getattr(bpy.data, kind)
+        for block in [b for b in blocks if key_of(b, self.lift) == key]:
+            blocks.remove(block)
+
+    def keep(self, block: Any) -> None:
+        """Spare a block of ours from `sweep`."""
+        self._kept.add(block)
+
+    def sweep(self) -> None:
+        """Remove the lift's objects that this placement did not use, then their data that nobody uses."""
+        for ob in self._own_objects():
+            if ob not in self._kept:
+                bpy.data.objects.remove(ob)
+        for kind in _DATA:
+            blocks = getattr(bpy.data, kind)
+            for block in [b for b in blocks if key_of(b, self.lift) is not None and b not in self._kept]:
+                if block.users - block.use_fake_user == 0:
+                    blocks.remove(block)
+
+    def _own_objects(self) -> Iterable[bpy.types.Object]:
+        """Ours in this scene or in none. A full copy of the scene keeps its copies of our objects."""
+        return [
+            ob
+            for ob in bpy.data.objects
+            if key_of(ob, self.lift) is not None and (not ob.users_scene or self._scene in ob.users_scene)
+        ]
+
+
+def _object_type(data: bpy.types.ID) -> str:
+    return {"Camera": "CAMERA", "PointCloud": "POINTCLOUD", "Mesh": "MESH"}[type(data).__name__]

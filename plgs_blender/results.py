@@ -1,0 +1,173 @@
+"""Reading a finished lift folder. Plain numpy and JSON; says what is wrong with a folder instead of guessing."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine.job import JobError, LiftFolder, check_sizes
+from ..engine.scene import Category, ClassTable, Scene, open_scene
+
+_FORMAT = 1
+_FIX = "Resume the lift: it makes the result anew."
+
+
+@dataclass(frozen=True, eq=False)
+class SemanticPoints:
+    """xyz float32 [N, 3] metres, rgb uint8 [N, 3] sRGB, class_id and instance_id int32 [N], confidence float32 [N] 0..1."""
+
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    class_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """xyz float32 [M, 3] metres, rgb uint8 [M, 3] sRGB, class_id, instance_id, level int32 [M], opacity float32 [M]."""
+
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    class_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
+    opacity: NDArray[np.float32]
+    level: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One object: its box (centre and size in metres, rotation w x y z), sRGB colour, and what speaks for it."""
+
+    id: int
+    name: str
+    class_id: int
+    class_name: str
+    colour: tuple[int, int, int]
+    centre: tuple[float, float, float]
+    size: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+    views: int
+    score: float
+    points: int
+
+
+@dataclass(frozen=True, eq=False)
+class LiftResult:
+    """A finished lift: the frames it was made from and what came out. `passes` are the EXR files, by frame name."""
+
+    folder: Path
+    scene: Scene
+    classes: ClassTable
+    instances: tuple[Instance, ...]
+    points: SemanticPoints
+    anchors: Anchors
+    passes: dict[str, Path]
+
+    @property
+    def name(self) -> str:
+        """The scene's folder name: what people call it."""
+        return self.scene.folder.name
+
+
+def read_result(folder: Path) -> LiftResult:
+    """Read the result of a finished lift and open its scene (headers only).
+
+    Raises JobError when the folder is no lift, is not finished, or was damaged; SceneError when the scene it was lifted
+    from is no longer there or no longer whole.
+    """
+    lift = LiftFolder.open(folder)
+    check_sizes(lift.result_path)
+    scene = open_scene(lift.request.scene, lift.request.masks, lift.request.up)
+    classes, instances = _read_instances(lift.result_path / "instances.json")
+    names = [frame.name for frame in scene.frames]
+    passes = {name: lift.passes_path / f"{name}.exr" for name in names}
+    return LiftResult(
+        folder=lift.path,
+        scene=scene,
+        classes=classes,
+        instances=instances,
+        points=_read_arrays(lift.result_path / "semantic_points.npz", SemanticPoints),
+        anchors=_read_arrays(lift.result_path / "anchors.npz", Anchors),
+        passes={name: path for name, path in passes.items() if path.is_file()},
+    )
+
+
+_ARRAYS = {
+    "xyz": (np.float32, (3,)),
+    "rgb": (np.uint8, (3,)),
+    "class_id": (np.int32, ()),
+    "instance_id": (np.int32, ()),
+    "level": (np.int32, ()),
+    "confidence": (np.float32, ()),
+    "opacity": (np.float32, ()),
+}
+
+
+def _read_arrays(path: Path, kind: Any) -> Any:
+    """Fill a dataclass of arrays from an .npz file, each with the right type and as many rows as the first."""
+    arrays = {}
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            for name in kind.__dataclass_fields__:
+                dtype, tail = _ARRAYS[name]
+                array = stored[name]
+                rows = len(arrays["xyz"]) if arrays else len(array)
+                if array.shape != (rows, *tail) or array.dtype != dtype:
+                    raise ValueError(f"{name} is {array.dtype} {list(array.shape)}")
+                arrays[name] = array
+    except (OSError, KeyError, ValueError, TypeError, BadZipFile) as error:
+        raise JobError(f"cannot be read ({error})", path, _FIX) from error
+    if not np.isfinite(arrays["xyz"]).all():
+        raise JobError("holds positions that are no numbers", path, _FIX)
+    return kind(**arrays)
+
+
+def _read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["format"] != _FORMAT:
+            fix = "Use the version of PLGS that wrote it, or lift into another folder."
+            raise JobError(f"has format {content['format']!r}, this version reads {_FORMAT}", path, fix)
+        categories = [
+            Category(int(each["id"]), str(each["name"]), bool(each["is_thing"]), _colour(each["colour"]))
+            for each in content["classes"]
+        ]
+        table = ClassTable(tuple(sorted(categories, key=lambda category: category.id)))
+        return table, tuple(_instance(each) for each in content["instances"])
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise JobError(f"cannot be read ({error!r})", path, _FIX) from error
+
+
+def _instance(entry: dict[str, Any]) -> Instance:
+    return Instance(
+        id=int(entry["id"]),
+        name=str(entry["name"]),
+        class_id=int(entry["class_id"]),
+        class_name=str(entry["class_name"]),
+        colour=_colour(entry["colour"]),
+        centre=_floats(entry["centre"], 3),
+        size=_floats(entry["size"], 3),
+        rotation=_floats(entry["rotation"], 4),
+        views=int(entry["views"]),
+        score=float(entry["score"]),
+        points=int(entry["points"]),
+    )
+
+
+def _colour(value: Any) -> tuple[int, int, int]:
+    red, green, blue = (int(part) for part in value)
+    return red, green, blue
+
+
+def _floats(value: Any, count: int) -> Any:
+    numbers = tuple(float(part) for part in value)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise ValueError(f"{value!r} is not {count} numbers")
+    return numbers

@@ -1,0 +1,52 @@
+"""How a file that we start looks when it is opened. Files of the user's keep their looks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+from mathutils import Vector
+
+from .compat import composite_without_gpu
+
+
+def start_file() -> bpy.types.Scene:
+    """Begin an empty file in metres; what is rendered is unlit, so Cycles needs few rays on any machine."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene = bpy.context.scene
+    scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
+    scene.view_settings.view_transform = "Standard"
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces = 16, False, 0
+    scene.render.resolution_x, scene.render.resolution_y = 1280, 800
+    composite_without_gpu(scene)
+    show_object_colours(scene.display.shading)
+    scene.world = bpy.data.worlds.new("World")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.016, 0.018, 0.022, 1.0)
+    return scene
+
+
+def show_object_colours(shading: Any) -> None:
+    """Solid shading in which clouds have the colour of their class and boxes that of their instance."""
+    # Flat: on a million little balls, light and shadow are nothing but noise.
+    shading.light, shading.color_type = "FLAT", "OBJECT"
+    shading.show_cavity = shading.show_shadows = shading.show_object_outline = False
+
+
+def look_from(scene: bpy.types.Scene, camera: bpy.types.Object, target: Vector) -> None:
+    """Let every 3D view of the file look at `target` from where the camera stands, in object colours."""
+    rotation = camera.matrix_world.to_quaternion()
+    distance = (camera.matrix_world.translation - target).length
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            for space in area.spaces:
+                if space.type != "VIEW_3D":
+                    continue
+                show_object_colours(space.shading)
+                space.shading.wireframe_color_type = "OBJECT"
+                space.overlay.show_relationship_lines = False
+                space.clip_start = 0.01
+                view = space.region_3d
+                view.view_perspective = "PERSP"
+                view.view_location, view.view_rotation, view.view_distance = target, rotation, distance
