@@ -13,8 +13,8 @@ from .folder import LiftFolder, LiftState
 from .json_file import Json
 from .process import EngineProcess, engine_command, engine_python
 
-CANCEL_WAIT_S = 0.8
-"""How long an engine may take to stop by itself before it is killed. Its own watchdog needs 0.7 s at most."""
+CANCEL_WAIT_S = 0.65
+"""How long an engine may take to stop by itself before it is killed. Its own watchdog needs 0.6 s at most."""
 
 
 @dataclass

@@ -12,7 +12,7 @@ from .events import EventWriter
 from .exit_code import ExitCode
 
 POLL_S = 0.1
-GRACE_S = 0.6
+GRACE_S = 0.5
 """From the request to the hard end. With the poll, and the process's own end, that is within a second."""
 
 
