@@ -1,7 +1,7 @@
 """PLGS for Blender: posed RGB-D frames and noisy panoptic masks become one consistent 3D panoptic scene.
 
-This folder is a Blender extension and the repository at once. Here things are only registered; what they do is in
-`plgs_blender`, the method itself in `engine`. Importing this needs no Blender.
+This folder is a Blender extension and the repository at once. Here things are only registered; what they do
+is in `plgs_blender`, the method itself in `engine`. Importing this needs no Blender.
 """
 
 from __future__ import annotations

@@ -39,8 +39,9 @@ def _place(holdings: Holdings, parent: bpy.types.Collection, instance: Instance)
     ob.color = object_colour(instance.colour)
     # Lines are coloured by the object only on meshes with faces. Renders ignore the display type, hence the bars.
     ob.display_type, ob.show_name = "WIRE", True
+    # Outside the box, where its points do not cover them.
     bars = ob.modifiers.get("Bars") or ob.modifiers.new("Bars", "WIREFRAME")
-    bars.thickness, bars.offset, bars.show_viewport, bars.show_render = _BAR, 0.0, False, True
+    bars.thickness, bars.offset, bars.show_viewport, bars.show_render = _BAR, 1.0, False, True
     _describe(ob, instance)
     return ob
 

@@ -1,9 +1,10 @@
 """The engine's cameras in Blender's terms. Plain numbers: `frames` puts them into data-blocks.
 
-Blender's camera looks along -z with y up, so its axes are OpenCV's with y and z turned round. Its picture is given by
-the focal length on a sensor, in millimetres, and by a shift of the sensor, in widths of the picture. We always fit the
-width (sensor_fit HORIZONTAL): then portrait pictures and off-centre principal points need no special case. fx and fy
-that differ are pixels that are not square; in Blender that belongs to the scene, as pixel aspect.
+Blender's camera looks along -z with y up, so its axes are OpenCV's with y and z turned round. Its picture is
+given by the focal length on a sensor, in millimetres, and by a shift of the sensor, in widths of the picture.
+We always fit the width (sensor_fit HORIZONTAL): then portrait pictures and off-centre principal points need
+no special case. fx and fy that differ are pixels that are not square; in Blender that belongs to the scene,
+as pixel aspect.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ _TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True)
 class Lens:
-    """Focal length in millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths, pixel aspect of the scene."""
+    """Focal length in millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths, pixel aspect of the
+    scene.
+    """
 
     focal_length: float
     shift_x: float
@@ -49,7 +52,9 @@ def object_matrix(camera: Camera) -> NDArray[np.float64]:
 
 
 def camera_from(lens: Lens, matrix: NDArray[np.float64], width: int, height: int) -> Camera:
-    """The engine's camera for a lens, an object matrix, float64 [4, 4], and a picture size: `lens_of` backwards."""
+    """The engine's camera for a lens, an object matrix, float64 [4, 4], and a picture size: `lens_of`
+    backwards.
+    """
     aspect = lens.pixel_aspect[1] / lens.pixel_aspect[0]
     fx = lens.focal_length * width / SENSOR_WIDTH
     cx = width / 2.0 - lens.shift_x * width

@@ -1,7 +1,7 @@
 """The semantic points and the anchors as Blender point clouds.
 
-Solid shading knows one colour an object, so the semantic points are one cloud a class in the class's colour; the
-photo's colours are in the attribute Col, which the material shows in Cycles and EEVEE.
+Solid shading knows one colour an object, so the semantic points are one cloud a class in the class's colour;
+the photo's colours are in the attribute Col, which the material shows in Cycles and EEVEE.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ def place_semantic_points(
     normals: NDArray[np.float32],
     classes: ClassTable,
 ) -> list[bpy.types.Object]:
-    """One cloud for each class that has points, with Col, class_id, instance_id, confidence and normal [N, 3]."""
+    """One cloud for each class that has points, with Col, class_id, instance_id, confidence and normal [N,
+    3].
+    """
     colour = linear_rgba(points.rgb)
     radius = point_radii(points.xyz, _SMALLEST, _LARGEST)
     placed = []
@@ -46,7 +48,9 @@ def place_semantic_points(
             ("confidence", "FLOAT", points.confidence[chosen]),
             ("normal", "FLOAT_VECTOR", normals[chosen]),
         ]
-        ob = _place(holdings, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes)
+        ob = _place(
+            holdings, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes
+        )
         ob.color = object_colour(srgb)
         ob["class"], ob["class_id"], ob["points"] = name, class_id, int(chosen.sum())
         placed.append(ob)
@@ -78,7 +82,9 @@ def _place(
     radius: NDArray[np.float32],
     attributes: list[tuple[str, str, NDArray[Any]]],
 ) -> bpy.types.Object:
-    """Our cloud object `key` with these points, radii float32 [N] in metres, and attributes (name, type, values [N, ...])."""
+    """Our cloud object `key` with these points, radii float32 [N] in metres, and attributes (name, type,
+    values [N, ...]).
+    """
     cloud = holdings.new_data(new_point_cloud(name, xyz), key)
     sizes = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
     sizes.data.foreach_set("value", radius)

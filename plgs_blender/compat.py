@@ -12,7 +12,9 @@ _COMPOSITOR_IS_A_GROUP = bpy.app.version >= (5, 0, 0)
 
 
 def new_point_cloud(name: str, xyz: NDArray[np.float32]) -> bpy.types.PointCloud:
-    """A point cloud data-block with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be resized."""
+    """A point cloud data-block with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be
+    resized.
+    """
     if "resize" in bpy.types.PointCloud.bl_rna.functions:
         cloud = bpy.data.pointclouds.new(name)
         cloud.resize(len(xyz))
@@ -25,7 +27,9 @@ def new_point_cloud(name: str, xyz: NDArray[np.float32]) -> bpy.types.PointCloud
 
 
 def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
-    """Let geometry nodes turn a mesh's vertices into points, in a scene of its own, and keep a copy of the result."""
+    """Let geometry nodes turn a mesh's vertices into points, in a scene of its own, and keep a copy of the
+    result.
+    """
     if not count:
         return bpy.data.pointclouds.new("empty")
     scene = bpy.data.scenes.new("PLGS conversion")
@@ -38,7 +42,8 @@ def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
         for direction in ("INPUT", "OUTPUT"):
             group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
         start, convert, end = (
-            group.nodes.new(kind) for kind in ("NodeGroupInput", "GeometryNodeMeshToPoints", "NodeGroupOutput")
+            group.nodes.new(kind)
+            for kind in ("NodeGroupInput", "GeometryNodeMeshToPoints", "NodeGroupOutput")
         )
         group.links.new(start.outputs[0], convert.inputs[0])
         group.links.new(convert.outputs[0], end.inputs[0])
@@ -52,6 +57,13 @@ def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
         bpy.data.meshes.remove(mesh)
         bpy.data.node_groups.remove(group)
         bpy.data.scenes.remove(scene)
+
+
+def use_nodes(block: Any) -> bpy.types.NodeTree:
+    """The shader nodes of a material or world, which always has them from 5.0 on."""
+    if bpy.app.version < (5, 0, 0):
+        block.use_nodes = True
+    return block.node_tree
 
 
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
@@ -134,6 +146,8 @@ def _curves(block: Any) -> list[Any]:
 
 
 def composite_without_gpu(scene: bpy.types.Scene) -> None:
-    """Composite on the processor in full precision, so that ids stay whole and machines without a GPU can do it."""
+    """Composite on the processor in full precision, so that ids stay whole and machines without a GPU can do
+    it.
+    """
     scene.render.compositor_device = "CPU"
     scene.render.compositor_precision = "FULL"

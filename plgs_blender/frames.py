@@ -1,4 +1,6 @@
-"""A scene's frames as camera objects, with their pictures behind (or rather before) the view and on the timeline."""
+"""A scene's frames as camera objects, with their pictures behind (or rather before) the view and on the
+timeline.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,12 @@ FIRST_FRAME = "plgs_first_frame"
 _DISPLAY_SIZE = 0.15  # metres: the camera path stays readable between furniture
 
 
-def place_frames(holdings: Holdings, parent: bpy.types.Collection, frames: Sequence[Frame]) -> list[bpy.types.Object]:
-    """One camera a frame in `parent`: exact lens and pose, the colour image in view, what is known as properties."""
+def place_frames(
+    holdings: Holdings, parent: bpy.types.Collection, frames: Sequence[Frame]
+) -> list[bpy.types.Object]:
+    """One camera a frame in `parent`: exact lens and pose, the colour image in view, what is known as
+    properties.
+    """
     cameras = []
     for frame in frames:
         key = f"frame:{frame.name}"
@@ -35,7 +41,9 @@ def place_frames(holdings: Holdings, parent: bpy.types.Collection, frames: Seque
 
 
 def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
-    """Give a Blender camera the engine camera's intrinsics. Sizes and pixel aspect are the scene's: `look_through`."""
+    """Give a Blender camera the engine camera's intrinsics. Sizes and pixel aspect are the scene's:
+    `look_through`.
+    """
     lens = lens_of(camera)
     data.type, data.lens_unit, data.sensor_fit = "PERSP", "MILLIMETERS", "HORIZONTAL"
     data.sensor_width = SENSOR_WIDTH
@@ -44,8 +52,9 @@ def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
 
 
 def look_through(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
-    """Make one of our cameras the scene's, with the size and pixel aspect of its frame: what is rendered then lies on
-    the photo pixel by pixel. Resolution belongs to the scene in Blender, so frames of different sizes need this.
+    """Make one of our cameras the scene's, with the size and pixel aspect of its frame: what is rendered then
+    lies on the photo pixel by pixel. Resolution belongs to the scene in Blender, so frames of different sizes
+    need this.
     """
     render = scene.render
     scene.camera = ob
@@ -63,9 +72,9 @@ def mark_timeline(
 ) -> None:
     """A marker for the overview and one for each frame, bound to their cameras: scrubbing walks through them.
 
-    Ours are the markers bound to our cameras. A scene that already has a camera of the user's keeps it: then ours lie
-    behind the end of its own frames, and its camera gets a marker at the start, since the first bound marker rules all
-    frames before it.
+    Ours are the markers bound to our cameras. A scene that already has a camera of the user's keeps it: then
+    ours lie behind the end of its own frames, and its camera gets a marker at the start, since the first
+    bound marker rules all frames before it.
     """
     markers = scene.timeline_markers
     for marker in [m for m in markers if m.camera is not None and key_of(m.camera, lift) is not None]:

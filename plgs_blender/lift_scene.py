@@ -1,7 +1,8 @@
 """A finished lift in Blender: `place_lift` into an open scene, `save_lift` into a file.
 
-Nothing is touched but our own: a collection "PLGS <scene>" and what is in it, our data-blocks, the timeline markers that
-are bound to our cameras, and a scene for the passes. Placing a lift of the same scene again replaces the earlier one.
+Nothing is touched but our own: a collection "PLGS <scene>" and what is in it, our data-blocks, the timeline
+markers that are bound to our cameras, and a scene for the passes. Placing a lift of the same scene again
+replaces the earlier one.
 """
 
 from __future__ import annotations
@@ -36,14 +37,16 @@ _MOST_NORMALS_VIEWPOINTS = 200
 def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     """Put a finished lift into a scene, or put it there anew, and return its collection.
 
-    Found again by the folder of the lift or of its scene. Raises JobError or SceneError, before anything is changed,
-    when the lift is not finished or cannot be read.
+    Found again by the folder of the lift or of its scene. Raises JobError or SceneError, before anything is
+    changed, when the lift is not finished or cannot be read.
     """
     result = read_result(lift)
     root = _root_collection(result, scene)
     holdings = Holdings(root[LIFT], scene)
     points, frames = result.points, result.scene.frames
-    seen_from = np.array([frame.camera.centre for frame in frames])[:: max(1, len(frames) // _MOST_NORMALS_VIEWPOINTS)]
+    seen_from = np.array([frame.camera.centre for frame in frames])[
+        :: max(1, len(frames) // _MOST_NORMALS_VIEWPOINTS)
+    ]
     normals = point_normals(points.xyz, seen_from)
 
     cameras = place_frames(holdings, _child(root, "Cameras"), frames)
@@ -63,10 +66,11 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
 
 
 def save_lift(lift: Path, blend: Path) -> None:
-    """Put a finished lift into a .blend file: the file is opened and saved again, or made when it does not exist.
+    """Put a finished lift into a .blend file: the file is opened and saved again, or made when it does not
+    exist.
 
-    Raises JobError or SceneError for the lift, JobError when the file cannot be opened or written; then the file is as
-    it was.
+    Raises JobError or SceneError for the lift, JobError when the file cannot be opened or written; then the
+    file is as it was.
     """
     blend = blend.absolute()
     read_result(lift)  # before another file is opened
@@ -94,7 +98,9 @@ def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
 
 
 def relate_paths(root: bpy.types.Collection, base: Path) -> None:
-    """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds both."""
+    """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds
+    both.
+    """
     for image in bpy.data.images:
         if key_of(image, root[LIFT]) is not None and image.filepath:
             image.filepath = _relative(image.filepath, base)
@@ -133,7 +139,9 @@ def _same_place(stored: str, folder: Path) -> bool:
 def _child(
     root: bpy.types.Collection, name: str, scene: bpy.types.Scene | None = None, hidden: bool = False
 ) -> bpy.types.Collection:
-    """Our collection `name` under the root. One made `hidden` starts with its eye and camera off in the scene."""
+    """Our collection `name` under the root. One made `hidden` starts with its eye and camera off in the
+    scene.
+    """
     key = f"collection:{name}"
     for child in root.children:
         if key_of(child, root[LIFT]) == key:
@@ -168,7 +176,9 @@ def _place_overview(
 
 
 def _open(blend: Path, lift: Path) -> bpy.types.Scene:
-    """Open a file, its screens too, and choose the scene that has the lift, else the one that was worked in."""
+    """Open a file, its screens too, and choose the scene that has the lift, else the one that was worked
+    in.
+    """
     try:
         bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=True, use_scripts=False)
     except RuntimeError as error:

@@ -6,29 +6,33 @@ from typing import Any
 
 import bpy
 
+from .compat import use_nodes
 from .owned import Holdings
 
 CLASS_COLOURS, RELIEF = "Class colours", "Relief"
-"""Labels of the value nodes of the points' material, 0..1: class colour instead of the photo's, and shading by normal."""
+"""Labels of the value nodes of the points' material, 0..1: class colour instead of the photo's, and shading
+by normal.
+"""
 
 _LIGHT = (0.35, -0.25, 0.9)
 _MIDDLE, _CONTRAST = 0.74, 0.3
 
 
 def point_material(holdings: Holdings) -> bpy.types.Material:
-    """Shows the attribute Col or, by CLASS_COLOURS, the object's colour; RELIEF shades it by the attribute normal."""
+    """Shows the attribute Col or, by CLASS_COLOURS, the object's colour; RELIEF shades it by the attribute
+    normal.
+    """
     material = holdings.block("materials", "points", lambda: bpy.data.materials.new("PLGS points"))
-    material.use_nodes = True
+    tree = use_nodes(material)
     if value_node(material, CLASS_COLOURS) is None:  # else the user may have set it, or built upon it
-        _build_points(material.node_tree)
+        _build_points(tree)
     return material
 
 
 def box_material(holdings: Holdings) -> bpy.types.Material:
     """Shows the object's colour."""
     material = holdings.block("materials", "boxes", lambda: bpy.data.materials.new("PLGS boxes"))
-    material.use_nodes = True
-    tree = material.node_tree
+    tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeObjectInfo" for node in tree.nodes):
         tree.nodes.clear()
         _emit(tree, _node(tree, "ShaderNodeObjectInfo", 0, 0).outputs["Color"])
@@ -39,7 +43,8 @@ def box_material(holdings: Holdings) -> bpy.types.Material:
 
 def value_node(material: bpy.types.Material, label: str) -> bpy.types.Node | None:
     """The node to set CLASS_COLOURS or RELIEF on: `.outputs[0].default_value`."""
-    return next((node for node in material.node_tree.nodes if node.label == label), None)
+    nodes = material.node_tree.nodes if material.node_tree else ()
+    return next((node for node in nodes if node.label == label), None)
 
 
 def _build_points(tree: bpy.types.NodeTree) -> None:
@@ -75,7 +80,10 @@ def _mix(
 def _emit(tree: bpy.types.NodeTree, colour: Any) -> None:
     """Let the surface glow in this colour, to the right of everything."""
     column = max(node.location.x for node in tree.nodes) // 220 + 1
-    light, end = _node(tree, "ShaderNodeEmission", column, 0), _node(tree, "ShaderNodeOutputMaterial", column + 1, 0)
+    light, end = (
+        _node(tree, "ShaderNodeEmission", column, 0),
+        _node(tree, "ShaderNodeOutputMaterial", column + 1, 0),
+    )
     tree.links.new(colour, light.inputs["Color"])
     tree.links.new(light.outputs[0], end.inputs["Surface"])
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-_TOUCHING = 0.68
+_TOUCHING = 0.75
 """Radius in spacings: somewhat over a half, since points are not evenly spread."""
 _NEIGHBOURHOOD = 4.0
 """Side of the cells in which planes are fitted, in point spacings."""
 
 
 def point_spacing(xyz: NDArray[np.floating]) -> float:
-    """Typical distance between neighbours of points float [N, 3] on surfaces, in their unit; 0 for fewer than 2 points.
+    """Typical distance between neighbours of points float [N, 3] on surfaces, in their unit; 0 for fewer than
+    2 points.
 
-    Counts the cells that the surfaces cross instead of measuring distances: a second for a hundred million points.
+    Counts the cells that the surfaces cross instead of measuring distances, so that millions take a blink.
     """
     if len(xyz) < 2:
         return 0.0
@@ -28,22 +29,26 @@ def point_spacing(xyz: NDArray[np.floating]) -> float:
 
 
 def point_radii(xyz: NDArray[np.floating], smallest: float, largest: float) -> NDArray[np.float32]:
-    """Radii float32 [N] with which points [N, 3] on surfaces just touch, denser where they lie denser; all in metres."""
+    """Radii float32 [N] with which points [N, 3] on surfaces just touch, denser where they lie denser; all in
+    metres.
+    """
     spacing = point_spacing(xyz)
     if spacing == 0.0:
         return np.full(len(xyz), smallest, np.float32)
     side = spacing * _NEIGHBOURHOOD
     _, cell, count = np.unique(_cell_numbers(xyz, side), return_inverse=True, return_counts=True)
-    # A surface fills about one side of the cell: count points on side * side. Cells that it only grazes have few.
+    # A surface crosses a cell with about its face's area. Cells that it only grazes have few points.
     local = np.minimum(side / np.sqrt(count[cell.ravel()]), 2.0 * spacing)
     return np.clip(_TOUCHING * local, smallest, largest).astype(np.float32)
 
 
 def point_normals(xyz: NDArray[np.floating], viewpoints: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Unit normals float32 [N, 3] of surface points [N, 3] seen from viewpoints [V, 3]; zeros where there is no plane.
+    """Unit normals float32 [N, 3] of surface points [N, 3] seen from viewpoints [V, 3]; zeros when there are
+    none.
 
-    Fits a plane to the points of each cell and turns it towards the nearest viewpoint: scanned surfaces face their
-    cameras. Coarse, but a wall's outside is told from its inside.
+    Fits a plane to the points of each cell and turns it towards the nearest viewpoint: scanned surfaces face
+    their cameras. Where there is no plane, the direction to that viewpoint stands for it. Coarse, but a
+    wall's outside is told from its inside.
     """
     normals = np.zeros((len(xyz), 3), np.float32)
     spacing = point_spacing(xyz)
@@ -62,8 +67,11 @@ def point_normals(xyz: NDArray[np.floating], viewpoints: NDArray[np.floating]) -
             spread[:, row, column] = spread[:, column, row] = product - mean[:, row] * mean[:, column]
     lengths, axes = np.linalg.eigh(spread)
     plane = axes[:, :, 0]
-    plane[(count < 4) | (lengths[:, 0] > 0.3 * lengths[:, 1])] = 0.0
-    plane *= np.sign(np.einsum("ij,ij->i", plane, _towards_nearest(mean + xyz.mean(axis=0), viewpoints)))[:, None]
+    towards = _towards_nearest(mean + xyz.mean(axis=0), viewpoints)
+    plane *= np.where(np.einsum("ij,ij->i", plane, towards) < 0.0, -1.0, 1.0)[:, None]
+    no_plane = (count < 4) | (lengths[:, 0] > 0.3 * lengths[:, 1])
+    distance = np.linalg.norm(towards, axis=1, keepdims=True)
+    plane[no_plane] = (towards / np.maximum(distance, 1e-9))[no_plane]
     return plane[cell].astype(np.float32)
 
 

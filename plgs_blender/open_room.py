@@ -1,7 +1,9 @@
-"""A modifier that takes away what stands between us and the room: points that turn their back on the active camera.
+"""A modifier that takes away what stands between us and the room: points that turn their back on the active
+camera.
 
-From outside, the near walls and the ceiling vanish and the room lies open, like a doll's house; from a frame's own camera
-nothing is missing, for what a camera sees faces it. It is an ordinary modifier on the clouds: its eye switches it off.
+From outside, the near walls and the ceiling vanish and the room lies open, like a doll's house; from a
+frame's own camera nothing is missing, for what a camera sees faces it. It is an ordinary modifier on the
+clouds: its eye switches it off.
 """
 
 from __future__ import annotations
@@ -62,7 +64,10 @@ def _group(material: bpy.types.Material) -> bpy.types.NodeTree:
     link(position.outputs[0], away.inputs[0])
     link(place.outputs["Location"], away.inputs[1])
     link(away.outputs["Vector"], facing.inputs[0])
-    link(next(socket for socket in normal.outputs if socket.enabled and socket.name == "Attribute"), facing.inputs[1])
+    link(
+        next(socket for socket in normal.outputs if socket.enabled and socket.name == "Attribute"),
+        facing.inputs[1],
+    )
     link(facing.outputs["Value"], behind.inputs[0])
     link(behind.outputs[0], remove.inputs["Selection"])
     link(start.outputs[0], remove.inputs["Geometry"])

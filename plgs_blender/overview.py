@@ -18,7 +18,8 @@ _DEFAULT_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]])
 def overview_camera(
     xyz: NDArray[np.floating], normals: NDArray[np.floating], size: tuple[int, int] = (1280, 800)
 ) -> Camera:
-    """A camera outside and above points [N, 3] in metres that has them all in its picture of `size` (width, height).
+    """A camera outside and above points [N, 3] in metres that has them all in its picture of `size` (width,
+    height).
 
     It stands on the side from which most points face it; `normals` [N, 3] are zero where that is unknown.
     """
@@ -34,7 +35,9 @@ def overview_camera(
 
 
 def _axes(azimuth: float) -> NDArray[np.float64]:
-    """Right, down and forward of a camera that looks down at the room from an azimuth, columns of float64 [3, 3]."""
+    """Right, down and forward of a camera that looks down at the room from an azimuth, columns of float64 [3,
+    3].
+    """
     flat = -np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     forward = flat * np.cos(_ELEVATION) + np.array([0.0, 0.0, -np.sin(_ELEVATION)])
     right = np.array([flat[1], -flat[0], 0.0])
@@ -44,14 +47,16 @@ def _axes(azimuth: float) -> NDArray[np.float64]:
 def _framed(
     axes: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], size: tuple[int, int]
 ) -> Camera:
-    """Move the camera back along its axis until the box from `low` to `high` just fits, and centre the box."""
+    """Move the camera back along its axis until the box from `low` to `high` just fits, and centre the
+    box.
+    """
     width, height = size
     focal = _FOCAL_WIDTHS * width
     half = np.array([width, height]) / 2.0 * _MARGIN / focal
     choice = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
     local = np.where(choice, high, low) @ axes
-    # A corner at depth d is inside while |offset from the axis| <= half * d: the outermost corner on either side
-    # fixes both where the axis runs and how far back the camera must be.
+    # A corner at depth d is inside while |offset from the axis| <= half * d: the outermost corner on either
+    # side fixes both where the axis runs and how far back the camera must be.
     right_most = (local[:, :2] - half * local[:, 2:]).max(axis=0)
     left_most = (local[:, :2] + half * local[:, 2:]).min(axis=0)
     back = float(((right_most - left_most) / (2.0 * half)).max())

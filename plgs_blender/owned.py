@@ -1,9 +1,10 @@
 """Which data-blocks are ours.
 
-Each block we make carries two custom properties: the lift it belongs to and what it is there ("frame:0012", "instance:3").
-Names serve people only; users rename. A second placement finds the blocks by these properties and fills them anew, so
-that whatever points at them (the active camera, a constraint, a marker) keeps pointing, and `sweep` removes what the new
-result no longer has. Blocks without our properties are never touched.
+Each block we make carries two custom properties: the lift it belongs to and what it is there ("frame:0012",
+"instance:3"). Names serve people only; users rename. A second placement finds the blocks by these properties
+and fills them anew, so that whatever points at them (the active camera, a constraint, a marker) keeps
+pointing, and `sweep` removes what the new result no longer has. Blocks without our properties are never
+touched.
 """
 
 from __future__ import annotations
@@ -55,7 +56,9 @@ class Holdings:
             else:
                 self._objects[key] = ob
 
-    def object(self, key: str, name: str, data: bpy.types.ID, parent: bpy.types.Collection) -> bpy.types.Object:
+    def object(
+        self, key: str, name: str, data: bpy.types.ID, parent: bpy.types.Collection
+    ) -> bpy.types.Object:
         """Our object `key` with this name and data, in our collection `parent` if it is new."""
         ob = self._objects.get(key)
         if ob is None or ob.type != _object_type(data):
@@ -68,7 +71,9 @@ class Holdings:
         return ob
 
     def data_of(self, key: str) -> Any | None:
-        """The data of our object `key`, to be filled anew; None when there is none, or it is shared with the user."""
+        """The data of our object `key`, to be filled anew; None when there is none, or it is shared with the
+        user.
+        """
         ob = self._objects.get(key)
         if ob is None or ob.data is None or key_of(ob.data, self.lift) is None or ob.data.users > 1:
             return None

@@ -1,4 +1,6 @@
-"""The compositor nodes of a passes scene. Nodes are found by their tag, so users may move, rename and link on."""
+"""The compositor nodes of a passes scene. Nodes are found by their tag, so users may move, rename and link
+on.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,9 @@ def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
 
 
 def _colour_code(make: NodeBuilder, what: str, layer: str, row: float) -> None:
-    """Ids to colours: the id is a place in a palette, one pixel high, from which the nearest pixel is taken."""
+    """Ids to colours: the id is a place in a palette, one pixel high, from which the nearest pixel is
+    taken.
+    """
     palette = make.add(f"{what} palette", f"{what} palette", 1.5, row - 170, "CompositorNodeImage")
     scale = make.add(f"{what} scale", "Id to place", 1.5, row, "ShaderNodeMath", "CompositorNodeMath")
     scale.operation = "MULTIPLY_ADD"

@@ -1,12 +1,14 @@
 """A scene of its own in which the baked passes arrive as layers in the compositor.
 
-One frame of its timeline is one view. The EXR files are read as an image sequence whose numbers have gaps: a keyed
-offset leads from frame to file. Views whose names are not numbered cannot be a sequence; `show_view` then swaps images.
+One frame of its timeline is one view. The EXR files are read as an image sequence whose numbers have gaps: a
+keyed offset leads from frame to file. Views whose names are not numbered cannot be a sequence; `show_view`
+then swaps images.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -59,7 +61,9 @@ def show_view(scene: bpy.types.Scene, name: str) -> None:
 
 
 def set_matte(scene: bpy.types.Scene, names: list[str], layer: str = INSTANCES) -> None:
-    """Let the matte of a passes scene be of these instances, or of these classes with `layer` CLASSES, by name."""
+    """Let the matte of a passes scene be of these instances, or of these classes with `layer` CLASSES, by
+    name.
+    """
     node_of(compat.compositor_tree(scene), layer).matte_id = ",".join(names)
 
 
@@ -82,7 +86,7 @@ def _images(
     images = []
     for name, path in files.items():
         key = f"passes:{name}" if name else "passes"
-        image = holdings.block("images", key, lambda path=path: bpy.data.images.load(str(path), check_existing=False))
+        image = holdings.block("images", key, partial(bpy.data.images.load, str(path), check_existing=False))
         image.source = "FILE"
         image.filepath = str(path)
         image.reload()
@@ -97,7 +101,9 @@ def _count_through(tree: bpy.types.NodeTree, views: int, sequence: NumberedNames
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration = 1, views
         path = f'nodes["{bpy.utils.escape_identifier(node.name)}"].frame_offset'
-        offsets = [] if sequence is None else [number - k for k, number in enumerate(sequence.numbers, start=1)]
+        offsets = (
+            [] if sequence is None else [number - k for k, number in enumerate(sequence.numbers, start=1)]
+        )
         compat.constant_keys(tree, path, offsets)
     node_of(tree, PASSES).use_auto_refresh = True
 
@@ -105,9 +111,13 @@ def _count_through(tree: bpy.types.NodeTree, views: int, sequence: NumberedNames
 def _fill_palette(
     holdings: Holdings, tree: bpy.types.NodeTree, what: str, colours: Mapping[int, tuple[int, int, int]]
 ) -> None:
-    """Write the colours, sRGB by id, into the palette image, linear, and scale ids to its width; id 0 is black."""
+    """Write the colours, sRGB by id, into the palette image, linear, and scale ids to its width; id 0 is
+    black.
+    """
     width = max(colours, default=0) + 1
-    image = holdings.block("images", f"{what} palette", lambda: _new_palette(f"PLGS {what.lower()} palette", width))
+    image = holdings.block(
+        "images", f"{what} palette", lambda: _new_palette(f"PLGS {what.lower()} palette", width)
+    )
     if image.size[0] != width:
         image.scale(width, 1)
     pixels: NDArray[np.float32] = np.zeros((width, 4), np.float32)

@@ -1,9 +1,10 @@
-"""Render a picture of a lift in a .blend file: the room from above, or a frame, with coloured points, boxes and labels.
+"""Render a picture of a lift in a .blend file: the room from above, or a frame, with coloured points, boxes
+and labels.
 
-    python -m plgs_blender.picture LIFT.blend OUT.png [--view FRAME] [--size 1280x800] [--colours class|photo] [--no-labels]
+    python -m plgs_blender.picture LIFT.blend OUT.png [--view FRAME] [--colours class|photo] [--size 1280x800]
 
-Rendered with Cycles on the processor: it shades points like the surfaces they lie on. Needs
-no window and no GPU. The file is not changed.
+Rendered with Cycles on the processor: it shades points like the surfaces they lie on. Needs no window and no
+GPU. The file is not changed.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
 from .materials import CLASS_COLOURS, RELIEF, value_node
+from .viewport import set_ground
 
-_GROUND = (0.016, 0.018, 0.022, 1.0)
 _LABEL_HEIGHT = 0.021
 """Height of a label's plate in picture heights."""
 _LETTER_WIDTH = 0.5
@@ -36,7 +37,8 @@ def render_picture(
     colours: str = "class",
     labels: bool = True,
 ) -> None:
-    """Render the view (a marker's name) of the lift in `blend` to the PNG file `out`, `size` (width, height) in pixels.
+    """Render the view (a marker's name) of the lift in `blend` to the PNG file `out`, `size` (width, height)
+    in pixels.
 
     `colours` is "class", or "photo" for the points' own. ValueError when the file has no such view.
     """
@@ -76,8 +78,7 @@ def _set_up(scene: bpy.types.Scene, size: tuple[int, int]) -> None:
     render.film_transparent = False
     scene.view_settings.view_transform = "Standard"
     scene.world = bpy.data.worlds.new("Ground")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = _GROUND
+    set_ground(scene.world)
     # In a still, a marker's camera would win over ours.
     scene.timeline_markers.clear()
 
@@ -88,13 +89,15 @@ def _colour_points(scene: bpy.types.Scene, colours: str) -> None:
     materials = {slot.material for ob in scene.objects for slot in ob.material_slots if slot.material}
     for material in materials:
         for label in (CLASS_COLOURS, RELIEF):
-            node = value_node(material, label) if material.use_nodes else None
+            node = value_node(material, label)
             if node is not None:
                 node.outputs[0].default_value = value
 
 
 def _label_boxes(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
-    """A plate in its instance's colour with its name at the top of each box; labels that would overlap are stacked."""
+    """A plate in its instance's colour with its name at the top of each box; labels that would overlap are
+    stacked.
+    """
     aspect = scene.render.resolution_x / scene.render.resolution_y
     taken: list[tuple[float, float, float]] = []
     boxes = [ob for ob in scene.objects if "instance_id" in ob and ob.type == "MESH" and not ob.hide_render]
@@ -104,7 +107,9 @@ def _label_boxes(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
             continue
         width = (len(ob.name) + 1.2) * _LETTER_WIDTH * _LABEL_HEIGHT / aspect
         y = at.y + 0.008
-        while any(abs(x - at.x) < (w + width) / 2 and abs(y - other) < 1.1 * _LABEL_HEIGHT for x, other, w in taken):
+        while any(
+            abs(x - at.x) < (w + width) / 2 and abs(y - other) < 1.1 * _LABEL_HEIGHT for x, other, w in taken
+        ):
             y += 0.2 * _LABEL_HEIGHT
         taken.append((at.x, y, width))
         _add_label(scene, camera, ob, (at.x, y), at.z * _NEARNESS)
@@ -118,7 +123,11 @@ def _top(ob: bpy.types.Object) -> Vector:
 
 
 def _add_label(
-    scene: bpy.types.Scene, camera: bpy.types.Object, ob: bpy.types.Object, at: tuple[float, float], depth: float
+    scene: bpy.types.Scene,
+    camera: bpy.types.Object,
+    ob: bpy.types.Object,
+    at: tuple[float, float],
+    depth: float,
 ) -> None:
     """A plate and a text that face the camera at the place `at` of its picture (0..1 from the lower left)."""
     frame = [corner * (depth / -corner.z) for corner in camera.data.view_frame(scene=scene)]
@@ -146,12 +155,16 @@ def _add_label(
 
 def main(arguments: Sequence[str]) -> int:
     """The command line of this module; its exit code."""
-    parser = argparse.ArgumentParser(prog="python -m plgs_blender.picture", description="Render a picture of a lift.")
+    parser = argparse.ArgumentParser(
+        prog="python -m plgs_blender.picture", description="Render a picture of a lift."
+    )
     parser.add_argument("blend", type=Path, help="the .blend file that holds the lift")
     parser.add_argument("out", type=Path, help="the PNG file to write")
     parser.add_argument("--view", default="Overview", help="a frame's name; the whole room when left out")
     parser.add_argument("--size", default="1280x800", help="WIDTHxHEIGHT in pixels (1280x800)")
-    parser.add_argument("--colours", choices=("class", "photo"), default="class", help="what the points show (class)")
+    parser.add_argument(
+        "--colours", choices=("class", "photo"), default="class", help="what the points show (class)"
+    )
     parser.add_argument("--no-labels", action="store_true", help="leave out the instances' names")
     options = parser.parse_args(arguments)
     width, _, height = options.size.partition("x")
@@ -161,7 +174,12 @@ def main(arguments: Sequence[str]) -> int:
         parser.error(f"{options.blend} does not exist")
     try:
         render_picture(
-            options.blend, options.out, options.view, (int(width), int(height)), options.colours, not options.no_labels
+            options.blend,
+            options.out,
+            options.view,
+            (int(width), int(height)),
+            options.colours,
+            not options.no_labels,
         )
     except ValueError as error:
         parser.error(str(error))

@@ -1,4 +1,6 @@
-"""Reading a finished lift folder. Plain numpy and JSON; says what is wrong with a folder instead of guessing."""
+"""Reading a finished lift folder. Plain numpy and JSON; says what is wrong with a folder instead of
+guessing.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ _FIX = "Resume the lift: it makes the result anew."
 
 @dataclass(frozen=True, eq=False)
 class SemanticPoints:
-    """xyz float32 [N, 3] metres, rgb uint8 [N, 3] sRGB, class_id and instance_id int32 [N], confidence float32 [N] 0..1."""
+    """xyz float32 [N, 3] metres, rgb uint8 [N, 3] sRGB, class_id and instance_id int32 [N], confidence
+    float32 [N] 0..1.
+    """
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -31,7 +35,9 @@ class SemanticPoints:
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """xyz float32 [M, 3] metres, rgb uint8 [M, 3] sRGB, class_id, instance_id, level int32 [M], opacity float32 [M]."""
+    """xyz float32 [M, 3] metres, rgb uint8 [M, 3] sRGB, class_id, instance_id, level int32 [M], opacity
+    float32 [M].
+    """
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -43,7 +49,9 @@ class Anchors:
 
 @dataclass(frozen=True)
 class Instance:
-    """One object: its box (centre and size in metres, rotation w x y z), sRGB colour, and what speaks for it."""
+    """One object: its box (centre and size in metres, rotation w x y z), sRGB colour, and what speaks for
+    it.
+    """
 
     id: int
     name: str
@@ -60,7 +68,9 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class LiftResult:
-    """A finished lift: the frames it was made from and what came out. `passes` are the EXR files, by frame name."""
+    """A finished lift: the frames it was made from and what came out. `passes` are the EXR files, by frame
+    name.
+    """
 
     folder: Path
     scene: Scene
@@ -79,8 +89,8 @@ class LiftResult:
 def read_result(folder: Path) -> LiftResult:
     """Read the result of a finished lift and open its scene (headers only).
 
-    Raises JobError when the folder is no lift, is not finished, or was damaged; SceneError when the scene it was lifted
-    from is no longer there or no longer whole.
+    Raises JobError when the folder is no lift, is not finished, or was damaged; SceneError when the scene it
+    was lifted from is no longer there or no longer whole.
     """
     lift = LiftFolder.open(folder)
     check_sizes(lift.result_path)
@@ -111,8 +121,10 @@ _ARRAYS = {
 
 
 def _read_arrays(path: Path, kind: Any) -> Any:
-    """Fill a dataclass of arrays from an .npz file, each with the right type and as many rows as the first."""
-    arrays = {}
+    """Fill a dataclass of arrays from an .npz file, each with the right type and as many rows as the
+    first.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
     try:
         with np.load(path, allow_pickle=False) as stored:
             for name in kind.__dataclass_fields__:

@@ -21,8 +21,9 @@ class NumberedNames:
 def numbered(names: Sequence[str]) -> NumberedNames | None:
     """Read names as one numbered sequence, gaps allowed, or None when they are not.
 
-    Blender replaces the last number in a name and pads it to the width that it has in the opened file. So all names must
-    have the same text around that number, and the padding of the shortest must give all the others.
+    Blender replaces the last number in a name and pads it to the width that it has in the opened file. So all
+    names must have the same text around that number, and the padding of the shortest must give all the
+    others.
     """
     parts = [_LAST_NUMBER.fullmatch(name) for name in names]
     if not parts or any(part is None for part in parts):
@@ -30,6 +31,8 @@ def numbered(names: Sequence[str]) -> NumberedNames | None:
     split = [part.groups() for part in parts if part is not None]
     head, digits, tail = min(split, key=lambda each: len(each[1]))
     numbers = tuple(int(number) for _, number, _ in split)
-    if any(f"{head}{number:0{len(digits)}d}{tail}" != name for number, name in zip(numbers, names, strict=True)):
+    if any(
+        f"{head}{number:0{len(digits)}d}{tail}" != name for number, name in zip(numbers, names, strict=True)
+    ):
         return None
     return NumberedNames(head + digits + tail, numbers) if max(numbers) <= _LARGEST else None

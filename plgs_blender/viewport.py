@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
-from .compat import composite_without_gpu
+from .compat import composite_without_gpu, use_nodes
 
 
 def start_file() -> bpy.types.Scene:
@@ -22,9 +22,14 @@ def start_file() -> bpy.types.Scene:
     composite_without_gpu(scene)
     show_object_colours(scene.display.shading)
     scene.world = bpy.data.worlds.new("World")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.016, 0.018, 0.022, 1.0)
+    set_ground(scene.world)
     return scene
+
+
+def set_ground(world: bpy.types.World) -> None:
+    """A dark, neutral ground on which all colours stand out."""
+    background = next(node for node in use_nodes(world).nodes if node.bl_idname == "ShaderNodeBackground")
+    background.inputs["Color"].default_value = (0.016, 0.018, 0.022, 1.0)
 
 
 def show_object_colours(shading: Any) -> None:

@@ -1,6 +1,7 @@
-"""A finished lift folder of the tiny room, made from its ground truth: what an engine would leave that makes no errors.
+"""A finished lift folder of the tiny room, made from its ground truth: what an engine would leave that makes
+no errors.
 
-Three views of two sizes have passes, under names that are numbered with gaps.
+The held-out views have passes, under names that are numbered with gaps.
 """
 
 from __future__ import annotations
@@ -14,14 +15,29 @@ import OpenEXR
 from numpy.typing import NDArray
 from plgs.engine.job import LiftFolder, LiftRequest, write_manifest
 from plgs.engine.scene import Frame, Scene, open_scene
-from tiny_scene import CABINET, CABINET_ID, CATEGORIES, CHAIR, CHAIR_ID, tiny_intrinsics, trace_view, write_tiny_scene
+from tiny_scene import (
+    CABINET,
+    CABINET_ID,
+    CATEGORIES,
+    CHAIR,
+    CHAIR_ID,
+    tiny_intrinsics,
+    trace_view,
+    write_tiny_scene,
+)
 
+FRAMES = 14
+"""Of which two are held out."""
 CHAIR_NAME, CABINET_NAME = "chair 1", "cabinet 1"
 _BOXES = [(1, CHAIR_NAME, CHAIR_ID, CHAIR), (2, CABINET_NAME, CABINET_ID, CABINET)]
 
 
 def write_tiny_lift(
-    folder: Path, scene: Path | None = None, frames: int = 10, size: tuple[int, int] = (64, 48), instances: int = 2,
+    folder: Path,
+    scene: Path | None = None,
+    frames: int = FRAMES,
+    size: tuple[int, int] = (64, 48),
+    instances: int = 2,
     bake: bool = True,
 ) -> LiftFolder:
     """Write the scene (unless one is given) beside the lift, and the lift as if it had just finished."""
@@ -46,7 +62,10 @@ def write_passes(path: Path, frame: Frame, size: tuple[int, int]) -> None:
     channels = {f"PLGS.Combined.{c}": colour[..., i] for i, c in enumerate("RGB")}
     channels |= {"PLGS.Combined.A": np.ones_like(view.depth), "PLGS.Depth.V": view.depth}
     channels |= {"PLGS.Semantic.V": view.semantic, "PLGS.Instance.V": view.instance}
-    channels |= {"PLGS.Confidence.V": np.full(view.depth.shape, 0.9), "PLGS.Entropy.V": np.full(view.depth.shape, 0.1)}
+    channels |= {
+        "PLGS.Confidence.V": np.full(view.depth.shape, 0.9),
+        "PLGS.Entropy.V": np.full(view.depth.shape, 0.1),
+    }
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     layers = {
         "CryptoInstance": (view.instance, {number: name for number, name, _, _ in _BOXES}),
@@ -82,7 +101,9 @@ def _write_points(result: Path, scene: Scene, size: tuple[int, int]) -> None:
         "instance_id": np.concatenate(instance_id).astype(np.int32),
     }
     count = len(points["xyz"])
-    np.savez(result / "semantic_points.npz", **points, confidence=np.linspace(0.0, 1.0, count, dtype=np.float32))
+    np.savez(
+        result / "semantic_points.npz", **points, confidence=np.linspace(0.0, 1.0, count, dtype=np.float32)
+    )
     anchors = {name: values[::20] for name, values in points.items()}
     few = len(anchors["xyz"])
     level, opacity = np.arange(few, dtype=np.int32) % 4, np.linspace(0.0, 1.0, few, dtype=np.float32)

@@ -1,0 +1,79 @@
+"""Blender's cameras see what the engine's cameras see."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Matrix, Vector
+from plgs.engine.scene import Camera
+from plgs.plgs_blender.cameras import camera_from, lens_of, object_matrix
+from plgs.plgs_blender.frames import look_through, set_lens
+
+INTRINSICS = {
+    "plain": (640, 480, 500.0, 500.0, 320.0, 240.0),
+    "off-centre": (640, 480, 577.87, 577.87, 301.3, 262.9),
+    "wide pixels": (640, 480, 600.0, 480.0, 330.0, 231.0),
+    "tall pixels": (640, 480, 480.0, 600.0, 310.0, 255.0),
+    "portrait": (480, 640, 520.0, 520.0, 240.0, 320.0),
+    "portrait, all wrong": (480, 853, 610.0, 555.0, 200.0, 500.0),
+    "square": (512, 512, 300.0, 310.0, 250.0, 262.0),
+    "panorama strip": (2000, 300, 900.0, 900.0, 1100.0, 120.0),
+}
+
+
+def camera(name: str) -> Camera:
+    random = np.random.default_rng(len(name))
+    rotation, _ = np.linalg.qr(random.normal(size=(3, 3)))
+    pose = np.eye(4)
+    pose[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+    pose[:3, 3] = random.uniform(-5.0, 5.0, 3)
+    return Camera(*INTRINSICS[name], pose)
+
+
+def points_before(camera: Camera) -> np.ndarray:
+    """World points [20, 3] whose pixels lie in the picture and around it."""
+    random = np.random.default_rng(0)
+    pixels = random.uniform(-0.2, 1.2, (20, 2)) * (camera.width, camera.height)
+    rays = np.concatenate(
+        [(pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones((20, 1))], axis=1
+    )
+    return (rays * random.uniform(0.5, 8.0, (20, 1))) @ camera.camera_to_world[:3, :3].T + camera.centre
+
+
+@pytest.mark.parametrize("name", INTRINSICS)
+def test_a_point_falls_on_the_same_pixel(name: str) -> None:
+    theirs = camera(name)
+    scene = bpy.context.scene
+    ob = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(ob)
+    set_lens(ob.data, theirs)
+    ob.matrix_world = Matrix(object_matrix(theirs).tolist())
+    for key in ("width", "height", "fx", "fy"):
+        ob[key] = getattr(theirs, key)
+    look_through(scene, ob)
+    bpy.context.view_layer.update()
+
+    points = points_before(theirs)
+    pixels, depth = theirs.project(points)
+    seen = [world_to_camera_view(scene, ob, Vector(point)) for point in points]
+    found = np.array([(at.x * theirs.width, (1.0 - at.y) * theirs.height) for at in seen])
+    # Blender keeps lenses in single precision.
+    assert np.abs(found - pixels).max() < 1e-3 * max(1.0, np.abs(pixels).max() / 1000.0)
+    assert np.allclose([at.z for at in seen], depth, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", INTRINSICS)
+def test_there_and_back(name: str) -> None:
+    there = camera(name)
+    back = camera_from(lens_of(there), object_matrix(there), there.width, there.height)
+    points = points_before(there)
+    assert np.abs(back.project(points)[0] - there.project(points)[0]).max() < 1e-9
+
+
+def test_a_camera_looks_along_minus_z_with_y_up() -> None:
+    pose = np.eye(4)  # looks along world z, down is world y
+    matrix = object_matrix(Camera(*INTRINSICS["plain"], pose))
+    assert (matrix @ [0.0, 0.0, -1.0, 0.0])[:3].tolist() == [0.0, 0.0, 1.0]
+    assert (matrix @ [0.0, 1.0, 0.0, 0.0])[:3].tolist() == [0.0, -1.0, 0.0]

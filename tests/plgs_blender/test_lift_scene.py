@@ -1,0 +1,293 @@
+"""A lift in Blender: what is there, what stays after saving, and what a second lift leaves alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+from plgs.engine.job import JobError, write_manifest
+from plgs.engine.scene import open_scene
+from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.cameras import object_matrix
+from plgs.plgs_blender.colour import linear_rgba
+from plgs.plgs_blender.owned import LIFT
+from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, write_tiny_lift
+from tiny_scene import CHAIR, CHAIR_ID
+
+DATA = (
+    "objects",
+    "collections",
+    "cameras",
+    "meshes",
+    "pointclouds",
+    "materials",
+    "node_groups",
+    "images",
+    "scenes",
+)
+
+
+def child(root: bpy.types.Collection, name: str) -> bpy.types.Collection:
+    return next(each for each in root.children if each.name == name)
+
+
+def values(ob: bpy.types.Object, name: str, key: str = "value", width: int = 1) -> np.ndarray:
+    data = ob.data.attributes[name].data
+    array = np.zeros(len(data) * width, np.int32 if name.endswith("_id") or name == "level" else np.float32)
+    data.foreach_get(key, array)
+    return array.reshape(-1, width) if width > 1 else array
+
+
+def counts() -> dict[str, int]:
+    return {kind: len(getattr(bpy.data, kind)) for kind in DATA}
+
+
+def contents() -> dict[str, Any]:
+    return {kind: sorted(block.name for block in getattr(bpy.data, kind)) for kind in DATA}
+
+
+def test_one_collection_with_everything(lift: Path) -> None:
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    assert root.name == "PLGS tiny room"
+    assert [each.name for each in root.children] == ["Cameras", "Semantic points", "Anchors", "Instances"]
+    assert [ob.name for ob in child(root, "Cameras").objects] == [f"{k:04d}" for k in range(FRAMES)]
+    assert [ob.name for ob in child(root, "Instances").objects] == [CHAIR_NAME, CABINET_NAME]
+    assert {ob.name for ob in child(root, "Semantic points").objects} >= {"wall", "floor", "chair", "cabinet"}
+    assert [ob.type for ob in child(root, "Anchors").objects] == ["POINTCLOUD"]
+    assert lift_scene.lifts_in(bpy.context.scene) == [root]
+
+
+def test_cameras_stand_where_the_frames_were_taken(lift: Path) -> None:
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    bpy.context.view_layer.update()
+    scene = open_scene(lift.parent / "tiny room")
+    for ob, frame in zip(child(root, "Cameras").objects, scene.frames, strict=True):
+        assert np.allclose(ob.matrix_world, object_matrix(frame.camera), atol=1e-6)
+        assert (ob["frame"], ob["held_out"]) == (frame.name, frame.held_out)
+        assert (ob["width"], ob["height"], ob["fx"], ob["cy"]) == (64, 48, frame.camera.fx, frame.camera.cy)
+        picture = ob.data.background_images[0].image
+        assert ob.data.show_background_images
+        assert Path(bpy.path.abspath(picture.filepath)) == frame.colour_path
+
+
+def test_scrubbing_goes_through_the_frames(lift: Path) -> None:
+    scene = bpy.context.scene
+    lift_scene.place_lift(lift, scene)
+    scene.frame_set(0)
+    assert scene.camera.name == "Overview"
+    scene.frame_set(4)
+    assert scene.camera["frame"] == "0003"
+    assert [marker.name for marker in scene.timeline_markers][:2] == ["Overview", "0000"]
+
+
+def test_points_keep_their_attributes_through_a_file(lift: Path, tmp_path: Path) -> None:
+    blend = tmp_path / "lift.blend"
+    lift_scene.save_lift(lift, blend)
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    stored = np.load(lift / "result" / "semantic_points.npz")
+    chair = bpy.data.objects["chair"]
+    mine = stored["class_id"] == CHAIR_ID
+    assert np.array_equal(values(chair, "position", "vector", 3), stored["xyz"][mine])
+    assert np.array_equal(values(chair, "class_id"), stored["class_id"][mine])
+    assert np.array_equal(values(chair, "instance_id"), stored["instance_id"][mine])
+    assert np.array_equal(values(chair, "confidence"), stored["confidence"][mine])
+    assert np.allclose(values(chair, "Col", "color", 4), linear_rgba(stored["rgb"][mine]), atol=1e-6)
+    assert np.allclose(chair.color, linear_rgba([210, 70, 60]), atol=1e-6)
+    clouds = [ob for ob in bpy.data.objects if ob.type == "POINTCLOUD" and ob.name != "Anchors"]
+    assert sum(len(ob.data.points) for ob in clouds) == len(stored["xyz"])
+
+    stored = np.load(lift / "result" / "anchors.npz")
+    anchors = bpy.data.objects["Anchors"]
+    for name in ("class_id", "instance_id", "level", "opacity"):
+        assert np.array_equal(values(anchors, name), stored[name])
+    assert not anchors.visible_get()
+    assert anchors.hide_render or anchors.users_collection[0].hide_render
+
+
+def test_boxes_say_what_they_are(lift: Path) -> None:
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    bpy.context.view_layer.update()
+    box = next(ob for ob in child(root, "Instances").objects if ob["instance_id"] == 1)
+    assert (box["class"], box["class_id"], box["views"], box["score"]) == ("chair", CHAIR_ID, 7, 0.875)
+    assert box["points"] == 1234
+    assert np.allclose(box["size"], CHAIR[1] - CHAIR[0])
+    corners = np.array([box.matrix_world @ vertex.co for vertex in box.data.vertices])
+    assert np.allclose([corners.min(axis=0), corners.max(axis=0)], CHAIR, atol=1e-6)
+    assert np.allclose(box.color, linear_rgba([250, 180, 20]), atol=1e-6)
+    assert box.display_type == "WIRE"
+
+
+def test_a_box_has_the_rotation_of_the_instance(tmp_path: Path) -> None:
+    lift = write_tiny_lift(tmp_path / "lift", frames=4, instances=1, bake=False).path
+    path = lift / "result" / "instances.json"
+    content = json.loads(path.read_text())
+    content["instances"][0].update(yaw=np.pi / 6, rotation=[np.cos(np.pi / 12), 0.0, 0.0, np.sin(np.pi / 12)])
+    path.write_text(json.dumps(content))
+    mend_manifest(lift)
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    bpy.context.view_layer.update()
+    assert child(root, "Instances").objects[0].matrix_world.to_euler().z == pytest.approx(np.pi / 6)
+
+
+def mend_manifest(lift: Path) -> None:
+    (lift / "result" / "manifest.json").unlink()
+    write_manifest(lift / "result", versions={}, seed=0, settings={}, timings={})
+
+
+def test_lifting_again_replaces(lift: Path, tmp_path: Path) -> None:
+    blend = tmp_path / "lift.blend"
+    lift_scene.save_lift(lift, blend)
+    first, first_count = contents(), counts()
+    lift_scene.save_lift(lift, blend)
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    assert counts() == first_count
+    for kind in ("objects", "collections", "cameras", "meshes", "materials", "scenes"):
+        assert contents()[kind] == first[kind]
+    orphans = [b.name for kind in DATA for b in getattr(bpy.data, kind) if LIFT in b and not b.users]
+    assert orphans == []
+
+
+def test_another_lift_of_the_same_scene_replaces_it(lift: Path, tmp_path: Path) -> None:
+    scene = bpy.context.scene
+    lift_scene.place_lift(lift, scene)
+    camera = bpy.data.objects["0003"]
+    other = write_tiny_lift(tmp_path / "other", scene=lift.parent / "tiny room", instances=1, bake=False).path
+    root = lift_scene.place_lift(other, scene)
+    assert lift_scene.lifts_in(scene) == [root]
+    assert [ob.name for ob in child(root, "Instances").objects] == [CHAIR_NAME]
+    assert CABINET_NAME not in bpy.data.meshes
+    assert bpy.data.objects["0003"] == camera  # whatever points at it keeps pointing
+    assert len(bpy.data.scenes) == 1  # no passes, no scene for them
+
+
+def test_two_scenes_stand_side_by_side(lift: Path, tmp_path: Path) -> None:
+    lift_scene.place_lift(lift, bpy.context.scene)
+    second = write_tiny_lift(tmp_path / "lift", frames=4).path
+    lift_scene.place_lift(second, bpy.context.scene)
+    assert len(lift_scene.lifts_in(bpy.context.scene)) == 2
+    before = counts()
+    lift_scene.place_lift(lift, bpy.context.scene)
+    assert counts() == before
+
+
+def test_found_again_whatever_it_is_called(lift: Path) -> None:
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    before = counts()
+    root.name = "My room"
+    for ob in list(bpy.data.objects):
+        ob.name = "renamed"
+    assert lift_scene.place_lift(lift, bpy.context.scene) == root
+    assert counts() == before
+    assert "0000" in bpy.data.objects and "renamed" not in bpy.data.objects
+
+
+def test_what_is_the_users_stays(lift: Path) -> None:
+    scene = bpy.context.scene
+    root = lift_scene.place_lift(lift, scene)
+    mine = bpy.data.objects.new("mine", bpy.data.meshes.new("mine"))
+    child(root, "Instances").objects.link(mine)
+    copy = bpy.data.objects[CHAIR_NAME].copy()
+    copy.location.x += 5.0
+    scene.collection.objects.link(copy)
+    scene.timeline_markers.new("cut", frame=3)
+    scene.render.resolution_x = 333
+    before = (copy.location.x, scene.frame_end, scene.render.engine)
+    other_instances = bpy.data.objects[CABINET_NAME]
+    lift_scene.place_lift(lift, scene)
+    assert mine.name == "mine" and mine.users_collection == (child(root, "Instances"),)
+    assert (copy.location.x, scene.frame_end, scene.render.engine) == before
+    assert LIFT not in copy and LIFT in other_instances
+    assert [m.frame for m in scene.timeline_markers if m.name == "cut"] == [3]
+    assert scene.render.resolution_x == 333
+    lift_scene.place_lift(lift, scene)
+    assert copy.name in bpy.data.objects and copy.data is not None
+
+
+def test_the_users_camera_keeps_its_frames(lift: Path) -> None:
+    scene = bpy.context.scene
+    mine = bpy.data.objects.new("shot", bpy.data.cameras.new("shot"))
+    scene.collection.objects.link(mine)
+    scene.camera = mine
+    for _ in range(2):
+        lift_scene.place_lift(lift, scene)
+        for frame in (1, 100, scene.frame_end):
+            scene.frame_set(frame)
+            assert scene.camera == mine
+        scene.frame_set(scene.frame_end + 2)
+        assert scene.camera["frame"] == "0000"
+        scene.frame_set(1)
+    assert len(scene.timeline_markers) == FRAMES + 2
+
+
+def test_the_users_file_keeps_its_looks(lift: Path, tmp_path: Path) -> None:
+    blend = tmp_path / "shot.blend"
+    scene = bpy.context.scene
+    scene.name, scene.frame_end, scene.render.resolution_x = "Shot", 77, 999
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    lift_scene.save_lift(lift, blend)
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    scene = bpy.data.scenes["Shot"]
+    assert (scene.frame_end, scene.render.resolution_x) == (77, 999)
+    assert len(lift_scene.lifts_in(scene)) == 1
+
+
+def test_a_file_that_we_start_shows_colours(lift: Path, tmp_path: Path) -> None:
+    lift_scene.save_lift(lift, tmp_path / "lift.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
+    scene = bpy.context.scene
+    assert scene.camera.name == "Overview"
+    assert (scene.frame_start, scene.frame_end, scene.unit_settings.system) == (0, FRAMES, "METRIC")
+    areas = [area for screen in bpy.data.screens for area in screen.areas]
+    views = [space for area in areas for space in area.spaces if space.type == "VIEW_3D"]
+    assert views and {view.shading.color_type for view in views} == {"OBJECT"}
+    assert {view.shading.wireframe_color_type for view in views} == {"OBJECT"}
+
+
+def test_a_lift_can_move_with_its_file(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift.parent, tmp_path / "a")
+    request = tmp_path / "a" / "lift" / "request.json"
+    request.write_text(request.read_text().replace(str(lift.parent), str(tmp_path / "a")))
+    lift_scene.save_lift(tmp_path / "a" / "lift", tmp_path / "a" / "lift" / "lift.blend")
+    (tmp_path / "a").rename(tmp_path / "b")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "b" / "lift" / "lift.blend"))
+    files = [image.filepath for image in bpy.data.images if LIFT in image and image.filepath]
+    assert files and all(path.startswith("//") for path in files)
+    assert all(Path(bpy.path.abspath(path)).is_file() for path in files)
+
+
+def test_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift, tmp_path / "half")
+    (tmp_path / "half" / "result" / "manifest.json").unlink()
+    before = contents()
+    with pytest.raises(JobError, match="not finished"):
+        lift_scene.place_lift(tmp_path / "half", bpy.context.scene)
+    with pytest.raises(JobError, match="not finished"):
+        lift_scene.save_lift(tmp_path / "half", tmp_path / "x.blend")
+    assert contents() == before and not (tmp_path / "x.blend").exists()
+
+
+def test_a_file_that_is_no_blend_is_left_alone(lift: Path, tmp_path: Path) -> None:
+    path = tmp_path / "notes.blend"
+    path.write_text("not a .blend")
+    with pytest.raises(JobError, match="cannot be opened"):
+        lift_scene.save_lift(lift, path)
+    assert path.read_text() == "not a .blend"
+
+
+def test_a_lift_without_instances(tmp_path: Path) -> None:
+    lift = write_tiny_lift(tmp_path / "lift", frames=4, instances=0).path
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    assert not child(root, "Instances").objects
+
+
+def test_a_hidden_default_stays_as_the_user_set_it(lift: Path) -> None:
+    scene = bpy.context.scene
+    root = lift_scene.place_lift(lift, scene)
+    child(root, "Anchors").hide_render = False
+    lift_scene.place_lift(lift, scene)
+    assert not child(root, "Anchors").hide_render

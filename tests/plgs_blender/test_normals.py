@@ -1,0 +1,69 @@
+"""Facing, spacing and the overview of points on surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+from plgs.plgs_blender.normals import point_normals, point_radii, point_spacing
+from plgs.plgs_blender.overview import overview_camera
+
+
+def room(step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the six faces of a 4 x 3 x 2.5 room, away from its edges, and their inward normals."""
+    size = np.array([4.0, 3.0, 2.5])
+    xyz, normals = [], []
+    for axis in range(3):
+        others = [each for each in range(3) if each != axis]
+        grids = np.meshgrid(*(np.arange(0.3, size[each] - 0.3, step) for each in others))
+        for side in (0.0, 1.0):
+            face = np.zeros((grids[0].size, 3))
+            face[:, axis] = side * size[axis]
+            face[:, others[0]], face[:, others[1]] = grids[0].ravel(), grids[1].ravel()
+            xyz.append(face)
+            normals.append(np.tile(np.eye(3)[axis] * (1.0 - 2.0 * side), (len(face), 1)))
+    return np.concatenate(xyz), np.concatenate(normals)
+
+
+def test_spacing_of_a_grid() -> None:
+    xyz, _ = room(0.05)
+    assert 0.03 < point_spacing(xyz) < 0.09
+    assert (
+        point_spacing(np.zeros((1, 3)))
+        == point_spacing(np.zeros((9, 3)))
+        == point_spacing(np.zeros((0, 3)))
+        == 0.0
+    )
+
+
+def test_radii_grow_where_points_are_rare() -> None:
+    dense, sparse = room(0.02)[0], room(0.08)[0] + [10.0, 0.0, 0.0]
+    radii = point_radii(np.concatenate([dense, sparse]), 0.001, 1.0)
+    assert radii[: len(dense)].mean() < radii[len(dense) :].mean()
+    assert (point_radii(np.zeros((3, 3)), 0.01, 0.1) == np.float32(0.01)).all()
+
+
+def test_walls_face_the_camera_in_the_room() -> None:
+    xyz, inward = room()
+    normals = point_normals(xyz.astype(np.float32), np.array([[2.0, 1.5, 1.5]]))
+    agreement = np.einsum("ij,ij->i", normals, inward)
+    assert (agreement > 0.0).all() and np.mean(agreement > 0.99) > 0.95
+
+
+def test_normals_without_anything_to_go_by() -> None:
+    assert point_normals(np.zeros((0, 3)), np.zeros((1, 3))).shape == (0, 3)
+    assert not point_normals(room()[0], np.zeros((0, 3))).any()
+
+
+def test_the_overview_has_the_room_in_its_picture_and_looks_in_from_outside() -> None:
+    xyz, inward = room()
+    camera = overview_camera(xyz, inward, (1280, 800))
+    pixels, depth = camera.project(xyz)
+    assert (depth > 0.0).all()
+    assert (pixels > 0.0).all() and (pixels < [1280.0, 800.0]).all()
+    assert (pixels.max(axis=0) - pixels.min(axis=0)).max() > 600.0
+    assert camera.centre[2] > 2.5 and not (np.abs(camera.centre[:2] - [2.0, 1.5]) < [2.0, 1.5]).all()
+    assert np.allclose(camera.camera_to_world[:3, :3] @ camera.camera_to_world[:3, :3].T, np.eye(3))
+    assert np.linalg.det(camera.camera_to_world[:3, :3]) > 0.0
+
+
+def test_the_overview_of_nothing_is_a_camera_all_the_same() -> None:
+    assert np.isfinite(overview_camera(np.zeros((0, 3)), np.zeros((0, 3))).camera_to_world).all()

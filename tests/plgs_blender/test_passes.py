@@ -1,0 +1,164 @@
+"""The passes in the compositor, rendered without a window, against the arrays that were baked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import OpenEXR
+import pytest
+from plgs.engine.job import write_manifest
+from plgs.engine.scene import open_scene
+from plgs.plgs_blender import compat, lift_scene, passes
+from plgs.plgs_blender.colour import linear_rgba
+from plgs.plgs_blender.pass_nodes import CLASSES, output_of
+from plgs.plgs_blender.sequence import numbered
+from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, write_passes, write_tiny_lift
+from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
+
+
+def truth(name: str, size: tuple[int, int] = (64, 48), frames: int = FRAMES) -> TinyView:
+    return trace_view(tiny_pose(int(name), frames), tiny_intrinsics(size), size)
+
+
+def rendered(scene: bpy.types.Scene, output: str, folder: Path) -> np.ndarray:
+    """What an output gives at the scene's current frame: float32 [H, W, 3], written and read as EXR."""
+    tree = compat.compositor_tree(scene)
+    result = next(node for node in tree.nodes if node.bl_idname == compat.COMPOSITE_OUTPUT)
+    tree.links.new(output_of(tree, output), result.inputs[0])
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
+    path = folder / f"{output}.exr"
+    scene.render.filepath = str(path)
+    with bpy.context.temp_override(scene=scene):
+        bpy.ops.render.render(write_still=True)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = file.channels()
+        return np.stack([channels[c].pixels for c in "RGB"], axis=-1)
+
+
+def passes_scene() -> bpy.types.Scene:
+    return bpy.data.scenes["PLGS tiny room passes"]
+
+
+@pytest.fixture
+def scene(lift: Path, tmp_path: Path) -> bpy.types.Scene:
+    """The passes scene of a saved and opened file, twice placed."""
+    for _ in range(2):
+        lift_scene.save_lift(lift, tmp_path / "lift.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
+    return passes_scene()
+
+
+def test_layers_arrive_with_their_values(scene: bpy.types.Scene, lift: Path, tmp_path: Path) -> None:
+    names = [marker.name for marker in scene.timeline_markers]
+    assert names == sorted(path.stem for path in (lift / "result" / "passes").iterdir()) and len(names) >= 2
+    for name in reversed(names):
+        passes.show_view(scene, name)
+        view = truth(name)
+        assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
+        assert np.array_equal(rendered(scene, "Semantic", tmp_path)[..., 0], view.semantic)
+        assert np.allclose(rendered(scene, "Depth", tmp_path)[..., 0], view.depth, atol=1e-6)
+        assert np.allclose(rendered(scene, "Combined", tmp_path), (view.colour / 255.0) ** 2.2, atol=1e-5)
+        assert np.allclose(rendered(scene, "Confidence", tmp_path), 0.9)
+        assert np.allclose(rendered(scene, "Entropy", tmp_path), 0.1)
+
+
+def test_the_matte_of_a_named_instance(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    view = truth(scene.timeline_markers[0].name)
+    passes.show_view(scene, scene.timeline_markers[0].name)
+    for names, ids in (([CHAIR_NAME], {1}), ([CABINET_NAME], {2}), ([CHAIR_NAME, CABINET_NAME], {1, 2})):
+        passes.set_matte(scene, names)
+        matte = rendered(scene, "Instance matte", tmp_path)[..., 0]
+        assert np.array_equal(matte, np.isin(view.instance, list(ids)).astype(np.float32))
+    passes.set_matte(scene, ["chair"], CLASSES)
+    assert np.array_equal(rendered(scene, "Class matte", tmp_path)[..., 0], view.semantic == CHAIR_ID)
+
+
+def test_ids_in_their_colours(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    view = truth(scene.timeline_markers[0].name)
+    passes.show_view(scene, scene.timeline_markers[0].name)
+    colours = rendered(scene, "Instance colours", tmp_path)
+    for number, srgb in ((0, (0, 0, 0)), (1, (250, 180, 20)), (2, (20, 190, 220))):
+        assert np.allclose(colours[view.instance == number], linear_rgba(srgb)[:3], atol=1e-5)
+    colours = rendered(scene, "Class colours", tmp_path)
+    assert np.allclose(colours[view.semantic == CHAIR_ID], linear_rgba((210, 70, 60))[:3], atol=1e-5)
+
+
+def test_the_result_is_the_picture_with_the_instances_over_it(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    view = truth(scene.timeline_markers[0].name)
+    passes.show_view(scene, scene.timeline_markers[0].name)
+    overlay = rendered(scene, "Overlay", tmp_path)
+    picture = (view.colour / 255.0) ** 2.2
+    assert np.allclose(overlay[view.instance == 0], picture[view.instance == 0], atol=1e-5)
+    expected = 0.45 * picture + 0.55 * linear_rgba((250, 180, 20))[:3]
+    assert np.allclose(overlay[view.instance == 1], expected[view.instance == 1], atol=1e-5)
+
+
+def test_views_without_numbers_are_swapped(lift: Path, tmp_path: Path) -> None:
+    """Two names that are no sequence, and pictures of different sizes."""
+    folder = write_tiny_scene(tmp_path / "tiny room", frames=2, ground_truth=False)
+    names = {"0000": "left", "0001": "right"}
+    for path in sorted(folder.rglob("000?.*")):
+        path.rename(path.with_stem(names[path.stem]))
+    text = (folder / "panoptic.json").read_text()
+    for old, new in names.items():
+        text = text.replace(old, new)
+    (folder / "panoptic.json").write_text(text)
+    other = write_tiny_lift(tmp_path / "lift", scene=folder, bake=False)
+    other.passes_path.mkdir()
+    for frame, size in zip(open_scene(folder).frames, ((64, 48), (32, 24)), strict=True):
+        write_passes(other.passes_path / f"{frame.name}.exr", frame, size)
+    other.manifest_path.unlink()
+    write_manifest(other.result_path, versions={}, seed=0, settings={}, timings={})
+
+    lift_scene.place_lift(other.path, bpy.context.scene)
+    scene = passes_scene()
+    for name, index, size in (("right", 1, (32, 24)), ("left", 0, (64, 48)), ("right", 1, (32, 24))):
+        passes.show_view(scene, name)
+        scene.render.resolution_x, scene.render.resolution_y = size
+        view = truth(str(index), size, frames=2)
+        assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
+        passes.set_matte(scene, [CHAIR_NAME])
+        assert np.array_equal(rendered(scene, "Instance matte", tmp_path)[..., 0], view.instance == 1)
+
+
+def test_what_the_user_built_on_stays(lift: Path) -> None:
+    lift_scene.place_lift(lift, bpy.context.scene)
+    tree = compat.compositor_tree(passes_scene())
+    blur = tree.nodes.new("CompositorNodeBlur")
+    tree.links.new(output_of(tree, "Depth"), blur.inputs[0])
+    lift_scene.place_lift(lift, bpy.context.scene)
+    tree = compat.compositor_tree(passes_scene())
+    blur = next(node for node in tree.nodes if node.bl_idname == "CompositorNodeBlur")
+    assert blur.inputs[0].is_linked and blur.inputs[0].links[0].from_socket.name == "Depth"
+
+
+@pytest.mark.parametrize(
+    ("names", "first", "numbers"),
+    [
+        (["0000", "0008", "0016"], "0000", (0, 8, 16)),
+        (["100", "80", "1200"], "80", (100, 80, 1200)),
+        (["frame-0003.color", "frame-0011.color"], "frame-0003.color", (3, 11)),
+        (["b2_7"], "b2_7", (7,)),
+    ],
+)
+def test_numbered_names(names: list[str], first: str, numbers: tuple[int, ...]) -> None:
+    found = numbered(names)
+    assert found is not None and (found.first, found.numbers) == (first, numbers)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [],
+        ["left", "right"],
+        ["a1", "b2"],
+        ["01", "2"],
+        ["1305031102.175304", "1305031103.2"],
+        ["99999999999"],
+    ],
+)
+def test_names_that_are_no_sequence(names: list[str]) -> None:
+    assert numbered(names) is None
