@@ -12,12 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..instances import (
+    ConsensusOptions,
     GlobalInstance,
     MatchingOptions,
     SegmentOptions,
+    find_objects,
+    limit_instances,
     match_views,
-    merge_duplicates,
+    object_instances,
     restrict_to_things,
+    shown_classes,
     vote_instances,
 )
 from ..model.anchors import initial_anchors
@@ -33,13 +37,16 @@ from ..semantics import (
     build_point_cloud,
     consistency_masks,
     label_anchors,
+    label_by_object,
     project_labels,
     views_are_sparse,
+    vote_classes,
     voxelise,
 )
 from .presets import Preset
-from .progress import StageReporter
+from .progress import StageProgress, StageReporter
 from .targets import ViewTargets, view_targets
+from .warm_start import warm_start
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,23 +73,59 @@ def prepare(views: Sequence[View], classes: ClassTable, preset: Preset, seed: in
             progress,
         )
     with stages.stage("match") as progress:
-        segments = SegmentOptions(voxel_size=preset.voxel_size)
-        matching = MatchingOptions(tau_new=preset.tau_new)
-        found = match_views(views, classes.thing_ids, segments, matching, progress)
-        instances = merge_duplicates(found, matching.merge_iom, preset.voxel_size)
-        index = cloud.index()
-        reach = 2 * preset.voxel_size
-        owner_of_segment = {
-            (item.frame, item.segment_id): instance.id for instance in instances for item in instance.evidence
-        }
-        instance_of_point = vote_instances(
-            views, lambda view: index.nearest_of_pixels(view.camera, view.depth, reach), len(cloud), owner_of_segment
-        )
-        instance_of_point[~np.isin(cloud.class_id, sorted(classes.thing_ids))] = 0
+        match = objects_by_consent if preset.objects == "consent" else instances_by_boxes
+        cloud, instances, instance_of_point = match(views, cloud, classes, preset, progress)
     channels = LabelChannels(class_ids, slots(instances, preset.instance_slots))
-    scene = starting_scene(cloud, instance_of_point, channels, preset, seed)
-    targets = projected_targets(views, cloud, instance_of_point, channels, classes, reach)
+    viewpoints = np.array([view.camera.centre for view in views])
+    scene = starting_scene(cloud, instance_of_point, channels, viewpoints, preset, seed)
+    targets = projected_targets(views, cloud, instance_of_point, channels, classes, 2 * preset.voxel_size)
     return PreparedLift(scene, targets, cloud, instance_of_point, tuple(instances))
+
+
+Matching = tuple[SemanticPointCloud, list[GlobalInstance], NDArray[np.int32]]
+"""The cloud with its final classes, the instances, and the instance of each point int32 [N] (0 = none)."""
+
+
+def instances_by_boxes(
+    views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
+) -> Matching:
+    """The paper's way: Algorithm 1 on the thing segments of all views."""
+    found = match_views(
+        views,
+        classes.thing_ids,
+        SegmentOptions(voxel_size=preset.voxel_size),
+        MatchingOptions(tau_new=preset.tau_new, max_instances=preset.most_instances),
+        progress,
+    )
+    instances, _ = limit_instances(found, preset.most_instances)
+    owner_of_segment = {(item.frame, item.segment_id): one.id for one in instances for item in one.evidence}
+    index, reach = cloud.index(), 2 * preset.voxel_size
+    instance_of_point = vote_instances(
+        views, lambda view: index.nearest_of_pixels(view.camera, view.depth, reach), len(cloud), owner_of_segment
+    )
+    instance_of_point[~np.isin(cloud.class_id, sorted(classes.thing_ids))] = 0
+    return cloud, instances, instance_of_point
+
+
+def objects_by_consent(
+    views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
+) -> Matching:
+    """Ours: objects that the views agree on whatever they call them, then one vote of the views on each object's class."""
+    index, reach = cloud.index(), 2 * cloud.spacing
+    objects, seen = find_objects(
+        views,
+        lambda view: index.nearest_of_pixels(view.camera, view.depth, reach),
+        len(cloud),
+        ConsensusOptions(),
+        progress,
+    )
+    shown = ((one.row, shown_classes(view, one), one.pixels) for view, one in zip(views, seen, strict=True))
+    votes = vote_classes(shown, objects.object_of_point, cloud.class_ids)
+    cloud = label_by_object(cloud, objects.object_of_point, votes, classes.thing_ids)
+    instances, instance_of_point = object_instances(
+        views, objects, cloud.xyz, cloud.class_id, classes.thing_ids, preset.voxel_size
+    )
+    return cloud, instances, instance_of_point
 
 
 def used_classes(views: Sequence[View]) -> tuple[int, ...]:
@@ -99,6 +142,8 @@ def slots(instances: Sequence[GlobalInstance], least: int) -> tuple[int, ...]:
 def consistency_options(views: Sequence[View], preset: Preset) -> ConsistencyOptions:
     """The preset's choice, or no comparison at all where views are too sparse for one (as the paper does on HyperSim)."""
     options = ConsistencyOptions(neighbours=preset.neighbours, agreement=preset.agreement)
+    if not preset.neighbours:
+        return options
     return ConsistencyOptions(neighbours=0) if views_are_sparse(views, options) else options
 
 
@@ -124,15 +169,20 @@ def projected_targets(
 
 
 def starting_scene(
-    cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], channels: LabelChannels, preset: Preset, seed: int
+    cloud: SemanticPointCloud,
+    instance_of_point: NDArray[np.int32],
+    channels: LabelChannels,
+    viewpoints: NDArray[np.float64],
+    preset: Preset,
+    seed: int,
 ) -> StructuredScene:
-    """Anchors on the semantic point cloud, decoders drawn from the seed."""
+    """Anchors on the semantic point cloud; decoders drawn from the seed, then fitted to the anchors if the preset says so."""
     positions = voxelise(cloud.xyz, preset.voxel_size)
     classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
+    nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
+    rgb = np.where(nearest[:, None] >= 0, cloud.rgb[nearest], 128).astype(np.uint8)
     feature = np.zeros((len(positions), preset.features), np.float32)
     if preset.seeded_features:
-        nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
-        rgb = np.where(nearest[:, None] >= 0, cloud.rgb[nearest], 128).astype(np.uint8)
         feature = seeded_features(rgb, classes, owners, features=preset.features, seed=seed)
     anchors = initial_anchors(
         positions,
@@ -149,4 +199,7 @@ def starting_scene(
         distance_input=preset.distance_input,
         label_view_input=preset.label_view_input,
     )
-    return StructuredScene(anchors, Decoders(shape, seed), channels, preset.voxel_size)
+    scene = StructuredScene(anchors, Decoders(shape, seed), channels, preset.voxel_size)
+    if preset.warm_start is not None:
+        warm_start(scene, rgb, owners, viewpoints, preset.warm_start, seed)
+    return scene

@@ -7,6 +7,7 @@ Every schedule point is a fraction of the steps, so that a preset of 600 steps g
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from ..model.growing import GrowthRules
 
@@ -50,13 +51,25 @@ class LossWeights:
 
 
 @dataclass(frozen=True)
+class WarmStart:
+    """Fitting the decoders to the initial anchors, ``batch`` of them a step; ``opacity_bias`` is added before the tanh, so
+    that fewer Gaussians start invisible (and without a gradient)."""
+
+    steps: int = 400
+    batch: int = 4096
+    rate: float = 0.01
+    opacity_bias: float = 0.3
+
+
+@dataclass(frozen=True)
 class Preset:
     """Everything that shapes a lift except its input and its seed.
 
     ``size_within`` (width, height): frames are brought into this box for the lift, never enlarged; ``voxel_size`` metres (the paper's epsilon); ``neighbours`` is N_w
     and ``agreement`` the share of them that must agree (1 = the paper's product). ``instance_slots`` is the least number of
-    slots. ``object_votes``: one class vote a view for each matched object, ours, beyond the paper. ``seeded_features``: start
-    features from colour and label of the anchors instead of zero.
+    slots. ``objects``: how segments of all views become instances, "boxes" (Algorithm 1) or
+    "consent" (ours, with a vote of the views on each object's class). ``most_instances`` caps them. ``seeded_features``: start
+    features from colour and label of the anchors instead of zero; ``warm_start`` fits the decoders to them.
     """
 
     name: str
@@ -69,10 +82,12 @@ class Preset:
     most_anchors: int = 400_000
     distance_input: bool = False
     label_view_input: bool = False
-    neighbours: int = 8
-    agreement: float = 0.75
-    object_votes: bool = True
+    neighbours: int = 0
+    agreement: float = 1.0
+    objects: Literal["boxes", "consent"] = "consent"
+    most_instances: int = 200
     seeded_features: bool = True
+    warm_start: WarmStart | None = WarmStart()
     tau_new: float = -0.1
     schedule: Schedule = Schedule()
     rates: LearningRates = LearningRates()
@@ -95,9 +110,9 @@ PRESETS = {
             distance_input=True,
             label_view_input=True,
             neighbours=4,
-            agreement=1.0,
-            object_votes=False,
+            objects="boxes",
             seeded_features=False,
+            warm_start=None,
         ),
     )
 }

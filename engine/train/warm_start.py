@@ -1,0 +1,57 @@
+"""Decoders that know the initial anchors before the first picture is rendered.
+
+The semantic point cloud already says what colour, class and instance each anchor has. Fitting the decoders to that takes a
+second, since nothing is rendered; learning it through pictures takes thousands of steps. Ours, not the paper's: the preset
+"paper" starts from random decoders.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from ..model.structured import StructuredScene
+from .presets import WarmStart
+from .targets import columns_of
+
+
+def warm_start(
+    scene: StructuredScene,
+    colour: np.ndarray,
+    instance_id: np.ndarray,
+    viewpoints: np.ndarray,
+    settings: WarmStart,
+    seed: int,
+) -> None:
+    """Fit colour, semantic and instance decoder in place to the initial anchors; lift the opacities a little.
+
+    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) of the anchors, ``viewpoints`` float64 [N, 3] metres: the
+    camera centres, which colours are asked from. Deterministic for a seed.
+    """
+    anchors, decoders = scene.anchors, scene.decoders
+    random = np.random.default_rng([seed, 3])
+    classes = columns_of(anchors.initial_class.numpy(), scene.channels.class_ids)
+    slots = columns_of(instance_id, scene.channels.slot_ids)
+    target_colour = torch.from_numpy(colour.astype(np.float32) / 255.0)
+    centres = torch.from_numpy(viewpoints.astype(np.float32))
+    k = anchors.gaussians_per_anchor
+    with torch.no_grad():
+        decoders.opacity[2].bias += settings.opacity_bias
+    parameters = [*decoders.colour.parameters(), *decoders.semantic.parameters(), *decoders.instance.parameters()]
+    adam = torch.optim.Adam(parameters, lr=settings.rate)
+    for step in range(settings.steps):
+        rows = torch.from_numpy(random.integers(0, len(anchors), min(settings.batch, len(anchors))))
+        centre = centres[torch.from_numpy(random.integers(0, len(centres), len(rows)))]
+        feature = anchors.feature.detach()[rows]
+        seen = decoders.view_input(feature, anchors.position[rows], centre)
+        shown = torch.sigmoid(decoders.colour(seen)).view(len(rows), k, 3)
+        loss = (shown - target_colour[rows][:, None]).abs().mean()
+        for logits, target in zip(decoders.label_logits(feature, seen), (classes[rows], slots[rows]), strict=True):
+            if bool((target >= 0).any()):
+                flat = logits.reshape(len(rows) * k, -1)
+                loss = loss + functional.cross_entropy(flat, target.repeat_interleave(k), ignore_index=-1)
+        adam.param_groups[0]["lr"] = settings.rate * (1 - step / settings.steps)
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
