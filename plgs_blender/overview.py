@@ -10,28 +10,32 @@ from ..engine.scene.camera import Camera
 _ELEVATION = np.radians(42.0)
 _FOCAL_WIDTHS = 1.45
 """Focal length in picture widths: a 52 mm lens, which keeps the walls nearly upright."""
-_MARGIN = 0.92
+_MARGIN = 0.88
 _DIRECTIONS = 16
+_STRAY = 0.05
+"""Percent of the points that may lie outside."""
+_ENOUGH = 100_000
+"""So many points tell where to stand."""
 _DEFAULT_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]])
 
 
 def overview_camera(
     xyz: NDArray[np.floating], normals: NDArray[np.floating], size: tuple[int, int] = (1280, 800)
 ) -> Camera:
-    """A camera outside and above points [N, 3] in metres that has them all in its picture of `size` (width,
-    height).
+    """A camera outside and above points [N, 3] in metres, with those in its picture that face it.
 
-    It stands on the side from which most points face it; `normals` [N, 3] are zero where that is unknown.
+    It stands on the side from which most points do; `normals` [N, 3] are zero where that is unknown.
     """
     if not len(xyz):
         xyz, normals = _DEFAULT_ROOM, np.zeros_like(_DEFAULT_ROOM)
-    # A few stray points must not make the room small.
-    low, high = np.percentile(xyz, [1.0, 99.0], axis=0)
+    step = 1 + len(xyz) // _ENOUGH
+    xyz, normals = xyz[::step].astype(np.float64), normals[::step]
     axes = max(
         (_axes(2.0 * np.pi * step / _DIRECTIONS) for step in range(_DIRECTIONS)),
         key=lambda candidate: int(np.count_nonzero(normals @ candidate[:, 2] < -0.2)),
     )
-    return _framed(axes, low, high, size)
+    facing = normals @ axes[:, 2] <= 0.0
+    return _framed(axes, xyz[facing] if facing.any() else xyz, size)
 
 
 def _axes(azimuth: float) -> NDArray[np.float64]:
@@ -44,21 +48,16 @@ def _axes(azimuth: float) -> NDArray[np.float64]:
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
-def _framed(
-    axes: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], size: tuple[int, int]
-) -> Camera:
-    """Move the camera back along its axis until the box from `low` to `high` just fits, and centre the
-    box.
-    """
+def _framed(axes: NDArray[np.float64], xyz: NDArray[np.float64], size: tuple[int, int]) -> Camera:
+    """Move the camera back along its axis until the points just fit, and aside until they are centred."""
     width, height = size
     focal = _FOCAL_WIDTHS * width
     half = np.array([width, height]) / 2.0 * _MARGIN / focal
-    choice = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
-    local = np.where(choice, high, low) @ axes
-    # A corner at depth d is inside while |offset from the axis| <= half * d: the outermost corner on either
-    # side fixes both where the axis runs and how far back the camera must be.
-    right_most = (local[:, :2] - half * local[:, 2:]).max(axis=0)
-    left_most = (local[:, :2] + half * local[:, 2:]).min(axis=0)
+    local = xyz @ axes
+    # A point at depth d is inside while |offset from the axis| <= half * d: the outermost points on either
+    # side fix both where the axis runs and how far back the camera must be. A few stray ones must not count.
+    right_most = np.percentile(local[:, :2] - half * local[:, 2:], 100.0 - _STRAY, axis=0)
+    left_most = np.percentile(local[:, :2] + half * local[:, 2:], _STRAY, axis=0)
     back = float(((right_most - left_most) / (2.0 * half)).max())
     pose = np.eye(4)
     pose[:3, :3] = axes
