@@ -1,0 +1,133 @@
+"""Make machine-like panoptic masks: ``python sample/machine_masks.py SCENE [--seed N] [--out FOLDER]``.
+
+SCENE holds ``gt/semantic``, ``gt/instance``, ``gt/classes.json``, ``depth``, ``pose`` and ``intrinsic``. Written are
+``panoptic.json`` (COCO panoptic, own categories, a score for each segment) and ``panoptic/*.png`` (segment id = R + 256 G +
+65536 B, 0 = void). This program is the only one that looks at the ground truth for anything but evaluation. What a detector
+gets wrong, and how often, is in ``class_belief.BeliefNoise`` and ``mask_noise.MaskNoise``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from class_belief import Sight
+from mask_noise import Ids, MaskNoise, Region, TrueRegion, detect
+from numpy.typing import NDArray
+
+SMALLEST_STUFF = 40  # pixels: smaller pieces of stuff go with the largest piece of their class
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("scene", type=Path, help="scene folder with gt/")
+    parser.add_argument("--seed", type=int, default=0, help="other seeds, other faults (default 0)")
+    parser.add_argument("--out", type=Path, help="where panoptic.json and panoptic/ go (default: the scene folder)")
+    options = parser.parse_args()
+    write_masks(options.scene, options.out or options.scene, options.seed)
+
+
+def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise | None = None) -> None:
+    categories = json.loads((scene / "gt/classes.json").read_text())["categories"]
+    (out / "panoptic").mkdir(parents=True, exist_ok=True)
+    images, annotations = [], []
+    for path in sorted((scene / "gt/semantic").glob("*.png")):
+        ids, segments = mask_of_frame(scene, path.stem, categories, seed, noise or MaskNoise())
+        colour = np.stack([ids >> 16, (ids >> 8) & 255, ids & 255], -1).astype(np.uint8)  # OpenCV writes B, G, R
+        cv2.imwrite(str(out / f"panoptic/{path.stem}.png"), colour, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        height, width = ids.shape
+        images.append({"id": path.stem, "file_name": f"{path.stem}.jpg", "width": width, "height": height})
+        annotations.append({"image_id": path.stem, "file_name": f"{path.stem}.png", "segments_info": segments})
+    table = {"images": images, "annotations": annotations, "categories": categories}
+    (out / "panoptic.json").write_text(_readable(table))
+
+
+def mask_of_frame(
+    scene: Path, frame: str, categories: list[dict[str, Any]], seed: int, noise: MaskNoise
+) -> tuple[Ids, list[dict[str, Any]]]:
+    """The mask of one frame, int32 [H, W], and its COCO ``segments_info``. Frames do not depend on each other."""
+    regions = true_regions(scene, frame, categories)
+    is_thing = {entry["name"]: bool(entry["isthing"]) for entry in categories}
+    number = {entry["name"]: entry["id"] for entry in categories}
+    ids, seen = detect(regions, is_thing, noise, seed, frame)
+    return ids, [_segment_info(index + 1, region, number) for index, region in enumerate(seen)]
+
+
+def true_regions(scene: Path, frame: str, categories: list[dict[str, Any]]) -> list[TrueRegion]:
+    """Every thing and every connected piece of stuff in the view, in a fixed order; void belongs to no region."""
+    semantic = _read_png(scene / f"gt/semantic/{frame}.png")
+    instance = _read_png(scene / f"gt/instance/{frame}.png")
+    depth = _read_png(scene / f"depth/{frame}.png") / 1000.0
+    pose = np.loadtxt(scene / f"pose/{frame}.txt")
+    points = _world_points(depth, np.loadtxt(scene / "intrinsic/intrinsic_color.txt"), pose)
+    regions = []
+    for entry in categories:
+        of_class = semantic == entry["id"]
+        if entry["isthing"]:
+            pieces = [(f"thing {k}", of_class & (instance == k)) for k in np.unique(instance[of_class])]
+        else:
+            pieces = [(entry["name"], piece) for piece in _pieces(of_class)]
+        for key, pixels in pieces:
+            place = np.round(points[pixels].mean(0), 3)
+            direction = np.round((place - pose[:3, 3]) / np.linalg.norm(place - pose[:3, 3]), 3)
+            sight = Sight(
+                key, entry["name"], bool(entry["isthing"]), float(pixels.mean()), tuple(place.tolist()), tuple(direction.tolist())
+            )
+            regions.append(TrueRegion(pixels, sight))
+    return regions
+
+
+def _pieces(pixels: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
+    """Connected pieces, largest first; crumbs go with the largest."""
+    _, labels = cv2.connectedComponents(pixels.astype(np.uint8), connectivity=4)
+    counts = np.bincount(labels.ravel())
+    order = sorted(range(1, len(counts)), key=lambda label: (-counts[label], label))
+    pieces = [labels == label for label in order if counts[label] >= SMALLEST_STUFF]
+    if pieces:
+        for label in order[len(pieces) :]:
+            pieces[0] |= labels == label
+    return pieces
+
+
+def _world_points(depth: NDArray[np.float64], intrinsic: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World points [H, W, 3] of planar depth in metres; pixel centres at integers, as the scene's files have it."""
+    y, x = np.mgrid[0 : depth.shape[0], 0 : depth.shape[1]]
+    rays = np.stack([(x - intrinsic[0, 2]) / intrinsic[0, 0], (y - intrinsic[1, 2]) / intrinsic[1, 1], np.ones(x.shape)], -1)
+    local = rays * depth[..., None]
+    turned = [sum(local[..., k] * pose[row, k] for k in range(3)) + pose[row, 3] for row in range(3)]
+    return np.stack(turned, -1)
+
+
+def _read_png(path: Path) -> NDArray[Any]:
+    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if picture is None:
+        raise SystemExit(f"cannot read {path}: not a scene with ground truth?")
+    return picture
+
+
+def _segment_info(index: int, region: Region, number: dict[str, int]) -> dict[str, Any]:
+    return {
+        "id": index,
+        "category_id": number[region.class_name],
+        "isthing": int(region.is_thing),
+        "score": region.score,
+        "iscrowd": 0,
+        "area": int(region.pixels.sum()),
+    }
+
+
+def _readable(table: dict[str, Any]) -> str:
+    """JSON with one entry a line."""
+    blocks = []
+    for key, entries in table.items():
+        lines = ",\n".join(" " + json.dumps(entry) for entry in entries)
+        blocks.append(f'"{key}": [\n{lines}\n]')
+    return "{\n" + ",\n".join(blocks) + "\n}\n"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,235 @@
+"""From the true regions of one view to the regions a detector would draw: missed, split, merged, invented, ragged.
+
+Everything is counted in exact numpy arithmetic (no image library), so that the same seed gives the same pixels on every
+machine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from class_belief import BeliefNoise, Sight, believe, stream
+from numpy.typing import NDArray
+
+Ids = NDArray[np.int32]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class MaskNoise:
+    """Rates of a detector's faults. Lengths are in pixels of the view, chances are per segment unless said otherwise."""
+
+    belief: BeliefNoise = field(default_factory=BeliefNoise)
+    smallest_segment: int = 60
+    """Things with fewer pixels in a view are not found at all (they become part of what surrounds them)."""
+    missed: float = 0.07
+    """Chance that a thing of ordinary size is missed; small ones are missed more often (up to three times)."""
+    missed_as_void: float = 0.6
+    """How many of the missed leave a hole; the rest is swallowed by the neighbour."""
+    split: float = 0.10
+    """Chance that a segment falls in two."""
+    split_disagrees: float = 0.4
+    """Chance that the second part gets a belief of its own, as if it were something else."""
+    merged: float = 0.35
+    """Chance, for each two touching things taken for the same class, that they are drawn as one."""
+    invented: float = 0.6
+    """Mean number of segments a frame for which there is nothing."""
+    invented_radius: tuple[float, float] = (8.0, 24.0)
+    invented_score: tuple[float, float] = (0.25, 0.65)
+    cell: int = 4
+    """The detector draws at 1/cell of the resolution."""
+    edge_warp: float = 1.6
+    """Standard deviation by which edges wander."""
+    edge_warp_length: int = 12
+    """Over what length they do."""
+    bleed: float = 0.12
+    """Standard deviation over segments of their greed (0.5 would move an edge by half a cell and more)."""
+    unsure_below: float = 0.42
+    """Pixels for which no segment's share reaches this become void."""
+    stuff_void: float = 0.06
+    """Share of stuff that is left void, in blots."""
+    stuff_void_length: int = 24
+
+
+@dataclass(frozen=True)
+class Region:
+    """A segment in the making: which pixels (bool [H, W]) and what it is taken for."""
+
+    pixels: Bools
+    class_name: str
+    is_thing: bool
+    score: float
+
+
+@dataclass(frozen=True)
+class TrueRegion:
+    """A thing, or a connected piece of stuff, as the ground truth has it in this view."""
+
+    pixels: Bools
+    sight: Sight
+
+
+def detect(regions: list[TrueRegion], is_thing: dict[str, bool], noise: MaskNoise, seed: int, frame: str) -> tuple[Ids, list[Region]]:
+    """Segment ids, int32 [H, W] with 0 = void and k + 1 for the k-th of the regions, which are what the machine sees.
+
+    ``is_thing`` names all classes the machine knows.
+    """
+    random = stream(seed, "frame", frame)
+    height, width = regions[0].pixels.shape
+    kept, holes = _miss(regions, noise, random)
+    seen: list[Region] = []
+    for region in kept:
+        seen.extend(_look(region, is_thing, noise, seed, frame, random))
+    seen = _merge(seen, noise, random)
+    ids = _draw(seen, holes, noise, random)
+    stuff = np.array([False, *(not region.is_thing for region in seen)])
+    blots = _smooth_noise(height, width, noise.stuff_void_length, random)
+    ids[stuff[ids] & (blots > np.quantile(blots, 1 - noise.stuff_void))] = 0
+    for invented in _invent(height, width, is_thing, noise, random):
+        seen.append(invented)
+        ids[invented.pixels] = len(seen)
+    return _renumber(ids, seen, random)
+
+
+def _miss(regions: list[TrueRegion], noise: MaskNoise, random: np.random.Generator) -> tuple[list[TrueRegion], Bools]:
+    """What is found, and the holes (bool [H, W]) that some of the missed leave."""
+    found, holes = [], np.zeros_like(regions[0].pixels)
+    for region in regions:
+        chance, fate = random.random(2)
+        pixels = int(region.pixels.sum())
+        smallness = min(3.0, max(1.0, (20 * noise.smallest_segment / max(pixels, 1)) ** 0.5))
+        if region.sight.is_thing and (pixels < noise.smallest_segment or chance < noise.missed * smallness):
+            if pixels >= noise.smallest_segment and fate < noise.missed_as_void:
+                holes |= region.pixels
+        else:
+            found.append(region)
+    return found, holes
+
+
+def _look(
+    region: TrueRegion, is_thing: dict[str, bool], noise: MaskNoise, seed: int, frame: str, random: np.random.Generator
+) -> list[Region]:
+    """One region, or its two halves, with the class each is taken for."""
+    name, score = believe(region.sight, noise.belief, seed, frame)
+    halves = random.random() < noise.split
+    angle, shift, disagrees = random.random() * np.pi, random.normal() * 0.5, random.random() < noise.split_disagrees
+    if not halves:
+        return [Region(region.pixels, name, is_thing[name], score)]
+    y, x = np.nonzero(region.pixels)
+    along = np.round((x - x.mean()) * np.cos(angle) + (y - y.mean()) * np.sin(angle), 6)
+    side = np.zeros_like(region.pixels)
+    side[y, x] = along > np.round(shift * along.std(), 6)
+    other, other_score = name, round(score * 0.9, 4)
+    if disagrees:
+        part = replace(region.sight, key=region.sight.key + " part", area=region.sight.area / 2)
+        other, other_score = believe(part, noise.belief, seed, frame)
+    return [
+        Region(region.pixels & ~side, name, is_thing[name], score),
+        Region(side, other, is_thing[other], other_score),
+    ]
+
+
+def _merge(seen: list[Region], noise: MaskNoise, random: np.random.Generator) -> list[Region]:
+    """All stuff of one class is one segment; touching things of one class are, sometimes."""
+    merged: list[Region] = []
+    for region in seen:
+        partner = None
+        for index, earlier in enumerate(merged):
+            if earlier.class_name != region.class_name:
+                continue
+            if not region.is_thing or (_touch(earlier.pixels, region.pixels) and random.random() < noise.merged):
+                partner = index
+                break
+        if partner is None:
+            merged.append(region)
+        else:
+            earlier = merged[partner]
+            bigger = max(earlier, region, key=lambda each: int(each.pixels.sum()))
+            merged[partner] = replace(bigger, pixels=earlier.pixels | region.pixels)
+    return merged
+
+
+def _touch(a: Bools, b: Bools) -> bool:
+    """Whether two regions come within two pixels of each other."""
+    grown = np.zeros_like(a)
+    for dy in (-2, 0, 2):
+        for dx in (-2, 0, 2):
+            grown |= np.roll(a, (dy, dx), (0, 1))
+    return bool((grown & b).any())
+
+
+def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.Generator) -> Ids:
+    """Paint the regions as a low-resolution network does: shares of coarse cells, read at wandering places, strongest wins."""
+    height, width = holes.shape
+    shares = [_coarse(holes, noise.cell), *(_coarse(region.pixels, noise.cell) for region in seen)]
+    greed = np.concatenate([[0.0], random.normal(size=len(seen)) * noise.bleed])
+    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
+    x += noise.edge_warp * _smooth_noise(height, width, noise.edge_warp_length, random)
+    y += noise.edge_warp * _smooth_noise(height, width, noise.edge_warp_length, random)
+    best, ids = np.full((height, width), noise.unsure_below), np.zeros((height, width), np.int32)
+    for index, (share, bonus) in enumerate(zip(shares, greed, strict=True)):
+        strength = _read(share, (x + 0.5) / noise.cell - 0.5, (y + 0.5) / noise.cell - 0.5)
+        strength = np.round(np.where(strength > 0.05, strength + bonus, 0.0), 6)
+        wins = strength > best
+        best[wins], ids[wins] = strength[wins], index
+    return ids
+
+
+def _coarse(pixels: Bools, cell: int) -> NDArray[np.float64]:
+    """Share of each coarse cell that is covered, float64, slightly blurred as by a network's last layers."""
+    height, width = pixels.shape
+    rows, columns = -(-height // cell), -(-width // cell)
+    padded = np.pad(pixels, ((0, rows * cell - height), (0, columns * cell - width)), mode="edge")
+    share = padded.reshape(rows, cell, columns, cell).sum((1, 3)) / float(cell * cell)
+    for axis in (0, 1):
+        pads = ((1, 1), (0, 0)) if axis == 0 else ((0, 0), (1, 1))
+        wide = np.pad(share, pads, mode="edge")
+        before, after = (wide[:-2], wide[2:]) if axis == 0 else (wide[:, :-2], wide[:, 2:])
+        share = 0.125 * before + 0.75 * share + 0.125 * after
+    return share
+
+
+def _read(field_: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bilinear reading of ``field_`` at column x and row y, clamped to its edges."""
+    x, y = np.clip(x, 0, field_.shape[1] - 1), np.clip(y, 0, field_.shape[0] - 1)
+    left, top = np.minimum(x.astype(int), field_.shape[1] - 2), np.minimum(y.astype(int), field_.shape[0] - 2)
+    fx, fy = x - left, y - top
+    upper = field_[top, left] * (1 - fx) + field_[top, left + 1] * fx
+    lower = field_[top + 1, left] * (1 - fx) + field_[top + 1, left + 1] * fx
+    return upper * (1 - fy) + lower * fy
+
+
+def _smooth_noise(height: int, width: int, length: int, random: np.random.Generator) -> NDArray[np.float64]:
+    """Random field [H, W] that varies over ``length`` pixels, of deviation about 1, rounded to 1/64."""
+    coarse = random.normal(size=(height // length + 3, width // length + 3))
+    y, x = np.mgrid[0:height, 0:width] / float(length) + random.random()
+    return np.round(_read(coarse, x, y) * 1.5 * 64) / 64
+
+
+def _invent(
+    height: int, width: int, is_thing: dict[str, bool], noise: MaskNoise, random: np.random.Generator
+) -> list[Region]:
+    """Things that are not there: tilted ellipses."""
+    things = [name for name, thing in is_thing.items() if thing]
+    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
+    invented = []
+    for _ in range(int(random.poisson(noise.invented))):
+        centre_x, centre_y, angle = random.random() * width, random.random() * height, random.random() * np.pi
+        radii = random.uniform(*noise.invented_radius, size=2)
+        u = (x - centre_x) * np.cos(angle) + (y - centre_y) * np.sin(angle)
+        v = (y - centre_y) * np.cos(angle) - (x - centre_x) * np.sin(angle)
+        pixels = np.round((u / radii[0]) ** 2 + (v / radii[1]) ** 2, 6) < 1
+        score = round(float(random.uniform(*noise.invented_score)), 4)
+        invented.append(Region(pixels, things[int(random.integers(len(things)))], True, score))
+    return invented
+
+
+def _renumber(ids: Ids, seen: list[Region], random: np.random.Generator) -> tuple[Ids, list[Region]]:
+    """Drop segments that lost all their pixels and give the others ids in random order: ids mean nothing across views."""
+    present = [index for index in range(len(seen)) if (ids == index + 1).any()]
+    order = [present[int(each)] for each in random.permutation(len(present))]
+    table = np.zeros(len(seen) + 1, np.int32)
+    table[np.array(order, int) + 1] = np.arange(1, len(order) + 1)
+    new = table[ids]
+    return new, [replace(seen[index], pixels=new == number + 1) for number, index in enumerate(order)]
