@@ -9,12 +9,23 @@ Each Gaussian's gradient in each tile goes to a place of its own; a later pass a
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
-
 from .blend_forward import ALPHA_LEAST, ONE
-from .compiled import compiled, contracted, parallel
+from .compiled import compiled, contracted
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
-from .records import BLUE, CHUNK, D_BLUE, DEPTH, GRADIENT, GREEN, L11, OPACITY, RED, TILE
+from .records import (
+    BLUE,
+    CHUNK,
+    D_BLUE,
+    DEPTH,
+    GRADIENT,
+    GRADIENT_WIDTH,
+    GREEN,
+    L11,
+    OPACITY,
+    RECORD,
+    RED,
+    TILE,
+)
 
 ZERO = F(0.0)
 
@@ -122,24 +133,38 @@ def add_label_gradients(counts, weights, members, tile_labels, chunk_labels, pix
 def unblend_tiles(
     worker,
     workers,
+    next_tile,
     starts,
     tile_ids,
     tile_slots,
-    records,
-    rest,
-    last_in,
-    d_image,
-    d_labels,
-    d_alpha,
-    d_depth,
+    flat_records,
+    flat_rest,
+    flat_last,
+    flat_d_image,
+    flat_d_labels,
+    channels,
+    flat_d_alpha,
+    flat_d_depth,
+    width,
+    height,
     touched,
     slot_gradients,
     slot_labels,
+    scratches,
+    member_lists,
+    row_counts,
 ):
-    """Every ``workers``-th tile: fill slot_gradients [T, GRADIENT] and slot_labels [T, C] where touched uint8 [T] is set."""
-    height, width = rest.shape
+    """Every ``workers``-th tile; arguments as those of its fast twin, which alone uses the last three."""
+    records = flat_records.reshape(flat_records.size // RECORD, RECORD)
+    rest = flat_rest.reshape(height, width)
+    last_in = flat_last.reshape(height, width)
+    d_image = flat_d_image.reshape(height, width, 3)
+    # with no labels there is nothing to reshape, but the rows and columns are still asked for
+    d_labels = flat_d_labels.reshape(height, width, channels)
+    d_alpha = flat_d_alpha.reshape(height, width)
+    d_depth = flat_d_depth.reshape(height, width)
     columns = (width + TILE - 1) // TILE
-    channels = d_labels.shape[2]
+    padded = (channels + TILE - 1) // TILE * TILE
     s1_left = np.empty(TILE, np.float32)
     s2 = np.empty(TILE, np.float32)
     s1 = np.empty(TILE, np.float32)
@@ -192,48 +217,11 @@ def unblend_tiles(
                     total = ZERO
                     for x in range(TILE):
                         total += sums[c, x]
-                    slot_gradients[slot, c] = total
+                    slot_gradients[slot * GRADIENT_WIDTH + c] = total
             if channels > 0:
                 add_label_gradients(counts, weights, members, tile_labels, chunk_labels, pixels, channels)
                 for place in range(chunk, min(chunk + CHUNK, far + 1)):
-                    slot_labels[tile_slots[first + place]] = chunk_labels[place - chunk]
+                    for c in range(channels):
+                        slot_labels[tile_slots[first + place] * padded + c] = chunk_labels[place - chunk, c]
             else:
                 counts[:] = 0
-
-
-@parallel
-def unblend_all(
-    workers,
-    starts,
-    tile_ids,
-    tile_slots,
-    records,
-    rest,
-    last_in,
-    d_image,
-    d_labels,
-    d_alpha,
-    d_depth,
-    touched,
-    slot_gradients,
-    slot_labels,
-):
-    """``unblend_tiles`` over all tiles."""
-    for worker in prange(workers):
-        unblend_tiles(
-            worker,
-            workers,
-            starts,
-            tile_ids,
-            tile_slots,
-            records,
-            rest,
-            last_in,
-            d_image,
-            d_labels,
-            d_alpha,
-            d_depth,
-            touched,
-            slot_gradients,
-            slot_labels,
-        )

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
-
-from .compiled import compiled, parallel
+from .compiled import compiled
 from .conventions import ALPHA_MIN, TRANSMITTANCE_END
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
-from .records import BLUE, CHUNK, DEPTH, GREEN, L11, OPACITY, RED, TILE
+from .records import BLUE, CHUNK, DEPTH, GREEN, L11, OPACITY, RECORD, RED, TILE
 
 ONE = F(1.0)
 ALPHA_LEAST = F(ALPHA_MIN)
@@ -109,13 +107,36 @@ def write_tile(
 
 @compiled
 def blend_tiles(
-    worker, workers, starts, tile_ids, records, labels, image, labels_out, alpha, depth, rest, last_out
+    worker,
+    workers,
+    next_tile,
+    starts,
+    tile_ids,
+    flat_records,
+    flat_labels,
+    channels,
+    width,
+    height,
+    flat_image,
+    flat_labels_out,
+    flat_alpha,
+    flat_depth,
+    flat_rest,
+    flat_last,
+    scratches,
+    member_lists,
+    row_counts,
 ):
-    """Every ``workers``-th tile. ``rest`` [H, W] gets the final transmittance, ``last_out`` int32 [H, W] the place in the
-    tile's list of the last Gaussian blended (-1: none)."""
-    height, width = alpha.shape
+    """Every ``workers``-th tile; arguments as those of its fast twin, which alone uses the last three."""
+    records = flat_records.reshape(flat_records.size // RECORD, RECORD)
+    labels = flat_labels.reshape(records.shape[0], channels)
+    image = flat_image.reshape(height, width, 3)
+    labels_out = flat_labels_out.reshape(height, width, channels)
+    alpha = flat_alpha.reshape(height, width)
+    depth = flat_depth.reshape(height, width)
+    rest = flat_rest.reshape(height, width)
+    last_out = flat_last.reshape(height, width)
     columns = (width + TILE - 1) // TILE
-    channels = labels.shape[1]
     s1_left = np.empty(TILE, np.float32)
     s2 = np.empty(TILE, np.float32)
     s1 = np.empty(TILE, np.float32)
@@ -162,24 +183,4 @@ def blend_tiles(
                 break
         write_tile(
             left, top, through, last, planes, tile_labels, image, labels_out, alpha, depth, rest, last_out
-        )
-
-
-@parallel
-def blend_all(workers, starts, tile_ids, records, labels, image, labels_out, alpha, depth, rest, last_out):
-    """``blend_tiles`` over all tiles; labels [N, C] and labels_out [H, W, C] with C = 0 when there are none."""
-    for worker in prange(workers):
-        blend_tiles(
-            worker,
-            workers,
-            starts,
-            tile_ids,
-            records,
-            labels,
-            image,
-            labels_out,
-            alpha,
-            depth,
-            rest,
-            last_out,
         )

@@ -54,6 +54,3 @@ compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 contracted = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 """For sums of products that only one pass makes: multiply-add may be fused."""
-
-parallel = numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-"""The outermost functions: loops over workers, nothing else."""

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
-
-from .compiled import compiled, parallel
+from .compiled import compiled
 from .projection import (
     LOG2_E,
     axes_on_image,
@@ -142,67 +140,27 @@ def chain_to_scene(i, total, records, means, scales, quats, camera, d_means, d_s
 
 
 @compiled
-def gather_range(
-    first,
-    last,
-    slots,
-    touched,
-    slot_gradients,
-    slot_labels,
-    records,
-    means,
-    scales,
-    quats,
-    camera,
-    d_means,
-    d_scales,
-    d_quats,
-    d_opacities,
-    d_colours,
-    d_labels,
-    d_means2d,
-):
-    total = np.empty(GRADIENT, np.float64)
-    channels = d_labels.shape[1]
-    padded = (channels + TILE - 1) // TILE * TILE
-    for i in range(first, last):
-        hit = False
-        for slot in range(slots[i], slots[i + 1]):
-            if touched[slot] == 0:
-                continue
-            if not hit:
-                hit = True
-                total[:] = 0.0
-                for c in range(channels):
-                    d_labels[i, c] = slot_labels[slot * padded + c]
-            else:
-                for c in range(channels):
-                    d_labels[i, c] += slot_labels[slot * padded + c]
-            for c in range(GRADIENT):
-                total[c] += slot_gradients[slot * GRADIENT_WIDTH + c]
-        if not hit:
-            d_means[i, :] = F(0.0)
-            d_scales[i, :] = F(0.0)
-            d_quats[i, :] = F(0.0)
-            d_opacities[i] = F(0.0)
-            d_colours[i, :] = F(0.0)
-            d_labels[i, :] = F(0.0)
-            d_means2d[i, :] = F(0.0)
-            continue
-        d_opacities[i] = total[G] / float(records[i, OPACITY])
-        d_colours[i, 0] = total[D_RED]
-        d_colours[i, 1] = total[D_GREEN]
-        d_colours[i, 2] = total[D_BLUE]
-        chain_to_scene(i, total, records, means, scales, quats, camera, d_means, d_scales, d_quats, d_means2d)
+def clear(i, d_means, d_scales, d_quats, d_opacities, d_colours, d_means2d):
+    d_opacities[i] = F(0.0)
+    for c in range(2):
+        d_means2d[i, c] = F(0.0)
+    for c in range(3):
+        d_means[i, c] = F(0.0)
+        d_scales[i, c] = F(0.0)
+        d_colours[i, c] = F(0.0)
+    for c in range(4):
+        d_quats[i, c] = F(0.0)
 
 
-@parallel
-def gather_all(
+@compiled
+def gather(
+    worker,
     workers,
     slots,
     touched,
     slot_gradients,
     slot_labels,
+    channels,
     records,
     means,
     scales,
@@ -216,26 +174,38 @@ def gather_all(
     d_labels,
     d_means2d,
 ):
-    """Fill the gradients of all N Gaussians, zeros included."""
+    """A worker's share of the gradients of all N Gaussians, zeros included. d_labels is flat, [N * C]."""
     count = means.shape[0]
-    for worker in prange(workers):
-        gather_range(
-            count * worker // workers,
-            count * (worker + 1) // workers,
-            slots,
-            touched,
-            slot_gradients,
-            slot_labels,
-            records,
-            means,
-            scales,
-            quats,
-            camera,
-            d_means,
-            d_scales,
-            d_quats,
-            d_opacities,
-            d_colours,
-            d_labels,
-            d_means2d,
-        )
+    total = np.empty(GRADIENT, np.float64)
+    labels = np.empty(channels, np.float32)
+    padded = (channels + TILE - 1) // TILE * TILE
+    for i in range(count * worker // workers, count * (worker + 1) // workers):
+        hit = False
+        for c in range(GRADIENT):
+            total[c] = 0.0
+        own = labels[:channels]
+        for slot in range(slots[i], slots[i + 1]):
+            if touched[slot] == 0:
+                continue
+            for c in range(GRADIENT):
+                total[c] += float(slot_gradients[slot * GRADIENT_WIDTH + c])
+            at = slot * padded
+            if not hit:
+                for c in range(channels):
+                    own[c] = slot_labels[at + c]
+            else:
+                for c in range(channels):
+                    own[c] += slot_labels[at + c]
+            hit = True
+        if not hit:
+            clear(i, d_means, d_scales, d_quats, d_opacities, d_colours, d_means2d)
+            for c in range(channels):
+                d_labels[i * channels + c] = F(0.0)
+            continue
+        for c in range(channels):
+            d_labels[i * channels + c] = own[c]
+        d_opacities[i] = total[G] / float(records[i, OPACITY])
+        d_colours[i, 0] = total[D_RED]
+        d_colours[i, 1] = total[D_GREEN]
+        d_colours[i, 2] = total[D_BLUE]
+        chain_to_scene(i, total, records, means, scales, quats, camera, d_means, d_scales, d_quats, d_means2d)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-import numba
+from typing import Any
+
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from . import gather, projection, tiles, vector_backward, vector_forward
+from . import memory, tiles
 from .conventions import View
+from .crew import share, worker_count
+from .gather import gather
 from .interface import Rendering
+from .kernels import Kernels, choose_kernels
+from .projection import project
 from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE
 
 
@@ -25,23 +31,23 @@ def rasterize_native(
     want_means2d_grad: bool,
 ) -> Rendering:
     """As ``rasterize``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
-    if top_k:
-        raise NotImplementedError("top_k: only the back end reference so far")
-    handle = torch.zeros((means.shape[0], 2), dtype=torch.float32, requires_grad=want_means2d_grad)
-    image, labels_out, alpha, depth, visible = _Blend.apply(
-        means, scales, quats, opacities, colours, labels, handle, view
-    )
+    centres = memory.empty_tensor((means.shape[0], 2)).requires_grad_(want_means2d_grad)
+    visible = torch.empty(means.shape[0], dtype=torch.bool)
+    layers = _Blend.apply(means, scales, quats, opacities, colours, labels, centres, view, visible, top_k)
+    image, labels_out, alpha, depth, top_indices, top_weights = layers
     return Rendering(
         image=image,
         labels=labels_out if labels is not None else None,
         alpha=alpha,
         depth=depth,
         visible=visible,
-        means2d=handle,
+        means2d=centres,
+        top_indices=top_indices if top_k else None,
+        top_weights=top_weights if top_k else None,
     )
 
 
-def camera_array(view: View) -> np.ndarray:
+def camera_array(view: View) -> NDArray[np.float64]:
     """The camera as the kernels take it, float64 [CAMERA]."""
     values = [
         *view.rotation.ravel(),
@@ -54,135 +60,216 @@ def camera_array(view: View) -> np.ndarray:
     return np.array(values, dtype=np.float64)
 
 
-def worker_count() -> int:
-    """As many workers as torch has threads; numba is told so."""
-    workers = max(1, min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))
-    numba.set_num_threads(workers)
-    return workers
-
-
-def _array(tensor: Tensor) -> np.ndarray:
+def _array(tensor: Tensor) -> NDArray[Any]:
     return tensor.detach().contiguous().numpy()
+
+
+def _scratch(workers: int, floats: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """What the workers of one pass need for themselves."""
+    return (
+        memory.empty((workers, -(-floats // TILE) * TILE), np.float32),
+        memory.empty((workers, TILE * CHUNK), np.int32),
+        memory.empty((workers, TILE), np.int64),
+    )
+
+
+class _Lists:
+    """Which Gaussians each tile draws, and where their gradients go."""
+
+    def __init__(
+        self,
+        workers: int,
+        records: NDArray[Any],
+        boxes: NDArray[Any],
+        counts: NDArray[Any],
+        view: View,
+        **out: Any,
+    ) -> None:
+        shown, touched = (int(total) for total in counts.sum(0))
+        before = np.cumsum(counts, 0) - counts
+        keys, ids = memory.empty(shown, np.uint32), memory.empty(shown, np.int32)
+        self.slots = memory.empty(len(records) + 1, np.int64)
+        places, slot_starts = np.ascontiguousarray(before[:, 0]), np.ascontiguousarray(before[:, 1])
+        share(
+            workers,
+            tiles.list_visible,
+            boxes,
+            records,
+            places,
+            slot_starts,
+            keys,
+            ids,
+            self.slots,
+            out["centres"],
+            out["visible"],
+        )
+        sorters = workers if shown >= tiles.WORTH_SHARING else 1
+        order = tiles.sort_by_depth(sorters, keys, ids)
+        self.starts, self.ids, self.tile_slots = tiles.deal(
+            sorters, order, boxes, self.slots, touched, view.width, view.height
+        )
 
 
 class _Blend(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, means, scales, quats, opacities, colours, labels, handle, view):
-        workers = worker_count()
+    def forward(
+        ctx: Any,
+        means: Tensor,
+        scales: Tensor,
+        quats: Tensor,
+        opacities: Tensor,
+        colours: Tensor,
+        labels: Tensor | None,
+        centres: Tensor,
+        view: View,
+        visible: Tensor,
+        top_k: int,
+    ) -> tuple[Tensor, ...]:
+        workers, kernels = worker_count(), choose_kernels()
         camera = camera_array(view)
-        inputs = [_array(tensor) for tensor in (means, scales, quats, opacities)]
         count, width, height = means.shape[0], view.width, view.height
+        inputs = [_array(tensor) for tensor in (means, scales, quats, opacities, colours)]
         features = _array(labels) if labels is not None else np.empty((count, 0), np.float32)
-        records = np.empty((count, RECORD), np.float32)
-        boxes = np.empty((count, 4), np.int32)
-        counts = np.zeros((workers, 2), np.int64)
-        projection.project_all(
-            workers, *inputs, _array(colours), camera, width, height, records, boxes, counts
-        )
-
-        shown, touched = (int(total) for total in counts.sum(0))
-        keys, spare_keys = np.empty(shown, np.uint32), np.empty(shown, np.uint32)
-        ids, order = np.empty(shown, np.int32), np.empty(shown, np.int32)
-        slots = np.empty(count + 1, np.int64)
-        tiles.list_all_visible(workers, boxes, records, counts, keys, ids, slots)
-        visible = torch.zeros(count, dtype=torch.bool)
-        visible.numpy()[ids] = True
-        handle.detach().numpy()[ids] = records[ids][:, [0, 2]]
-        histograms = np.empty((workers, tiles.DIGITS), np.int64)
-        tiles.sort_by_depth(workers, keys, ids, spare_keys, order, histograms)
-        columns, rows = -(-width // TILE), -(-height // TILE)
-        tile_ids, tile_slots = np.empty(touched, np.int32), np.empty(touched, np.int32)
-        histograms = np.empty((workers, columns * rows), np.int64)
-        starts = tiles.deal_all_tiles(workers, order, boxes, slots, columns, histograms, tile_ids, tile_slots)
-
-        image = torch.empty((height, width, 3), dtype=torch.float32)
         channels = features.shape[1]
-        labels_out = torch.empty((height, width, channels), dtype=torch.float32)
-        alpha, depth = torch.empty((height, width)), torch.empty((height, width))
-        rest = np.empty(height * width, np.float32)
-        last = np.empty(height * width, np.float32)
-        vector_forward.blend_all(
+        records, boxes = memory.empty((count, RECORD), np.float32), memory.empty((count, 4), np.int32)
+        counts = np.zeros((workers, 2), np.int64)
+        share(workers, project, *inputs, camera, width, height, records, boxes, counts)
+        lists = _Lists(
+            workers, records, boxes, counts, view, centres=_array(centres), visible=visible.numpy()
+        )
+        image, labels_out = (
+            memory.empty_tensor((height, width, 3)),
+            memory.empty_tensor((height, width, channels)),
+        )
+        alpha, depth = memory.empty_tensor((height, width)), memory.empty_tensor((height, width))
+        rest, last = memory.empty(height * width, np.float32), memory.empty(height * width, np.float32)
+        share(
             workers,
+            kernels.blend,
             np.zeros(1, np.int64),
-            starts,
-            tile_ids,
+            lists.starts,
+            lists.ids,
             records.reshape(-1),
             features.reshape(-1),
             channels,
             width,
             height,
-            image.numpy().reshape(-1),
-            labels_out.numpy().reshape(-1),
-            alpha.numpy().reshape(-1),
-            depth.numpy().reshape(-1),
+            *(layer.numpy().reshape(-1) for layer in (image, labels_out, alpha, depth)),
             rest,
             last,
-            np.empty((workers, vector_forward.scratch_size(channels)), np.float32),
-            np.empty((workers, TILE * CHUNK), np.int32),
-            np.empty((workers, TILE), np.int64),
+            *_scratch(workers, kernels.blend_scratch(channels)),
         )
-        ctx.mark_non_differentiable(visible)
-        ctx.save_for_backward(means, scales, quats, opacities)
-        ctx.state = (camera, records, slots, starts, tile_ids, tile_slots, rest, last)
+        top_indices = torch.empty((height, width, top_k), dtype=torch.int32)
+        top_weights = torch.empty((height, width, top_k), dtype=torch.float32)
+        if top_k:
+            from .contributors import list_contributors
+
+            share(
+                workers,
+                list_contributors,
+                lists.starts,
+                lists.ids,
+                records,
+                top_indices.numpy(),
+                top_weights.numpy(),
+            )
+        ctx.mark_non_differentiable(top_indices, top_weights)
+        ctx.save_for_backward(means, scales, quats)
+        ctx.state = (kernels, camera, records, lists, rest, last)
         ctx.has_labels = labels is not None
-        return image, labels_out, alpha, depth, visible
+        return image, labels_out, alpha, depth, top_indices, top_weights
 
     @staticmethod
-    def backward(ctx, d_image, d_labels, d_alpha, d_depth, _):
+    def backward(  # type: ignore[override]
+        ctx: Any, d_image: Tensor, d_labels: Tensor, d_alpha: Tensor, d_depth: Tensor, *_: Tensor
+    ) -> tuple[Tensor | None, ...]:
         workers = worker_count()
-        camera, records, slots, starts, tile_ids, tile_slots, rest, last = ctx.state
-        means, scales, quats, _opacities = (_array(tensor) for tensor in ctx.saved_tensors)
-        count, touches = means.shape[0], tile_ids.shape[0]
-        wants_labels = ctx.has_labels and ctx.needs_input_grad[5]
+        kernels, camera, records, lists, rest, last = ctx.state
+        means, scales, quats = (_array(tensor) for tensor in ctx.saved_tensors)
         height, width = d_alpha.shape
-        d_features = _array(d_labels) if wants_labels else np.empty((0, 0, 0), np.float32)
+        wants_labels = ctx.has_labels and ctx.needs_input_grad[5]
+        d_features = _array(d_labels) if wants_labels else np.empty((height, width, 0), np.float32)
         channels = d_features.shape[2]
-        padded = vector_forward.padded_channels(channels)
-        touched = np.empty(touches, np.uint8)
-        slot_gradients = np.empty(touches * GRADIENT_WIDTH, np.float32)
-        slot_labels = np.empty(touches * padded, np.float32)
-        vector_backward.unblend_all(
+        touched, slot_gradients, slot_labels = _unblend(
             workers,
-            np.zeros(1, np.int64),
-            starts,
-            tile_ids,
-            tile_slots,
-            records.reshape(-1),
+            kernels,
+            records,
+            lists,
             rest,
             last,
-            _array(d_image).reshape(-1),
-            d_features.reshape(-1),
-            channels,
-            _array(d_alpha).reshape(-1),
-            _array(d_depth).reshape(-1),
-            width,
-            height,
-            touched,
-            slot_gradients,
-            slot_labels,
-            np.empty((workers, vector_backward.scratch_size(channels)), np.float32),
-            np.empty((workers, TILE * CHUNK), np.int32),
-            np.empty((workers, TILE), np.int64),
+            _array(d_image),
+            d_features,
+            _array(d_alpha),
+            _array(d_depth),
         )
+        count = means.shape[0]
         shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels), (count, 2))
-        gradients = [torch.empty(shape, dtype=torch.float32) for shape in shapes]
-        gather.gather_all(
+        gradients = [memory.empty_tensor(shape) for shape in shapes]
+        arrays = [gradient.numpy() for gradient in gradients]
+        arrays[5] = arrays[5].reshape(-1)
+        share(
             workers,
-            slots,
+            gather,
+            lists.slots,
             touched,
             slot_gradients,
             slot_labels,
+            channels,
             records,
             means,
             scales,
             quats,
             camera,
-            *(gradient.numpy() for gradient in gradients),
+            *arrays,
         )
-        wanted = [
+        wanted: list[Tensor | None] = [
             gradient if need else None
-            for gradient, need in zip(gradients, ctx.needs_input_grad[:7], strict=True)
+            for gradient, need in zip(gradients, ctx.needs_input_grad, strict=False)
         ]
         if not wants_labels:
             wanted[5] = None
-        return (*wanted, None)
+        return (*wanted, None, None, None)
+
+
+def _unblend(
+    workers: int,
+    kernels: Kernels,
+    records: NDArray[Any],
+    lists: _Lists,
+    rest: NDArray[Any],
+    last: NDArray[Any],
+    d_image: NDArray[Any],
+    d_labels: NDArray[Any],
+    d_alpha: NDArray[Any],
+    d_depth: NDArray[Any],
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """touched uint8 [T], gradients [T * GRADIENT_WIDTH] and label gradients [T * padded channels] of the slots."""
+    height, width, channels = d_labels.shape
+    touches = lists.ids.shape[0]
+    padded = -(-channels // TILE) * TILE
+    touched = memory.empty(touches, np.uint8)
+    slot_gradients = memory.empty(touches * GRADIENT_WIDTH, np.float32)
+    slot_labels = memory.empty(touches * padded, np.float32)
+    share(
+        workers,
+        kernels.unblend,
+        np.zeros(1, np.int64),
+        lists.starts,
+        lists.ids,
+        lists.tile_slots,
+        records.reshape(-1),
+        rest,
+        last,
+        d_image.reshape(-1),
+        d_labels.reshape(-1),
+        channels,
+        d_alpha.reshape(-1),
+        d_depth.reshape(-1),
+        width,
+        height,
+        touched,
+        slot_gradients,
+        slot_labels,
+        *_scratch(workers, kernels.unblend_scratch(channels)),
+    )
+    return touched, slot_gradients, slot_labels

@@ -6,9 +6,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
-from .compiled import compiled, parallel
+from .compiled import compiled
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM
 from .records import (
     BLUE,
@@ -180,17 +179,16 @@ def project_range(
     return visible, touched
 
 
-@parallel
-def project_all(
-    workers, means, scales, quats, opacities, colours, camera, width, height, records, boxes, counts
+@compiled
+def project(
+    worker, workers, means, scales, quats, opacities, colours, camera, width, height, records, boxes, counts
 ):
-    """``project_range`` over all; counts int64 [workers, 2] gets each worker's visible Gaussians and touched tiles."""
+    """A worker's share of ``project_range``; counts int64 [workers, 2] gets its visible Gaussians and touched tiles."""
     count = means.shape[0]
-    for worker in prange(workers):
-        first = count * worker // workers
-        last = count * (worker + 1) // workers
-        visible, touched = project_range(
-            first, last, means, scales, quats, opacities, colours, camera, width, height, records, boxes
-        )
-        counts[worker, 0] = visible
-        counts[worker, 1] = touched
+    first = count * worker // workers
+    last = count * (worker + 1) // workers
+    visible, touched = project_range(
+        first, last, means, scales, quats, opacities, colours, camera, width, height, records, boxes
+    )
+    counts[worker, 0] = visible
+    counts[worker, 1] = touched

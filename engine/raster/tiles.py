@@ -1,67 +1,67 @@
 """Which Gaussians each tile draws, front to back.
 
 Visible Gaussians are sorted by depth (least significant digit first, stable, so ties keep the order of their indices), then
-dealt out to their tiles in that order. Every pass is split over workers by ranges, and the result does not depend on
-how many there are.
+dealt out to their tiles in that order. Every kernel here does one worker's share, a range; the result does not depend on how
+many workers there are.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
-from .compiled import compiled, parallel
-from .records import DEPTH
+from . import memory
+from .compiled import compiled
+from .crew import share
+from .records import DEPTH, TILE
 
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
 DIGIT_PASSES = 3
+WORTH_SHARING = 30_000
+"""Fewer Gaussians than this are sorted by one worker: waking the others takes longer."""
 
 
 @compiled
-def list_visible(first, last, boxes, records, place, slot, keys, ids, slots):
-    """Append the visible of Gaussians first to last at ``place``; their tile gradients start at slot ``slots[i]``."""
+def list_visible(worker, workers, boxes, records, places, slot_starts, keys, ids, slots, centres, visible):
+    """keys uint32 [V], ids int32 [V] of the visible in index order; slots int64 [N + 1], running sum of touched tiles.
+
+    Also fills ``visible`` bool [N] and ``centres`` [N, 2] (pixels, zero where not visible).
+    """
+    count = boxes.shape[0]
     bits = records.view(np.uint32)
-    for i in range(first, last):
+    place = places[worker]
+    slot = slot_starts[worker]
+    for i in range(count * worker // workers, count * (worker + 1) // workers):
         slots[i] = slot
         tiles = (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
+        visible[i] = tiles > 0
+        centres[i, 0] = np.float32(0.0)
+        centres[i, 1] = np.float32(0.0)
         if tiles > 0:
+            centres[i, 0] = records[i, 0]
+            centres[i, 1] = records[i, 2]
             # depths are positive: their bits sort as they do
             keys[place] = bits[i, DEPTH]
             ids[place] = i
             place += 1
             slot += tiles
-
-
-@parallel
-def list_all_visible(workers, boxes, records, counts, keys, ids, slots):
-    """keys uint32 [V], ids int32 [V] of the visible in index order; slots int64 [N + 1] running sum of touched tiles."""
-    count = boxes.shape[0]
-    places = np.zeros(workers, np.int64)
-    starts = np.zeros(workers + 1, np.int64)
-    for worker in range(workers):
-        if worker > 0:
-            places[worker] = places[worker - 1] + counts[worker - 1, 0]
-        starts[worker + 1] = starts[worker] + counts[worker, 1]
-    for worker in prange(workers):
-        first = count * worker // workers
-        last = count * (worker + 1) // workers
-        list_visible(first, last, boxes, records, places[worker], starts[worker], keys, ids, slots)
-    slots[count] = starts[workers]
+    if worker == workers - 1:
+        slots[count] = slot
 
 
 @compiled
-def count_digits(first, last, keys, shift, histogram):
-    histogram[:] = 0
-    for i in range(first, last):
-        histogram[(keys[i] >> shift) & np.uint32(DIGITS - 1)] += 1
+def count_digits(worker, workers, keys, shift, histograms):
+    count = keys.shape[0]
+    for digit in range(DIGITS):
+        histograms[worker, digit] = 0
+    for i in range(count * worker // workers, count * (worker + 1) // workers):
+        histograms[worker, (keys[i] >> shift) & np.uint32(DIGITS - 1)] += 1
 
 
 @compiled
-def running_starts(histograms):
-    """Counts [workers, bins] become the places where each worker's share of each bin starts; returns the bins' starts."""
+def running_starts(histograms, starts):
+    """Counts [workers, bins] become the places where each worker's share of each bin begins; starts [bins + 1] the bins'."""
     workers, bins = histograms.shape
-    starts = np.empty(bins + 1, np.int64)
     total = 0
     for b in range(bins):
         starts[b] = total
@@ -70,95 +70,70 @@ def running_starts(histograms):
             histograms[worker, b] = total
             total += own
     starts[bins] = total
-    return starts
 
 
 @compiled
-def deal_digits(first, last, keys, ids, shift, places, keys_out, ids_out):
-    for i in range(first, last):
+def deal_digits(worker, workers, keys, ids, shift, places, keys_out, ids_out):
+    count = keys.shape[0]
+    for i in range(count * worker // workers, count * (worker + 1) // workers):
         digit = (keys[i] >> shift) & np.uint32(DIGITS - 1)
-        place = places[digit]
-        places[digit] = place + 1
+        place = places[worker, digit]
+        places[worker, digit] = place + 1
         keys_out[place] = keys[i]
         ids_out[place] = ids[i]
 
 
-@parallel
-def sort_by_depth(workers, keys, ids, spare_keys, spare_ids, histograms):
-    """Stable sort; the result is in the spare arrays. histograms int64 [workers, DIGITS] is scratch."""
-    count = keys.shape[0]
-    for digit_pass in range(DIGIT_PASSES):
-        shift = np.uint32(DIGIT_BITS * digit_pass)
-        for worker in prange(workers):
-            count_digits(
-                count * worker // workers, count * (worker + 1) // workers, keys, shift, histograms[worker]
-            )
-        running_starts(histograms)
-        for worker in prange(workers):
-            deal_digits(
-                count * worker // workers,
-                count * (worker + 1) // workers,
-                keys,
-                ids,
-                shift,
-                histograms[worker],
-                spare_keys,
-                spare_ids,
-            )
-        keys, spare_keys = spare_keys, keys
-        ids, spare_ids = spare_ids, ids
-
-
 @compiled
-def count_tiles(first, last, order, boxes, columns, histogram):
-    histogram[:] = 0
-    for k in range(first, last):
+def count_tiles(worker, workers, order, boxes, columns, histograms):
+    count = order.shape[0]
+    for tile in range(histograms.shape[1]):
+        histograms[worker, tile] = 0
+    for k in range(count * worker // workers, count * (worker + 1) // workers):
         i = order[k]
         for row in range(boxes[i, 2], boxes[i, 3]):
             for column in range(boxes[i, 0], boxes[i, 1]):
-                histogram[row * columns + column] += 1
+                histograms[worker, row * columns + column] += 1
 
 
 @compiled
-def deal_tiles(first, last, order, boxes, slots, columns, places, tile_ids, tile_slots):
-    for k in range(first, last):
+def deal_tiles(worker, workers, order, boxes, slots, columns, places, tile_ids, tile_slots):
+    """tile_ids int32 [T] (Gaussian) and tile_slots int32 [T] (where its gradient in that tile goes), tile after tile."""
+    count = order.shape[0]
+    for k in range(count * worker // workers, count * (worker + 1) // workers):
         i = order[k]
         slot = slots[i]
         for row in range(boxes[i, 2], boxes[i, 3]):
             for column in range(boxes[i, 0], boxes[i, 1]):
                 tile = row * columns + column
-                place = places[tile]
-                places[tile] = place + 1
+                place = places[worker, tile]
+                places[worker, tile] = place + 1
                 tile_ids[place] = i
                 tile_slots[place] = slot
                 slot += 1
 
 
-@parallel
-def deal_all_tiles(workers, order, boxes, slots, columns, histograms, tile_ids, tile_slots):
-    """Fill tile_ids int32 [T] (Gaussian) and tile_slots int32 [T] (where its gradient in that tile goes), tile after tile, front
-    to back in each. histograms int64 [workers, tiles] is scratch. Returns the tiles' starts int64 [tiles + 1]."""
-    count = order.shape[0]
-    for worker in prange(workers):
-        count_tiles(
-            count * worker // workers,
-            count * (worker + 1) // workers,
-            order,
-            boxes,
-            columns,
-            histograms[worker],
-        )
-    starts = running_starts(histograms)
-    for worker in prange(workers):
-        deal_tiles(
-            count * worker // workers,
-            count * (worker + 1) // workers,
-            order,
-            boxes,
-            slots,
-            columns,
-            histograms[worker],
-            tile_ids,
-            tile_slots,
-        )
-    return starts
+def sort_by_depth(workers, keys, ids):
+    """The visible Gaussians int32 [V], front to back."""
+    spare_keys, spare_ids = memory.empty(keys.size, np.uint32), memory.empty(keys.size, np.int32)
+    histograms = memory.empty((workers, DIGITS), np.int64)
+    starts = memory.empty(DIGITS + 1, np.int64)
+    for digit_pass in range(DIGIT_PASSES):
+        shift = np.uint32(DIGIT_BITS * digit_pass)
+        share(workers, count_digits, keys, shift, histograms)
+        running_starts(histograms, starts)
+        share(workers, deal_digits, keys, ids, shift, histograms, spare_keys, spare_ids)
+        keys, spare_keys = spare_keys, keys
+        ids, spare_ids = spare_ids, ids
+    return ids
+
+
+def deal(workers, order, boxes, slots, touched, width, height):
+    """starts int64 [tiles + 1], tile_ids int32 [T], tile_slots int32 [T]: each tile's Gaussians, front to back."""
+    columns, rows = -(-width // TILE), -(-height // TILE)
+    tile_ids, tile_slots = memory.empty(touched, np.int32), memory.empty(touched, np.int32)
+    histograms = memory.empty((workers, columns * rows), np.int64)
+    starts = memory.empty(columns * rows + 1, np.int64)
+    share(workers, count_tiles, order, boxes, columns, histograms)
+    running_starts(histograms, starts)
+    share(workers, deal_tiles, order, boxes, slots, columns, histograms, tile_ids, tile_slots)
+    return starts, tile_ids, tile_slots

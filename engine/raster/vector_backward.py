@@ -4,9 +4,7 @@ equations stand."""
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
-
-from .compiled import compiled, parallel
+from .compiled import compiled
 from .products import (
     BLOCK,
     ROWS,
@@ -203,6 +201,8 @@ def add_label_gradients(scratch, counts, members, padded):
 
 @compiled
 def unblend_tiles(
+    worker,
+    workers,
     next_tile,
     starts,
     tile_ids,
@@ -220,12 +220,13 @@ def unblend_tiles(
     touched,
     slot_gradients,
     slot_labels,
-    scratch,
-    members,
-    counts,
+    scratches,
+    member_lists,
+    row_counts,
 ):
     """Tile after tile until none is left: fill slot_gradients [T * 16] and slot_labels [T * padded channels] where touched
     uint8 [T] is set."""
+    scratch, members, counts = scratches[worker], member_lists[worker], row_counts[worker]
     columns = (width + TILE - 1) // TILE
     tiles = starts.shape[0] - 1
     padded = (channels + TILE - 1) // TILE * TILE
@@ -270,53 +271,3 @@ def unblend_tiles(
             else:
                 for r in range(TILE):
                     counts[r] = 0
-
-
-@parallel
-def unblend_all(
-    workers,
-    next_tile,
-    starts,
-    tile_ids,
-    tile_slots,
-    records,
-    rest,
-    last_in,
-    d_image,
-    d_labels,
-    channels,
-    d_alpha,
-    d_depth,
-    width,
-    height,
-    touched,
-    slot_gradients,
-    slot_labels,
-    scratch,
-    members,
-    counts,
-):
-    """``unblend_tiles`` by all workers; scratch, members, counts and next_tile as for the forward pass."""
-    for worker in prange(workers):
-        unblend_tiles(
-            next_tile,
-            starts,
-            tile_ids,
-            tile_slots,
-            records,
-            rest,
-            last_in,
-            d_image,
-            d_labels,
-            channels,
-            d_alpha,
-            d_depth,
-            width,
-            height,
-            touched,
-            slot_gradients,
-            slot_labels,
-            scratch[worker],
-            members[worker],
-            counts[worker],
-        )

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
-
-from .compiled import compiled, parallel
+from .compiled import compiled
 from .conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
 from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
 from .records import (
@@ -246,6 +244,8 @@ def write_tile(left, top, width, height, channels, scratch, image, labels_out, a
 
 @compiled
 def blend_tiles(
+    worker,
+    workers,
     next_tile,
     starts,
     tile_ids,
@@ -260,12 +260,13 @@ def blend_tiles(
     depth,
     rest,
     last_out,
-    scratch,
-    members,
-    counts,
+    scratches,
+    member_lists,
+    row_counts,
 ):
     """Tile after tile until none is left. ``rest`` [H * W] gets the final transmittance, ``last_out`` [H * W] (as float32) the
     place in the tile's list of the last Gaussian blended (-1: none)."""
+    scratch, members, counts = scratches[worker], member_lists[worker], row_counts[worker]
     columns = (width + TILE - 1) // TILE
     tiles = starts.shape[0] - 1
     padded = (channels + TILE - 1) // TILE * TILE
@@ -302,49 +303,4 @@ def blend_tiles(
                 break
         write_tile(
             left, top, width, height, channels, scratch, image, labels_out, alpha, depth, rest, last_out
-        )
-
-
-@parallel
-def blend_all(
-    workers,
-    next_tile,
-    starts,
-    tile_ids,
-    records,
-    labels,
-    channels,
-    width,
-    height,
-    image,
-    labels_out,
-    alpha,
-    depth,
-    rest,
-    last_out,
-    scratch,
-    members,
-    counts,
-):
-    """``blend_tiles`` by all workers; scratch float32 [workers, scratch_size], members int32 [workers, TILE * CHUNK], counts
-    int64 [workers, TILE]; next_tile int64 [1] holds 0."""
-    for worker in prange(workers):
-        blend_tiles(
-            next_tile,
-            starts,
-            tile_ids,
-            records,
-            labels,
-            channels,
-            width,
-            height,
-            image,
-            labels_out,
-            alpha,
-            depth,
-            rest,
-            last_out,
-            scratch[worker],
-            members[worker],
-            counts[worker],
         )

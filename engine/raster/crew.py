@@ -1,0 +1,76 @@
+"""Threads that run compiled kernels side by side.
+
+Kernels release the interpreter's lock, so plain Python threads are enough: they need no threading layer of Numba's (none of
+which is both on every system and safe to call from several threads), do not spin while they wait, and compile far faster.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Any
+
+import torch
+
+_helpers: list[SimpleQueue[Any]] = []
+_owner = 0
+_growing = threading.Lock()
+
+
+def worker_count() -> int:
+    """As many workers as torch has threads."""
+    return max(1, torch.get_num_threads())
+
+
+def share(workers: int, kernel: Callable[..., None], *arguments: Any) -> None:
+    """Call ``kernel(worker, workers, *arguments)`` for every worker, on a thread each, and wait for all of them.
+
+    The first call of a kernel runs here alone, worker after worker: it compiles. Raises what a worker raised.
+    """
+    if workers == 1 or not getattr(kernel, "signatures", None):
+        for worker in range(workers):
+            kernel(worker, workers, *arguments)
+        return
+    _grow(workers - 1)
+    done: SimpleQueue[BaseException | None] = SimpleQueue()
+    for worker in range(1, workers):
+        _helpers[worker - 1].put((kernel, worker, workers, arguments, done))
+    mistakes: list[BaseException | None] = []
+    try:
+        kernel(0, workers, *arguments)
+    finally:
+        # the arrays must not go while others write to them
+        mistakes = [done.get() for _ in range(1, workers)]
+    for mistake in mistakes:
+        if mistake is not None:
+            raise mistake
+
+
+def _grow(count: int) -> None:
+    """At least ``count`` helper threads; a forked process starts its own."""
+    global _owner
+    if _owner == os.getpid() and len(_helpers) >= count:
+        return
+    with _growing:
+        if _owner != os.getpid():
+            _helpers.clear()
+            _owner = os.getpid()
+        while len(_helpers) < count:
+            inbox: SimpleQueue[Any] = SimpleQueue()
+            name = f"plgs-raster-{len(_helpers) + 1}"
+            threading.Thread(target=_help, args=(inbox,), name=name, daemon=True).start()
+            _helpers.append(inbox)
+
+
+def _help(inbox: SimpleQueue[Any]) -> None:
+    while True:
+        kernel, worker, workers, arguments, done = inbox.get()
+        mistake: BaseException | None = None
+        try:
+            kernel(worker, workers, *arguments)
+        except BaseException as error:  # handed to the caller, who raises it
+            mistake = error
+        del kernel, arguments
+        done.put(mistake)
