@@ -16,9 +16,9 @@ from ..engine.scene import VOID, ClassTable
 from .colour import UNKNOWN, linear_rgba, object_colour
 from .compat import new_point_cloud
 from .materials import point_material
-from .normals import point_radii
 from .owned import Holdings
 from .results import Anchors, SemanticPoints
+from .surfaces import SurfaceGrid
 
 _SMALLEST, _LARGEST = 0.002, 0.03
 """Radius of a point in metres."""
@@ -29,6 +29,7 @@ def place_semantic_points(
     holdings: Holdings,
     parent: bpy.types.Collection,
     points: SemanticPoints,
+    grid: SurfaceGrid,
     normals: NDArray[np.float32],
     classes: ClassTable,
 ) -> list[bpy.types.Object]:
@@ -36,7 +37,7 @@ def place_semantic_points(
     3].
     """
     colour = linear_rgba(points.rgb)
-    radius = point_radii(points.xyz, _SMALLEST, _LARGEST)
+    radius = grid.radii(_SMALLEST, _LARGEST)
     placed = []
     for class_id in np.unique(points.class_id).tolist():
         chosen = points.class_id == class_id
@@ -59,7 +60,7 @@ def place_semantic_points(
 
 def place_anchors(holdings: Holdings, parent: bpy.types.Collection, anchors: Anchors) -> bpy.types.Object:
     """One cloud of all anchors, with Col, class_id, instance_id, opacity and level."""
-    radius = point_radii(anchors.xyz, _SMALLEST, _LARGEST)
+    radius = SurfaceGrid.of(anchors.xyz).radii(_SMALLEST, _LARGEST)
     attributes = [
         ("Col", "FLOAT_COLOR", linear_rgba(anchors.rgb)),
         ("class_id", "INT", anchors.class_id),

@@ -19,19 +19,20 @@ from .boxes import place_boxes
 from .cameras import object_matrix
 from .clouds import place_anchors, place_semantic_points
 from .frames import mark_timeline, place_frames, set_lens
-from .normals import point_normals
 from .open_room import open_room
 from .overview import overview_camera
 from .owned import KEY, LIFT, Holdings, key_of, tag
 from .passes import place_passes
 from .results import LiftResult, read_result
+from .surfaces import SurfaceGrid
 from .viewport import look_from, start_file
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
 """Properties of a lift's collection: the folders of the lift and of the scene it was made from."""
 
 _ROOT = "lift"
-_MOST_NORMALS_VIEWPOINTS = 200
+_VIEWPOINTS = 200
+"""So many cameras tell which side of a surface was seen."""
 
 
 def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
@@ -43,14 +44,14 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     result = read_result(lift)
     root = _root_collection(result, scene)
     holdings = Holdings(root[LIFT], scene)
-    points, frames = result.points, result.scene.frames
-    seen_from = np.array([frame.camera.centre for frame in frames])[
-        :: max(1, len(frames) // _MOST_NORMALS_VIEWPOINTS)
-    ]
-    normals = point_normals(points.xyz, seen_from)
+    frames = result.scene.frames
+    grid = SurfaceGrid.of(result.points.xyz)
+    normals = grid.normals(np.array([frame.camera.centre for frame in frames])[:: 1 + len(frames) // _VIEWPOINTS])
 
     cameras = place_frames(holdings, _child(root, "Cameras"), frames)
-    clouds = place_semantic_points(holdings, _child(root, "Semantic points"), points, normals, result.classes)
+    clouds = place_semantic_points(
+        holdings, _child(root, "Semantic points"), result.points, grid, normals, result.classes
+    )
     open_room(holdings, clouds)
     place_anchors(holdings, _child(root, "Anchors", scene, hidden=True), result.anchors)
     place_boxes(holdings, _child(root, "Instances"), result.instances)

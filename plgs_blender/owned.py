@@ -47,6 +47,7 @@ class Holdings:
         self.lift = lift
         self._scene = scene
         self._kept: set[Any] = set()
+        self._blocks: dict[str, dict[str, Any]] = {}
         self._objects: dict[str, bpy.types.Object] = {}
         for ob in self._own_objects():
             key = key_of(ob, lift)
@@ -86,20 +87,18 @@ class Holdings:
 
     def block(self, kind: str, key: str, create: Callable[[], Any]) -> Any:
         """Our block `key` of `bpy.data.<kind>`, made by `create` when missing."""
-        for block in getattr(bpy.data, kind):
-            if key_of(block, self.lift) == key:
-                break
-        else:
-            block = create()
-            tag(block, self.lift, key)
-        self._kept.add(block)
-        return block
+        known = self._blocks_of(kind)
+        if key not in known:
+            known[key] = create()
+            tag(known[key], self.lift, key)
+        self._kept.add(known[key])
+        return known[key]
 
     def drop(self, kind: str, key: str) -> None:
         """Remove our block `key` of `bpy.data.<kind>` if it exists, whoever uses it."""
-        blocks = getattr(bpy.data, kind)
-        for block in [b for b in blocks if key_of(b, self.lift) == key]:
-            blocks.remove(block)
+        block = self._blocks_of(kind).pop(key, None)
+        if block is not None:
+            getattr(bpy.data, kind).remove(block)
 
     def keep(self, block: Any) -> None:
         """Spare a block of ours from `sweep`."""
@@ -115,6 +114,13 @@ class Holdings:
             for block in [b for b in blocks if key_of(b, self.lift) is not None and b not in self._kept]:
                 if block.users - block.use_fake_user == 0:
                     blocks.remove(block)
+
+    def _blocks_of(self, kind: str) -> dict[str, Any]:
+        """Our blocks of `bpy.data.<kind>` by key, looked up once."""
+        if kind not in self._blocks:
+            found = {key_of(block, self.lift): block for block in [*getattr(bpy.data, kind)][::-1]}
+            self._blocks[kind] = {key: block for key, block in found.items() if key is not None}
+        return self._blocks[kind]
 
     def _own_objects(self) -> Iterable[bpy.types.Object]:
         """Ours in this scene or in none. A full copy of the scene keeps its copies of our objects."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from plgs.plgs_blender.normals import point_normals, point_radii, point_spacing
 from plgs.plgs_blender.overview import overview_camera
+from plgs.plgs_blender.surfaces import SurfaceGrid
 
 
 def room(step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
@@ -25,32 +25,28 @@ def room(step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
 
 def test_spacing_of_a_grid() -> None:
     xyz, _ = room(0.05)
-    assert 0.03 < point_spacing(xyz) < 0.09
-    assert (
-        point_spacing(np.zeros((1, 3)))
-        == point_spacing(np.zeros((9, 3)))
-        == point_spacing(np.zeros((0, 3)))
-        == 0.0
-    )
+    assert 0.03 < SurfaceGrid.of(xyz).spacing < 0.09
+    assert [SurfaceGrid.of(np.zeros((count, 3))).spacing for count in (0, 1, 9)] == [0.0, 0.0, 0.0]
 
 
 def test_radii_grow_where_points_are_rare() -> None:
     dense, sparse = room(0.02)[0], room(0.08)[0] + [10.0, 0.0, 0.0]
-    radii = point_radii(np.concatenate([dense, sparse]), 0.001, 1.0)
+    radii = SurfaceGrid.of(np.concatenate([dense, sparse])).radii(0.001, 1.0)
     assert radii[: len(dense)].mean() < radii[len(dense) :].mean()
-    assert (point_radii(np.zeros((3, 3)), 0.01, 0.1) == np.float32(0.01)).all()
+    assert (SurfaceGrid.of(np.zeros((3, 3))).radii(0.01, 0.1) == np.float32(0.01)).all()
+    assert SurfaceGrid.of(np.zeros((0, 3))).radii(0.01, 0.1).shape == (0,)
 
 
 def test_walls_face_the_camera_in_the_room() -> None:
     xyz, inward = room()
-    normals = point_normals(xyz.astype(np.float32), np.array([[2.0, 1.5, 1.5]]))
+    normals = SurfaceGrid.of(xyz.astype(np.float32)).normals(np.array([[2.0, 1.5, 1.5]]))
     agreement = np.einsum("ij,ij->i", normals, inward)
     assert (agreement > 0.0).all() and np.mean(agreement > 0.99) > 0.95
 
 
 def test_normals_without_anything_to_go_by() -> None:
-    assert point_normals(np.zeros((0, 3)), np.zeros((1, 3))).shape == (0, 3)
-    assert not point_normals(room()[0], np.zeros((0, 3))).any()
+    assert SurfaceGrid.of(np.zeros((0, 3))).normals(np.zeros((1, 3))).shape == (0, 3)
+    assert not SurfaceGrid.of(room()[0]).normals(np.zeros((0, 3))).any()
 
 
 def test_the_overview_has_the_room_in_its_picture_and_looks_in_from_outside() -> None:

@@ -1,0 +1,127 @@
+"""Points on surfaces: how close they lie and which way they face, which lets us look into a room from
+outside.
+
+Plain numpy. Everything is read off one grid of small cells instead of neighbours: a million points take a
+moment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_CELL = 4.0
+"""Side of a cell in point spacings: some sixteen points in each, enough for a plane."""
+_TOUCHING = 0.75
+"""Radius in spacings with which neighbours touch: over a half, since points are not evenly spread."""
+_THICKNESS = 0.3
+"""Where the second axis of a cell's points is not clearly longer than the third, there is no plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceGrid:
+    """Points float [N, 3] sorted into cells: `cell` int [N] is each point's, `count` int [C] the points of
+    each cell.
+
+    `side` is the cells', in the points' unit; 0 when there are too few points to have a spacing: then all is
+    one cell.
+    """
+
+    xyz: NDArray[np.floating]
+    cell: NDArray[np.int64]
+    count: NDArray[np.int64]
+    side: float
+
+    @classmethod
+    def of(cls, xyz: NDArray[np.floating]) -> SurfaceGrid:
+        spacing = _point_spacing(xyz)
+        if spacing == 0.0:
+            return cls(xyz, np.zeros(len(xyz), np.int64), np.array([len(xyz)]), 0.0)
+        side = spacing * _CELL
+        _, cell, count = np.unique(_cell_numbers(xyz, side), return_inverse=True, return_counts=True)
+        return cls(xyz, cell.ravel(), count, side)
+
+    @property
+    def spacing(self) -> float:
+        """Typical distance between neighbours, in the points' unit."""
+        return self.side / _CELL
+
+    def radii(self, smallest: float, largest: float) -> NDArray[np.float32]:
+        """Radii float32 [N] with which points just touch, larger where they are rarer; limits in the points'
+        unit.
+        """
+        # A surface crosses a cell with about a face's area. Cells that it only grazes have few points.
+        local = np.minimum(self.side / np.sqrt(np.maximum(self.count, 1)), 2.0 * self.spacing)
+        return np.clip(_TOUCHING * local, smallest, largest).astype(np.float32)[self.cell]
+
+    def normals(self, viewpoints: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Unit normals float32 [N, 3] of points that were seen from viewpoints [V, 3]; zeros when there are
+        none.
+
+        Fits a plane to the points of each cell and turns it towards the nearest viewpoint: scanned surfaces
+        face their cameras. Where there is no plane, the direction to that viewpoint stands for it. Coarse,
+        but a wall's outside is told from its inside.
+        """
+        if self.side == 0.0 or not len(viewpoints):
+            return np.zeros((len(self.xyz), 3), np.float32)
+        mean, spread = self._moments()
+        lengths, axes = np.linalg.eigh(spread)
+        normal = axes[:, :, 0]
+        towards = _towards_nearest(mean, viewpoints)
+        normal *= np.where(np.einsum("ij,ij->i", normal, towards) < 0.0, -1.0, 1.0)[:, None]
+        no_plane = (self.count < 4) | (lengths[:, 0] > _THICKNESS * lengths[:, 1])
+        distance = np.linalg.norm(towards, axis=1, keepdims=True)
+        normal[no_plane] = (towards / np.maximum(distance, 1e-9))[no_plane]
+        return normal.astype(np.float32)[self.cell]
+
+    def _moments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean [C, 3] and covariance [C, 3, 3] of the points of each cell."""
+        middle = self.xyz.mean(axis=0, dtype=np.float64)  # sums of squares lose digits far from the origin
+        local = [self.xyz[:, axis] - middle[axis] for axis in range(3)]
+        mean = np.stack([np.bincount(self.cell, column) / self.count for column in local], axis=1)
+        spread = np.empty((len(self.count), 3, 3))
+        for row in range(3):
+            for column in range(row, 3):
+                product = np.bincount(self.cell, local[row] * local[column]) / self.count
+                spread[:, row, column] = spread[:, column, row] = product - mean[:, row] * mean[:, column]
+        return mean + middle, spread
+
+
+def _point_spacing(xyz: NDArray[np.floating]) -> float:
+    """Typical distance between neighbours, by counting the cells that the surfaces cross; 0 when all is one
+    point.
+    """
+    if len(xyz) < 2:
+        return 0.0
+    extent = float(max(np.ptp(xyz[:, axis]) for axis in range(3)))
+    if extent == 0.0:
+        return 0.0
+    # Cells that hold about two dozen points: fine enough to follow surfaces, coarse enough to have no gaps.
+    side = extent / max(1.0, np.sqrt(len(xyz) / 24.0))
+    numbers = np.sort(_cell_numbers(xyz, side))
+    occupied = 1 + np.count_nonzero(numbers[1:] != numbers[:-1])
+    return side * float(np.sqrt(occupied / len(xyz)))
+
+
+def _cell_numbers(xyz: NDArray[np.floating], side: float) -> NDArray[np.int64]:
+    """One number per point [N]: equal numbers, same cell of a grid with this side."""
+    numbers = np.zeros(len(xyz), np.int64)
+    for axis in range(3):
+        column = xyz[:, axis]
+        cells = ((column - column.min()) / side).astype(np.int64)
+        numbers = numbers * (int(cells.max()) + 1) + cells
+    return numbers
+
+
+def _towards_nearest(points: NDArray[np.float64], viewpoints: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Vectors [N, 3] from each point to its nearest viewpoint."""
+    nearest = np.full(len(points), np.inf)
+    towards = np.zeros_like(points)
+    for viewpoint in viewpoints:
+        offset = viewpoint - points
+        distance = np.einsum("ij,ij->i", offset, offset)
+        closer = distance < nearest
+        nearest[closer], towards[closer] = distance[closer], offset[closer]
+    return towards
