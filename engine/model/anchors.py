@@ -1,8 +1,8 @@
 """Anchors: voxel centres that each own ``k`` neural Gaussians (paper, section "Structured Panoptic-Aware Scene
 Representation"; Scaffold-GS).
 
-An anchor never moves. What is learnt are its feature, the offsets of its Gaussians and six log scales: three stretch the
-offsets, three bound the size of the Gaussians.
+An anchor never moves. What is learnt are its feature, the offsets of its Gaussians and six log scales: three stretch
+the offsets, three bound the size of the Gaussians.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ class Anchors:
     """The anchors' tensors, row i of each being anchor i; float32 unless said otherwise.
 
     ``position`` [M, 3] metres, fixed; ``feature`` [M, F]; ``offset`` [M, k, 3] in units of the offset scale;
-    ``log_scale`` [M, 6] (0:3 offset scale, 3:6 Gaussian scale, log metres); ``level`` int64 [M], 0 for initial anchors and
-    1..3 for those grown at the 1st to 3rd cell size; ``initial_class`` int64 [M], class id voted by the semantic point cloud
-    (0 = unknown), the target of the cluster loss.
+    ``log_scale`` [M, 6] (0:3 offset scale, 3:6 Gaussian scale, log metres); ``level`` int64 [M], 0 for initial anchors
+    and 1..3 for those grown at the 1st to 3rd cell size; ``initial_class`` int64 [M], class id voted by the semantic
+    point cloud (0 = unknown), the target of the cluster loss.
     """
 
     position: torch.Tensor
@@ -60,7 +60,7 @@ class Anchors:
 
 
 def spacing(positions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Root mean square distance in metres to the three nearest other anchors, float32 [M] (Scaffold-GS's initial scale)."""
+    """Root mean square distance in metres to the three nearest others, float32 [M] (Scaffold-GS's initial scale)."""
     neighbours = min(4, len(positions))
     if neighbours < 2:
         return np.full(len(positions), 0.05, np.float32)

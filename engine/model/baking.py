@@ -31,8 +31,8 @@ class BakedGaussians:
 
 @dataclass(frozen=True, eq=False)
 class BakedAnchors:
-    """One row an anchor: ``xyz`` float32 [M, 3] m, ``class_id``, ``instance_id``, ``level`` int32 [M], ``opacity`` float32 [M]
-    (mean of max(opacity, 0) over its Gaussians), ``rgb`` uint8 [M, 3]."""
+    """One row an anchor: ``xyz`` float32 [M, 3] m, ``class_id``, ``instance_id``, ``level`` int32 [M], ``opacity``
+    float32 [M] (mean of max(opacity, 0) over its Gaussians), ``rgb`` uint8 [M, 3]."""
 
     xyz: NDArray[np.float32]
     class_id: NDArray[np.int32]
@@ -64,8 +64,8 @@ def bake(
 ) -> tuple[BakedGaussians, BakedAnchors]:
     """Decode every anchor as seen from ``viewpoint`` [3] metres.
 
-    Colours and shapes depend a little on the viewpoint; a plain splat file cannot keep that. The middle of the cameras is
-    the fairest single choice.
+    Colours and shapes depend a little on the viewpoint; a plain splat file cannot keep that. The middle of the cameras
+    is the fairest single choice.
     """
     centre = torch.from_numpy(viewpoint.copy()).float()
     parts: list[dict[str, NDArray]] = []
@@ -74,6 +74,7 @@ def bake(
     for start in range(0, len(scene.anchors), CHUNK):
         rows = torch.arange(start, min(start + CHUNK, len(scene.anchors)))
         decoded = decode_rows(scene.anchors, scene.decoders, rows, centre)
+        assert decoded.labels is not None  # decoded with labels
         labels = decoded.labels.numpy()
         class_id, instance_id = decided_labels(scene, labels, thing_ids)
         parts.append(

@@ -34,13 +34,13 @@ class DecoderShape:
 
 def _mlp(inputs: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
     """One hidden layer with ReLU; weights drawn from ``generator`` alone, so that a seed means the same everywhere."""
-    layers = nn.Sequential(nn.Linear(inputs, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, outputs))
-    for layer in (layers[0], layers[2]):
+    first, last = nn.Linear(inputs, HIDDEN), nn.Linear(HIDDEN, outputs)
+    for layer in (first, last):
         bound = layer.in_features**-0.5
         with torch.no_grad():
             layer.weight.uniform_(-bound, bound, generator=generator)
             layer.bias.uniform_(-bound, bound, generator=generator)
-    return layers
+    return nn.Sequential(first, nn.ReLU(), last)
 
 
 class Decoders(nn.Module):

@@ -16,9 +16,9 @@ def seeded_features(
 ) -> NDArray[np.float32]:
     """Features that already tell anchors apart by colour and believed label, float32 [M, ``features``].
 
-    Scaffold-GS and the paper start from zero, which costs thousands of steps until equal anchors have drifted apart; a lift
-    on a CPU has hundreds. Three entries hold ``rgb`` uint8 [M, 3] brought to [-1, 1]; the others hold random +-1 codes of
-    the class (half of them) and of the instance; unknown labels (0) leave zeros.
+    Scaffold-GS and the paper start from zero, which costs thousands of steps until equal anchors have drifted apart; a
+    lift on a CPU has hundreds. Three entries hold ``rgb`` uint8 [M, 3] brought to [-1, 1]; the others hold random +-1
+    codes of the class (half of them) and of the instance; unknown labels (0) leave zeros.
     """
     seeded = np.zeros((len(rgb), features), np.float32)
     seeded[:, :3] = rgb.astype(np.float32) / 127.5 - 1.0

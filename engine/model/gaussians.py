@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 
+from ..raster.compiled import compiled
 from ..scene import Camera
 from .anchors import Anchors
 from .decoders import Decoders
@@ -25,8 +25,8 @@ class NeuralGaussians:
 
     ``means`` [N, 3] metres, ``scales`` [N, 3] standard deviations in metres, ``quats`` [N, 4] wxyz (not normalised),
     ``opacities`` [N] in (0, 1], ``colours`` [N, 3], ``labels`` [N, C + S]: class probabilities, then instance-slot
-    probabilities, or None. ``visible`` int64 [V] are the anchors decoded, ``all_opacities`` [V, k] their opacities in (-1, 1),
-    ``kept`` int64 [N] index into the flattened [V * k]. ``class_logits`` [V, k, C] serves the cluster loss.
+    probabilities, or None. ``visible`` int64 [V] are the anchors decoded, ``all_opacities`` [V, k] their opacities in
+    (-1, 1), ``kept`` int64 [N] index into the flattened [V * k]. ``class_logits`` [V, k, C] serves the cluster loss.
     """
 
     means: torch.Tensor
@@ -58,22 +58,20 @@ def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
     return torch.from_numpy(rows)
 
 
-@njit(cache=True, nogil=True)
-def _rows_in_picture(
-    position: Any, log_scale: Any, world_to_camera: Any, intrinsics: Any, width: Any, height: Any
-) -> Any:
+@compiled
+def _rows_in_picture(position: Any, log_scale: Any, to_camera: Any, intrinsics: Any, width: Any, height: Any) -> Any:
     """The loop behind ``visible_anchors``: one pass over position [M, 3] and log_scale [M, 6]."""
     fx, fy, cx, cy = intrinsics
     rows = np.empty(len(position), np.int64)
     count = 0
     for row in range(len(position)):
         x, y, z = position[row, 0], position[row, 1], position[row, 2]
-        depth = world_to_camera[2, 0] * x + world_to_camera[2, 1] * y + world_to_camera[2, 2] * z + world_to_camera[2, 3]
+        depth = to_camera[2, 0] * x + to_camera[2, 1] * y + to_camera[2, 2] * z + to_camera[2, 3]
         if depth <= NEAR:
             continue
         reach = 3.0 * math.exp(max(log_scale[row, 0], log_scale[row, 1], log_scale[row, 2])) / depth
-        right = world_to_camera[0, 0] * x + world_to_camera[0, 1] * y + world_to_camera[0, 2] * z + world_to_camera[0, 3]
-        down = world_to_camera[1, 0] * x + world_to_camera[1, 1] * y + world_to_camera[1, 2] * z + world_to_camera[1, 3]
+        right = to_camera[0, 0] * x + to_camera[0, 1] * y + to_camera[0, 2] * z + to_camera[0, 3]
+        down = to_camera[1, 0] * x + to_camera[1, 1] * y + to_camera[1, 2] * z + to_camera[1, 3]
         u, v = right / depth * fx + cx, down / depth * fy + cy
         across, along = reach * fx, reach * fy
         if u + across > 0 and u - across < width and v + along > 0 and v - along < height:

@@ -1,4 +1,5 @@
-"""Growing anchors where the picture is poorly explained, pruning those that stay transparent (Scaffold-GS, section 3.3).
+"""Growing anchors where the picture is poorly explained, pruning those that stay transparent (Scaffold-GS,
+section 3.3).
 
 Only the reconstruction loss feeds the statistics: they are gathered from gradients of the projected Gaussian centres,
 and label losses never reach those.
@@ -21,7 +22,8 @@ class GrowthRules:
     """When to grow and prune. Visit counts are shares of the steps between two rounds.
 
     ``gradient`` is the first level's threshold on the mean gradient of the projected centre in NDC units; level i takes
-    2^i times that and cells of ``cell_voxels[i]`` voxels. ``opacity`` is the mean summed opacity below which an anchor goes.
+    2^i times that and cells of ``cell_voxels[i]`` voxels. ``opacity`` is the mean summed opacity below which an
+    anchor goes.
     """
 
     gradient: float = 2e-4
@@ -34,8 +36,8 @@ class GrowthRules:
 
 @dataclass
 class GrowthStatistics:
-    """Sums since the last round: ``visits`` [M] and ``opacity`` [M] an anchor, ``gradient`` [M, k] and ``drawn`` [M, k] a
-    Gaussian; float32."""
+    """Sums since the last round: ``visits`` [M] and ``opacity`` [M] an anchor, ``gradient`` [M, k] and ``drawn`` [M, k]
+    a Gaussian; float32."""
 
     visits: torch.Tensor
     opacity: torch.Tensor
@@ -97,11 +99,12 @@ def grow_and_prune(
 
     Growing stops at ``most_anchors`` in all; which candidates fall out then is decided by ``random`` as well.
     """
-    keep = ~((statistics.visits > rules.visited_share * steps_between) & (statistics.opacity < rules.opacity * statistics.visits))
     judged = statistics.visits > rules.visited_share * steps_between
+    keep = ~(judged & (statistics.opacity < rules.opacity * statistics.visits))
     seen = statistics.drawn > rules.seen_share * steps_between
     mean_gradient = (statistics.gradient / statistics.drawn.clamp_min(1)).numpy() * seen.numpy()
-    centres = (anchors.position[:, None] + anchors.offset.detach() * anchors.log_scale.detach()[:, None, :3].exp()).numpy()
+    reach = anchors.log_scale.detach()[:, None, :3].exp()
+    centres = (anchors.position[:, None] + anchors.offset.detach() * reach).numpy()
     features = anchors.feature.detach().numpy()
     k = anchors.gaussians_per_anchor
     taken_by = anchors.position.numpy()

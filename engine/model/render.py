@@ -29,6 +29,7 @@ def render_view(scene: StructuredScene, camera: Camera) -> PanopticRendering:
         camera.height,
     )
     alpha = rendering.alpha.numpy()
+    assert rendering.labels is not None  # drawn with labels
     labels = rendering.labels.numpy()
     classes = len(scene.channels.class_ids)
     used = [column for column, slot in enumerate(scene.channels.slot_ids) if slot]

@@ -55,7 +55,7 @@ def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredSce
         raise ValueError(f"model format {facts.get('format')!r} is not known to this version; lift again or update")
     anchors = Anchors(**{name: tensors[f"anchors.{name}"].clone() for name in (*Anchors.LEARNT, *Anchors.FIXED)})
     decoders = Decoders(DecoderShape(**facts["decoders"]), seed=0)
-    prefix = "decoders."
-    decoders.load_state_dict({name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)})
+    weights = {name: tensor for name, tensor in tensors.items() if name.startswith("decoders.")}
+    decoders.load_state_dict({name.removeprefix("decoders."): tensor for name, tensor in weights.items()})
     channels = LabelChannels(tuple(facts["class_ids"]), tuple(facts["slot_ids"]))
     return StructuredScene(anchors, decoders, channels, float(facts["voxel_size"]))

@@ -53,7 +53,7 @@ class ClassTable:
 
 
 def distinct_colour(index: int) -> tuple[int, int, int]:
-    """A repeatable sRGB colour for the index-th class or instance: hues by the golden ratio, in three lightness steps."""
+    """A repeatable sRGB colour for a class or an instance: hues by the golden ratio, in three lightness steps."""
     hue = (0.11 + index * 0.618033988749895) % 1.0
     lightness = (0.55, 0.42, 0.68)[index % 3]
     red, green, blue = colorsys.hls_to_rgb(hue, lightness, 0.62)

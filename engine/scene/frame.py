@@ -18,7 +18,7 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class Segment:
-    """One region of a panoptic mask: the value ``id`` in the mask's pixels, its class and the detector's score in [0, 1]."""
+    """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1]."""
 
     id: int
     class_id: int

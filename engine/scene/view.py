@@ -13,7 +13,7 @@ from .frame import Frame, PanopticMask, Size
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of one frame at the size of ``camera``."""
+    """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``."""
 
     name: str
     camera: Camera

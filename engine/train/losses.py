@@ -57,10 +57,10 @@ def label_loss(
 ) -> torch.Tensor:
     """-log of the rendered probability of the target label, added over ``targets``, mean over pixels that have any.
 
-    ``coverage`` [H, W, C] holds blended probabilities, of which those from channel ``first`` on count; ``alpha`` [H, W] only
-    divides: no gradient reaches it, since only the reconstruction loss may reach opacity. A target is int64 [H, W]:
-    channel - first, or -1 where no label is known. The semantic loss has one target, L_ins two (linear assignment and
-    M_match). 0 when there is no target at all.
+    ``coverage`` [H, W, C] holds blended probabilities, of which those from channel ``first`` on count; ``alpha`` [H, W]
+    only divides: no gradient reaches it, since only the reconstruction loss may reach opacity. A target is int64
+    [H, W]: channel - first, or -1 where no label is known. The semantic loss has one target, L_ins two (linear
+    assignment and M_match). 0 when there is no target at all.
     """
     known = targets[0] >= 0
     for target in targets[1:]:
@@ -77,7 +77,7 @@ def label_loss(
 
 
 def cluster_loss(class_logits: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """L_cluster over visible initial anchors: ``class_logits`` [V, k, C], ``target`` int64 [V] with -1 = no believed label.
+    """L_cluster over visible initial anchors: ``class_logits`` [V, k, C], ``target`` int64 [V] with -1 = no label.
 
     All k Gaussians of an anchor count, drawn or not (equation "Cluster Loss").
     """

@@ -21,7 +21,7 @@ def learning_rate(ends: tuple[float, float], progress: float) -> float:
 
 
 class Optimiser:
-    """Adam (eps 1e-15, Scaffold-GS). State is kept by name, so that it can be stored, restored, and cut to other anchors."""
+    """Adam (eps 1e-15, Scaffold-GS). State is kept by name, so that it can be stored, restored and cut."""
 
     def __init__(self, anchors: Anchors, decoders: Decoders, rates: LearningRates, extent: float) -> None:
         self.rates, self.extent = rates, extent
@@ -70,10 +70,10 @@ class Optimiser:
         return Optimiser(anchors, decoders, self.rates, self.extent)
 
     def replace_anchors(self, anchors: Anchors, keep: torch.Tensor) -> None:
-        """Go on with ``anchors``: the rows of ``keep`` (bool over the old ones), then new ones, whose moments start at 0."""
+        """Go on with ``anchors``: rows ``keep`` (bool over the old ones), then new ones, whose moments start at 0."""
         moments = self.tensors()
         self.moments = {}
-        for name, parameter in self._named():
+        for name, _ in self._named():
             if f"{name}.mean" not in moments:
                 continue
             mean, square = moments[f"{name}.mean"], moments[f"{name}.square"]

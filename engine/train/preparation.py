@@ -51,8 +51,8 @@ from .warm_start import warm_start
 
 @dataclass(frozen=True, eq=False)
 class PreparedLift:
-    """What training starts from. ``cloud`` with ``instance_of_point`` int32 [N] (0 = none) and ``instances`` also go into
-    the result."""
+    """What training starts from. ``cloud`` with ``instance_of_point`` int32 [N] (0 = none) and ``instances`` also go
+    into the result."""
 
     scene: StructuredScene
     targets: list[ViewTargets]
@@ -61,7 +61,9 @@ class PreparedLift:
     instances: tuple[GlobalInstance, ...]
 
 
-def prepare(views: Sequence[View], classes: ClassTable, preset: Preset, seed: int, stages: StageReporter) -> PreparedLift:
+def prepare(
+    views: Sequence[View], classes: ClassTable, preset: Preset, seed: int, stages: StageReporter
+) -> PreparedLift:
     """Everything before the first step. Raises what the progress callbacks raise (Cancelled)."""
     class_ids = used_classes(views)
     with stages.stage("believe") as progress:
@@ -74,7 +76,10 @@ def prepare(views: Sequence[View], classes: ClassTable, preset: Preset, seed: in
         )
     with stages.stage("match") as progress:
         match = objects_by_consent if preset.objects == "consent" else instances_by_boxes
-        cloud, instances, instance_of_point = match(views, cloud, classes, preset, progress)
+        cloud, found, instance_of_point = match(views, cloud, classes, preset, progress)
+        instances, instance_of_point, dropped = limit_instances(found, instance_of_point, preset.most_instances)
+        if dropped:
+            stages.events.warning(f"the {dropped} smallest of {len(found)} instances are left out")
     channels = LabelChannels(class_ids, slots(instances, preset.instance_slots))
     viewpoints = np.array([view.camera.centre for view in views])
     scene = starting_scene(cloud, instance_of_point, channels, viewpoints, preset, seed)
@@ -90,14 +95,13 @@ def instances_by_boxes(
     views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
 ) -> Matching:
     """The paper's way: Algorithm 1 on the thing segments of all views."""
-    found = match_views(
+    instances = match_views(
         views,
         classes.thing_ids,
         SegmentOptions(voxel_size=preset.voxel_size),
-        MatchingOptions(tau_new=preset.tau_new, max_instances=preset.most_instances),
+        MatchingOptions(tau_new=preset.tau_new),
         progress,
     )
-    instances, _ = limit_instances(found, preset.most_instances)
     owner_of_segment = {(item.frame, item.segment_id): one.id for one in instances for item in one.evidence}
     index, reach = cloud.index(), 2 * preset.voxel_size
     instance_of_point = vote_instances(
@@ -110,7 +114,7 @@ def instances_by_boxes(
 def objects_by_consent(
     views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
 ) -> Matching:
-    """Ours: objects that the views agree on whatever they call them, then one vote of the views on each object's class."""
+    """Ours: objects that the views agree on, whatever they call them; then the views vote on each object's class."""
     index, reach = cloud.index(), 2 * cloud.spacing
     objects, seen = find_objects(
         views,
@@ -140,7 +144,7 @@ def slots(instances: Sequence[GlobalInstance], least: int) -> tuple[int, ...]:
 
 
 def consistency_options(views: Sequence[View], preset: Preset) -> ConsistencyOptions:
-    """The preset's choice, or no comparison at all where views are too sparse for one (as the paper does on HyperSim)."""
+    """The preset's choice, or no comparison where views are too sparse for one (as the paper does on HyperSim)."""
     options = ConsistencyOptions(neighbours=preset.neighbours, agreement=preset.agreement)
     if not preset.neighbours:
         return options
@@ -176,7 +180,7 @@ def starting_scene(
     preset: Preset,
     seed: int,
 ) -> StructuredScene:
-    """Anchors on the semantic point cloud; decoders drawn from the seed, then fitted to the anchors if the preset says so."""
+    """Anchors on the semantic point cloud; decoders drawn from the seed, then fitted to them if the preset says so."""
     positions = voxelise(cloud.xyz, preset.voxel_size)
     classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
     nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)

@@ -1,7 +1,7 @@
 """How much work a lift may take: three presets, and what a user may override.
 
-Every schedule point is a fraction of the steps, so that a preset of 600 steps goes through the same stages as the paper's
-30 000 (paper, "Implementation Details").
+Every schedule point is a fraction of the steps, so that a preset of 600 steps goes through the same stages as the
+paper's 30 000 (paper, "Implementation Details").
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from ..model.growing import GrowthRules
 
 @dataclass(frozen=True)
 class Schedule:
-    """Fractions of all steps. ``self_training_every`` is the paper's 5k of 30k: the first round of pseudo labels ends the
-    initial stage. Growing as in Scaffold-GS: 1500/30000 to 15000/30000, statistics from 500/30000."""
+    """Fractions of all steps. ``self_training_every`` is the paper's 5k of 30k: the first round of pseudo labels ends
+    the initial stage. Growing as in Scaffold-GS: 1500/30000 to 15000/30000, statistics from 500/30000."""
 
     self_training_every: float = 1 / 6
     statistics_from: float = 500 / 30000
@@ -27,8 +27,8 @@ class Schedule:
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Start and end of log-linear decays (Scaffold-GS's, and ours for the two label decoders). ``offset`` is multiplied by
-    the scene's extent in metres."""
+    """Start and end of log-linear decays (Scaffold-GS's, and ours for the two label decoders). ``offset`` is multiplied
+    by the scene's extent in metres."""
 
     feature: tuple[float, float] = (0.0075, 0.0075)
     offset: tuple[float, float] = (0.01, 1e-4)
@@ -52,8 +52,8 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class WarmStart:
-    """Fitting the decoders to the initial anchors, ``batch`` of them a step; ``opacity_bias`` is added before the tanh, so
-    that fewer Gaussians start invisible (and without a gradient)."""
+    """Fitting the decoders to the initial anchors, ``batch`` of them a step; ``opacity_bias`` is added before the tanh,
+    so that fewer Gaussians start invisible (and without a gradient)."""
 
     steps: int = 400
     batch: int = 4096
@@ -65,11 +65,12 @@ class WarmStart:
 class Preset:
     """Everything that shapes a lift except its input and its seed.
 
-    ``size_within`` (width, height): frames are brought into this box for the lift, never enlarged; ``voxel_size`` metres (the paper's epsilon); ``neighbours`` is N_w
-    and ``agreement`` the share of them that must agree (1 = the paper's product). ``instance_slots`` is the least number of
-    slots. ``objects``: how segments of all views become instances, "boxes" (Algorithm 1) or
-    "consent" (ours, with a vote of the views on each object's class). ``most_instances`` caps them. ``seeded_features``: start
-    features from colour and label of the anchors instead of zero; ``warm_start`` fits the decoders to them.
+    ``size_within`` (width, height): frames are brought into this box for the lift, never enlarged; ``voxel_size``
+    metres (the paper's epsilon); ``neighbours`` is N_w and ``agreement`` the share of them that must agree (1 = the
+    paper's product). ``instance_slots`` is the least number of slots. ``objects``: how segments of all views become
+    instances, "boxes" (Algorithm 1) or "consent" (ours, with a vote of the views on each object's class).
+    ``most_instances`` caps them. ``seeded_features``: start features from colour and label of the anchors instead of
+    zero; ``warm_start`` fits the decoders to them.
     """
 
     name: str

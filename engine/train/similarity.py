@@ -15,8 +15,8 @@ C1, C2 = 0.01**2, 0.03**2
 def _blur_matrix(size: int) -> torch.Tensor:
     """The window as a banded matrix [size, size]: row i holds the weights of output i. Zeros fall off the ends.
 
-    Two matrix products blur a picture, and blur its gradient back. On a CPU that beats convolution layers, whose backward
-    pass is made for many channels, by an order of magnitude.
+    Two matrix products blur a picture, and blur its gradient back. On a CPU that beats convolution layers, whose
+    backward pass is made for many channels, by an order of magnitude.
     """
     position = torch.arange(size)
     distance = (position[:, None] - position[None, :]).abs()

@@ -29,7 +29,8 @@ def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mappin
     trainer.scene = from_tensors(_under("model.", tensors), facts["model"])
     trainer.optimiser = trainer.optimiser.rebound(trainer.scene.anchors, trainer.scene.decoders)
     trainer.optimiser.restore(_under("optimiser.", tensors), facts["optimiser_steps"])
-    trainer.statistics = GrowthStatistics(**{name: tensor.clone() for name, tensor in _under("growth.", tensors).items()})
+    growth = _under("growth.", tensors)
+    trainer.statistics = GrowthStatistics(**{name: tensor.clone() for name, tensor in growth.items()})
     for number, target in enumerate(trainer.targets):
         pseudo = tensors.get(f"pseudo.{number}")
         target.pseudo = None if pseudo is None else pseudo.to(torch.int64)

@@ -17,10 +17,10 @@ from .similarity import PhotoMoments
 class ViewTargets:
     """Targets of one training view at lift size.
 
-    ``photo`` float32 [H, W, 3] sRGB-encoded in [0, 1], ``moments`` what SSIM needs of it. ``projected`` int64 [H, W]: semantic channel of the projected point
-    cloud, -1 where it says nothing. ``matched`` int64 [H, W]: instance slot of M_match, -1 = none. ``machine_instances``
-    int32 [H, W]: ids of the machine's thing segments in this view, 0 = none. ``pseudo`` int64 [H, W]: semantic channel of
-    the pseudo labels, None before the self-training stage.
+    ``photo`` float32 [H, W, 3] sRGB-encoded in [0, 1], ``moments`` what SSIM needs of it. ``projected`` int64 [H, W]:
+    semantic channel of the projected point cloud, -1 where it says nothing. ``matched`` int64 [H, W]: instance slot of
+    M_match, -1 = none. ``machine_instances`` int32 [H, W]: ids of the machine's thing segments in this view, 0 = none.
+    ``pseudo`` int64 [H, W]: semantic channel of the pseudo labels, None before the self-training stage.
     """
 
     name: str
@@ -38,7 +38,7 @@ class ViewTargets:
 
 
 def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...]) -> torch.Tensor:
-    """Labels of any shape as channel numbers, int64: the place of each label in ``ids``, -1 for those not in it (and 0)."""
+    """Labels of any shape as channel numbers, int64: its place in ``ids``, -1 for those not in it and for 0."""
     table = np.full(max(int(labels.max(initial=0)), max(ids, default=0)) + 1, -1, np.int64)
     for column, label in enumerate(ids):
         if label:

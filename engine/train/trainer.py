@@ -35,14 +35,17 @@ class StepReport:
 
 
 class Trainer:
-    """Trains ``scene`` on ``targets``. Everything random is drawn from (seed, purpose, number), so that a trainer restored
-    at step n goes on bit for bit as the one that never stopped."""
+    """Trains ``scene`` on ``targets``. Everything random is drawn from (seed, purpose, number), so that a trainer
+    restored at step n goes on bit for bit as the one that never stopped."""
 
-    def __init__(self, scene: StructuredScene, targets: list[ViewTargets], views: list[View], preset: Preset, seed: int) -> None:
+    def __init__(
+        self, scene: StructuredScene, targets: list[ViewTargets], views: list[View], preset: Preset, seed: int
+    ) -> None:
         self.scene, self.targets, self.views, self.preset, self.seed = scene, targets, views, preset, seed
         self.step_number = 0
-        self.growth_steps = max(round(preset.schedule.grow_every * preset.steps), preset.schedule.grow_every_at_least_steps)
-        self.self_training_steps = max(1, round(preset.schedule.self_training_every * preset.steps))
+        schedule = preset.schedule
+        self.growth_steps = max(round(schedule.grow_every * preset.steps), schedule.grow_every_at_least_steps)
+        self.self_training_steps = max(1, round(schedule.self_training_every * preset.steps))
         self.optimiser = Optimiser(scene.anchors, scene.decoders, preset.rates, _extent(targets))
         self.statistics = GrowthStatistics.empty(scene.anchors)
         self.follow_anchors()
@@ -124,8 +127,9 @@ class Trainer:
     ) -> None:
         schedule = self.preset.schedule
         if schedule.statistics_from <= progress < schedule.grow_until:
-            camera = target.camera
-            self.statistics.add(gaussians, rendering.visible, rendering.means2d.grad, camera.width, camera.height)
+            camera, moved = target.camera, rendering.means2d.grad
+            assert moved is not None  # asked for, and the backward pass is over
+            self.statistics.add(gaussians, rendering.visible, moved, camera.width, camera.height)
 
     def _after_step(self) -> None:
         schedule, steps = self.preset.schedule, self.preset.steps
@@ -153,7 +157,7 @@ class Trainer:
         self.follow_anchors()
 
     def refresh_pseudo_labels(self, check: Callable[[], None] = lambda: None) -> None:
-        """Give every region of the machine's masks the class that most of its pixels are rendered with (self-training)."""
+        """Self-training: give each region of the machine's masks the class most of its pixels are rendered with."""
         class_ids = np.array(self.scene.channels.class_ids, np.int32)
         for target, view in zip(self.targets, self.views, strict=True):
             check()

@@ -1,8 +1,8 @@
 """Decoders that know the initial anchors before the first picture is rendered.
 
-The semantic point cloud already says what colour, class and instance each anchor has. Fitting the decoders to that takes a
-second, since nothing is rendered; learning it through pictures takes thousands of steps. Ours, not the paper's: the preset
-"paper" starts from random decoders.
+The semantic point cloud already says what colour, class and instance each anchor has. Fitting the decoders to that
+takes a second, since nothing is rendered; learning it through pictures takes thousands of steps. Ours, not the paper's:
+the preset "paper" starts from random decoders.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def warm_start(
 ) -> None:
     """Fit colour, semantic and instance decoder in place to the initial anchors; lift the opacities a little.
 
-    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) of the anchors, ``viewpoints`` float64 [N, 3] metres: the
-    camera centres, which colours are asked from. Deterministic for a seed.
+    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) of the anchors, ``viewpoints`` float64 [N, 3]
+    metres: the camera centres, which colours are asked from. Deterministic for a seed.
     """
     anchors, decoders = scene.anchors, scene.decoders
     random = np.random.default_rng([seed, 3])
@@ -37,7 +37,7 @@ def warm_start(
     centres = torch.from_numpy(viewpoints.astype(np.float32))
     k = anchors.gaussians_per_anchor
     with torch.no_grad():
-        decoders.opacity[2].bias += settings.opacity_bias
+        decoders.opacity.get_parameter("2.bias").add_(settings.opacity_bias)
     parameters = [*decoders.colour.parameters(), *decoders.semantic.parameters(), *decoders.instance.parameters()]
     adam = torch.optim.Adam(parameters, lr=settings.rate)
     for step in range(settings.steps):

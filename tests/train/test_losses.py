@@ -33,7 +33,8 @@ def test_ssim_matches_a_direct_computation() -> None:
 
 def test_equal_images_cost_only_their_volume() -> None:
     image = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(1))
-    loss = reconstruction_loss(image, image, PhotoMoments.of(image), torch.full((5, 3), 0.1), ssim_weight=0.2, volume_weight=0.001)
+    moments, scales = PhotoMoments.of(image), torch.full((5, 3), 0.1)
+    loss = reconstruction_loss(image, image, moments, scales, ssim_weight=0.2, volume_weight=0.001)
     np.testing.assert_allclose(loss.item(), 0.001 * 5 * 1e-3, atol=1e-6)
 
 

@@ -23,12 +23,9 @@ def anchors_at(count: int) -> Anchors:
 def take_steps(optimiser: Optimiser, steps: int, start: int = 0) -> None:
     for step in range(start, start + steps):
         generator = torch.Generator().manual_seed(step)
-        loss = sum(
-            (getattr(optimiser.anchors, name) * torch.rand(getattr(optimiser.anchors, name).shape, generator=generator)).sum()
-            for name in Anchors.LEARNT
-        )
-        loss = loss + sum((p * torch.rand(p.shape, generator=generator)).sum() for p in optimiser.decoders.parameters())
-        loss.backward()
+        learnt = [getattr(optimiser.anchors, name) for name in Anchors.LEARNT]
+        for parameter in (*learnt, *optimiser.decoders.parameters()):
+            (parameter * torch.rand(parameter.shape, generator=generator)).sum().backward()
         optimiser.step(step / 100)
 
 
