@@ -1,14 +1,24 @@
-"""Numba, set up for us: where compiled code is kept, and ``compiled``, the decorator of every kernel.
+"""``compiled``, the decorator of every kernel, and where the machine code is kept.
 
-Import this before numba: the cache folder is read when numba is first imported.
+Numba notices a change in a function's own file only, but kernels are compiled into one another across files. So the cache is a
+folder named after the text of this whole package: a new version never runs old code. It lies in the user's cache folder (or in
+``NUMBA_CACHE_DIR`` where that is set), so the package itself may be read-only.
 """
 
 from __future__ import annotations
 
+import hashlib
+import logging
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import numba
+
+log = logging.getLogger("plgs.raster")
 
 
 def _user_cache_folder() -> Path:
@@ -21,7 +31,7 @@ def _user_cache_folder() -> Path:
     return Path(base) if base else Path.home() / ".cache"
 
 
-def _writable(folder: Path) -> bool:
+def _can_write(folder: Path) -> bool:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -29,28 +39,53 @@ def _writable(folder: Path) -> bool:
     return os.access(folder, os.W_OK)
 
 
+def _version() -> str:
+    """Names the text of this package and the versions of what compiles it."""
+    digest = hashlib.sha256(f"{sys.version_info[:2]} {numba.__version__}".encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def choose_cache_folder() -> Path:
-    """Where compiled kernels are kept: the user's own setting, else the user's cache folder, else a temporary one."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    if chosen:
-        return Path(chosen)
-    folder = _user_cache_folder() / "plgs" / "numba"
-    if not _writable(folder):
-        folder = Path(tempfile.gettempdir()) / "plgs-numba"
-        folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    """The first that can be written: the user's setting, the user's cache folder, the temporary folder."""
+    setting = os.environ.get("NUMBA_CACHE_DIR")
+    name = f"plgs-raster-{_version()}"
+    bases = [Path(setting)] if setting else []
+    bases += [_user_cache_folder() / "plgs", Path(tempfile.gettempdir()) / "plgs"]
+    for base in bases:
+        if _can_write(base / name):
+            return base / name
+    raise OSError(f"no folder to keep compiled kernels in; tried {', '.join(map(str, bases))}; set NUMBA_CACHE_DIR")
 
 
 CACHE_FOLDER = choose_cache_folder()
-os.environ.setdefault("NUMBA_CACHE_DIR", str(CACHE_FOLDER))
 
-import numba  # noqa: E402
 
-if not numba.config.CACHE_DIR:  # numba was imported before us
-    numba.config.CACHE_DIR = str(CACHE_FOLDER)
+def announce_compilation(variant: str) -> Callable[[], None]:
+    """Say so when kernels have yet to be compiled on this machine; call what is returned when they have been."""
+    stamp = CACHE_FOLDER / f"compiled-{variant}-{os.cpu_count()}"
+    if stamp.exists():
+        return lambda: None
+    log.info("compiling the %s rasteriser for this machine, about 15 s, once", variant)
+    return stamp.touch
 
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    def decorate(function: Callable[..., Any]) -> Any:
+        # read when a function is decorated; other users of Numba in this process keep theirs
+        theirs = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(CACHE_FOLDER)
+        try:
+            return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+        finally:
+            numba.config.CACHE_DIR = theirs
+
+    return decorate
+
+
+compiled = _compiler()
 """No fused multiply-add and no reassociation: the two passes must agree on every weight, bit for bit."""
 
-contracted = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+contracted = _compiler(fastmath={"contract"})
 """For sums of products that only one pass makes: multiply-add may be fused."""

@@ -21,6 +21,8 @@ from .vector_forward import (
     ALPHA_LEAST,
     ONE,
     PIXELS,
+    ROW_STATE,
+    ROW_STRIDE,
     S1_LEFT,
     S2,
     THROUGH,
@@ -47,10 +49,10 @@ from .vectors import (
 )
 
 # a worker's scratch, in floats; as the forward pass as far as THROUGH
-LAST = THROUGH + PIXELS
-BEHIND = LAST + PIXELS
-D_PLANES = BEHIND + PIXELS  # gradients of red, green, blue, depth
-LAST_OF_ROW = D_PLANES + 4 * PIXELS
+LAST = THROUGH + TILE
+BEHIND = LAST + TILE
+D_PLANES = BEHIND + TILE  # gradients of red, green, blue, depth
+LAST_OF_ROW = ROW_STATE + TILE * ROW_STRIDE
 WEIGHTS = LAST_OF_ROW + TILE  # [row, member, pixel]
 CHUNK_LABELS = (
     WEIGHTS + TILE * CHUNK * TILE
@@ -69,7 +71,7 @@ def load_tile(left, top, width, height, rest, last_in, d_image, d_alpha, d_depth
     inside = lane_numbers() < spread(F(width - left))
     far = -1
     for r in range(TILE):
-        row = r * TILE
+        row = r * ROW_STRIDE
         own = -1
         if top + r >= height:
             store(scratch, LAST + row, spread(-ONE))
@@ -79,13 +81,13 @@ def load_tile(left, top, width, height, rest, last_in, d_image, d_alpha, d_depth
             store(scratch, THROUGH + row, through)
             store(scratch, BEHIND + row, spread(ZERO) - through * load_some(d_alpha, pixel, inside))
             store(scratch, LAST + row, choose(inside, load_some(last_in, pixel, inside), spread(-ONE)))
-            store(scratch, D_PLANES + 3 * PIXELS + row, load_some(d_depth, pixel, inside))
+            store(scratch, D_PLANES + 3 * TILE + row, load_some(d_depth, pixel, inside))
             for plane in range(3):
-                store(scratch, D_PLANES + plane * PIXELS + row, spread(ZERO))
+                store(scratch, D_PLANES + plane * TILE + row, spread(ZERO))
             for x in range(min(TILE, width - left)):
                 own = max(own, int(scratch[LAST + row + x]))
                 for plane in range(3):
-                    scratch[D_PLANES + plane * PIXELS + row + x] = d_image[3 * (pixel + x) + plane]
+                    scratch[D_PLANES + plane * TILE + row + x] = d_image[3 * (pixel + x) + plane]
         scratch[LAST_OF_ROW + r] = F(own)
         far = max(far, own)
     return far
@@ -119,7 +121,7 @@ def unblend_gaussian(records, at, place, member, rows, scratch, counts, members,
         rows &= rows - 1
         if scratch[LAST_OF_ROW + r] < place:
             continue
-        row = r * TILE
+        row = r * ROW_STRIDE
         s1 = fma(slope, lane_numbers(), spread(scratch[S1_LEFT + r]))
         s2 = spread(scratch[S2 + r])
         raw = opacity * exp2(spread(ZERO) - fma(s1, s1, s2 * s2))
@@ -133,9 +135,9 @@ def unblend_gaussian(records, at, place, member, rows, scratch, counts, members,
         store(scratch, THROUGH + row, before)
         weight = alpha * before
         image_red = load(scratch, D_PLANES + row)
-        image_green = load(scratch, D_PLANES + PIXELS + row)
-        image_blue = load(scratch, D_PLANES + 2 * PIXELS + row)
-        image_depth = load(scratch, D_PLANES + 3 * PIXELS + row)
+        image_green = load(scratch, D_PLANES + TILE + row)
+        image_blue = load(scratch, D_PLANES + 2 * TILE + row)
+        image_depth = load(scratch, D_PLANES + 3 * TILE + row)
         value = fma(red, image_red, fma(green, image_green, fma(blue, image_blue, depth * image_depth)))
         behind = load(scratch, BEHIND + row)
         g = choose(

@@ -53,10 +53,12 @@ PIXELS = TILE * TILE
 # a worker's scratch, in floats
 S1_LEFT = 0
 S2 = TILE
-THROUGH = 2 * TILE
-LAST = THROUGH + PIXELS
-PLANES = LAST + PIXELS  # red, green, blue, depth
-WEIGHTS = PLANES + 4 * PIXELS  # [row, member, pixel]
+ROW_STATE = 2 * TILE  # [row, field, pixel]; a row's fields lie together, for arrays 4096 bytes apart get in each other's way
+ROW_STRIDE = 8 * TILE
+THROUGH = ROW_STATE
+LAST = THROUGH + TILE
+PLANES = LAST + TILE  # red, green, blue, depth
+WEIGHTS = ROW_STATE + TILE * ROW_STRIDE  # [row, member, pixel]
 CHUNK_LABELS = (
     WEIGHTS + TILE * CHUNK * TILE
 )  # [member, padded channels], then the tile's [pixel, padded channels]
@@ -95,13 +97,13 @@ def start_tile(width, height, left, top, scratch):
     alive = 0
     for r in range(TILE):
         if top + r < height:
-            store(scratch, THROUGH + r * TILE, choose(inside, spread(ONE), spread(-ONE)))
+            store(scratch, THROUGH + r * ROW_STRIDE, choose(inside, spread(ONE), spread(-ONE)))
             alive |= 1 << r
         else:
-            store(scratch, THROUGH + r * TILE, spread(-ONE))
-        store(scratch, LAST + r * TILE, spread(-ONE))
+            store(scratch, THROUGH + r * ROW_STRIDE, spread(-ONE))
+        store(scratch, LAST + r * ROW_STRIDE, spread(-ONE))
         for plane in range(4):
-            store(scratch, PLANES + plane * PIXELS + r * TILE, spread(ZERO))
+            store(scratch, PLANES + plane * TILE + r * ROW_STRIDE, spread(ZERO))
     return alive
 
 
@@ -127,7 +129,7 @@ def blend_gaussian(records, at, place, member, rows, alive, scratch, counts, mem
     while rows != 0:
         r = lowest_bit(rows)
         rows &= rows - 1
-        row = r * TILE
+        row = r * ROW_STRIDE
         s1 = fma(slope, lane_numbers(), spread(scratch[S1_LEFT + r]))
         s2 = spread(scratch[S2 + r])
         alpha = minimum(opacity * exp2(spread(ZERO) - fma(s1, s1, s2 * s2)), spread(ALPHA_CAP))
@@ -145,10 +147,10 @@ def blend_gaussian(records, at, place, member, rows, alive, scratch, counts, mem
         weight = choose(blended, weight, spread(ZERO))
         store(scratch, LAST + row, choose(blended, spread(place), load(scratch, LAST + row)))
         store(scratch, PLANES + row, fma(weight, red, load(scratch, PLANES + row)))
-        store(scratch, PLANES + PIXELS + row, fma(weight, green, load(scratch, PLANES + PIXELS + row)))
-        store(scratch, PLANES + 2 * PIXELS + row, fma(weight, blue, load(scratch, PLANES + 2 * PIXELS + row)))
+        store(scratch, PLANES + TILE + row, fma(weight, green, load(scratch, PLANES + TILE + row)))
+        store(scratch, PLANES + 2 * TILE + row, fma(weight, blue, load(scratch, PLANES + 2 * TILE + row)))
         store(
-            scratch, PLANES + 3 * PIXELS + row, fma(weight, depth, load(scratch, PLANES + 3 * PIXELS + row))
+            scratch, PLANES + 3 * TILE + row, fma(weight, depth, load(scratch, PLANES + 3 * TILE + row))
         )
         store(scratch, WEIGHTS + (r * CHUNK + counts[r]) * TILE, weight)
         members[r * CHUNK + counts[r]] = member
@@ -219,20 +221,20 @@ def write_tile(left, top, width, height, channels, scratch, image, labels_out, a
     tail = channels % TILE
     in_tail = lane_numbers() < spread(F(tail))
     for r in range(min(TILE, height - top)):
-        row = r * TILE
+        row = r * ROW_STRIDE
         pixel = (top + r) * width + left
         through = maximum(load(scratch, THROUGH + row), spread(ZERO) - load(scratch, THROUGH + row))
         store_some(rest, pixel, through, inside)
         store_some(alpha, pixel, spread(ONE) - through, inside)
-        store_some(depth, pixel, load(scratch, PLANES + 3 * PIXELS + row), inside)
+        store_some(depth, pixel, load(scratch, PLANES + 3 * TILE + row), inside)
         store_some(last_out, pixel, load(scratch, LAST + row), inside)
         for x in range(min(TILE, width - left)):
             for plane in range(3):
-                image[3 * (pixel + x) + plane] = scratch[PLANES + plane * PIXELS + row + x]
+                image[3 * (pixel + x) + plane] = scratch[PLANES + plane * TILE + row + x]
         if channels == 0:
             continue
         for x in range(min(TILE, width - left)):
-            source = CHUNK_LABELS + (CHUNK + row + x) * padded
+            source = CHUNK_LABELS + (CHUNK + r * TILE + x) * padded
             target = (pixel + x) * channels
             for c in range(0, channels - TILE + 1, TILE):
                 store(labels_out, target + c, load(scratch, source + c))

@@ -239,11 +239,11 @@ _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it leaves the nearest integer in th
 
 @intrinsic
 def exp2(typing_context, a):
-    """2^a for a <= 127; what is below -126 counts as -126."""
+    """2^a for a <= 127; what is below -64 counts as -64, so that no product with it is a (slow) subnormal."""
 
     def emit(context, builder, signature, arguments):
         a = arguments[0]
-        lowest = constant(-126.0)
+        lowest = constant(-64.0)
         a = builder.select(builder.fcmp_ordered(">", a, lowest), a, lowest)
         shifted = builder.fadd(a, constant(_ROUNDING))
         f = builder.fsub(a, builder.fsub(shifted, constant(_ROUNDING)))
