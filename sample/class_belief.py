@@ -1,8 +1,8 @@
 """What class a detector believes a region to be: right mostly, and wrong in the way detectors are wrong.
 
-A detector does not toss a coin for every frame. It mistakes a sofa for a bed from *this* side, while it is small, over a
-stretch of neighbouring views, and then sees it right again. So the belief in each class is a smooth random function of
-the direction of view, the size in the picture and the place, fixed for each object by the seed, plus a little flicker.
+A detector does not toss a coin for every frame. It mistakes a sofa for a bed from *this* side, while it is small, over
+a stretch of neighbouring views, and then sees it right again. So the belief in each class is a smooth random function
+of the direction of view, the size in the picture and the place, fixed for each object by the seed, plus some flicker.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def believe(sight: Sight, noise: BeliefNoise, seed: int, frame: str) -> tuple[st
 
 
 def _swing(sight: Sight, rival: str, doublings: float, noise: BeliefNoise, seed: int) -> float:
-    """A smooth random function of the view with mean 0 and deviation 1 (random Fourier features of a Gaussian kernel)."""
+    """A smooth random function of the view, mean 0, deviation 1 (random Fourier features of a Gaussian kernel)."""
     waves = 12
     draw = stream(seed, "swing", sight.key, rival)
     place = np.zeros(3) if sight.is_thing else np.array(sight.place) / noise.place_scale

@@ -1,9 +1,9 @@
 """Make machine-like panoptic masks: ``python sample/machine_masks.py SCENE [--seed N] [--out FOLDER]``.
 
 SCENE holds ``gt/semantic``, ``gt/instance``, ``gt/classes.json``, ``depth``, ``pose`` and ``intrinsic``. Written are
-``panoptic.json`` (COCO panoptic, own categories, a score for each segment) and ``panoptic/*.png`` (segment id = R + 256 G +
-65536 B, 0 = void). This program is the only one that looks at the ground truth for anything but evaluation. What a detector
-gets wrong, and how often, is in ``class_belief.BeliefNoise`` and ``mask_noise.MaskNoise``.
+``panoptic.json`` (COCO panoptic, own categories, a score for each segment) and ``panoptic/*.png`` (segment id =
+R + 256 G + 65536 B, 0 = void). This program is the only one that looks at the ground truth for anything but evaluation.
+What a detector gets wrong, and how often, is in ``class_belief.BeliefNoise`` and ``mask_noise.MaskNoise``.
 """
 
 from __future__ import annotations
@@ -72,11 +72,11 @@ def true_regions(scene: Path, frame: str, categories: list[dict[str, Any]]) -> l
         else:
             pieces = [(entry["name"], piece) for piece in _pieces(of_class)]
         for key, pixels in pieces:
-            place = np.round(points[pixels].mean(0), 3)
-            direction = np.round((place - pose[:3, 3]) / np.linalg.norm(place - pose[:3, 3]), 3)
-            sight = Sight(
-                key, entry["name"], bool(entry["isthing"]), float(pixels.mean()), tuple(place.tolist()), tuple(direction.tolist())
-            )
+            x, y, z = np.round(points[pixels].mean(0), 3).tolist()
+            towards = np.array([x, y, z]) - pose[:3, 3]
+            u, v, w = np.round(towards / np.linalg.norm(towards), 3).tolist()
+            share = float(pixels.mean())
+            sight = Sight(key, entry["name"], bool(entry["isthing"]), share, (x, y, z), (u, v, w))
             regions.append(TrueRegion(pixels, sight))
     return regions
 
@@ -93,13 +93,15 @@ def _pieces(pixels: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
     return pieces
 
 
-def _world_points(depth: NDArray[np.float64], intrinsic: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def _world_points(
+    depth: NDArray[np.float64], intrinsic: NDArray[np.float64], pose: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """World points [H, W, 3] of planar depth in metres; pixel centres at integers, as the scene's files have it."""
     y, x = np.mgrid[0 : depth.shape[0], 0 : depth.shape[1]]
-    rays = np.stack([(x - intrinsic[0, 2]) / intrinsic[0, 0], (y - intrinsic[1, 2]) / intrinsic[1, 1], np.ones(x.shape)], -1)
-    local = rays * depth[..., None]
-    turned = [sum(local[..., k] * pose[row, k] for k in range(3)) + pose[row, 3] for row in range(3)]
-    return np.stack(turned, -1)
+    across = (x - intrinsic[0, 2]) / intrinsic[0, 0] * depth
+    down = (y - intrinsic[1, 2]) / intrinsic[1, 1] * depth
+    # Sums term by term: a matrix product may round differently on another machine.
+    return np.stack([across * row[0] + down * row[1] + depth * row[2] + row[3] for row in pose[:3]], -1)
 
 
 def _read_png(path: Path) -> NDArray[Any]:

@@ -1,7 +1,7 @@
 """From the true regions of one view to the regions a detector would draw: missed, split, merged, invented, ragged.
 
-Everything is counted in exact numpy arithmetic (no image library), so that the same seed gives the same pixels on every
-machine.
+Everything is counted in plain numpy arithmetic, term by term and rounded before it is compared, so that the same seed
+gives the same pixels on every machine.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MaskNoise:
-    """Rates of a detector's faults. Lengths are in pixels of the view, chances are per segment unless said otherwise."""
+    """Rates of a detector's faults. Lengths are in pixels of the view, chances per segment unless said otherwise."""
 
     belief: BeliefNoise = field(default_factory=BeliefNoise)
     smallest_segment: int = 60
@@ -26,7 +26,7 @@ class MaskNoise:
     missed: float = 0.07
     """Chance that a thing of ordinary size is missed; small ones are missed more often (up to three times)."""
     missed_as_void: float = 0.6
-    """How many of the missed leave a hole; the rest is swallowed by the neighbour."""
+    """How many of the missed leave a hole; the rest is swallowed by the neighbour with the longest common border."""
     split: float = 0.10
     """Chance that a segment falls in two."""
     split_disagrees: float = 0.4
@@ -70,7 +70,9 @@ class TrueRegion:
     sight: Sight
 
 
-def detect(regions: list[TrueRegion], is_thing: dict[str, bool], noise: MaskNoise, seed: int, frame: str) -> tuple[Ids, list[Region]]:
+def detect(
+    regions: list[TrueRegion], is_thing: dict[str, bool], noise: MaskNoise, seed: int, frame: str
+) -> tuple[Ids, list[Region]]:
     """Segment ids, int32 [H, W] with 0 = void and k + 1 for the k-th of the regions, which are what the machine sees.
 
     ``is_thing`` names all classes the machine knows.
@@ -93,17 +95,27 @@ def detect(regions: list[TrueRegion], is_thing: dict[str, bool], noise: MaskNois
 
 
 def _miss(regions: list[TrueRegion], noise: MaskNoise, random: np.random.Generator) -> tuple[list[TrueRegion], Bools]:
-    """What is found, and the holes (bool [H, W]) that some of the missed leave."""
-    found, holes = [], np.zeros_like(regions[0].pixels)
+    """What is found, and the holes (bool [H, W]) that some of the missed leave; a neighbour swallows the others."""
+    found: list[TrueRegion] = []
+    swallowed: list[Bools] = []
+    holes = np.zeros_like(regions[0].pixels)
     for region in regions:
         chance, fate = random.random(2)
-        pixels = int(region.pixels.sum())
-        smallness = min(3.0, max(1.0, (20 * noise.smallest_segment / max(pixels, 1)) ** 0.5))
-        if region.sight.is_thing and (pixels < noise.smallest_segment or chance < noise.missed * smallness):
-            if pixels >= noise.smallest_segment and fate < noise.missed_as_void:
+        area = int(region.pixels.sum())
+        smallness = min(3.0, max(1.0, (20 * noise.smallest_segment / max(area, 1)) ** 0.5))
+        if region.sight.is_thing and (area < noise.smallest_segment or chance < noise.missed * smallness):
+            if area >= noise.smallest_segment and fate < noise.missed_as_void:
                 holes |= region.pixels
+            else:
+                swallowed.append(region.pixels)
         else:
             found.append(region)
+    for pixels in swallowed:
+        rim = _grown(pixels) & ~pixels
+        shares = [int((rim & region.pixels).sum()) for region in found]
+        if any(shares):
+            nearest = int(np.argmax(shares))
+            found[nearest] = replace(found[nearest], pixels=found[nearest].pixels | pixels)
     return found, holes
 
 
@@ -152,15 +164,22 @@ def _merge(seen: list[Region], noise: MaskNoise, random: np.random.Generator) ->
 
 def _touch(a: Bools, b: Bools) -> bool:
     """Whether two regions come within two pixels of each other."""
-    grown = np.zeros_like(a)
-    for dy in (-2, 0, 2):
-        for dx in (-2, 0, 2):
-            grown |= np.roll(a, (dy, dx), (0, 1))
-    return bool((grown & b).any())
+    return bool((_grown(a) & b).any())
+
+
+def _grown(pixels: Bools, by: int = 2) -> Bools:
+    """The region and all that is within ``by`` pixels of it, to the sides and diagonally."""
+    height, width = pixels.shape
+    wide = np.pad(pixels, by)
+    grown = np.zeros_like(pixels)
+    for dy in range(2 * by + 1):
+        for dx in range(2 * by + 1):
+            grown |= wide[dy : dy + height, dx : dx + width]
+    return grown
 
 
 def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.Generator) -> Ids:
-    """Paint the regions as a low-resolution network does: shares of coarse cells, read at wandering places, strongest wins."""
+    """Paint as a low-resolution network does: shares of coarse cells, read at wandering places, the strongest wins."""
     height, width = holes.shape
     shares = [_coarse(holes, noise.cell), *(_coarse(region.pixels, noise.cell) for region in seen)]
     greed = np.concatenate([[0.0], random.normal(size=len(seen)) * noise.bleed])
@@ -226,7 +245,7 @@ def _invent(
 
 
 def _renumber(ids: Ids, seen: list[Region], random: np.random.Generator) -> tuple[Ids, list[Region]]:
-    """Drop segments that lost all their pixels and give the others ids in random order: ids mean nothing across views."""
+    """Drop segments without a pixel left and number the others in random order: ids mean nothing across views."""
     present = [index for index in range(len(seen)) if (ids == index + 1).any()]
     order = [present[int(each)] for each in random.permutation(len(present))]
     table = np.zeros(len(seen) + 1, np.int32)

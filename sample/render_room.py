@@ -28,10 +28,22 @@ FLOOR_TOP = 0.02  # metres: the wall's mesh contains a floor below this height
 RAREST = 2000  # an object with fewer pixels in all frames together becomes void
 HELD_OUT_EVERY = 8
 JPEG_QUALITY = 92
+EXPOSURE = -0.9  # stops
+LAMPS = (
+    # x, y (metres), diameter (metres), watts
+    (0.6, -1.6, 1.6, 110.0),
+    (4.65, -2.05, 1.4, 90.0),
+    (1.2, 3.6, 2.0, 90.0),
+    (7.4, 0.6, 1.4, 60.0),
+    (7.4, -3.4, 1.2, 50.0),
+    (0.6, -4.4, 1.2, 40.0),
+    (-5.5, -3.0, 2.0, 90.0),
+    (-5.5, 1.5, 2.0, 90.0),
+)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("house", type=Path, help="small_house.glb")
     parser.add_argument("out", type=Path, help="scene folder to write")
     parser.add_argument("--samples", type=int, default=16, help="path-tracing samples a pixel (default 16)")
@@ -98,19 +110,6 @@ def light() -> None:
     bpy.context.scene.world = world
 
 
-LAMPS = (
-    # x, y (metres), diameter (metres), watts
-    (0.6, -1.6, 1.6, 110.0),
-    (4.65, -2.05, 1.4, 90.0),
-    (1.2, 3.6, 2.0, 90.0),
-    (7.4, 0.6, 1.4, 60.0),
-    (7.4, -3.4, 1.2, 50.0),
-    (0.6, -4.4, 1.2, 40.0),
-    (-5.5, -3.0, 2.0, 90.0),
-    (-5.5, 1.5, 2.0, 90.0),
-)
-
-
 def set_up_camera(samples: int) -> bpy.types.Object:
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
@@ -131,9 +130,6 @@ def set_up_camera(samples: int) -> bpy.types.Object:
     return camera
 
 
-EXPOSURE = -0.9
-
-
 def photograph(camera: bpy.types.Object, pose: NDArray[np.float64], seed: int, path: Path) -> None:
     camera.matrix_world = Matrix((pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist())  # OpenCV to Blender axes
     bpy.context.scene.cycles.seed = seed
@@ -143,7 +139,8 @@ def photograph(camera: bpy.types.Object, pose: NDArray[np.float64], seed: int, p
 
 def build_caster() -> tuple[o3d.t.geometry.RaycastingScene, list[str]]:
     """All triangles of the house for ray casting, and the object's name by geometry id."""
-    caster, names = o3d.t.geometry.RaycastingScene(), []
+    caster = o3d.t.geometry.RaycastingScene()
+    names: list[str] = []
     for item in bpy.context.scene.objects:
         if item.type != "MESH":
             continue
@@ -156,7 +153,8 @@ def build_caster() -> tuple[o3d.t.geometry.RaycastingScene, list[str]]:
         triangles = np.empty(len(mesh.loop_triangles) * 3, np.int32)
         mesh.loop_triangles.foreach_get("vertices", triangles)
         index = caster.add_triangles(
-            o3d.core.Tensor(world.astype(np.float32)), o3d.core.Tensor(triangles.reshape(-1, 3).astype(np.uint32))
+            o3d.core.Tensor.from_numpy(world.astype(np.float32)),
+            o3d.core.Tensor.from_numpy(triangles.reshape(-1, 3).astype(np.uint32)),
         )
         assert index == len(names)
         names.append(item.name)
@@ -166,11 +164,11 @@ def build_caster() -> tuple[o3d.t.geometry.RaycastingScene, list[str]]:
 def cast(
     caster: o3d.t.geometry.RaycastingScene, names: list[str], pose: NDArray[np.float64]
 ) -> tuple[NDArray[np.uint16], NDArray[np.str_]]:
-    """Planar depth in millimetres, uint16 [H, W], 0 = none, and the name of the object at each pixel's centre, [H, W]."""
+    """Planar depth, uint16 [H, W] millimetres, 0 = none, and the object's name at each pixel's centre, [H, W]."""
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5 - WIDTH / 2, np.arange(HEIGHT) + 0.5 - HEIGHT / 2)
     rays = np.stack([x / FOCAL, y / FOCAL, np.ones_like(x)], -1) @ pose[:3, :3].T  # length 1 along the optical axis
     origin = np.broadcast_to(pose[:3, 3], rays.shape)
-    answer = caster.cast_rays(o3d.core.Tensor(np.concatenate([origin, rays], -1).astype(np.float32)))
+    answer = caster.cast_rays(o3d.core.Tensor.from_numpy(np.concatenate([origin, rays], -1).astype(np.float32)))
     distance, index = answer["t_hit"].numpy(), answer["geometry_ids"].numpy()
     hit = np.isfinite(distance)
     owner = np.array([*names, ""])[np.where(hit, index, len(names))]
@@ -197,7 +195,8 @@ def write_ground_truth(out: Path, seen: list[NDArray[np.str_]]) -> None:
     """Class ids and scene-global instance ids (1.. for things, 0 for stuff), 16-bit PNGs, and their tables as JSON."""
     class_id = {name: number for number, name, _ in CATEGORIES}
     is_thing = {number: thing for number, _, thing in CATEGORIES}
-    names, counts = np.unique(np.concatenate([np.vectorize(STANDS_ON.get)(ids, ids).ravel() for ids in seen]), return_counts=True)
+    carriers = [np.vectorize(STANDS_ON.get)(ids, ids) for ids in seen]
+    names, counts = np.unique(np.stack(carriers), return_counts=True)
     model = {item.name: item.get("category", "") for item in bpy.data.objects}
     class_of = {
         str(name): class_id[CLASS_OF_MODEL[model[name]]] if name and count >= RAREST else 0
@@ -205,18 +204,16 @@ def write_ground_truth(out: Path, seen: list[NDArray[np.str_]]) -> None:
     }
     things = sorted((name for name, number in class_of.items() if is_thing.get(number)), key=lambda n: (class_of[n], n))
     instance_of = {name: index + 1 for index, name in enumerate(things)}
-    for index, ids in enumerate(seen):
-        whole = np.vectorize(STANDS_ON.get)(ids, ids)
+    for index, whole in enumerate(carriers):
         found, inverse = np.unique(whole, return_inverse=True)
         shape = (HEIGHT, WIDTH)
         semantic = np.array([class_of[str(name)] for name in found], np.uint16)[inverse].reshape(shape)
         instance = np.array([instance_of.get(str(name), 0) for name in found], np.uint16)[inverse].reshape(shape)
         cv2.imwrite(str(out / f"gt/semantic/{index:04d}.png"), semantic, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         cv2.imwrite(str(out / f"gt/instance/{index:04d}.png"), instance, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    table = {
-        "categories": [{"id": number, "name": name, "isthing": int(thing)} for number, name, thing in CATEGORIES],
-        "instances": [{"id": index, "category_id": class_of[name], "name": name} for name, index in instance_of.items()],
-    }
+    categories = [{"id": number, "name": name, "isthing": int(thing)} for number, name, thing in CATEGORIES]
+    instances = [{"id": index, "category_id": class_of[name], "name": name} for name, index in instance_of.items()]
+    table = {"categories": categories, "instances": instances}
     (out / "gt/classes.json").write_text(json.dumps(table, indent=1) + "\n")
 
 

@@ -66,7 +66,7 @@ STANDS_ON: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Move:
-    """Carry an object to ``to`` (x, y, z of its origin, metres; None keeps z) and turn it by ``turn`` degrees about z."""
+    """Carry an object to ``to`` (x, y, z of its origin, metres; None keeps z), turned by ``turn`` degrees about z."""
 
     to: tuple[float, float, float | None]
     turn: float = 0.0
