@@ -9,6 +9,7 @@ Each Gaussian's gradient in each tile goes to a place of its own; a later pass a
 from __future__ import annotations
 
 import numpy as np
+
 from .blend_forward import ALPHA_LEAST, ONE
 from .compiled import compiled, contracted
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from .compiled import compiled
 from .conventions import ALPHA_MIN, TRANSMITTANCE_END
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows

@@ -56,7 +56,9 @@ def choose_cache_folder() -> Path:
     for base in bases:
         if _can_write(base / name):
             return base / name
-    raise OSError(f"no folder to keep compiled kernels in; tried {', '.join(map(str, bases))}; set NUMBA_CACHE_DIR")
+    raise OSError(
+        f"no folder to keep compiled kernels in; tried {', '.join(map(str, bases))}; set NUMBA_CACHE_DIR"
+    )
 
 
 CACHE_FOLDER = choose_cache_folder()

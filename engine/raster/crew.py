@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from queue import SimpleQueue
 from typing import Any
 
@@ -17,6 +19,7 @@ import torch
 _helpers: list[SimpleQueue[Any]] = []
 _owner = 0
 _growing = threading.Lock()
+_stopwatch: dict[str, float] | None = None
 
 
 def worker_count() -> int:
@@ -29,6 +32,25 @@ def share(workers: int, kernel: Callable[..., None], *arguments: Any) -> None:
 
     The first call of a kernel runs here alone, worker after worker: it compiles. Raises what a worker raised.
     """
+    start = time.perf_counter()
+    _share(workers, kernel, arguments)
+    if _stopwatch is not None:
+        name = kernel.__name__
+        _stopwatch[name] = _stopwatch.get(name, 0.0) + time.perf_counter() - start
+
+
+@contextmanager
+def timed() -> Iterator[dict[str, float]]:
+    """Within, the wall seconds of every kernel add up under its name."""
+    global _stopwatch
+    _stopwatch = {}
+    try:
+        yield _stopwatch
+    finally:
+        _stopwatch = None
+
+
+def _share(workers: int, kernel: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     if workers == 1 or not getattr(kernel, "signatures", None):
         for worker in range(workers):
             kernel(worker, workers, *arguments)

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from .conventions import NEAR, View
 
-Backend = Literal["numba", "reference"]
-BACKENDS: tuple[Backend, ...] = ("numba", "reference")
+Backend = Literal["numba", "gsplat", "reference"]
+BACKENDS: tuple[Backend, ...] = ("numba", "gsplat", "reference")
 
 log = logging.getLogger("plgs.raster")
 _announced: set[str] = set()
@@ -80,7 +80,8 @@ def rasterize(
     (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)), skipped below 1/255 and nowhere else; a pixel ends
     before the Gaussian that would leave a transmittance <= 1e-4; order by planar depth rounded to float32, ties by index.
 
-    ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device.
+    ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device: ``numba`` on the CPU,
+    ``gsplat`` on CUDA.
 
     Raises ``ValueError`` on shapes, dtypes or devices that do not fit, an empty image, skew, or an unknown back end.
     """
@@ -94,6 +95,10 @@ def rasterize(
         from .reference import rasterize_reference
 
         return rasterize_reference(*arguments)
+    if name == "gsplat":
+        from .cuda import rasterize_gsplat
+
+        return rasterize_gsplat(*arguments)
     from .native import rasterize_native
 
     return rasterize_native(*arguments)
@@ -101,13 +106,21 @@ def rasterize(
 
 def _pick(backend: Backend | None, means: Tensor) -> Backend:
     """The back end's name; said once in the log."""
-    name: Backend = backend if backend is not None else "numba"
+    from .cuda import is_installed
+
+    by_device: Backend = "numba" if means.device.type == "cpu" else "gsplat"
+    name: Backend = backend if backend is not None else by_device
     if name not in BACKENDS:
         raise ValueError(f"unknown back end {name!r}; there are {', '.join(BACKENDS)}")
     if name == "numba" and (means.device.type != "cpu" or means.dtype != torch.float32):
         raise ValueError(
             f"the back end numba takes float32 tensors on the CPU, these are {means.dtype} on {means.device}; "
             "move them or choose the back end reference"
+        )
+    if name == "gsplat" and (means.device.type != "cuda" or not is_installed()):
+        raise ValueError(
+            f"the back end gsplat needs gsplat installed and tensors on a CUDA device, these are on {means.device}; "
+            "install gsplat, or move the tensors to the CPU"
         )
     if name not in _announced:
         _announced.add(name)

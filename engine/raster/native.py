@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -10,13 +12,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from . import memory, tiles
-from .conventions import View
+from .compiled import announce_compilation
+from .conventions import NEAR, View
 from .crew import share, worker_count
 from .gather import gather
 from .interface import Rendering
 from .kernels import Kernels, choose_kernels
 from .projection import project
 from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE
+
+log = logging.getLogger("plgs.raster")
 
 
 def rasterize_native(
@@ -33,6 +38,7 @@ def rasterize_native(
     """As ``rasterize``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
     centres = memory.empty_tensor((means.shape[0], 2)).requires_grad_(want_means2d_grad)
     visible = torch.empty(means.shape[0], dtype=torch.bool)
+    _warm_up()
     layers = _Blend.apply(means, scales, quats, opacities, colours, labels, centres, view, visible, top_k)
     image, labels_out, alpha, depth, top_indices, top_weights = layers
     return Rendering(
@@ -45,6 +51,29 @@ def rasterize_native(
         top_indices=top_indices if top_k else None,
         top_weights=top_weights if top_k else None,
     )
+
+
+@cache
+def _warm_up() -> None:
+    """Compile all kernels, or load them, once a process; the log says so when it takes long."""
+    kernels = choose_kernels()
+    finished = announce_compilation(kernels.name)
+    log.info("blending with the %s kernels, %d threads", kernels.name, worker_count())
+    one = [
+        torch.ones(1, 3),
+        torch.ones(1, 3),
+        torch.ones(1, 4),
+        torch.ones(1),
+        torch.ones(1, 3),
+        torch.ones(1, 1),
+    ]
+    view = View(np.eye(3), np.array([0.0, 0.0, -3.0]), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
+    centres = torch.zeros(1, 2, requires_grad=True)
+    with torch.enable_grad():
+        inputs = [tensor.requires_grad_() for tensor in one]
+        layers = _Blend.apply(*inputs, centres, view, torch.empty(1, dtype=torch.bool), 0)
+        torch.autograd.grad([layers[0].sum() + layers[1].sum()], inputs)
+    finished()
 
 
 def camera_array(view: View) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ equations stand."""
 from __future__ import annotations
 
 import numpy as np
+
 from .compiled import compiled
 from .products import (
     BLOCK,

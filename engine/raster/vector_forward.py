@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from .compiled import compiled
 from .conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
 from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
@@ -53,7 +54,9 @@ PIXELS = TILE * TILE
 # a worker's scratch, in floats
 S1_LEFT = 0
 S2 = TILE
-ROW_STATE = 2 * TILE  # [row, field, pixel]; a row's fields lie together, for arrays 4096 bytes apart get in each other's way
+ROW_STATE = (
+    2 * TILE
+)  # [row, field, pixel]; a row's fields lie together, for arrays 4096 bytes apart get in each other's way
 ROW_STRIDE = 8 * TILE
 THROUGH = ROW_STATE
 LAST = THROUGH + TILE
@@ -149,9 +152,7 @@ def blend_gaussian(records, at, place, member, rows, alive, scratch, counts, mem
         store(scratch, PLANES + row, fma(weight, red, load(scratch, PLANES + row)))
         store(scratch, PLANES + TILE + row, fma(weight, green, load(scratch, PLANES + TILE + row)))
         store(scratch, PLANES + 2 * TILE + row, fma(weight, blue, load(scratch, PLANES + 2 * TILE + row)))
-        store(
-            scratch, PLANES + 3 * TILE + row, fma(weight, depth, load(scratch, PLANES + 3 * TILE + row))
-        )
+        store(scratch, PLANES + 3 * TILE + row, fma(weight, depth, load(scratch, PLANES + 3 * TILE + row)))
         store(scratch, WEIGHTS + (r * CHUNK + counts[r]) * TILE, weight)
         members[r * CHUNK + counts[r]] = member
         counts[r] += 1

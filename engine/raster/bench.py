@@ -1,0 +1,150 @@
+"""``python -m engine bench raster``: milliseconds of each stage, beside what the machine could do."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from .crew import timed
+from .interface import rasterize
+from .kernels import choose_kernels
+from .peak import fma_peak
+from .workload import CHANNELS, Workload, room_workload
+
+CASES = ((10_000, 640, 480), (50_000, 640, 480), (200_000, 640, 480), (5_000, 160, 120))
+STAGES = {
+    "project": "projection",
+    "list_visible": "tiles",
+    "count_digits": "tiles",
+    "deal_digits": "tiles",
+    "count_tiles": "tiles",
+    "deal_tiles": "tiles",
+    "blend_tiles": "blend",
+    "unblend_tiles": "unblend",
+    "gather": "gather",
+}
+
+
+def bench_raster(json_file: Path | None = None, repeats: int = 9) -> list[dict[str, Any]]:
+    """Print a table of medians over ``repeats`` (after one warm-up) and return its rows; also written to ``json_file``.
+
+    All times are milliseconds of wall time, whole passes from 3D parameters, except ``processor``, which is the processor
+    time of a whole step (least of the repeats). ``GFLOP/s`` counts two operations for every label of every blended pair of
+    Gaussian and pixel, over the time of the two blending stages.
+    """
+    threads, peak = torch.get_num_threads(), fma_peak()
+    kernels = choose_kernels().name
+    print(
+        f"{processor_name()}, {threads} threads, {kernels} kernels; multiply-add peak {peak:.0f} GFLOP/s a thread"
+    )
+    print("Gaussians      size  channels  forward  backward   total  processor  GFLOP/s  stages")
+    rows = []
+    for count, width, height in CASES:
+        workload = room_workload(count, width, height)
+        pairs = blended_pairs(workload)
+        for channels in (0, CHANNELS):
+            row = measure(workload, channels, repeats, pairs)
+            row.update(gaussians=count, width=width, height=height, channels=channels + 3)
+            rows.append(row)
+            stages = ", ".join(f"{name} {value:.1f}" for name, value in row["stages"].items())
+            print(
+                f"{count:9d} {width:5d}x{height:<4d} {channels + 3:7d} {row['forward']:8.1f} {row['backward']:9.1f} "
+                f"{row['total']:7.1f} {row['processor']:10.1f} {row['gflops']:8.1f}  {stages}"
+            )
+    if json_file is not None:
+        report = {
+            "cpu": processor_name(),
+            "threads": threads,
+            "kernels": kernels,
+            "peak_gflops": peak,
+            "rows": rows,
+        }
+        json_file.write_text(json.dumps(report, indent=1), encoding="utf-8")
+    return rows
+
+
+def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict[str, Any]:
+    """Median milliseconds of forward, backward and total, least processor milliseconds, stages of the median run."""
+    labels = workload.labels[:, :channels].copy() if channels else None
+    random = np.random.default_rng(1234)
+    shape = (workload.height, workload.width)
+    d_image = torch.from_numpy(random.standard_normal((*shape, 3), dtype=np.float32))
+    d_labels = torch.from_numpy(random.standard_normal((*shape, channels), dtype=np.float32))
+    runs = []
+    for _ in range(repeats + 1):
+        inputs = [
+            None if array is None else torch.from_numpy(array).requires_grad_()
+            for array in (
+                workload.means,
+                workload.scales,
+                workload.quats,
+                workload.opacities,
+                workload.colours,
+                labels,
+            )
+        ]
+        processor, start = time.process_time(), time.perf_counter()
+        with timed() as stages:
+            out = rasterize(
+                *inputs,  # type: ignore[arg-type]
+                workload.camera_to_world,
+                workload.intrinsics,
+                workload.width,
+                workload.height,
+            )
+            middle = time.perf_counter()
+            layers = [out.image] if out.labels is None else [out.image, out.labels]
+            torch.autograd.backward(layers, [d_image, d_labels][: len(layers)])
+        end = time.perf_counter()
+        runs.append((end - start, middle - start, end - middle, time.process_time() - processor, stages))
+        del out, layers
+    runs = sorted(runs[1:], key=lambda run: run[0])
+    total, forward, backward, _, stages = runs[len(runs) // 2]
+    grouped: dict[str, float] = {}
+    for name, seconds in stages.items():
+        grouped[STAGES[name]] = grouped.get(STAGES[name], 0.0) + seconds * 1e3
+    blending = (grouped["blend"] + grouped["unblend"]) * 1e-3
+    return {
+        "forward": forward * 1e3,
+        "backward": backward * 1e3,
+        "total": total * 1e3,
+        "processor": min(run[3] for run in runs) * 1e3,
+        "gflops": 4.0 * channels * pairs / blending / 1e9,
+        "stages": grouped,
+    }
+
+
+def blended_pairs(workload: Workload) -> int:
+    """How many pairs of Gaussian and pixel are blended: the sum over Gaussians of the pixels that see them."""
+    arrays = (workload.means, workload.scales, workload.quats, workload.opacities, workload.colours)
+    out = rasterize(
+        *(torch.from_numpy(array) for array in arrays),
+        None,
+        workload.camera_to_world,
+        workload.intrinsics,
+        workload.width,
+        workload.height,
+        top_k=PAIRS_COUNTED,
+    )
+    assert out.top_indices is not None
+    return int((out.top_indices >= 0).sum())
+
+
+PAIRS_COUNTED = 128
+"""A pixel that sees more Gaussians than this is counted as if it saw so many; no pixel of the workload does."""
+
+
+def processor_name() -> str:
+    """As the system tells it."""
+    information = Path("/proc/cpuinfo")
+    if information.exists():
+        for line in information.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
