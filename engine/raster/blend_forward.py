@@ -29,7 +29,7 @@ def blend_row(alpha, through, weight):
     """Weights [16] of one Gaussian on one row. The transmittance of an ended pixel is kept negative."""
     for x in range(TILE):
         capped = min(alpha[x], ALPHA_CAP)
-        after = through[x] - capped * through[x]
+        after = through[x] * (ONE - capped)
         seen = capped >= ALPHA_LEAST
         goes_on = after > ENDED
         weight[x] = capped * through[x] if seen and goes_on else F(0.0)

@@ -12,8 +12,11 @@ from .records import (
     CENTRE_Y,
     CENTRE_Y_LOW,
     L11,
+    L11_LOW,
     L12,
+    L12_LOW,
     L22,
+    L22_LOW,
     REACH,
     TILE,
 )
@@ -36,8 +39,10 @@ def whiten_rows(record, left, top, s1_left, s2):
     # the origin in double, once a tile: everything after is within a few standard deviations
     dx = (left + 0.5 - float(record[CENTRE_X])) - float(record[CENTRE_X_LOW])
     dy = (top + 0.5 - float(record[CENTRE_Y])) - float(record[CENTRE_Y_LOW])
-    s1_origin = F(float(record[L11]) * dx + float(record[L12]) * dy)
-    s2_origin = F(float(record[L22]) * dy)
+    l11 = float(record[L11]) + float(record[L11_LOW])
+    l12 = float(record[L12]) + float(record[L12_LOW])
+    s1_origin = F(l11 * dx + l12 * dy)
+    s2_origin = F((float(record[L22]) + float(record[L22_LOW])) * dy)
     across = record[L11] * LAST_LANE
     rows = 0
     for r in range(TILE):

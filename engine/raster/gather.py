@@ -26,8 +26,11 @@ from .records import (
     GRADIENT,
     GRADIENT_WIDTH,
     L11,
+    L11_LOW,
     L12,
+    L12_LOW,
     L22,
+    L22_LOW,
     OPACITY,
     TILE,
     WHITENING,
@@ -44,7 +47,9 @@ def gradient_on_image(record, total):
     With A = WHITENING * L, s = A d and g = dL/d(ln alpha): ln alpha = -|s|^2 / log2(e), so
     dL/dcentre = 2 / log2(e) * A^T sum(g s) and dL/dcov = A^T sum(g s s^T) A / (log2(e) * WHITENING^2).
     """
-    a, b, c = float(record[L11]), float(record[L12]), float(record[L22])
+    a = float(record[L11]) + float(record[L11_LOW])
+    b = float(record[L12]) + float(record[L12_LOW])
+    c = float(record[L22]) + float(record[L22_LOW])
     first = 2.0 / LOG2_E
     d_x = first * (a * total[G_S1])
     d_y = first * (b * total[G_S1] + c * total[G_S2])

@@ -18,8 +18,11 @@ from .records import (
     DEPTH,
     GREEN,
     L11,
+    L11_LOW,
     L12,
+    L12_LOW,
     L22,
+    L22_LOW,
     OPACITY,
     REACH,
     REACH_MARGIN,
@@ -167,9 +170,15 @@ def project_range(
         records[i, CENTRE_X_LOW] = centre_x - float(records[i, CENTRE_X])
         records[i, CENTRE_Y] = centre_y
         records[i, CENTRE_Y_LOW] = centre_y - float(records[i, CENTRE_Y])
-        records[i, L11] = WHITENING * root
-        records[i, L12] = -WHITENING * cov_xy / (determinant * root)
-        records[i, L22] = WHITENING / math.sqrt(cov_yy)
+        l11 = WHITENING * root
+        l12 = -WHITENING * cov_xy / (determinant * root)
+        l22 = WHITENING / math.sqrt(cov_yy)
+        records[i, L11] = l11
+        records[i, L12] = l12
+        records[i, L22] = l22
+        records[i, L11_LOW] = l11 - float(records[i, L11])
+        records[i, L12_LOW] = l12 - float(records[i, L12])
+        records[i, L22_LOW] = l22 - float(records[i, L22])
         records[i, OPACITY] = opacities[i]
         records[i, REACH] = np.float32(reach * LOG2_E) + REACH_MARGIN
         records[i, RED] = colours[i, 0]

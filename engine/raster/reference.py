@@ -35,7 +35,7 @@ def rasterize_reference(
     # the order that all back ends share: depth rounded to float32, ties by index
     chosen = torch.nonzero(visible)[:, 0]
     order = chosen[torch.sort(depths.detach()[chosen].float(), stable=True).indices]
-    weights = blending_weights(centres[order], covariances[order], opacities[order], view)  # [n, H * W]
+    weights = blending_weights(raw_alphas(centres[order], covariances[order], opacities[order], view))
 
     def blend(values: Tensor, by: Tensor) -> Tensor:
         return (by.T @ values[order]).reshape(view.height, view.width, -1).to(dtype)
@@ -107,8 +107,8 @@ def footprint_visible(
     return (depths > view.near) & (opacities >= ALPHA_MIN) & (first <= last).all(-1)
 
 
-def blending_weights(centres: Tensor, covariances: Tensor, opacities: Tensor, view: View) -> Tensor:
-    """[n, H * W] weights of n Gaussians in front-to-back order."""
+def raw_alphas(centres: Tensor, covariances: Tensor, opacities: Tensor, view: View) -> Tensor:
+    """[n, H * W]: opacity * exp(-d^2 / 2), neither capped nor cut."""
     rows, columns = torch.meshgrid(
         torch.arange(view.height, dtype=centres.dtype, device=centres.device) + 0.5,
         torch.arange(view.width, dtype=centres.dtype, device=centres.device) + 0.5,
@@ -118,14 +118,33 @@ def blending_weights(centres: Tensor, covariances: Tensor, opacities: Tensor, vi
     dy = rows.reshape(1, -1) - centres[:, 1:2]
     a, b, c = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     determinant = a * c - b * b
-    distance = (c[:, None] * dx * dx - 2.0 * b[:, None] * dx * dy + a[:, None] * dy * dy) / determinant[
-        :, None
-    ]
-    alpha = (opacities[:, None] * torch.exp(-0.5 * distance)).clamp(max=ALPHA_MAX)
+    distance = (c[:, None] * dx * dx - 2.0 * b[:, None] * dx * dy + a[:, None] * dy * dy) / determinant[:, None]
+    return opacities[:, None] * torch.exp(-0.5 * distance)
+
+
+def blending_weights(raw: Tensor) -> Tensor:
+    """[n, H * W] weights of n Gaussians in front-to-back order, from their ``raw_alphas``."""
+    alpha = raw.clamp(max=ALPHA_MAX)
     alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
     after = torch.cumprod(1.0 - alpha, 0)
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
     return torch.where(after > TRANSMITTANCE_END, alpha * before, torch.zeros_like(alpha))
+
+
+def threshold_pixels(raw: Tensor, margin: float = 1e-5) -> Tensor:
+    """bool [H * W]: float32 may decide otherwise here, as something is near a threshold.
+
+    That is within ``margin`` (relative) for an alpha, and a hundred times that for a transmittance: behind an alpha near 0.99
+    its own error is so much larger.
+    """
+    alpha = raw.clamp(max=ALPHA_MAX)
+    alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
+    after = torch.cumprod(1.0 - alpha, 0)
+
+    def close(values: Tensor, threshold: float, factor: float = 1.0) -> Tensor:
+        return ((values / threshold - 1.0).abs() < factor * margin).any(0)
+
+    return close(raw, ALPHA_MIN) | close(raw, ALPHA_MAX) | close(after, TRANSMITTANCE_END, 100.0)
 
 
 def top_contributors(

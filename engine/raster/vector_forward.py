@@ -17,8 +17,11 @@ from .records import (
     DEPTH,
     GREEN,
     L11,
+    L11_LOW,
     L12,
+    L12_LOW,
     L22,
+    L22_LOW,
     OPACITY,
     REACH,
     RECORD,
@@ -82,8 +85,10 @@ def whiten_rows(records, at, left, top, scratch):
     # the origin in double, once a tile: everything after is within a few standard deviations
     dx = (left + 0.5 - float(records[at + CENTRE_X])) - float(records[at + CENTRE_X_LOW])
     dy = (top + 0.5 - float(records[at + CENTRE_Y])) - float(records[at + CENTRE_Y_LOW])
-    s1_origin = F(float(records[at + L11]) * dx + float(records[at + L12]) * dy)
-    s2_origin = F(float(records[at + L22]) * dy)
+    l11 = float(records[at + L11]) + float(records[at + L11_LOW])
+    l12 = float(records[at + L12]) + float(records[at + L12_LOW])
+    s1_origin = F(l11 * dx + l12 * dy)
+    s2_origin = F((float(records[at + L22]) + float(records[at + L22_LOW])) * dy)
     s1_left = fma(spread(records[at + L12]), lane_numbers(), spread(s1_origin))
     s2 = fma(spread(records[at + L22]), lane_numbers(), spread(s2_origin))
     store(scratch, S1_LEFT, s1_left)
@@ -138,7 +143,7 @@ def blend_gaussian(records, at, place, member, rows, alive, scratch, counts, mem
         alpha = minimum(opacity * exp2(spread(ZERO) - fma(s1, s1, s2 * s2)), spread(ALPHA_CAP))
         through = load(scratch, THROUGH + row)
         weight = alpha * through
-        after = through - weight
+        after = through * (spread(ONE) - alpha)
         seen = alpha >= spread(ALPHA_LEAST)
         blended = seen & (after > spread(ENDED))
         through = choose(blended, after, choose(seen, negative_of(through), through))

@@ -1,0 +1,49 @@
+"""Memory is used again, never under somebody's feet, and stays within its bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scenes import random_scene, render
+
+from engine.raster import memory, rasterize
+from engine.raster.workload import room_workload
+
+
+def test_what_is_kept_is_not_overwritten() -> None:
+    scene = random_scene(0, 100, 4, 40, 30)
+    first = rasterize(*scene.tensors, scene.pose, scene.intrinsics, 40, 30)
+    copy = first.image.clone()
+    darker = scene.changed(4, scene.tensors[4] * 0.1)
+    for _ in range(3):
+        rasterize(*darker.tensors, scene.pose, scene.intrinsics, 40, 30)
+    assert torch.equal(first.image, copy)
+
+
+def test_a_warm_step_allocates_nothing() -> None:
+    scene = random_scene(1, 300, 20, 64, 48)
+    for _ in range(3):
+        render(scene, "numba")
+    held = memory.held_bytes()
+    for _ in range(3):
+        render(scene, "numba")
+    assert memory.held_bytes() == held
+
+
+def test_blocks_are_aligned_and_distinct() -> None:
+    arrays = [memory.empty((3, 5), np.float32) for _ in range(4)]
+    assert all(array.ctypes.data % 64 == 0 for array in arrays)
+    assert len({array.ctypes.data for array in arrays}) == 4
+
+
+def test_stays_within_its_bound() -> None:
+    work = room_workload(10_000)
+    memory._blocks.clear()
+    tensors = [
+        torch.from_numpy(array).requires_grad_()
+        for array in (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
+    ]
+    out = rasterize(*tensors, work.camera_to_world, work.intrinsics, work.width, work.height)
+    assert out.labels is not None
+    torch.autograd.backward([out.image, out.labels], [out.image.detach(), out.labels.detach()])
+    assert memory.held_bytes() <= 2500 * 10_000 + 450 * work.width * work.height
