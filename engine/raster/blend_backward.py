@@ -8,10 +8,12 @@ Each Gaussian's gradient in each tile goes to a place of its own; a later pass a
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from .blend_forward import ALPHA_LEAST, ONE
-from .compiled import compiled, contracted
+from .compiled import Array, compiled, contracted
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import (
     BLUE,
@@ -33,8 +35,19 @@ ZERO = F(0.0)
 
 @compiled
 def load_tile(
-    left, top, rest, last_in, d_image, d_alpha, d_depth, through, behind, last, d_planes, last_of_row
-):
+    left: int,
+    top: int,
+    rest: Array,
+    last_in: Array,
+    d_image: Array,
+    d_alpha: Array,
+    d_depth: Array,
+    through: Array,
+    behind: Array,
+    last: Array,
+    d_planes: Array,
+    last_of_row: Array,
+) -> Any:
     """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the tile."""
     height, width = rest.shape
     far = -1
@@ -60,7 +73,7 @@ def load_tile(
 
 
 @compiled
-def load_tile_labels(left, top, d_labels, tile_labels):
+def load_tile_labels(left: int, top: int, d_labels: Array, tile_labels: Array) -> None:
     height, width, channels = d_labels.shape
     for r in range(TILE):
         for x in range(TILE):
@@ -70,7 +83,18 @@ def load_tile_labels(left, top, d_labels, tile_labels):
 
 
 @compiled
-def unblend_row(place, raw, last, through, behind, d_planes, r, record, weight, d_log_alpha):
+def unblend_row(
+    place: int,
+    raw: Array,
+    last: Array,
+    through: Array,
+    behind: Array,
+    d_planes: Array,
+    r: int,
+    record: Array,
+    weight: Array,
+    d_log_alpha: Array,
+) -> None:
     """Step back over one Gaussian on one row: its weight [16] and dL/d(ln raw alpha) [16], zero where it was not blended."""
     for x in range(TILE):
         capped = min(raw[x], ALPHA_CAP)
@@ -92,7 +116,9 @@ def unblend_row(place, raw, last, through, behind, d_planes, r, record, weight, 
 
 
 @contracted
-def add_moments(d_log_alpha, weight, s1, s2, d_planes, r, sums):
+def add_moments(
+    d_log_alpha: Array, weight: Array, s1: Array, s2: float, d_planes: Array, r: int, sums: Array
+) -> None:
     for x in range(TILE):
         g = d_log_alpha[x]
         t = g * s1[x]
@@ -108,7 +134,15 @@ def add_moments(d_log_alpha, weight, s1, s2, d_planes, r, sums):
 
 
 @compiled
-def add_label_gradients(counts, weights, members, tile_labels, chunk_labels, pixels, channels):
+def add_label_gradients(
+    counts: Array,
+    weights: Array,
+    members: Array,
+    tile_labels: Array,
+    chunk_labels: Array,
+    pixels: Array,
+    channels: int,
+) -> None:
     """chunk_labels [CHUNK + 1, C] += each member's weights times the pixels' label gradients, row after row."""
     for r in range(TILE):
         used = counts[r]
@@ -132,29 +166,29 @@ def add_label_gradients(counts, weights, members, tile_labels, chunk_labels, pix
 
 @compiled
 def unblend_tiles(
-    worker,
-    workers,
-    next_tile,
-    starts,
-    tile_ids,
-    tile_slots,
-    flat_records,
-    flat_rest,
-    flat_last,
-    flat_d_image,
-    flat_d_labels,
-    channels,
-    flat_d_alpha,
-    flat_d_depth,
-    width,
-    height,
-    touched,
-    slot_gradients,
-    slot_labels,
-    scratches,
-    member_lists,
-    row_counts,
-):
+    worker: int,
+    workers: int,
+    next_tile: Array,
+    starts: Array,
+    tile_ids: Array,
+    tile_slots: Array,
+    flat_records: Array,
+    flat_rest: Array,
+    flat_last: Array,
+    flat_d_image: Array,
+    flat_d_labels: Array,
+    channels: int,
+    flat_d_alpha: Array,
+    flat_d_depth: Array,
+    width: int,
+    height: int,
+    touched: Array,
+    slot_gradients: Array,
+    slot_labels: Array,
+    scratches: Array,
+    member_lists: Array,
+    row_counts: Array,
+) -> None:
     """Every ``workers``-th tile; arguments as those of its fast twin, which alone uses the last three."""
     records = flat_records.reshape(flat_records.size // RECORD, RECORD)
     rest = flat_rest.reshape(height, width)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from .compiled import compiled
+from .compiled import Array, compiled
 from .conventions import ALPHA_MIN, TRANSMITTANCE_END
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import BLUE, CHUNK, DEPTH, GREEN, L11, OPACITY, RECORD, RED, TILE
@@ -15,7 +17,7 @@ ENDED = F(TRANSMITTANCE_END)
 
 
 @compiled
-def start_tile(width, height, left, top, through, last):
+def start_tile(width: int, height: int, left: int, top: int, through: Array, last: Array) -> None:
     """Transmittance one inside the image, minus one (ended) outside; nothing blended yet."""
     for r in range(TILE):
         for x in range(TILE):
@@ -25,7 +27,7 @@ def start_tile(width, height, left, top, through, last):
 
 
 @compiled
-def blend_row(alpha, through, weight):
+def blend_row(alpha: Array, through: Array, weight: Array) -> None:
     """Weights [16] of one Gaussian on one row. The transmittance of an ended pixel is kept negative."""
     for x in range(TILE):
         capped = min(alpha[x], ALPHA_CAP)
@@ -38,7 +40,7 @@ def blend_row(alpha, through, weight):
 
 
 @compiled
-def add_colour_row(weight, record, planes, row):
+def add_colour_row(weight: Array, record: Array, planes: Array, row: int) -> None:
     for x in range(TILE):
         planes[0, row, x] += weight[x] * record[RED]
     for x in range(TILE):
@@ -50,7 +52,15 @@ def add_colour_row(weight, record, planes, row):
 
 
 @compiled
-def add_label_rows(counts, weights, gaussians, labels, tile_labels, by_pixel, pixels):
+def add_label_rows(
+    counts: Array,
+    weights: Array,
+    gaussians: Array,
+    labels: Array,
+    tile_labels: Array,
+    by_pixel: Array,
+    pixels: Array,
+) -> None:
     """tile_labels [256, C] += the weights of a chunk's Gaussians times their labels, row after row."""
     channels = labels.shape[1]
     for r in range(TILE):
@@ -77,7 +87,7 @@ def add_label_rows(counts, weights, gaussians, labels, tile_labels, by_pixel, pi
 
 
 @compiled
-def any_alive(through):
+def any_alive(through: Array) -> Any:
     rows = 0
     for r in range(TILE):
         for x in range(TILE):
@@ -89,8 +99,19 @@ def any_alive(through):
 
 @compiled
 def write_tile(
-    left, top, through, last, planes, tile_labels, image, labels_out, alpha, depth, rest, last_out
-):
+    left: int,
+    top: int,
+    through: Array,
+    last: Array,
+    planes: Array,
+    tile_labels: Array,
+    image: Array,
+    labels_out: Array,
+    alpha: Array,
+    depth: Array,
+    rest: Array,
+    last_out: Array,
+) -> None:
     height, width = alpha.shape
     for r in range(min(TILE, height - top)):
         y = top + r
@@ -108,26 +129,26 @@ def write_tile(
 
 @compiled
 def blend_tiles(
-    worker,
-    workers,
-    next_tile,
-    starts,
-    tile_ids,
-    flat_records,
-    flat_labels,
-    channels,
-    width,
-    height,
-    flat_image,
-    flat_labels_out,
-    flat_alpha,
-    flat_depth,
-    flat_rest,
-    flat_last,
-    scratches,
-    member_lists,
-    row_counts,
-):
+    worker: int,
+    workers: int,
+    next_tile: Array,
+    starts: Array,
+    tile_ids: Array,
+    flat_records: Array,
+    flat_labels: Array,
+    channels: int,
+    width: int,
+    height: int,
+    flat_image: Array,
+    flat_labels_out: Array,
+    flat_alpha: Array,
+    flat_depth: Array,
+    flat_rest: Array,
+    flat_last: Array,
+    scratches: Array,
+    member_lists: Array,
+    row_counts: Array,
+) -> None:
     """Every ``workers``-th tile; arguments as those of its fast twin, which alone uses the last three."""
     records = flat_records.reshape(flat_records.size // RECORD, RECORD)
     labels = flat_labels.reshape(records.shape[0], channels)

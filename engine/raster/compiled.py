@@ -17,6 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+"""An array as a kernel takes it; the docstrings tell shape and dtype."""
 
 log = logging.getLogger("plgs.raster")
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from .blend_forward import any_alive, blend_row, start_tile
-from .compiled import compiled
+from .compiled import Array, compiled
 from .footprint import F, alpha_row, whiten_rows
 from .records import L11, OPACITY, TILE
 
 
 @compiled
-def keep_largest(gaussian, weight, indices, weights):
+def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -> None:
     """Put one contributor into a pixel's lists, largest first; of two equal ones the front one stays first."""
     place = weights.shape[0] - 1
     if weight <= weights[place]:
@@ -25,7 +25,9 @@ def keep_largest(gaussian, weight, indices, weights):
 
 
 @compiled
-def list_contributors(worker, workers, starts, tile_ids, records, indices, weights):
+def list_contributors(
+    worker: int, workers: int, starts: Array, tile_ids: Array, records: Array, indices: Array, weights: Array
+) -> None:
     """Every ``workers``-th tile: indices int32 [H, W, k] and weights [H, W, k]; -1 and 0 where there are fewer than k."""
     height, width, wanted = weights.shape
     columns = (width + TILE - 1) // TILE

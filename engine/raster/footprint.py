@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from .compiled import compiled, contracted
+from .compiled import Array, compiled, contracted
 from .conventions import ALPHA_MAX
 from .records import (
     CENTRE_X,
@@ -34,7 +36,7 @@ E4, E5, E6 = F(0.009618056938052177), F(0.0013400427997112274), F(0.000154614448
 
 
 @compiled
-def whiten_rows(record, left, top, s1_left, s2):
+def whiten_rows(record: Array, left: int, top: int, s1_left: Array, s2: Array) -> Any:
     """s1 at the first pixel and s2 of each of the tile's rows; returns the mask of the rows that the footprint touches."""
     # the origin in double, once a tile: everything after is within a few standard deviations
     dx = (left + 0.5 - float(record[CENTRE_X])) - float(record[CENTRE_X_LOW])
@@ -55,7 +57,9 @@ def whiten_rows(record, left, top, s1_left, s2):
 
 
 @compiled
-def alpha_row(s1_left, slope, s2, opacity, s1, raw, bits):
+def alpha_row(
+    s1_left: float, slope: float, s2: float, opacity: float, s1: Array, raw: Array, bits: Array
+) -> None:
     """Fill s1 [16] and raw [16] = opacity * 2^-(s1^2 + s2^2), before the cap. bits int32 [16] is a view of raw."""
     for x in range(TILE):
         s1[x] = s1_left + slope * LANES[x]
@@ -75,7 +79,15 @@ def alpha_row(s1_left, slope, s2, opacity, s1, raw, bits):
 
 
 @contracted
-def add_products(out, out_rows, weights, count, source, source_rows, channels):
+def add_products(
+    out: Array,
+    out_rows: Array,
+    weights: Array,
+    count: tuple[int, int],
+    source: Array,
+    source_rows: Array,
+    channels: int,
+) -> None:
     """out[out_rows[a]] += sum_b weights[a, b] * source[source_rows[b]], over a < count[0] and b < count[1], multiples of four.
 
     The one matrix product of both passes, four rows by four: sixteen multiply-adds for every four loads and stores.

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from .compiled import compiled
+from .compiled import Array, compiled
 from .projection import (
     LOG2_E,
     axes_on_image,
@@ -41,7 +43,7 @@ F = np.float32
 
 
 @compiled
-def gradient_on_image(record, total):
+def gradient_on_image(record: Array, total: Array) -> Any:
     """dL/d(centre x, y) and dL/d(covariance xx, xy = yx, yy) from the moments of the whitened offsets.
 
     With A = WHITENING * L, s = A d and g = dL/d(ln alpha): ln alpha = -|s|^2 / log2(e), so
@@ -61,12 +63,24 @@ def gradient_on_image(record, total):
 
 
 @compiled
-def through_clamp(value, low, high, d_clamped):
+def through_clamp(value: float, low: float, high: float, d_clamped: float) -> Any:
     return d_clamped if low <= value <= high else 0.0
 
 
 @compiled
-def chain_to_scene(i, total, records, means, scales, quats, camera, d_means, d_scales, d_quats, d_means2d):
+def chain_to_scene(
+    i: int,
+    total: Array,
+    records: Array,
+    means: Array,
+    scales: Array,
+    quats: Array,
+    camera: Array,
+    d_means: Array,
+    d_scales: Array,
+    d_quats: Array,
+    d_means2d: Array,
+) -> None:
     """The chain rule of ``project_range`` for Gaussian i, from its summed tile gradients [GRADIENT] (double)."""
     d_x2, d_y2, d_xx, d_xy, d_yy = gradient_on_image(records[i], total)
     d_means2d[i, 0] = d_x2
@@ -146,7 +160,15 @@ def chain_to_scene(i, total, records, means, scales, quats, camera, d_means, d_s
 
 
 @compiled
-def clear(i, d_means, d_scales, d_quats, d_opacities, d_colours, d_means2d):
+def clear(
+    i: int,
+    d_means: Array,
+    d_scales: Array,
+    d_quats: Array,
+    d_opacities: Array,
+    d_colours: Array,
+    d_means2d: Array,
+) -> None:
     d_opacities[i] = F(0.0)
     for c in range(2):
         d_means2d[i, c] = F(0.0)
@@ -160,26 +182,26 @@ def clear(i, d_means, d_scales, d_quats, d_opacities, d_colours, d_means2d):
 
 @compiled
 def gather(
-    worker,
-    workers,
-    slots,
-    touched,
-    slot_gradients,
-    slot_labels,
-    channels,
-    records,
-    means,
-    scales,
-    quats,
-    camera,
-    d_means,
-    d_scales,
-    d_quats,
-    d_opacities,
-    d_colours,
-    d_labels,
-    d_means2d,
-):
+    worker: int,
+    workers: int,
+    slots: Array,
+    touched: Array,
+    slot_gradients: Array,
+    slot_labels: Array,
+    channels: int,
+    records: Array,
+    means: Array,
+    scales: Array,
+    quats: Array,
+    camera: Array,
+    d_means: Array,
+    d_scales: Array,
+    d_quats: Array,
+    d_opacities: Array,
+    d_colours: Array,
+    d_labels: Array,
+    d_means2d: Array,
+) -> None:
     """A worker's share of the gradients of all N Gaussians, zeros included. d_labels is flat, [N * C]."""
     count = means.shape[0]
     total = np.empty(GRADIENT, np.float64)

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from .compiled import compiled
+from .compiled import Array, compiled
 from .vectors import WIDTH, fma, load, spread, store
 
 F = np.float32
@@ -15,7 +15,7 @@ CHAINS = 12
 
 
 @compiled
-def multiply_add(rounds, values):
+def multiply_add(rounds: int, values: Array) -> None:
     """12 x 16 multiply-adds a round, all in registers."""
     a = b = c = d = e = f = g = h = i = j = k = m = load(values, 0)
     scale, shift = spread(F(0.999)), spread(F(0.001))

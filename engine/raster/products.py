@@ -83,19 +83,19 @@ def _offset(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any,
 def _blend_block(rows: int, vectors: int) -> Any:
     @intrinsic
     def block(
-        typing_context,
-        out,
-        out_at,
-        source,
-        source_at,
-        members,
-        members_at,
-        weights,
-        weights_at,
-        count,
-        stride,
-    ):
-        def emit(context, builder, signature, arguments):
+        typing_context: Any,
+        out: Any,
+        out_at: Any,
+        source: Any,
+        source_at: Any,
+        members: Any,
+        members_at: Any,
+        weights: Any,
+        weights_at: Any,
+        count: Any,
+        stride: Any,
+    ) -> Any:
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             pointers = {
                 "out": _offset(context, builder, signature, arguments, 0),
                 "source": _offset(context, builder, signature, arguments, 2),
@@ -119,9 +119,18 @@ def _blend_block(rows: int, vectors: int) -> Any:
 def _unblend_block(rows: int, vectors: int) -> Any:
     @intrinsic
     def block(
-        typing_context, out, out_at, members, members_at, source, source_at, weights, weights_at, stride
-    ):
-        def emit(context, builder, signature, arguments):
+        typing_context: Any,
+        out: Any,
+        out_at: Any,
+        members: Any,
+        members_at: Any,
+        source: Any,
+        source_at: Any,
+        weights: Any,
+        weights_at: Any,
+        stride: Any,
+    ) -> Any:
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             pointers = {
                 "out": _offset(context, builder, signature, arguments, 0),
                 "out_rows": _offset(context, builder, signature, arguments, 2),

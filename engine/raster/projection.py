@@ -4,10 +4,11 @@ the blending, and thin Gaussians need it."""
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
-from .compiled import compiled
+from .compiled import Array, compiled
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM
 from .records import (
     BLUE,
@@ -44,7 +45,7 @@ CAMERA = 21
 
 
 @compiled
-def camera_point(camera, x, y, z):
+def camera_point(camera: Array, x: float, y: float, z: float) -> Any:
     """World to camera coordinates, metres."""
     x -= camera[9]
     y -= camera[10]
@@ -57,14 +58,14 @@ def camera_point(camera, x, y, z):
 
 
 @compiled
-def unit_quaternion(w, x, y, z):
+def unit_quaternion(w: float, x: float, y: float, z: float) -> Any:
     """The normalised quaternion and the norm it was divided by."""
     norm = max(math.sqrt(w * w + x * x + y * y + z * z), TINY_NORM)
     return w / norm, x / norm, y / norm, z / norm, norm
 
 
 @compiled
-def rotation_of(w, x, y, z):
+def rotation_of(w: float, x: float, y: float, z: float) -> Any:
     """The nine entries, row by row, of a unit quaternion's matrix."""
     return (
         1.0 - 2.0 * (y * y + z * z),
@@ -80,12 +81,12 @@ def rotation_of(w, x, y, z):
 
 
 @compiled
-def clamped(value, low, high):
+def clamped(value: float, low: float, high: float) -> Any:
     return min(max(value, low), high)
 
 
 @compiled
-def image_jacobian(camera, x, y, z):
+def image_jacobian(camera: Array, x: float, y: float, z: float) -> Any:
     """The 2x3 matrix J R from world offsets to pixels at camera point (x, y, z), and the clamped slopes x/z and y/z."""
     over_z = 1.0 / z
     u = clamped(x * over_z, camera[17], camera[18])
@@ -105,7 +106,9 @@ def image_jacobian(camera, x, y, z):
 
 
 @compiled
-def axes_on_image(jacobian, rotation, sx, sy, sz):
+def axes_on_image(
+    jacobian: tuple[float, ...], rotation: tuple[float, ...], sx: float, sy: float, sz: float
+) -> Any:
     """The 2x3 matrix J R Q diag(s): the Gaussian's axes, scaled, in pixels."""
     j0, j1, j2, j3, j4, j5, _, _ = jacobian
     q0, q1, q2, q3, q4, q5, q6, q7, q8 = rotation
@@ -121,8 +124,19 @@ def axes_on_image(jacobian, rotation, sx, sy, sz):
 
 @compiled
 def project_range(
-    first, last, means, scales, quats, opacities, colours, camera, width, height, records, boxes
-):
+    first: int,
+    last: int,
+    means: Array,
+    scales: Array,
+    quats: Array,
+    opacities: Array,
+    colours: Array,
+    camera: Array,
+    width: int,
+    height: int,
+    records: Array,
+    boxes: Array,
+) -> Any:
     """Fill records [N, RECORD] and boxes int32 [N, 4] (tile columns and rows, last ones excluded) of Gaussians first to last.
 
     A Gaussian that is not visible gets an empty box. Returns how many are visible and how many tiles they touch.
@@ -190,8 +204,20 @@ def project_range(
 
 @compiled
 def project(
-    worker, workers, means, scales, quats, opacities, colours, camera, width, height, records, boxes, counts
-):
+    worker: int,
+    workers: int,
+    means: Array,
+    scales: Array,
+    quats: Array,
+    opacities: Array,
+    colours: Array,
+    camera: Array,
+    width: int,
+    height: int,
+    records: Array,
+    boxes: Array,
+    counts: Array,
+) -> None:
     """A worker's share of ``project_range``; counts int64 [workers, 2] gets its visible Gaussians and touched tiles."""
     count = means.shape[0]
     first = count * worker // workers

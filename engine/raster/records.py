@@ -23,7 +23,11 @@ L11, L12, L22 = 4, 5, 6
 OPACITY = 7
 REACH = 8  # |s|^2 beyond which alpha < 1/255, a little rounded up
 RED, GREEN, BLUE, DEPTH = 9, 10, 11, 12
-L11_LOW, L12_LOW, L22_LOW = 13, 14, 15  # what float32 rounded off; it matters far from the centre of a long one
+L11_LOW, L12_LOW, L22_LOW = (
+    13,
+    14,
+    15,
+)  # what float32 rounded off; it matters far from the centre of a long one
 RECORD = 16
 
 # columns of the gradients of one Gaussian in one tile; g = dLoss/d(ln alpha) summed over pixels

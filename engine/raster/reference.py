@@ -118,7 +118,9 @@ def raw_alphas(centres: Tensor, covariances: Tensor, opacities: Tensor, view: Vi
     dy = rows.reshape(1, -1) - centres[:, 1:2]
     a, b, c = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     determinant = a * c - b * b
-    distance = (c[:, None] * dx * dx - 2.0 * b[:, None] * dx * dy + a[:, None] * dy * dy) / determinant[:, None]
+    distance = (c[:, None] * dx * dx - 2.0 * b[:, None] * dx * dy + a[:, None] * dy * dy) / determinant[
+        :, None
+    ]
     return opacities[:, None] * torch.exp(-0.5 * distance)
 
 

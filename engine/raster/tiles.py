@@ -7,10 +7,12 @@ many workers there are.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from . import memory
-from .compiled import compiled
+from .compiled import Array, compiled
 from .crew import share
 from .records import DEPTH, TILE
 
@@ -22,7 +24,19 @@ WORTH_SHARING = 30_000
 
 
 @compiled
-def list_visible(worker, workers, boxes, records, places, slot_starts, keys, ids, slots, centres, visible):
+def list_visible(
+    worker: int,
+    workers: int,
+    boxes: Array,
+    records: Array,
+    places: Array,
+    slot_starts: Array,
+    keys: Array,
+    ids: Array,
+    slots: Array,
+    centres: Array,
+    visible: Array,
+) -> None:
     """keys uint32 [V], ids int32 [V] of the visible in index order; slots int64 [N + 1], running sum of touched tiles.
 
     Also fills ``visible`` bool [N] and ``centres`` [N, 2] (pixels, zero where not visible).
@@ -50,7 +64,7 @@ def list_visible(worker, workers, boxes, records, places, slot_starts, keys, ids
 
 
 @compiled
-def count_digits(worker, workers, keys, shift, histograms):
+def count_digits(worker: int, workers: int, keys: Array, shift: np.uint32, histograms: Array) -> None:
     count = keys.shape[0]
     for digit in range(DIGITS):
         histograms[worker, digit] = 0
@@ -59,7 +73,7 @@ def count_digits(worker, workers, keys, shift, histograms):
 
 
 @compiled
-def running_starts(histograms, starts):
+def running_starts(histograms: Array, starts: Array) -> None:
     """Counts [workers, bins] become the places where each worker's share of each bin begins; starts [bins + 1] the bins'."""
     workers, bins = histograms.shape
     total = 0
@@ -73,7 +87,16 @@ def running_starts(histograms, starts):
 
 
 @compiled
-def deal_digits(worker, workers, keys, ids, shift, places, keys_out, ids_out):
+def deal_digits(
+    worker: int,
+    workers: int,
+    keys: Array,
+    ids: Array,
+    shift: np.uint32,
+    places: Array,
+    keys_out: Array,
+    ids_out: Array,
+) -> None:
     count = keys.shape[0]
     for i in range(count * worker // workers, count * (worker + 1) // workers):
         digit = (keys[i] >> shift) & np.uint32(DIGITS - 1)
@@ -84,7 +107,9 @@ def deal_digits(worker, workers, keys, ids, shift, places, keys_out, ids_out):
 
 
 @compiled
-def count_tiles(worker, workers, order, boxes, columns, histograms):
+def count_tiles(
+    worker: int, workers: int, order: Array, boxes: Array, columns: int, histograms: Array
+) -> None:
     count = order.shape[0]
     for tile in range(histograms.shape[1]):
         histograms[worker, tile] = 0
@@ -96,7 +121,17 @@ def count_tiles(worker, workers, order, boxes, columns, histograms):
 
 
 @compiled
-def deal_tiles(worker, workers, order, boxes, slots, columns, places, tile_ids, tile_slots):
+def deal_tiles(
+    worker: int,
+    workers: int,
+    order: Array,
+    boxes: Array,
+    slots: Array,
+    columns: int,
+    places: Array,
+    tile_ids: Array,
+    tile_slots: Array,
+) -> None:
     """tile_ids int32 [T] (Gaussian) and tile_slots int32 [T] (where its gradient in that tile goes), tile after tile."""
     count = order.shape[0]
     for k in range(count * worker // workers, count * (worker + 1) // workers):
@@ -112,7 +147,7 @@ def deal_tiles(worker, workers, order, boxes, slots, columns, places, tile_ids, 
                 slot += 1
 
 
-def sort_by_depth(workers, keys, ids):
+def sort_by_depth(workers: int, keys: Array, ids: Array) -> Any:
     """The visible Gaussians int32 [V], front to back."""
     spare_keys, spare_ids = memory.empty(keys.size, np.uint32), memory.empty(keys.size, np.int32)
     histograms = memory.empty((workers, DIGITS), np.int64)
@@ -127,7 +162,9 @@ def sort_by_depth(workers, keys, ids):
     return ids
 
 
-def deal(workers, order, boxes, slots, touched, width, height):
+def deal(
+    workers: int, order: Array, boxes: Array, slots: Array, touched: int, width: int, height: int
+) -> Any:
     """starts int64 [tiles + 1], tile_ids int32 [T], tile_slots int32 [T]: each tile's Gaussians, front to back."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     tile_ids, tile_slots = memory.empty(touched, np.int32), memory.empty(touched, np.int32)

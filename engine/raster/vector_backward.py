@@ -3,9 +3,11 @@ equations stand."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from .compiled import compiled
+from .compiled import Array, compiled
 from .products import (
     BLOCK,
     ROWS,
@@ -67,7 +69,18 @@ def scratch_size(channels: int) -> int:
 
 
 @compiled
-def load_tile(left, top, width, height, rest, last_in, d_image, d_alpha, d_depth, scratch):
+def load_tile(
+    left: int,
+    top: int,
+    width: int,
+    height: int,
+    rest: Array,
+    last_in: Array,
+    d_image: Array,
+    d_alpha: Array,
+    d_depth: Array,
+    scratch: Array,
+) -> Any:
     """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the tile."""
     inside = lane_numbers() < spread(F(width - left))
     far = -1
@@ -95,7 +108,9 @@ def load_tile(left, top, width, height, rest, last_in, d_image, d_alpha, d_depth
 
 
 @compiled
-def load_tile_labels(left, top, width, height, d_labels, channels, padded, scratch):
+def load_tile_labels(
+    left: int, top: int, width: int, height: int, d_labels: Array, channels: int, padded: int, scratch: Array
+) -> None:
     tile_labels = CHUNK_LABELS + (CHUNK + 1) * padded
     for r in range(TILE):
         for x in range(TILE):
@@ -108,7 +123,18 @@ def load_tile_labels(left, top, width, height, d_labels, channels, padded, scrat
 
 
 @compiled
-def unblend_gaussian(records, at, place, member, rows, scratch, counts, members, gradients, slot):
+def unblend_gaussian(
+    records: Array,
+    at: int,
+    place: float,
+    member: int,
+    rows: int,
+    scratch: Array,
+    counts: Array,
+    members: Array,
+    gradients: Array,
+    slot: int,
+) -> None:
     """Step back over one Gaussian on the rows of a mask, and write its gradients."""
     slope = spread(records[at + L11])
     opacity = spread(records[at + OPACITY])
@@ -167,7 +193,7 @@ def unblend_gaussian(records, at, place, member, rows, scratch, counts, members,
 
 
 @compiled
-def add_label_gradients(scratch, counts, members, padded):
+def add_label_gradients(scratch: Array, counts: Array, members: Array, padded: int) -> None:
     """The chunk's label gradients += its weights times the tile's label gradients, row after row."""
     for r in range(TILE):
         count = counts[r]
@@ -204,29 +230,29 @@ def add_label_gradients(scratch, counts, members, padded):
 
 @compiled
 def unblend_tiles(
-    worker,
-    workers,
-    next_tile,
-    starts,
-    tile_ids,
-    tile_slots,
-    records,
-    rest,
-    last_in,
-    d_image,
-    d_labels,
-    channels,
-    d_alpha,
-    d_depth,
-    width,
-    height,
-    touched,
-    slot_gradients,
-    slot_labels,
-    scratches,
-    member_lists,
-    row_counts,
-):
+    worker: int,
+    workers: int,
+    next_tile: Array,
+    starts: Array,
+    tile_ids: Array,
+    tile_slots: Array,
+    records: Array,
+    rest: Array,
+    last_in: Array,
+    d_image: Array,
+    d_labels: Array,
+    channels: int,
+    d_alpha: Array,
+    d_depth: Array,
+    width: int,
+    height: int,
+    touched: Array,
+    slot_gradients: Array,
+    slot_labels: Array,
+    scratches: Array,
+    member_lists: Array,
+    row_counts: Array,
+) -> None:
     """Tile after tile until none is left: fill slot_gradients [T * 16] and slot_labels [T * padded channels] where touched
     uint8 [T] is set."""
     scratch, members, counts = scratches[worker], member_lists[worker], row_counts[worker]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from .compiled import compiled
+from .compiled import Array, compiled
 from .conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
 from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
 from .records import (
@@ -80,7 +82,7 @@ def scratch_size(channels: int) -> int:
 
 
 @compiled
-def whiten_rows(records, at, left, top, scratch):
+def whiten_rows(records: Array, at: int, left: int, top: int, scratch: Array) -> Any:
     """s1 at the first pixel and s2 of each of the tile's rows, to scratch; returns the mask of the rows that are touched."""
     # the origin in double, once a tile: everything after is within a few standard deviations
     dx = (left + 0.5 - float(records[at + CENTRE_X])) - float(records[at + CENTRE_X_LOW])
@@ -99,7 +101,7 @@ def whiten_rows(records, at, left, top, scratch):
 
 
 @compiled
-def start_tile(width, height, left, top, scratch):
+def start_tile(width: int, height: int, left: int, top: int, scratch: Array) -> Any:
     """Transmittance one inside the image, minus one (ended) outside. Returns the mask of rows inside."""
     inside = lane_numbers() < spread(F(width - left))
     alive = 0
@@ -116,7 +118,7 @@ def start_tile(width, height, left, top, scratch):
 
 
 @compiled
-def copy_labels(gaussian, labels, channels, scratch, at):
+def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at: int) -> None:
     """One Gaussian's labels, padded with zeros to whole vectors."""
     source = gaussian * channels
     for c in range(0, channels - TILE + 1, TILE):
@@ -128,7 +130,17 @@ def copy_labels(gaussian, labels, channels, scratch, at):
 
 
 @compiled
-def blend_gaussian(records, at, place, member, rows, alive, scratch, counts, members):
+def blend_gaussian(
+    records: Array,
+    at: int,
+    place: float,
+    member: int,
+    rows: int,
+    alive: int,
+    scratch: Array,
+    counts: Array,
+    members: Array,
+) -> Any:
     """Blend one Gaussian on the rows of a mask; returns the rows that still see anything."""
     slope = spread(records[at + L11])
     opacity = spread(records[at + OPACITY])
@@ -165,7 +177,7 @@ def blend_gaussian(records, at, place, member, rows, alive, scratch, counts, mem
 
 
 @compiled
-def add_labels(scratch, counts, members, padded):
+def add_labels(scratch: Array, counts: Array, members: Array, padded: int) -> None:
     """The tile's labels += the chunk's weights times its labels, row after row, eight pixels times three vectors at a time."""
     tile_labels = CHUNK_LABELS + CHUNK * padded
     for r in range(TILE):
@@ -221,7 +233,20 @@ def add_labels(scratch, counts, members, padded):
 
 
 @compiled
-def write_tile(left, top, width, height, channels, scratch, image, labels_out, alpha, depth, rest, last_out):
+def write_tile(
+    left: int,
+    top: int,
+    width: int,
+    height: int,
+    channels: int,
+    scratch: Array,
+    image: Array,
+    labels_out: Array,
+    alpha: Array,
+    depth: Array,
+    rest: Array,
+    last_out: Array,
+) -> None:
     padded = (channels + TILE - 1) // TILE * TILE
     inside = lane_numbers() < spread(F(width - left))
     tail = channels % TILE
@@ -252,26 +277,26 @@ def write_tile(left, top, width, height, channels, scratch, image, labels_out, a
 
 @compiled
 def blend_tiles(
-    worker,
-    workers,
-    next_tile,
-    starts,
-    tile_ids,
-    records,
-    labels,
-    channels,
-    width,
-    height,
-    image,
-    labels_out,
-    alpha,
-    depth,
-    rest,
-    last_out,
-    scratches,
-    member_lists,
-    row_counts,
-):
+    worker: int,
+    workers: int,
+    next_tile: Array,
+    starts: Array,
+    tile_ids: Array,
+    records: Array,
+    labels: Array,
+    channels: int,
+    width: int,
+    height: int,
+    image: Array,
+    labels_out: Array,
+    alpha: Array,
+    depth: Array,
+    rest: Array,
+    last_out: Array,
+    scratches: Array,
+    member_lists: Array,
+    row_counts: Array,
+) -> None:
     """Tile after tile until none is left. ``rest`` [H * W] gets the final transmittance, ``last_out`` [H * W] (as float32) the
     place in the tile's list of the last Gaussian blended (-1: none)."""
     scratch, members, counts = scratches[worker], member_lists[worker], row_counts[worker]

@@ -75,12 +75,12 @@ def _is_flat(array: types.Type, dtype: types.Type) -> bool:
 
 
 @intrinsic
-def load(typing_context, array, index):
+def load(typing_context: Any, array: Any, index: Any) -> Any:
     """array[index : index + 16] of a flat contiguous float32 array; unchecked, any alignment."""
     if not _is_flat(array, types.float32):
         return None
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = element(context, builder, signature.args[0], *arguments)
         return builder.load(builder.bitcast(pointer, LANES_IR.as_pointer()), align=4)
 
@@ -88,12 +88,12 @@ def load(typing_context, array, index):
 
 
 @intrinsic
-def store(typing_context, array, index, values):
+def store(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
     """array[index : index + 16] = values; unchecked, any alignment."""
     if not _is_flat(array, types.float32) or values is not lanes:
         return None
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = element(context, builder, signature.args[0], *arguments[:2])
         builder.store(arguments[2], builder.bitcast(pointer, LANES_IR.as_pointer()), align=4)
         return context.get_dummy_value()
@@ -102,12 +102,12 @@ def store(typing_context, array, index, values):
 
 
 @intrinsic
-def load_some(typing_context, array, index, wanted):
+def load_some(typing_context: Any, array: Any, index: Any, wanted: Any) -> Any:
     """As ``load`` where wanted, 0 elsewhere; memory outside is not touched."""
     if not _is_flat(array, types.float32) or wanted is not flags:
         return None
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = element(context, builder, signature.args[0], *arguments[:2])
         pointer = builder.bitcast(pointer, LANES_IR.as_pointer())
         values = [pointer, INT(4), arguments[2], constant(0.0)]
@@ -117,12 +117,12 @@ def load_some(typing_context, array, index, wanted):
 
 
 @intrinsic
-def store_some(typing_context, array, index, values, wanted):
+def store_some(typing_context: Any, array: Any, index: Any, values: Any, wanted: Any) -> Any:
     """As ``store`` where wanted; memory outside is not touched."""
     if not _is_flat(array, types.float32) or values is not lanes or wanted is not flags:
         return None
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = element(context, builder, signature.args[0], *arguments[:2])
         pointer = builder.bitcast(pointer, LANES_IR.as_pointer())
         values = [arguments[2], pointer, INT(4), arguments[3]]
@@ -133,40 +133,40 @@ def store_some(typing_context, array, index, values, wanted):
 
 
 @intrinsic
-def spread(typing_context, scalar):
+def spread(typing_context: Any, scalar: Any) -> Any:
     """A scalar in all lanes."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return splat(builder, arguments[0])
 
     return lanes(types.float32), emit
 
 
 @intrinsic
-def lane_numbers(typing_context):
+def lane_numbers(typing_context: Any) -> Any:
     """0, 1, ... 15."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return ir.Constant(LANES_IR, [float(lane) for lane in range(WIDTH)])
 
     return lanes(), emit
 
 
 @intrinsic
-def fma(typing_context, a, b, c):
+def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     """a * b + c."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call(builder, "llvm.fmuladd.v16f32", LANES_IR, list(arguments))
 
     return lanes(lanes, lanes, lanes), emit
 
 
 @intrinsic
-def minimum(typing_context, a, b):
+def minimum(typing_context: Any, a: Any, b: Any) -> Any:
     """b where it is less than a, else a."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         a, b = arguments
         return builder.select(builder.fcmp_ordered("<", b, a), b, a)
 
@@ -174,10 +174,10 @@ def minimum(typing_context, a, b):
 
 
 @intrinsic
-def maximum(typing_context, a, b):
+def maximum(typing_context: Any, a: Any, b: Any) -> Any:
     """b where it is greater than a, else a."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         a, b = arguments
         return builder.select(builder.fcmp_ordered(">", b, a), b, a)
 
@@ -185,20 +185,20 @@ def maximum(typing_context, a, b):
 
 
 @intrinsic
-def choose(typing_context, condition, a, b):
+def choose(typing_context: Any, condition: Any, a: Any, b: Any) -> Any:
     """a where the flag is set, else b."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.select(*arguments)
 
     return lanes(flags, lanes, lanes), emit
 
 
 @intrinsic
-def negative_of(typing_context, a):
+def negative_of(typing_context: Any, a: Any) -> Any:
     """-abs(a): the sign bit set."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         bits = builder.or_(builder.bitcast(arguments[0], INTS_IR), ir.Constant(INTS_IR, [-(1 << 31)] * WIDTH))
         return builder.bitcast(bits, LANES_IR)
 
@@ -206,20 +206,20 @@ def negative_of(typing_context, a):
 
 
 @intrinsic
-def bits_of(typing_context, condition):
+def bits_of(typing_context: Any, condition: Any) -> Any:
     """The flags as an integer, lane 0 lowest."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.zext(builder.bitcast(arguments[0], WORD), ir.IntType(64))
 
     return types.int64(flags), emit
 
 
 @intrinsic
-def lowest_bit(typing_context, bits):
+def lowest_bit(typing_context: Any, bits: Any) -> Any:
     """The place of the lowest bit set (bits is not 0)."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call(builder, "llvm.cttz.i64", ir.IntType(64), [arguments[0], ir.Constant(ir.IntType(1), 1)])
 
     return types.int64(types.int64), emit
@@ -239,10 +239,10 @@ _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it leaves the nearest integer in th
 
 
 @intrinsic
-def exp2(typing_context, a):
+def exp2(typing_context: Any, a: Any) -> Any:
     """2^a for a <= 127; what is below -64 counts as -64, so that no product with it is a (slow) subnormal."""
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         a = arguments[0]
         lowest = constant(-64.0)
         a = builder.select(builder.fcmp_ordered(">", a, lowest), a, lowest)
@@ -258,13 +258,13 @@ def exp2(typing_context, a):
 
 
 @intrinsic
-def totals(typing_context, vectors):
+def totals(typing_context: Any, vectors: Any) -> Any:
     """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the others are 0.
 
     A tree of pairwise sums: neighbours are folded together until one vector is left, always in the same order.
     """
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         level = list(cgutils.unpack_tuple(builder, arguments[0]))
         level += [None] * (WIDTH - len(level))
         width = WIDTH
@@ -294,12 +294,12 @@ def _fold(
 
 
 @intrinsic
-def take_next(typing_context, counter):
+def take_next(typing_context: Any, counter: Any) -> Any:
     """counter[0], raised by one at once for all threads: deals out work."""
     if not _is_flat(counter, types.int64):
         return None
 
-    def emit(context, builder, signature, arguments):
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = element(context, builder, signature.args[0], arguments[0], ir.IntType(64)(0))
         return builder.atomic_rmw("add", pointer, ir.IntType(64)(1), "monotonic")
 
@@ -309,11 +309,11 @@ def take_next(typing_context, counter):
 def _register_arithmetic() -> None:
     def register(function: Any, emit: Any) -> None:
         @type_callable(function)
-        def type_of(context):
+        def type_of(context: Any) -> Any:
             return lambda a, b: lanes if a is lanes and b is lanes else None
 
         @lower_builtin(function, lanes, lanes)
-        def lower(context, builder, signature, arguments):
+        def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return emit(builder, *arguments)
 
     register(operator.add, ir.IRBuilder.fadd)
@@ -325,11 +325,11 @@ def _register_arithmetic() -> None:
 def _register_comparisons() -> None:
     def register(function: Any, symbol: str) -> None:
         @type_callable(function)
-        def type_of(context):
+        def type_of(context: Any) -> Any:
             return lambda a, b: flags if a is lanes and b is lanes else None
 
         @lower_builtin(function, lanes, lanes)
-        def lower(context, builder, signature, arguments):
+        def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return builder.fcmp_ordered(symbol, *arguments)
 
     register(operator.gt, ">")
@@ -338,11 +338,11 @@ def _register_comparisons() -> None:
     register(operator.lt, "<")
 
     @type_callable(operator.and_)
-    def type_of(context):
+    def type_of(context: Any) -> Any:
         return lambda a, b: flags if a is flags and b is flags else None
 
     @lower_builtin(operator.and_, flags, flags)
-    def lower(context, builder, signature, arguments):
+    def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.and_(*arguments)
 
 

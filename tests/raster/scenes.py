@@ -39,7 +39,9 @@ def random_scene(seed: int, count: int, channels: int, width: int, height: int) 
     def uniform(*shape: int) -> Tensor:
         return torch.rand(*shape, generator=generator)
 
-    means = torch.stack([(uniform(count) - 0.5) * 4, (uniform(count) - 0.5) * 4, uniform(count) * 5 - 0.5], -1)
+    means = torch.stack(
+        [(uniform(count) - 0.5) * 4, (uniform(count) - 0.5) * 4, uniform(count) * 5 - 0.5], -1
+    )
     scales = torch.exp(torch.randn(count, 3, generator=generator) - 2.5)
     quats = torch.randn(count, 4, generator=generator)
     tensors = (means, scales, quats, uniform(count), uniform(count, 3), uniform(count, channels))
@@ -58,7 +60,7 @@ def hard_scenes() -> dict[str, Scene]:
     thin[:, 0] = 1e-6
     needles = mixed.tensors[1].clone()
     needles[:, :2] = 1e-5
-    needles[:, 2] = 3.0
+    needles[:, 2] = 0.7
     return {
         "mixed": mixed,
         "many labels": random_scene(1, 600, 46, 48, 32),
@@ -79,7 +81,9 @@ def steady_pixels(scene: Scene) -> Tensor:
     means, scales, quats, opacities = (tensor.double() for tensor in scene.tensors[:4])
     view = _view(scene.pose, scene.intrinsics, scene.width, scene.height, 0.01)
     centres, covariances, depths = project(means, scales, quats, view)
-    shown = torch.nonzero(footprint_visible(centres, covariances, depths, opacities.clamp(min=ALPHA_MIN), view))[:, 0]
+    shown = torch.nonzero(
+        footprint_visible(centres, covariances, depths, opacities.clamp(min=ALPHA_MIN), view)
+    )[:, 0]
     order = shown[torch.sort(depths[shown].float(), stable=True).indices]
     near = threshold_pixels(raw_alphas(centres[order], covariances[order], opacities[order], view))
     return ~near.reshape(scene.height, scene.width)

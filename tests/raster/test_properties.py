@@ -46,7 +46,11 @@ def test_order_of_the_input_does_not_matter(scene: Scene, random: object) -> Non
     count = scene.tensors[0].shape[0]
     order = torch.from_numpy(np.random.default_rng(0).permutation(count))
     shuffled = Scene(
-        tuple(tensor[order] for tensor in scene.tensors), scene.pose, scene.intrinsics, scene.width, scene.height
+        tuple(tensor[order] for tensor in scene.tensors),
+        scene.pose,
+        scene.intrinsics,
+        scene.width,
+        scene.height,
     )
     assert torch.equal(draw(scene).image, draw(shuffled).image)
 

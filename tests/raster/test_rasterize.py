@@ -24,7 +24,9 @@ def test_matches_the_reference(name: str, kernels: str, monkeypatch: pytest.Monk
     torch.testing.assert_close(ours.means2d, theirs.means2d.float(), rtol=1e-6, atol=1e-4)
     for layer in LAYERS:
         got, expected = getattr(ours, layer)[steady], getattr(theirs, layer)[steady]
-        torch.testing.assert_close(got, expected, rtol=0, atol=1e-5, msg=lambda text, layer=layer: f"{layer}: {text}")
+        torch.testing.assert_close(
+            got, expected, rtol=0, atol=1e-5, msg=lambda text, layer=layer: f"{layer}: {text}"
+        )
     for group in GROUPS:
         assert missed_share(our_gradients[group], their_gradients[group]) <= 1e-4, group
 
@@ -65,9 +67,7 @@ def test_the_same_bits_with_any_number_of_threads(kernels: str, monkeypatch: pyt
 def test_labels_touch_nothing_but_themselves(backend: str) -> None:
     scene = random_scene(6, 100, 4, 30, 20)
     tensors = [tensor.clone().requires_grad_() for tensor in scene.tensors]
-    out = rasterize(
-        *tensors, scene.pose, scene.intrinsics, 30, 20, backend=backend, want_means2d_grad=True
-    )
+    out = rasterize(*tensors, scene.pose, scene.intrinsics, 30, 20, backend=backend, want_means2d_grad=True)
     assert out.labels is not None
     out.labels.square().sum().backward()
     for tensor in (*tensors[:5], out.means2d):
