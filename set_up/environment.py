@@ -117,7 +117,9 @@ def install_packages(packages: list[str]) -> None:
 def pip_environment() -> dict[str, str]:
     """The caller's environment without the pip and Python settings that would send packages elsewhere."""
     elsewhere = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_CONSTRAINT", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
-    kept = {key: value for key, value in os.environ.items() if key not in elsewhere}
+    # What Python compiles here, it shall keep: every later start reads it.
+    left_out = (*elsewhere, "PYTHONDONTWRITEBYTECODE")
+    kept = {key: value for key, value in os.environ.items() if key not in left_out}
     ours = {"PIP_USER": "0", "PIP_REQUIRE_HASHES": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
     return kept | ours
 
@@ -153,6 +155,9 @@ def make(folder: Path) -> None:
         run([python, "-m", "pip", "install", *pip_options(files)], "pip could not install the requirements")
     # Only what imports is complete: this finds a missing system library now, not in the middle of a lift.
     run([python, "-c", f"import {', '.join(wanted.modules)}"], "an installed module does not import")
+    if folder.name == ".venv":
+        say("compiling the engine's kernels for this machine (half a minute; a lift would do it otherwise)")
+        run([python, "-m", "engine", "warm-up"], "the kernels could not be compiled", cwd=ROOT, strict=False)
     write_stamp(folder)
     say(f"{folder.name} is ready after {time.monotonic() - started:.0f} s")
 
@@ -164,7 +169,7 @@ def write_stamp(folder: Path) -> None:
     temporary.replace(folder / STAMP)
 
 
-def run(command: list[str], failure: str, *, strict: bool = True) -> None:
+def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", strict: bool = True) -> None:
     """Run a command, its output to build/set-up.log; when it fails, show the end of that and stop (if `strict`)."""
     log_path = ROOT / "build" / "set-up.log"
     with log_path.open("ab") as log:
@@ -173,7 +178,7 @@ def run(command: list[str], failure: str, *, strict: bool = True) -> None:
         begin = log.tell()
         # The lock is handed on (close_fds=False): should this process be killed, it stays held until pip has ended too.
         code = subprocess.run(
-            command, cwd=ROOT / "requirements", env=pip_environment(), stdin=subprocess.DEVNULL,
+            command, cwd=cwd, env=pip_environment(), stdin=subprocess.DEVNULL,
             stdout=log, stderr=subprocess.STDOUT, close_fds=False, check=False,
         ).returncode  # fmt: skip
     if code == 0:
@@ -184,6 +189,7 @@ def run(command: list[str], failure: str, *, strict: bool = True) -> None:
     print("\n".join(tail), file=sys.stderr)
     if strict:
         stop(f"{failure} (exit code {code}). The whole output: build/set-up.log. Run make again to retry.")
+    say(f"{failure} (exit code {code}); going on without")
 
 
 def say(message: str) -> None:

@@ -82,7 +82,7 @@ def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]
     """A repository root of its own, a machine that lacks nothing, and commands that are noted, not run."""
     commands: list[list[str]] = []
 
-    def note(command: list[str], failure: str, *, strict: bool = True) -> None:
+    def note(command: list[str], failure: str, **options: object) -> None:
         commands.append(command)
         if "venv" in command:
             Path(command[-1]).mkdir()
@@ -99,7 +99,7 @@ def test_a_set_up_that_was_cut_off_is_mended(
 ) -> None:
     note: Callable[..., None] = environment.run
 
-    def cut_off(command: list[str], failure: str, *, strict: bool = True) -> None:
+    def cut_off(command: list[str], failure: str, **options: object) -> None:
         if "pip" in command:
             raise KeyboardInterrupt
         note(command, failure)
@@ -129,13 +129,23 @@ def test_the_index_of_cpu_builds_is_asked_for_torch_only(
     assert asked == [(True, True), (False, False)]
 
 
+@pytest.mark.parametrize(("folder", "version", "warm"), [(".venv", (3, 11), True), (".venv-next", (3, 13), False)])
+def test_the_engine_is_compiled_where_it_runs(
+    workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch, folder: str, version: tuple[int, int], warm: bool
+) -> None:
+    monkeypatch.setattr(environment.sys, "version_info", (*version, 0))
+    environment.main(["make", folder])
+    assert (workshop[-1][1:] == ["-m", "engine", "warm-up"]) is warm
+
+
 def test_settings_that_send_packages_elsewhere_are_put_aside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PIP_TARGET", "/elsewhere")
     monkeypatch.setenv("PIP_USER", "1")
     monkeypatch.setenv("PYTHONPATH", "/elsewhere")
     monkeypatch.setenv("PIP_FIND_LINKS", "/wheels")
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
     kept = environment.pip_environment()
-    assert "PIP_TARGET" not in kept and "PYTHONPATH" not in kept
+    assert not {"PIP_TARGET", "PYTHONPATH", "PYTHONDONTWRITEBYTECODE"} & set(kept)
     assert kept["PIP_USER"] == "0"
     assert kept["PIP_FIND_LINKS"] == "/wheels"
 

@@ -3,5 +3,6 @@
 from __future__ import annotations
 
 from .run import run_lift
+from .warm_up import warm_up
 
-__all__ = ["run_lift"]
+__all__ = ["run_lift", "warm_up"]

@@ -1,0 +1,50 @@
+"""Compile what a lift runs, so that the first one starts at once: a lift of a wall, too small to be of use."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from ..job import EventWriter, StopSignal
+from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
+from ..train.preparation import prepare
+from ..train.presets import PRESETS, WarmStart
+from ..train.progress import StageReporter
+from ..train.trainer import Trainer
+from .run import STAGES
+
+WALL, PICTURE = 1, 2
+"""Class ids; the picture is a thing."""
+
+
+def warm_up() -> None:
+    """Take every compiled path of a lift once: believing, matching, projecting, drawing, and its way back."""
+    classes = ClassTable(
+        (Category(WALL, "wall", False, (200, 200, 200)), Category(PICTURE, "picture", True, (200, 0, 0)))
+    )
+    views = [_view_of_a_wall(number) for number in range(3)]
+    preset = replace(PRESETS["preview"], steps=2, neighbours=2, warm_start=WarmStart(steps=1))
+    with TemporaryDirectory() as folder:
+        events = EventWriter(Path(folder) / "events.jsonl")
+        stages = StageReporter(events, StopSignal(Path(folder) / "cancel"), STAGES)
+        prepared = prepare(views, classes, preset, 0, stages)
+        trainer = Trainer(prepared.scene, prepared.targets, views, preset, 0)
+        while not trainer.finished:
+            trainer.step()
+        events.close()
+
+
+def _view_of_a_wall(number: int) -> View:
+    """A wall a metre away, with a picture on its right half."""
+    width, height = 48, 32
+    pose = np.eye(4)
+    pose[0, 3] = 0.05 * number
+    camera = Camera(width, height, 40.0, 40.0, width / 2, height / 2, pose)
+    ids = np.full((height, width), WALL, np.int32)
+    ids[:, width // 2 :] = PICTURE
+    segments = (Segment(WALL, WALL, False), Segment(PICTURE, PICTURE, True))
+    colour = np.full((height, width, 3), 128, np.uint8)
+    return View(f"{number}", camera, colour, np.ones((height, width), np.float32), PanopticMask(ids, segments))
