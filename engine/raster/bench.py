@@ -32,11 +32,12 @@ STAGES = {
 
 
 def bench_raster(json_file: Path | None = None, repeats: int = 9) -> list[dict[str, Any]]:
-    """Print a table of medians over ``repeats`` (after one warm-up) and return its rows; also written to ``json_file``.
+    """Print a table of medians over ``repeats`` (after one warm-up) and return its rows; also written to
+    ``json_file``.
 
-    All times are milliseconds of wall time, whole passes from 3D parameters, except ``processor``, which is the processor
-    time of a whole step (least of the repeats). ``GFLOP/s`` counts two operations for every label of every blended pair of
-    Gaussian and pixel, over the time of the two blending stages.
+    All times are milliseconds of wall time, whole passes from 3D parameters, except ``processor``, which is
+    the processor time of a whole step (least of the repeats). ``GFLOP/s`` counts two operations for every
+    label of every blended pair of Gaussian and pixel, over the time of the two blending stages.
     """
     threads, peak = torch.get_num_threads(), fma_peak()
     kernels = choose_kernels().name
@@ -70,7 +71,8 @@ def bench_raster(json_file: Path | None = None, repeats: int = 9) -> list[dict[s
 
 
 def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict[str, Any]:
-    """Median milliseconds of forward, backward and total, least processor milliseconds, stages of the median run."""
+    """Median milliseconds of forward, backward and total, least processor milliseconds, stages of the median
+    run."""
     labels = workload.labels[:, :channels].copy() if channels else None
     random = np.random.default_rng(1234)
     shape = (workload.height, workload.width)
@@ -78,7 +80,7 @@ def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict
     d_labels = torch.from_numpy(random.standard_normal((*shape, channels), dtype=np.float32))
     runs = []
     for _ in range(repeats + 1):
-        inputs = [
+        inputs: list[Any] = [
             None if array is None else torch.from_numpy(array).requires_grad_()
             for array in (
                 workload.means,
@@ -92,7 +94,12 @@ def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict
         processor, start = time.process_time(), time.perf_counter()
         with timed() as stages:
             out = rasterize(
-                *inputs,  # type: ignore[arg-type]
+                inputs[0],
+                inputs[1],
+                inputs[2],
+                inputs[3],
+                inputs[4],
+                inputs[5],
                 workload.camera_to_world,
                 workload.intrinsics,
                 workload.width,
@@ -121,10 +128,16 @@ def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict
 
 
 def blended_pairs(workload: Workload) -> int:
-    """How many pairs of Gaussian and pixel are blended: the sum over Gaussians of the pixels that see them."""
+    """How many pairs of Gaussian and pixel are blended: the sum over Gaussians of the pixels that see
+    them."""
     arrays = (workload.means, workload.scales, workload.quats, workload.opacities, workload.colours)
+    means, scales, quats, opacities, colours = (torch.from_numpy(array) for array in arrays)
     out = rasterize(
-        *(torch.from_numpy(array) for array in arrays),
+        means,
+        scales,
+        quats,
+        opacities,
+        colours,
         None,
         workload.camera_to_world,
         workload.intrinsics,
@@ -137,7 +150,8 @@ def blended_pairs(workload: Workload) -> int:
 
 
 PAIRS_COUNTED = 128
-"""A pixel that sees more Gaussians than this is counted as if it saw so many; no pixel of the workload does."""
+"""A pixel that sees more Gaussians than this is counted as if it saw so many; no pixel of the workload
+does."""
 
 
 def processor_name() -> str:

@@ -2,8 +2,9 @@
 
 Walking back, T_i = T_{i+1} / (1 - alpha_i) and one running sum per pixel is all that is needed:
 with v_i = colour_i . dL/dimage + z_i * dL/ddepth and S_i = sum_{j>i} w_j v_j - T_end * dL/dalpha,
-dL/dalpha_i = T_i v_i - S_i / (1 - alpha_i). (Carrying the alpha output as a final term keeps it exact where T_end is tiny.)
-Each Gaussian's gradient in each tile goes to a place of its own; a later pass adds them in order.
+dL/dalpha_i = T_i v_i - S_i / (1 - alpha_i). (Carrying the alpha output as a final term keeps it exact where
+T_end is tiny.) Each Gaussian's gradient in each tile goes to a place of its own; a later pass adds them in
+order.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def load_tile(
     d_planes: Array,
     last_of_row: Array,
 ) -> Any:
-    """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the tile."""
+    """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the
+    tile."""
     height, width = rest.shape
     far = -1
     for r in range(TILE):
@@ -95,7 +97,8 @@ def unblend_row(
     weight: Array,
     d_log_alpha: Array,
 ) -> None:
-    """Step back over one Gaussian on one row: its weight [16] and dL/d(ln raw alpha) [16], zero where it was not blended."""
+    """Step back over one Gaussian on one row: its weight [16] and dL/d(ln raw alpha) [16], zero where it was
+    not blended."""
     for x in range(TILE):
         capped = min(raw[x], ALPHA_CAP)
         blended = capped >= ALPHA_LEAST and place <= last[r, x]
@@ -143,7 +146,8 @@ def add_label_gradients(
     pixels: Array,
     channels: int,
 ) -> None:
-    """chunk_labels [CHUNK + 1, C] += each member's weights times the pixels' label gradients, row after row."""
+    """chunk_labels [CHUNK + 1, C] += each member's weights times the pixels' label gradients, row after
+    row."""
     for r in range(TILE):
         used = counts[r]
         if used == 0:

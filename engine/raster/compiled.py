@@ -1,8 +1,9 @@
 """``compiled``, the decorator of every kernel, and where the machine code is kept.
 
-Numba notices a change in a function's own file only, but kernels are compiled into one another across files. So the cache is a
-folder named after the text of this whole package: a new version never runs old code. It lies in the user's cache folder (or in
-``NUMBA_CACHE_DIR`` where that is set), so the package itself may be read-only.
+Numba notices a change in a function's own file only, but kernels are compiled into one another across files.
+So the cache is a folder named after the text of this whole package: a new version never runs old code. It
+lies in the user's cache folder (or in ``NUMBA_CACHE_DIR`` where that is set), so the package itself may be
+read-only.
 """
 
 from __future__ import annotations
@@ -69,7 +70,8 @@ CACHE_FOLDER = choose_cache_folder()
 
 
 def announce_compilation(variant: str) -> Callable[[], None]:
-    """Say so when kernels have yet to be compiled on this machine; call what is returned when they have been."""
+    """Say so when kernels have yet to be compiled on this machine; call what is returned when they have
+    been."""
     stamp = CACHE_FOLDER / f"compiled-{variant}-{os.cpu_count()}"
     if stamp.exists():
         return lambda: None
@@ -80,12 +82,13 @@ def announce_compilation(variant: str) -> Callable[[], None]:
 def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         # read when a function is decorated; other users of Numba in this process keep theirs
-        theirs = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(CACHE_FOLDER)
+        settings: Any = numba.config
+        theirs = settings.CACHE_DIR
+        settings.CACHE_DIR = str(CACHE_FOLDER)
         try:
             return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         finally:
-            numba.config.CACHE_DIR = theirs
+            settings.CACHE_DIR = theirs
 
     return decorate
 

@@ -12,7 +12,8 @@ from .records import L11, OPACITY, TILE
 
 @compiled
 def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -> None:
-    """Put one contributor into a pixel's lists, largest first; of two equal ones the front one stays first."""
+    """Put one contributor into a pixel's lists, largest first; of two equal ones the front one stays
+    first."""
     place = weights.shape[0] - 1
     if weight <= weights[place]:
         return
@@ -28,7 +29,8 @@ def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -
 def list_contributors(
     worker: int, workers: int, starts: Array, tile_ids: Array, records: Array, indices: Array, weights: Array
 ) -> None:
-    """Every ``workers``-th tile: indices int32 [H, W, k] and weights [H, W, k]; -1 and 0 where there are fewer than k."""
+    """Every ``workers``-th tile: indices int32 [H, W, k] and weights [H, W, k]; -1 and 0 where there are
+    fewer than k."""
     height, width, wanted = weights.shape
     columns = (width + TILE - 1) // TILE
     s1_left = np.empty(TILE, np.float32)

@@ -27,8 +27,8 @@ TINY_NORM = 1e-12
 class View:
     """A pinhole camera.
 
-    ``rotation`` float64 [3, 3], world to camera (OpenCV axes); ``centre`` float64 [3], metres, world; ``focal`` and ``principal``
-    (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres.
+    ``rotation`` float64 [3, 3], world to camera (OpenCV axes); ``centre`` float64 [3], metres, world;
+    ``focal`` and ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres.
     """
 
     rotation: NDArray[np.float64]

@@ -1,7 +1,8 @@
 """Threads that run compiled kernels side by side.
 
-Kernels release the interpreter's lock, so plain Python threads are enough: they need no threading layer of Numba's (none of
-which is both on every system and safe to call from several threads), do not spin while they wait, and compile far faster.
+Kernels release the interpreter's lock, so plain Python threads are enough: they need no threading layer of
+Numba's (none of which is both on every system and safe to call from several threads), do not spin while they
+wait, and compile far faster.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ def worker_count() -> int:
 
 
 def share(workers: int, kernel: Callable[..., None], *arguments: Any) -> None:
-    """Call ``kernel(worker, workers, *arguments)`` for every worker, on a thread each, and wait for all of them.
+    """Call ``kernel(worker, workers, *arguments)`` for every worker, on a thread each, and wait for all of
+    them.
 
     The first call of a kernel runs here alone, worker after worker: it compiles. Raises what a worker raised.
     """

@@ -28,7 +28,8 @@ def rasterize_gsplat(
 ) -> Rendering:
     """As ``rasterize``. Labels are drawn by a second call that sees detached geometry and opacities.
 
-    Raises ``ValueError`` for ``top_k`` > 0, which gsplat does not offer, ``ImportError`` when gsplat is not installed.
+    Raises ``ValueError`` for ``top_k`` > 0, which gsplat does not offer, ``ImportError`` when gsplat is not
+    installed.
     """
     if top_k:
         raise ValueError(

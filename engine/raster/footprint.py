@@ -37,7 +37,8 @@ E4, E5, E6 = F(0.009618056938052177), F(0.0013400427997112274), F(0.000154614448
 
 @compiled
 def whiten_rows(record: Array, left: int, top: int, s1_left: Array, s2: Array) -> Any:
-    """s1 at the first pixel and s2 of each of the tile's rows; returns the mask of the rows that the footprint touches."""
+    """s1 at the first pixel and s2 of each of the tile's rows; returns the mask of the rows that the
+    footprint touches."""
     # the origin in double, once a tile: everything after is within a few standard deviations
     dx = (left + 0.5 - float(record[CENTRE_X])) - float(record[CENTRE_X_LOW])
     dy = (top + 0.5 - float(record[CENTRE_Y])) - float(record[CENTRE_Y_LOW])
@@ -60,7 +61,8 @@ def whiten_rows(record: Array, left: int, top: int, s1_left: Array, s2: Array) -
 def alpha_row(
     s1_left: float, slope: float, s2: float, opacity: float, s1: Array, raw: Array, bits: Array
 ) -> None:
-    """Fill s1 [16] and raw [16] = opacity * 2^-(s1^2 + s2^2), before the cap. bits int32 [16] is a view of raw."""
+    """Fill s1 [16] and raw [16] = opacity * 2^-(s1^2 + s2^2), before the cap. bits int32 [16] is a view of
+    raw."""
     for x in range(TILE):
         s1[x] = s1_left + slope * LANES[x]
     s2_squared = s2 * s2
@@ -88,9 +90,11 @@ def add_products(
     source_rows: Array,
     channels: int,
 ) -> None:
-    """out[out_rows[a]] += sum_b weights[a, b] * source[source_rows[b]], over a < count[0] and b < count[1], multiples of four.
+    """out[out_rows[a]] += sum_b weights[a, b] * source[source_rows[b]], over a < count[0] and b < count[1],
+    multiples of four.
 
-    The one matrix product of both passes, four rows by four: sixteen multiply-adds for every four loads and stores.
+    The one matrix product of both passes, four rows by four: sixteen multiply-adds for every four loads and
+    stores.
     """
     for a in range(0, count[0], 4):
         o0, o1, o2, o3 = out[out_rows[a]], out[out_rows[a + 1]], out[out_rows[a + 2]], out[out_rows[a + 3]]

@@ -81,7 +81,8 @@ def chain_to_scene(
     d_quats: Array,
     d_means2d: Array,
 ) -> None:
-    """The chain rule of ``project_range`` for Gaussian i, from its summed tile gradients [GRADIENT] (double)."""
+    """The chain rule of ``project_range`` for Gaussian i, from its summed tile gradients [GRADIENT]
+    (double)."""
     d_x2, d_y2, d_xx, d_xy, d_yy = gradient_on_image(records[i], total)
     d_means2d[i, 0] = d_x2
     d_means2d[i, 1] = d_y2

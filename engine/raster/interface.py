@@ -27,17 +27,18 @@ class Rendering:
     With the blending weights w_i = alpha_i * prod_{j<i} (1 - alpha_j) of a pixel's Gaussians, front to back:
 
     ``image`` [H, W, 3]: sum_i w_i colour_i.
-    ``labels`` [H, W, C] or None: sum_i w_i label_i. The weights are detached here: the gradient of ``labels`` reaches the
-    label values and nothing else.
+    ``labels`` [H, W, C] or None: sum_i w_i label_i. The weights are detached here: the gradient of ``labels``
+    reaches the label values and nothing else.
     ``alpha`` [H, W]: sum_i w_i, in [0, 1].
-    ``depth`` [H, W], metres: sum_i w_i z_i with the planar camera depth z_i of the centres. It is not normalised: divide by
-    ``alpha`` for the expected depth.
-    ``visible`` bool [N]: the Gaussian lies beyond the near plane and its footprint (every pixel where its alpha can reach
-    1/255) overlaps the image. It may still be hidden behind others.
+    ``depth`` [H, W], metres: sum_i w_i z_i with the planar camera depth z_i of the centres. It is not
+    normalised: divide by ``alpha`` for the expected depth.
+    ``visible`` bool [N]: the Gaussian lies beyond the near plane and its footprint (every pixel where its
+    alpha can reach 1/255) overlaps the image. It may still be hidden behind others.
     ``means2d`` [N, 2], pixels: the projected centres; rows of Gaussians that are not visible hold zeros. With
-    ``want_means2d_grad`` it is a leaf whose ``.grad`` [N, 2] holds dLoss/d(2D mean) after ``backward`` (zero where not visible).
-    ``top_indices`` int32 [H, W, top_k] and ``top_weights`` [H, W, top_k], or None: the Gaussians with the largest weights
-    of each pixel, largest first, -1 and 0 where there are fewer. Not differentiable.
+    ``want_means2d_grad`` it is a leaf whose ``.grad`` [N, 2] holds dLoss/d(2D mean) after ``backward`` (zero
+    where not visible). ``top_indices`` int32 [H, W, top_k] and ``top_weights`` [H, W, top_k], or None: the
+    Gaussians with the largest weights of each pixel, largest first, -1 and 0 where there are fewer. Not
+    differentiable.
     """
 
     image: Tensor
@@ -69,21 +70,23 @@ def rasterize(
 ) -> Rendering:
     """Draw N Gaussians; differentiable in the first six arguments.
 
-    ``means`` [N, 3], metres, world; ``scales`` [N, 3], standard deviations in metres; ``quats`` [N, 4], wxyz, normalised in
-    here; ``opacities`` [N] in [0, 1] (anything below 1/255, so also <= 0, is not drawn); ``colours`` [N, 3];
-    ``labels`` [N, C] or None. All float32 on one device for the back end ``numba``.
+    ``means`` [N, 3], metres, world; ``scales`` [N, 3], standard deviations in metres; ``quats`` [N, 4], wxyz,
+    normalised in here; ``opacities`` [N] in [0, 1] (anything below 1/255, so also <= 0, is not drawn);
+    ``colours`` [N, 3]; ``labels`` [N, C] or None. All float32 on one device for the back end ``numba``.
 
-    ``camera_to_world`` [4, 4] with OpenCV axes (x right, y down, z forward); ``K`` [3, 3] with any fx, fy, cx, cy, no skew;
-    the centre of pixel (i, j) is (i + 0.5, j + 0.5). No gradient flows to the camera.
+    ``camera_to_world`` [4, 4] with OpenCV axes (x right, y down, z forward); ``K`` [3, 3] with any fx, fy,
+    cx, cy, no skew; the centre of pixel (i, j) is (i + 0.5, j + 0.5). No gradient flows to the camera.
 
-    Conventions (those of gsplat, "classic"): 0.3 px^2 added to the diagonal of the 2D covariance; Gaussians with z <= ``near``
-    (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)), skipped below 1/255 and nowhere else; a pixel ends
-    before the Gaussian that would leave a transmittance <= 1e-4; order by planar depth rounded to float32, ties by index.
+    Conventions (those of gsplat, "classic"): 0.3 px^2 added to the diagonal of the 2D covariance; Gaussians
+    with z <= ``near`` (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)), skipped below 1/255
+    and nowhere else; a pixel ends before the Gaussian that would leave a transmittance <= 1e-4; order by
+    planar depth rounded to float32, ties by index.
 
-    ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device: ``numba`` on the CPU,
-    ``gsplat`` on CUDA.
+    ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device:
+    ``numba`` on the CPU, ``gsplat`` on CUDA.
 
-    Raises ``ValueError`` on shapes, dtypes or devices that do not fit, an empty image, skew, or an unknown back end.
+    Raises ``ValueError`` on shapes, dtypes or devices that do not fit, an empty image, skew, or an unknown
+    back end.
     """
     _check(means, scales, quats, opacities, colours, labels)
     view = _view(camera_to_world, K, width, height, near)

@@ -16,7 +16,8 @@ VARIABLE = "PLGS_RASTER_KERNELS"
 
 @dataclass(frozen=True)
 class Kernels:
-    """``blend`` and ``unblend`` run one worker's tiles; the others tell the floats of scratch for so many channels."""
+    """``blend`` and ``unblend`` run one worker's tiles; the others tell the floats of scratch for so many
+    channels."""
 
     name: str
     blend: Callable[..., None]

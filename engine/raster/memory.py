@@ -1,7 +1,7 @@
 """Arrays that are used again: a step as large as the last one allocates nothing.
 
-An array is free again when nobody refers to it any more, which Python's reference count tells; a tensor made from it
-counts, so what a caller keeps is never overwritten.
+An array is free again when nobody refers to it any more, which Python's reference count tells; a tensor made
+from it counts, so what a caller keeps is never overwritten.
 """
 
 from __future__ import annotations

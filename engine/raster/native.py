@@ -209,7 +209,7 @@ class _Blend(torch.autograd.Function):
         return image, labels_out, alpha, depth, top_indices, top_weights
 
     @staticmethod
-    def backward(  # type: ignore[override]
+    def backward(
         ctx: Any, d_image: Tensor, d_labels: Tensor, d_alpha: Tensor, d_depth: Tensor, *_: Tensor
     ) -> tuple[Tensor | None, ...]:
         workers = worker_count()
@@ -272,7 +272,8 @@ def _unblend(
     d_alpha: NDArray[Any],
     d_depth: NDArray[Any],
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """touched uint8 [T], gradients [T * GRADIENT_WIDTH] and label gradients [T * padded channels] of the slots."""
+    """touched uint8 [T], gradients [T * GRADIENT_WIDTH] and label gradients [T * padded channels] of the
+    slots."""
     height, width, channels = d_labels.shape
     touches = lists.ids.shape[0]
     padded = -(-channels // TILE) * TILE

@@ -11,7 +11,8 @@ from .vectors import WIDTH, fma, load, spread, store
 
 F = np.float32
 CHAINS = 12
-"""Independent multiply-adds in flight: enough for the latency, few enough for sixteen registers... of sixteen floats."""
+"""Independent multiply-adds in flight: enough for the latency, few enough for sixteen registers... of sixteen
+floats."""
 
 
 @compiled

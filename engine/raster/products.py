@@ -1,4 +1,5 @@
-"""The matrix product of both passes, as one block held in registers: a few rows times up to three vectors of channels."""
+"""The matrix product of both passes, as one block held in registers: a few rows times up to three vectors of
+channels."""
 
 from __future__ import annotations
 
@@ -7,9 +8,8 @@ from typing import Any
 from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
 
-from .vectors import FLOAT, INT, WIDTH, call, element
+from .vectors import FLOAT, INT, WIDTH, call, element, intrinsic
 
 INDEX = ir.IntType(64)
 
@@ -36,7 +36,8 @@ def _splat(builder: ir.IRBuilder, scalar: ir.Value) -> ir.Value:
 def _emit_block(
     context: Any, builder: ir.IRBuilder, pointers: dict[str, ir.Value], rows: int, vectors: int
 ) -> None:
-    """out[row a] += sum_b weight[a * across + b * along] * source[row b], b < count; a < rows; all in registers.
+    """out[row a] += sum_b weight[a * across + b * along] * source[row b], b < count; a < rows; all in
+    registers.
 
     ``out_rows`` and ``source_rows`` are int32 lists, or None where row a is simply a.
     """

@@ -1,5 +1,5 @@
-"""3D Gaussians to records on the image plane (EWA splatting), and the chain rule back. All in double: it is cheap beside
-the blending, and thin Gaussians need it."""
+"""3D Gaussians to records on the image plane (EWA splatting), and the chain rule back. All in double: it is
+cheap beside the blending, and thin Gaussians need it."""
 
 from __future__ import annotations
 
@@ -87,7 +87,8 @@ def clamped(value: float, low: float, high: float) -> Any:
 
 @compiled
 def image_jacobian(camera: Array, x: float, y: float, z: float) -> Any:
-    """The 2x3 matrix J R from world offsets to pixels at camera point (x, y, z), and the clamped slopes x/z and y/z."""
+    """The 2x3 matrix J R from world offsets to pixels at camera point (x, y, z), and the clamped slopes x/z
+    and y/z."""
     over_z = 1.0 / z
     u = clamped(x * over_z, camera[17], camera[18])
     v = clamped(y * over_z, camera[19], camera[20])
@@ -137,9 +138,11 @@ def project_range(
     records: Array,
     boxes: Array,
 ) -> Any:
-    """Fill records [N, RECORD] and boxes int32 [N, 4] (tile columns and rows, last ones excluded) of Gaussians first to last.
+    """Fill records [N, RECORD] and boxes int32 [N, 4] (tile columns and rows, last ones excluded) of
+    Gaussians first to last.
 
-    A Gaussian that is not visible gets an empty box. Returns how many are visible and how many tiles they touch.
+    A Gaussian that is not visible gets an empty box. Returns how many are visible and how many tiles they
+    touch.
     """
     visible = 0
     touched = 0
@@ -218,7 +221,8 @@ def project(
     boxes: Array,
     counts: Array,
 ) -> None:
-    """A worker's share of ``project_range``; counts int64 [workers, 2] gets its visible Gaussians and touched tiles."""
+    """A worker's share of ``project_range``; counts int64 [workers, 2] gets its visible Gaussians and touched
+    tiles."""
     count = means.shape[0]
     first = count * worker // workers
     last = count * (worker + 1) // workers

@@ -1,9 +1,11 @@
-"""What the kernels know of a projected Gaussian: one cache line of float32, and the form in which its footprint is kept.
+"""What the kernels know of a projected Gaussian: one cache line of float32, and the form in which its
+footprint is kept.
 
-A footprint is kept whitened. With the inverse 2D covariance written as L^T L, L upper triangular, and d the offset of a
-pixel from the centre, s = sqrt(log2(e) / 2) * L d has |s|^2 = log2(e) * d^T inv(cov) d / 2, so alpha = opacity * 2^-|s|^2.
-Compared with the usual quadratic form nothing cancels, however long and thin the Gaussian: s1 and s2 are computed to
-float32 precision from a double origin at each tile, s2 is constant along a row of pixels, and s1 is linear in it.
+A footprint is kept whitened. With the inverse 2D covariance written as L^T L, L upper triangular, and d the
+offset of a pixel from the centre, s = sqrt(log2(e) / 2) * L d has |s|^2 = log2(e) * d^T inv(cov) d / 2, so
+alpha = opacity * 2^-|s|^2. Compared with the usual quadratic form nothing cancels, however long and thin the
+Gaussian: s1 and s2 are computed to float32 precision from a double origin at each tile, s2 is constant along
+a row of pixels, and s1 is linear in it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The oracle: every Gaussian against every pixel, float64, ordinary autograd. Memory and time grow as N * H * W."""
+"""The oracle: every Gaussian against every pixel, float64, ordinary autograd. Memory and time grow as N * H *
+W."""
 
 from __future__ import annotations
 
@@ -56,9 +57,11 @@ def rasterize_reference(
 
 
 def project(means: Tensor, scales: Tensor, quats: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor]:
-    """Centres [N, 2] in pixels, blurred 2D covariances [N, 2, 2] in pixels squared, planar depths [N] in metres.
+    """Centres [N, 2] in pixels, blurred 2D covariances [N, 2, 2] in pixels squared, planar depths [N] in
+    metres.
 
-    Rows at or behind the near plane are computed for a point at depth 1, so that no infinity enters the gradients.
+    Rows at or behind the near plane are computed for a point at depth 1, so that no infinity enters the
+    gradients.
     """
     rotation = torch.as_tensor(view.rotation, dtype=means.dtype, device=means.device)
     centre = torch.as_tensor(view.centre, dtype=means.dtype, device=means.device)
@@ -98,7 +101,8 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 def footprint_visible(
     centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, view: View
 ) -> Tensor:
-    """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} holds a pixel centre of the image."""
+    """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} holds a pixel centre of the
+    image."""
     reach = 2.0 * torch.log(opacities.clamp(min=1e-30) / ALPHA_MIN)
     extent = torch.sqrt(reach.clamp(min=0.0)[:, None] * torch.diagonal(covariances, dim1=-2, dim2=-1))
     size = torch.tensor([view.width, view.height], dtype=centres.dtype, device=centres.device)
@@ -136,8 +140,8 @@ def blending_weights(raw: Tensor) -> Tensor:
 def threshold_pixels(raw: Tensor, margin: float = 1e-5) -> Tensor:
     """bool [H * W]: float32 may decide otherwise here, as something is near a threshold.
 
-    That is within ``margin`` (relative) for an alpha, and a hundred times that for a transmittance: behind an alpha near 0.99
-    its own error is so much larger.
+    That is within ``margin`` (relative) for an alpha, and a hundred times that for a transmittance: behind an
+    alpha near 0.99 its own error is so much larger.
     """
     alpha = raw.clamp(max=ALPHA_MAX)
     alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
@@ -152,7 +156,8 @@ def threshold_pixels(raw: Tensor, margin: float = 1e-5) -> Tensor:
 def top_contributors(
     weights: Tensor, order: Tensor, view: View, top_k: int
 ) -> tuple[Tensor | None, Tensor | None]:
-    """int32 [H, W, k] Gaussian indices and [H, W, k] weights, largest first; -1 and 0 where there are fewer."""
+    """int32 [H, W, k] Gaussian indices and [H, W, k] weights, largest first; -1 and 0 where there are
+    fewer."""
     if top_k == 0:
         return None, None
     count = min(top_k, weights.shape[0])

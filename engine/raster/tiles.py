@@ -1,8 +1,8 @@
 """Which Gaussians each tile draws, front to back.
 
-Visible Gaussians are sorted by depth (least significant digit first, stable, so ties keep the order of their indices), then
-dealt out to their tiles in that order. Every kernel here does one worker's share, a range; the result does not depend on how
-many workers there are.
+Visible Gaussians are sorted by depth (least significant digit first, stable, so ties keep the order of their
+indices), then dealt out to their tiles in that order. Every kernel here does one worker's share, a range; the
+result does not depend on how many workers there are.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ def list_visible(
     centres: Array,
     visible: Array,
 ) -> None:
-    """keys uint32 [V], ids int32 [V] of the visible in index order; slots int64 [N + 1], running sum of touched tiles.
+    """keys uint32 [V], ids int32 [V] of the visible in index order; slots int64 [N + 1], running sum of
+    touched tiles.
 
     Also fills ``visible`` bool [N] and ``centres`` [N, 2] (pixels, zero where not visible).
     """
@@ -74,7 +75,8 @@ def count_digits(worker: int, workers: int, keys: Array, shift: np.uint32, histo
 
 @compiled
 def running_starts(histograms: Array, starts: Array) -> None:
-    """Counts [workers, bins] become the places where each worker's share of each bin begins; starts [bins + 1] the bins'."""
+    """Counts [workers, bins] become the places where each worker's share of each bin begins; starts [bins +
+    1] the bins'."""
     workers, bins = histograms.shape
     total = 0
     for b in range(bins):
@@ -132,7 +134,8 @@ def deal_tiles(
     tile_ids: Array,
     tile_slots: Array,
 ) -> None:
-    """tile_ids int32 [T] (Gaussian) and tile_slots int32 [T] (where its gradient in that tile goes), tile after tile."""
+    """tile_ids int32 [T] (Gaussian) and tile_slots int32 [T] (where its gradient in that tile goes), tile
+    after tile."""
     count = order.shape[0]
     for k in range(count * worker // workers, count * (worker + 1) // workers):
         i = order[k]
@@ -165,7 +168,8 @@ def sort_by_depth(workers: int, keys: Array, ids: Array) -> Any:
 def deal(
     workers: int, order: Array, boxes: Array, slots: Array, touched: int, width: int, height: int
 ) -> Any:
-    """starts int64 [tiles + 1], tile_ids int32 [T], tile_slots int32 [T]: each tile's Gaussians, front to back."""
+    """starts int64 [tiles + 1], tile_ids int32 [T], tile_slots int32 [T]: each tile's Gaussians, front to
+    back."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     tile_ids, tile_slots = memory.empty(touched, np.int32), memory.empty(touched, np.int32)
     histograms = memory.empty((workers, columns * rows), np.int64)

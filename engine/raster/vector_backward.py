@@ -1,11 +1,9 @@
-"""Back-to-front gradients, sixteen pixels at a time. The same steps as ``blend_backward``, its readable twin, where the
-equations stand."""
+"""Back-to-front gradients, sixteen pixels at a time. The same steps as ``blend_backward``, its readable twin,
+where the equations stand."""
 
 from __future__ import annotations
 
 from typing import Any
-
-import numpy as np
 
 from .compiled import Array, compiled
 from .products import (
@@ -81,7 +79,8 @@ def load_tile(
     d_depth: Array,
     scratch: Array,
 ) -> Any:
-    """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the tile."""
+    """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the
+    tile."""
     inside = lane_numbers() < spread(F(width - left))
     far = -1
     for r in range(TILE):
@@ -253,8 +252,8 @@ def unblend_tiles(
     member_lists: Array,
     row_counts: Array,
 ) -> None:
-    """Tile after tile until none is left: fill slot_gradients [T * 16] and slot_labels [T * padded channels] where touched
-    uint8 [T] is set."""
+    """Tile after tile until none is left: fill slot_gradients [T * 16] and slot_labels [T * padded channels]
+    where touched uint8 [T] is set."""
     scratch, members, counts = scratches[worker], member_lists[worker], row_counts[worker]
     columns = (width + TILE - 1) // TILE
     tiles = starts.shape[0] - 1
@@ -279,8 +278,8 @@ def unblend_tiles(
             for at in range(CHUNK_LABELS, CHUNK_LABELS + CHUNK * padded, TILE):
                 store(scratch, at, spread(ZERO))
             for place in range(min(chunk + CHUNK - 1, far), chunk - 1, -1):
-                at = np.int64(tile_ids[first + place]) * RECORD
-                slot = np.int64(tile_slots[first + place])
+                at = int(tile_ids[first + place]) * RECORD
+                slot = int(tile_slots[first + place])
                 rows = whiten_rows(records, at, left, top, scratch)
                 if rows == 0:
                     touched[slot] = 0
@@ -292,7 +291,7 @@ def unblend_tiles(
             if channels > 0:
                 add_label_gradients(scratch, counts, members, padded)
                 for place in range(chunk, min(chunk + CHUNK, far + 1)):
-                    slot = np.int64(tile_slots[first + place])
+                    slot = int(tile_slots[first + place])
                     if touched[slot] != 0:
                         source = CHUNK_LABELS + (place - chunk) * padded
                         for c in range(0, padded, TILE):

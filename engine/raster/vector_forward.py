@@ -1,4 +1,5 @@
-"""Front-to-back blending, sixteen pixels at a time. The same steps as ``blend_forward``, its readable twin."""
+"""Front-to-back blending, sixteen pixels at a time. The same steps as ``blend_forward``, its readable
+twin."""
 
 from __future__ import annotations
 
@@ -83,7 +84,8 @@ def scratch_size(channels: int) -> int:
 
 @compiled
 def whiten_rows(records: Array, at: int, left: int, top: int, scratch: Array) -> Any:
-    """s1 at the first pixel and s2 of each of the tile's rows, to scratch; returns the mask of the rows that are touched."""
+    """s1 at the first pixel and s2 of each of the tile's rows, to scratch; returns the mask of the rows that
+    are touched."""
     # the origin in double, once a tile: everything after is within a few standard deviations
     dx = (left + 0.5 - float(records[at + CENTRE_X])) - float(records[at + CENTRE_X_LOW])
     dy = (top + 0.5 - float(records[at + CENTRE_Y])) - float(records[at + CENTRE_Y_LOW])
@@ -178,7 +180,8 @@ def blend_gaussian(
 
 @compiled
 def add_labels(scratch: Array, counts: Array, members: Array, padded: int) -> None:
-    """The tile's labels += the chunk's weights times its labels, row after row, eight pixels times three vectors at a time."""
+    """The tile's labels += the chunk's weights times its labels, row after row, eight pixels times three
+    vectors at a time."""
     tile_labels = CHUNK_LABELS + CHUNK * padded
     for r in range(TILE):
         count = counts[r]
@@ -297,8 +300,8 @@ def blend_tiles(
     member_lists: Array,
     row_counts: Array,
 ) -> None:
-    """Tile after tile until none is left. ``rest`` [H * W] gets the final transmittance, ``last_out`` [H * W] (as float32) the
-    place in the tile's list of the last Gaussian blended (-1: none)."""
+    """Tile after tile until none is left. ``rest`` [H * W] gets the final transmittance, ``last_out`` [H * W]
+    (as float32) the place in the tile's list of the last Gaussian blended (-1: none)."""
     scratch, members, counts = scratches[worker], member_lists[worker], row_counts[worker]
     columns = (width + TILE - 1) // TILE
     tiles = starts.shape[0] - 1
@@ -317,7 +320,7 @@ def blend_tiles(
         first, end = starts[tile], starts[tile + 1]
         for chunk in range(first, end, CHUNK):
             for k in range(chunk, min(chunk + CHUNK, end)):
-                gaussian = np.int64(tile_ids[k])
+                gaussian = int(tile_ids[k])
                 at = gaussian * RECORD
                 rows = whiten_rows(records, at, left, top, scratch) & alive
                 if rows == 0:

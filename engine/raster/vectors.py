@@ -1,8 +1,10 @@
-"""Sixteen float32 at a time inside Numba: two types (``Lanes`` and ``Flags``) and the few operations the kernels need.
+"""Sixteen float32 at a time inside Numba: two types (``Lanes`` and ``Flags``) and the few operations the
+kernels need.
 
-Numba has no vector types, and LLVM does not vectorise the blending loops by itself. Each operation here is one
-``@intrinsic`` that emits generic LLVM vector code: LLVM turns it into AVX-512, AVX2, SSE or NEON, whatever the machine has.
-``+ - *`` work on ``Lanes``; ``fma`` is fused where the machine can, in the same way wherever it is used.
+Numba has no vector types, and LLVM does not vectorise the blending loops by itself. Each operation here is
+one ``@intrinsic`` that emits generic LLVM vector code: LLVM turns it into AVX-512, AVX2, SSE or NEON,
+whatever the machine has. ``+ - *`` work on ``Lanes``; ``fma`` is fused where the machine can, in the same way
+wherever it is used.
 """
 
 from __future__ import annotations
@@ -11,9 +13,12 @@ import operator
 from typing import Any
 
 from llvmlite import ir
-from numba import types
+from numba import extending, types
 from numba.core import cgutils
-from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+from numba.extending import lower_builtin, models, register_model, type_callable
+
+intrinsic: Any = extending.intrinsic
+"""Called without the typing context that it is declared with, which no type checker can know."""
 
 WIDTH = 16
 
@@ -259,9 +264,11 @@ def exp2(typing_context: Any, a: Any) -> Any:
 
 @intrinsic
 def totals(typing_context: Any, vectors: Any) -> Any:
-    """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the others are 0.
+    """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the others
+    are 0.
 
-    A tree of pairwise sums: neighbours are folded together until one vector is left, always in the same order.
+    A tree of pairwise sums: neighbours are folded together until one vector is left, always in the same
+    order.
     """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -1,4 +1,5 @@
-"""A furnished room as Gaussians on its surfaces: what the benchmark draws. The same numbers for the same count, always."""
+"""A furnished room as Gaussians on its surfaces: what the benchmark draws. The same numbers for the same
+count, always."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ FURNITURE = (  # metres, opposite corners
 
 @dataclass(frozen=True, eq=False)
 class Workload:
-    """float32: means, scales [N, 3] metres, quats [N, 4] wxyz, opacities [N], colours [N, 3], labels [N, 46]; the camera."""
+    """float32: means, scales [N, 3] metres, quats [N, 4] wxyz, opacities [N], colours [N, 3], labels [N, 46];
+    the camera."""
 
     means: NDArray[np.float32]
     scales: NDArray[np.float32]
@@ -44,7 +46,8 @@ class Workload:
 
 
 def _faces() -> tuple[NDArray[np.float64], ...]:
-    """Origins, two edges and the normal axis of every rectangle: the room's six, the furniture's without undersides."""
+    """Origins, two edges and the normal axis of every rectangle: the room's six, the furniture's without
+    undersides."""
     origins, first, second, axes = [], [], [], []
     for place, (low, high) in enumerate((ROOM, *FURNITURE)):
         size = np.subtract(high, low)
@@ -100,7 +103,8 @@ def _multiply(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def room_workload(count: int, width: int = WIDTH, height: int = HEIGHT) -> Workload:
-    """``count`` Gaussians, flat on the surfaces, as wide as they are far apart; another size scales the intrinsics."""
+    """``count`` Gaussians, flat on the surfaces, as wide as they are far apart; another size scales the
+    intrinsics."""
     random = np.random.default_rng(SEED + count)
     origins, first, second, axes = _faces()
     areas = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
@@ -119,5 +123,16 @@ def room_workload(count: int, width: int = WIDTH, height: int = HEIGHT) -> Workl
     )
     focal_x, focal_y = FOCAL * width / WIDTH, FOCAL * height / HEIGHT
     intrinsics = np.array([[focal_x, 0.0, width / 2], [0.0, focal_y, height / 2], [0.0, 0.0, 1.0]])
-    arrays = (means, scales, quats, random.uniform(0.1, 0.95, count), colours.clip(0.02, 0.98), labels)
-    return Workload(*(a.astype(np.float32) for a in arrays), _camera_to_world(), intrinsics, width, height)
+    opacities = random.uniform(0.1, 0.95, count)
+    return Workload(
+        means.astype(np.float32),
+        scales.astype(np.float32),
+        quats.astype(np.float32),
+        opacities.astype(np.float32),
+        colours.clip(0.02, 0.98).astype(np.float32),
+        labels.astype(np.float32),
+        _camera_to_world(),
+        intrinsics,
+        width,
+        height,
+    )

@@ -33,7 +33,8 @@ class Scene:
 
 
 def random_scene(seed: int, count: int, channels: int, width: int, height: int) -> Scene:
-    """Gaussians before, beside and behind a turned camera with an off-centre principal point and unequal focal lengths."""
+    """Gaussians before, beside and behind a turned camera with an off-centre principal point and unequal
+    focal lengths."""
     generator = torch.Generator().manual_seed(seed)
 
     def uniform(*shape: int) -> Tensor:
@@ -90,7 +91,8 @@ def steady_pixels(scene: Scene) -> Tensor:
 
 
 def render(scene: Scene, backend: str, where: Tensor | None = None) -> tuple[Rendering, dict[str, Tensor]]:
-    """The rendering, and the gradients of a fixed random loss over all four layers of the pixels ``where``."""
+    """The rendering, and the gradients of a fixed random loss over all four layers of the pixels
+    ``where``."""
     tensors = [tensor.clone().requires_grad_() for tensor in scene.tensors]
     out = rasterize(
         *tensors,
