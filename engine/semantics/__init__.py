@@ -5,7 +5,7 @@ from __future__ import annotations
 from .anchor_labels import label_anchors, voxelise
 from .cloud_index import CloudIndex
 from .consistency import ConsistencyOptions, consistency_masks, view_overlap, views_are_sparse
-from .object_votes import label_by_object, vote_classes
+from .object_votes import label_by_object, object_classes, vote_classes
 from .point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud
 from .projection import LabelledPoints, project_labels, read_labels
 from .pseudo_labels import pseudo_labels, regions
@@ -20,6 +20,7 @@ __all__ = [
     "consistency_masks",
     "label_anchors",
     "label_by_object",
+    "object_classes",
     "project_labels",
     "pseudo_labels",
     "read_labels",

@@ -40,25 +40,39 @@ def vote_classes(
     return votes
 
 
+def object_classes(votes: NDArray[np.float64], class_ids: tuple[int, ...]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The class that each object was voted to be, int32 [objects + 1] (0 without votes; ties: lower id), and the winner's
+    share of the votes float32 [objects + 1]."""
+    ids = np.asarray(class_ids, np.int32)
+    winner = votes.argmax(1)
+    share = votes[np.arange(len(votes)), winner] / np.maximum(votes.sum(1), 1e-12)
+    return np.where(votes.any(1), ids[winner], 0).astype(np.int32), share.astype(np.float32)
+
+
 def label_by_object(
     cloud: SemanticPointCloud,
     object_of_point: NDArray[np.int32],
     votes: NDArray[np.float64],
     thing_ids: frozenset[int],
-) -> SemanticPointCloud:
-    """The cloud with the points of each object that is a thing decided by the object's votes, float [objects
-    + 1, C].
+    least_share: float = 0.15,
+) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
+    """The cloud with the points of each object that is a thing decided by the object's votes, float [objects + 1, C], and
+    the object that each point then belongs to, int32 [N], 0 = none or stuff.
 
-    Stuff keeps its points' own labels: an outline of stuff is wherever a view ends, so views have no common
-    object to vote on. ``confidence`` becomes the winner's share of the object's votes.
+    A point that (nearly) no view calls by its object's class, less than ``least_share`` of its own votes, was swept into the
+    object by an outline that took in its neighbour: it keeps its own label and belongs to no object. Stuff keeps its
+    points' own labels too: an outline of stuff is wherever a view ends, so views have no common object to vote on.
+    ``confidence`` of decided points becomes the winner's share of the object's votes.
     """
-    ids = np.asarray(cloud.class_ids, np.int32)
-    winner = votes.argmax(1)
-    class_of_object = np.where(votes.any(1), ids[winner], 0).astype(np.int32)
-    share = votes[np.arange(len(votes)), winner] / np.maximum(votes.sum(1), 1e-12)
-    decided = np.isin(class_of_object, sorted(thing_ids))[object_of_point]
-    return replace(
+    class_of_object, share = object_classes(votes, cloud.class_ids)
+    proposed = class_of_object[object_of_point]
+    column = np.minimum(np.searchsorted(cloud.class_ids, proposed), len(cloud.class_ids) - 1)
+    total = cloud.votes.sum(1)
+    own = cloud.votes[np.arange(len(cloud)), column]
+    decided = np.isin(proposed, sorted(thing_ids)) & ((total == 0) | (own >= least_share * total))
+    relabelled = replace(
         cloud,
-        class_id=np.where(decided, class_of_object[object_of_point], cloud.class_id).astype(np.int32),
+        class_id=np.where(decided, proposed, cloud.class_id).astype(np.int32),
         confidence=np.where(decided, share[object_of_point], cloud.confidence).astype(np.float32),
     )
+    return relabelled, np.where(decided, object_of_point, 0).astype(np.int32)

@@ -38,6 +38,7 @@ from ..semantics import (
     consistency_masks,
     label_anchors,
     label_by_object,
+    object_classes,
     project_labels,
     views_are_sparse,
     vote_classes,
@@ -71,7 +72,7 @@ def prepare(
             views,
             consistency_masks(views, consistency_options(views, preset)),
             class_ids,
-            CloudOptions(spacing=preset.voxel_size / 2),
+            CloudOptions(spacing=preset.voxel_size / 2, ballot=preset.ballot, majority=preset.majority),
             progress,
         )
     with stages.stage("match") as progress:
@@ -125,9 +126,10 @@ def objects_by_consent(
     )
     shown = ((one.row, shown_classes(view, one), one.pixels) for view, one in zip(views, seen, strict=True))
     votes = vote_classes(shown, objects.object_of_point, cloud.class_ids)
-    cloud = label_by_object(cloud, objects.object_of_point, votes, classes.thing_ids)
+    class_of_object, _ = object_classes(votes, cloud.class_ids)
+    cloud, object_of_point = label_by_object(cloud, objects.object_of_point, votes, classes.thing_ids)
     instances, instance_of_point = object_instances(
-        views, objects, cloud.xyz, cloud.class_id, classes.thing_ids, preset.voxel_size
+        views, objects, cloud.xyz, class_of_object, object_of_point, preset.voxel_size
     )
     return cloud, instances, instance_of_point
 

@@ -67,7 +67,8 @@ class Preset:
 
     ``size_within`` (width, height): frames are brought into this box for the lift, never enlarged; ``voxel_size``
     metres (the paper's epsilon); ``neighbours`` is N_w and ``agreement`` the share of them that must agree (1 = the
-    paper's product). ``instance_slots`` is the least number of slots. ``objects``: how segments of all views become
+    paper's product). ``instance_slots`` is the least number of slots. ``ballot`` and ``majority``: how the cloud's
+    points vote (see CloudOptions). ``objects``: how segments of all views become
     instances, "boxes" (Algorithm 1) or "consent" (ours, with a vote of the views on each object's class).
     ``most_instances`` caps them. ``seeded_features``: start features from colour and label of the anchors instead of
     zero; ``warm_start`` fits the decoders to them.
@@ -85,6 +86,8 @@ class Preset:
     label_view_input: bool = False
     neighbours: int = 0
     agreement: float = 1.0
+    ballot: Literal["views", "pixels"] = "views"
+    majority: float = 0.0
     objects: Literal["boxes", "consent"] = "consent"
     most_instances: int = 200
     seeded_features: bool = True
@@ -99,8 +102,8 @@ class Preset:
 PRESETS = {
     preset.name: preset
     for preset in (
-        Preset("preview", steps=600, size_within=(192, 192), voxel_size=0.06, gaussians_per_anchor=5),
-        Preset("standard", steps=3000, size_within=(320, 320), voxel_size=0.04, gaussians_per_anchor=6),
+        Preset("preview", steps=600, size_within=(200, 200), voxel_size=0.06, gaussians_per_anchor=4),
+        Preset("standard", steps=2000, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=5),
         Preset(
             "paper",
             steps=30_000,
@@ -112,6 +115,8 @@ PRESETS = {
             label_view_input=True,
             neighbours=4,
             objects="boxes",
+            ballot="pixels",
+            majority=0.5,
             seeded_features=False,
             warm_start=None,
         ),

@@ -55,3 +55,4 @@ def warm_start(
         adam.zero_grad()
         loss.backward()
         adam.step()
+    adam.zero_grad()  # the last gradients are no part of the first training step

@@ -122,9 +122,9 @@ def test_things_become_instances_with_boxes() -> None:
     objects, _ = find_objects(views, seen, POINTS, OPTIONS)
     xyz = np.zeros((POINTS, 3))
     xyz[:, 0] = np.arange(POINTS)
-    class_id = np.full(POINTS, WALL, np.int32)
-    class_id[:20] = CHAIR
-    instances, of_point = object_instances(views, objects, xyz, class_id, frozenset({CHAIR}), 0.1)
+    owner = np.where(np.arange(POINTS) < 20, objects.object_of_point, 0).astype(np.int32)
+    classes = np.full(len(objects.masks) + 1, CHAIR, np.int32)
+    instances, of_point = object_instances(views, objects, xyz, classes, owner, 0.1)
     assert [item.id for item in instances] == [1, 2] and [item.class_id for item in instances] == [CHAIR, CHAIR]
     assert [item.views for item in instances] == [3, 3] and instances[0].evidence[0].pixels == 30
     assert instances[0].box.size[0] == pytest.approx(9.0)

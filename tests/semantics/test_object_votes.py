@@ -27,12 +27,26 @@ def test_void_and_unknown_classes_do_not_vote() -> None:
     assert not votes.any()
 
 
-def test_things_are_decided_as_a_whole_and_stuff_is_left_to_its_points() -> None:
-    cloud = SemanticPointCloud(
-        np.zeros((5, 3), np.float32), np.zeros((5, 3), np.uint8), np.array([CHAIR, SOFA, 0, SOFA, CHAIR], np.int32),
-        np.full(5, 0.6, np.float32), np.zeros((5, 4), np.float32), CLASS_IDS, 0.1,
+def cloud_of(class_id: list[int], votes: list[list[float]]) -> SemanticPointCloud:
+    count = len(class_id)
+    return SemanticPointCloud(
+        np.zeros((count, 3), np.float32), np.zeros((count, 3), np.uint8), np.array(class_id, np.int32),
+        np.full(count, 0.6, np.float32), np.array(votes, np.float32), CLASS_IDS, 0.1,
     )  # fmt: skip
+
+
+def test_things_are_decided_as_a_whole_and_stuff_is_left_to_its_points() -> None:
+    cloud = cloud_of([CHAIR, SOFA, 0, SOFA, CHAIR], [[0, 0, 5, 5]] * 2 + [[0, 0, 0, 0]] + [[0, 0, 5, 5]] * 2)
     votes = np.array([[0, 0, 0, 0], [0, 0, 1, 3], [5, 0, 0, 4]], np.float64)
-    decided = label_by_object(cloud, OWNER, votes, frozenset({CHAIR, SOFA}))
+    decided, owner = label_by_object(cloud, OWNER, votes, frozenset({CHAIR, SOFA}))
     assert decided.class_id.tolist() == [SOFA, SOFA, SOFA, SOFA, CHAIR]
+    assert owner.tolist() == [1, 1, 1, 0, 0]
     np.testing.assert_allclose(decided.confidence, [0.75, 0.75, 0.75, 0.6, 0.6])
+
+
+def test_a_point_that_no_view_calls_so_is_not_swept_into_an_object() -> None:
+    cloud = cloud_of([CHAIR, CHAIR, SOFA, SOFA, CHAIR], [[0, 0, 10, 0], [0, 0, 8, 2], *[[0, 0, 0, 10]] * 3])
+    votes = np.array([[0, 0, 0, 0], [0, 0, 1, 3], [5, 0, 0, 4]], np.float64)
+    decided, owner = label_by_object(cloud, OWNER, votes, frozenset({CHAIR, SOFA}))
+    assert decided.class_id.tolist()[:3] == [CHAIR, SOFA, SOFA]
+    assert owner.tolist()[:3] == [0, 1, 1]
