@@ -1,0 +1,82 @@
+"""What training starts from: instances, cloud, anchors and targets of the tiny room."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from engine.train.preparation import PreparedLift, slots
+from tests.tiny_scene import CABINET, CABINET_ID, CHAIR, CHAIR_ID, WALL_ID
+from tests.train.tiny_lift import TINY, prepared_for, views_of
+
+BOXES = {CHAIR_ID: CHAIR, CABINET_ID: CABINET}
+
+
+@pytest.fixture(scope="module", params=["boxes", "consent"])
+def prepared(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> PreparedLift:
+    way: Literal["boxes", "consent"] = request.param
+    folder = tmp_path_factory.mktemp(way)
+    views, classes = views_of(folder / "scene")
+    return prepared_for(views, classes, replace(TINY, objects=way, voxel_size=0.1), folder)
+
+
+def test_the_rooms_objects_are_found(prepared: PreparedLift) -> None:
+    assert sorted(instance.class_id for instance in prepared.instances) == [CABINET_ID, CHAIR_ID]
+    assert sorted(instance.id for instance in prepared.instances) == [1, 2]
+    for instance in prepared.instances:
+        low, high = BOXES[instance.class_id]
+        np.testing.assert_allclose(instance.box.centre, (low + high) / 2, atol=0.1)
+        assert instance.box.volume == pytest.approx(np.prod(high - low), rel=0.35)
+        assert instance.views == 7
+
+
+def test_points_belong_to_the_object_they_lie_on(prepared: PreparedLift) -> None:
+    cloud, owner = prepared.cloud, prepared.instance_of_point
+    assert owner.shape == (len(cloud),) and owner.dtype == np.int32
+    for instance in prepared.instances:
+        low, high = BOXES[instance.class_id]
+        inside = ((cloud.xyz > low + 0.02) & (cloud.xyz < high + 0.02) & (cloud.xyz[:, 2:] > 0.1)).all(axis=1)
+        own = owner == instance.id
+        assert inside.sum() > 20
+        assert own[inside].mean() > 0.9
+        assert (cloud.class_id[own] == instance.class_id).all()
+    assert not owner[cloud.class_id == WALL_ID].any()
+
+
+def test_targets_show_the_masks(prepared: PreparedLift) -> None:
+    channels = prepared.scene.channels
+    assert channels.class_ids == (1, 2, 3, 5)  # no view looks up
+    assert set(channels.slot_ids[:2]) == {1, 2} and set(channels.slot_ids[2:]) == {0}
+    for target in prepared.targets:
+        shape = (target.camera.height, target.camera.width)
+        assert target.photo.shape == (*shape, 3) and target.machine_instances.shape == shape
+        assert target.pseudo is None and target.semantic is target.projected
+        assert (target.projected >= 0).float().mean() > 0.95
+        matched, projected = target.matched.numpy(), target.projected.numpy()
+        things = {channels.class_ids.index(CHAIR_ID), channels.class_ids.index(CABINET_ID)}
+        assert set(projected[matched >= 0].tolist()) <= things
+        # One instance, one class: the slots tell chair and cabinet apart.
+        assert {len(set(projected[matched == slot].tolist())) for slot in (0, 1)} <= {0, 1}
+
+
+def test_anchors_know_their_class(prepared: PreparedLift) -> None:
+    anchors = prepared.scene.anchors
+    assert (anchors.initial_class > 0).float().mean() > 0.95
+    assert set(anchors.initial_class.tolist()) <= {0, 1, 2, 3, 5}
+    assert not anchors.level.any()
+
+
+def test_the_smallest_instances_are_left_out_with_a_warning(tmp_path: Path) -> None:
+    views, classes = views_of(tmp_path / "scene")
+    one = prepared_for(views, classes, replace(TINY, most_instances=1), tmp_path)
+    assert [instance.id for instance in one.instances] == [1]
+    assert set(one.instance_of_point.tolist()) == {0, 1}
+    assert "1 smallest of 2 instances" in (tmp_path / "events.jsonl").read_text()
+
+
+def test_spare_slots() -> None:
+    assert slots((), 3) == (0, 0, 0)

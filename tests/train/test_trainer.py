@@ -1,0 +1,102 @@
+"""The training loop: it learns, it keeps labels away from opacity, and a restored one goes on bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from engine.model.gaussians import decode
+from engine.scene import ClassTable, View
+from engine.train.presets import LossWeights
+from engine.train.state import restore, trainer_state
+from engine.train.trainer import Trainer
+from tests.train.tiny_lift import STEPS, TINY, colour_error, trainer_of, views_of
+
+Input = tuple[list[View], ClassTable]
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Input:
+    return views_of(tmp_path_factory.mktemp("tiny") / "scene")
+
+
+def whole_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, object]]:
+    tensors, facts = trainer_state(trainer)
+    return {name: tensor.clone() for name, tensor in tensors.items()}, facts
+
+
+def assert_equal(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> None:
+    assert one.keys() == two.keys()
+    different = [name for name in one if not torch.equal(one[name], two[name])]
+    assert not different
+
+
+def test_a_restored_trainer_goes_on_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
+    whole = trainer_of(*tiny, TINY, tmp_path)
+    started_with = len(whole.scene.anchors)
+    stored = {0: whole_state(whole)}
+    losses = []
+    while not whole.finished:
+        losses.append(whole.step().loss)
+        stored[whole.step_number] = whole_state(whole)
+    assert len(whole.scene.anchors) > started_with
+    assert all(target.pseudo is not None for target in whole.targets)
+
+    # Before the first step, before any growth, between growth and pseudo labels, and after both.
+    for step in (0, 2, 3, 9):
+        resumed = trainer_of(*tiny, TINY, tmp_path)
+        restore(resumed, *stored[step])
+        assert_equal(trainer_state(resumed)[0], stored[step][0])
+        assert [resumed.step().loss for _ in range(step, STEPS)] == losses[step:]
+        tensors, facts = trainer_state(resumed)
+        assert_equal(tensors, stored[STEPS][0])
+        assert facts == stored[STEPS][1] and resumed.finished
+
+
+def test_pictures_get_better(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, replace(TINY, steps=40), tmp_path)
+    before = colour_error(tiny[0], trainer)
+    losses = []
+    while not trainer.finished:
+        losses.append(trainer.step().reconstruction)
+    epoch = len(tiny[0])
+    assert sum(losses[-epoch:]) < 0.8 * sum(losses[:epoch])
+    assert colour_error(tiny[0], trainer) < 0.7 * before
+
+
+def test_label_losses_never_reach_opacity_or_shape(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, TINY, tmp_path)
+    target = trainer.targets[0]
+    gaussians = decode(trainer.scene.anchors, trainer.scene.decoders, target.camera)
+    semantic, instance = trainer._label_losses(gaussians, trainer._rasterize(gaussians, target), target)
+    assert semantic > 0 and instance > 0
+    (semantic + instance).backward()
+
+    decoders, anchors = trainer.scene.decoders, trainer.scene.anchors
+    for untouched in (decoders.opacity, decoders.covariance, decoders.colour):
+        assert all(p.grad is None or not p.grad.any() for p in untouched.parameters())
+    assert all(each is None or not each.any() for each in (anchors.offset.grad, anchors.log_scale.grad))
+    for taught in (decoders.semantic, decoders.instance):
+        assert all(p.grad is not None and p.grad.any() for p in taught.parameters())
+
+
+def test_without_label_losses_opacity_is_the_same(tiny: Input, tmp_path: Path) -> None:
+    """One step moves the opacity decoder by the reconstruction loss alone."""
+    moved = []
+    for weights in (LossWeights(), LossWeights(semantic=0.0, instance=0.0)):
+        trainer = trainer_of(*tiny, replace(TINY, weights=weights), tmp_path)
+        trainer.step()
+        moved.append([p.detach().clone() for p in trainer.scene.decoders.opacity.parameters()])
+    assert all(torch.equal(one, two) for one, two in zip(*moved, strict=True))
+
+
+def test_anchors_are_never_more_than_allowed(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, TINY, tmp_path)
+    most = len(trainer.scene.anchors) + 5
+    trainer = trainer_of(*tiny, replace(TINY, most_anchors=most), tmp_path)
+    while not trainer.finished:
+        trainer.step()
+        assert len(trainer.scene.anchors) <= most

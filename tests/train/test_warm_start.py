@@ -1,0 +1,59 @@
+"""Decoders that know their anchors before the first step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from engine.model.gaussians import decode_rows
+from engine.model.structured import StructuredScene
+from engine.train.presets import WarmStart
+from tests.train.tiny_lift import TINY, prepared_for, views_of
+
+WARM = replace(TINY, warm_start=WarmStart(steps=150, batch=512))
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StructuredScene]:
+    """Warm from seeds 0, 0 and 1, and cold from seed 0."""
+    folder = tmp_path_factory.mktemp("warm")
+    views, classes = views_of(folder / "scene")
+    cold = replace(TINY, warm_start=None)
+    chosen = ((WARM, 0), (WARM, 0), (WARM, 1), (cold, 0))
+    return [prepared_for(views, classes, preset, folder, seed).scene for preset, seed in chosen]
+
+
+def share_right(scene: StructuredScene) -> float:
+    """Share of the anchors with a known class whose every drawn Gaussian shows that class first."""
+    rows = torch.arange(len(scene.anchors))
+    with torch.no_grad():
+        logits = decode_rows(scene.anchors, scene.decoders, rows, torch.tensor([2.0, 1.5, 1.5])).class_logits
+    assert logits is not None
+    class_ids = torch.tensor(scene.channels.class_ids)
+    known = scene.anchors.initial_class > 0
+    shown = class_ids[logits.argmax(dim=2)]
+    return float((shown == scene.anchors.initial_class[:, None]).all(dim=1)[known].float().mean())
+
+
+def test_decoders_predict_the_anchors_classes(scenes: list[StructuredScene]) -> None:
+    assert share_right(scenes[0]) > 0.97
+    assert share_right(scenes[3]) < 0.5
+
+
+def test_the_same_seed_gives_the_same_decoders(scenes: list[StructuredScene]) -> None:
+    first, again, other, _ = (scene.decoders.state_dict() for scene in scenes)
+    assert all(torch.equal(first[name], again[name]) for name in first)
+    assert not all(torch.equal(first[name], other[name]) for name in first)
+
+
+def test_more_gaussians_start_visible(scenes: list[StructuredScene]) -> None:
+    def visible(scene: StructuredScene) -> float:
+        rows = torch.arange(len(scene.anchors))
+        with torch.no_grad():
+            gaussians = decode_rows(scene.anchors, scene.decoders, rows, torch.tensor([2.0, 1.5, 1.5]))
+        return float(np.mean(gaussians.all_opacities.numpy() > 0))
+
+    assert visible(scenes[0]) > visible(scenes[3])

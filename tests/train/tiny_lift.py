@@ -1,0 +1,61 @@
+"""A lift of the tiny room, small enough for a fast test and with every stage of the schedule in it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from engine.job import EventWriter, StopSignal
+from engine.lift.run import STAGES
+from engine.model.growing import GrowthRules
+from engine.scene import ClassTable, View, load_view, open_scene
+from engine.train.preparation import PreparedLift, prepare
+from engine.train.presets import PRESETS, Preset, Schedule, WarmStart
+from engine.train.progress import StageReporter
+from engine.train.trainer import Trainer
+from tests.tiny_scene import write_tiny_scene
+
+STEPS = 12
+TINY = replace(
+    PRESETS["preview"],
+    steps=STEPS,
+    voxel_size=0.2,
+    gaussians_per_anchor=3,
+    instance_slots=4,
+    warm_start=WarmStart(steps=30, batch=512),
+    # Growth after steps 3 and 6, pseudo labels after steps 4 and 8.
+    schedule=Schedule(
+        self_training_every=1 / 3, statistics_from=0, grow_from=0, grow_until=0.6, grow_every_at_least_steps=3
+    ),
+    growth=GrowthRules(gradient=1e-6, seen_share=0.1, visited_share=0.1),
+)
+
+
+def views_of(folder: Path, **options: object) -> tuple[list[View], ClassTable]:
+    """The tiny room's training views, and its classes."""
+    scene = open_scene(write_tiny_scene(folder, frames=8, **options), None, "z")  # type: ignore[arg-type]
+    return [load_view(frame) for frame in scene.train_frames], scene.classes
+
+
+def prepared_for(views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0) -> PreparedLift:
+    events = EventWriter(folder / "events.jsonl")
+    try:
+        stages = StageReporter(events, StopSignal(folder / "cancel"), STAGES)
+        return prepare(views, classes, preset, seed, stages)
+    finally:
+        events.close()
+
+
+def trainer_of(views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0) -> Trainer:
+    prepared = prepared_for(views, classes, preset, folder, seed)
+    return Trainer(prepared.scene, prepared.targets, views, preset, seed)
+
+
+def colour_error(views: list[View], trainer: Trainer) -> float:
+    """Mean absolute error of the rendered views, in [0, 1]."""
+    from engine.model.render import render_view
+
+    errors = [np.abs(render_view(trainer.scene, view.camera).image - view.colour / 255.0).mean() for view in views]
+    return float(np.mean(errors))
