@@ -1,0 +1,200 @@
+"""Whole lifts of the tiny room: what they write, that they write it again, and what ground truth may touch."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+from safetensors.torch import safe_open
+
+from engine.job import Cancelled, EventWriter, LiftFolder, LiftRequest, StopSignal, verify
+from engine.lift import run_lift
+from engine.lift.run import STAGES
+from engine.model.structured import from_tensors
+from engine.scene import open_scene
+from engine.train.presets import PRESETS
+from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
+from tests.train.tiny_lift import TINY
+
+FRAMES = 10
+HELD_OUT = ["0004"]
+
+
+@dataclass(frozen=True)
+class Lifts:
+    """A scene, and one lift of it that most tests look at."""
+
+    root: Path
+    scene: Path
+    done: LiftFolder
+
+    def lift(self, name: str, scene: Path | None = None, **request: object) -> LiftFolder:
+        folder = LiftFolder.create(self.root / name, LiftRequest(scene=scene or self.scene, **request))  # type: ignore[arg-type]
+        run(folder)
+        return folder
+
+
+def run(folder: LiftFolder, *, resume: bool = False) -> None:
+    events = EventWriter(folder.events_path)
+    try:
+        run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume)
+    finally:
+        events.close()
+
+
+@pytest.fixture(scope="module")
+def lifts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lifts]:
+    root = tmp_path_factory.mktemp("lifts")
+    scene = write_tiny_scene(root / "scene", frames=FRAMES, noise=0.1)
+    done = LiftFolder.create(root / "done", LiftRequest(scene=scene))
+    preview = PRESETS["preview"]
+    PRESETS["preview"] = TINY
+    try:
+        run(done)
+        yield Lifts(root, scene, done)
+    finally:
+        PRESETS["preview"] = preview
+        torch.use_deterministic_algorithms(False)
+
+
+def files_of(folder: LiftFolder) -> dict[str, str]:
+    """SHA-256 by path of a result that was verified against its manifest."""
+    return {file.path.as_posix(): file.sha256 for file in verify(folder.result_path).files}
+
+
+def test_the_files_are_those_of_the_design(lifts: Lifts) -> None:
+    expected = {"semantic_points.npz", "instances.json", "anchors.npz", "gaussians.ply", "model.safetensors"}
+    expected |= {"metrics.json", "previews/contact_sheet.png"}
+    for name in HELD_OUT:
+        previews = {f"previews/{name}_{kind}.png" for kind in ("colour", "semantic", "instance")}
+        expected |= {f"passes/{name}.exr"} | previews
+    assert set(files_of(lifts.done)) == expected
+    on_disk = {path.relative_to(lifts.done.result_path) for path in lifts.done.result_path.rglob("*") if path.is_file()}
+    assert {path.as_posix() for path in on_disk} == expected | {"manifest.json"}
+
+
+def test_the_manifest_says_how_it_came_about(lifts: Lifts) -> None:
+    manifest = verify(lifts.done.result_path)
+    assert manifest.seed == 0 and manifest.settings["steps"] == TINY.steps
+    assert set(manifest.timings) == set(STAGES)
+    assert {"python", "numpy", "torch", "numba"} <= set(manifest.versions)
+
+
+def test_points_and_anchors(lifts: Lifts) -> None:
+    result = lifts.done.result_path
+    with np.load(result / "semantic_points.npz") as points:
+        count = len(points["xyz"])
+        kinds = {name: (points[name].dtype.str, points[name].shape) for name in points.files}
+        assert set(np.unique(points["instance_id"])) == {0, 1, 2}
+        assert ((points["confidence"] >= 0) & (points["confidence"] <= 1)).all()
+    assert kinds == {
+        "xyz": ("<f4", (count, 3)),
+        "rgb": ("|u1", (count, 3)),
+        "class_id": ("<i4", (count,)),
+        "instance_id": ("<i4", (count,)),
+        "confidence": ("<f4", (count,)),
+    }
+    with np.load(result / "anchors.npz") as anchors:
+        count = len(anchors["xyz"])
+        kinds = {name: (anchors[name].dtype.str, anchors[name].shape) for name in anchors.files}
+        assert set(np.unique(anchors["level"])) <= {0, 1, 2, 3}
+    assert kinds == {
+        "xyz": ("<f4", (count, 3)),
+        "class_id": ("<i4", (count,)),
+        "instance_id": ("<i4", (count,)),
+        "opacity": ("<f4", (count,)),
+        "level": ("<i4", (count,)),
+        "rgb": ("|u1", (count, 3)),
+    }
+
+
+def test_instances(lifts: Lifts) -> None:
+    content = json.loads((lifts.done.result_path / "instances.json").read_text())
+    assert content["format"] == 1 and content["up"] == "z"
+    assert [one["id"] for one in content["classes"]] == [1, 2, 3, 5, 13]
+    found = {one["name"]: one for one in content["instances"]}
+    assert set(found) == {"chair 1", "cabinet 1"}
+    assert {one["class_id"] for one in found.values()} == {CHAIR_ID, CABINET_ID}
+    for one in found.values():
+        assert one["id"] >= 1 and one["views"] >= 5 and 0 <= one["score"] <= 1 and one["points"] > 0
+        assert len(one["centre"]) == len(one["size"]) == len(one["colour"]) == 3 and len(one["rotation"]) == 4
+        assert not {segment["frame"] for segment in one["segments"]} & set(HELD_OUT)
+
+
+def test_the_model_can_be_read_again(lifts: Lifts) -> None:
+    with safe_open(lifts.done.result_path / "model.safetensors", "pt") as file:
+        facts = json.loads(file.metadata()["plgs"])
+        scene = from_tensors({name: file.get_tensor(name) for name in file.keys()}, facts)  # noqa: SIM118
+    with np.load(lifts.done.result_path / "anchors.npz") as anchors:
+        np.testing.assert_array_equal(scene.anchors.position.numpy(), anchors["xyz"])
+    assert scene.channels.class_ids == (1, 2, 3, 5)
+
+
+def test_passes_have_the_frames_own_size_and_whole_labels(lifts: Lifts) -> None:
+    for name in HELD_OUT:
+        with OpenEXR.File(str(lifts.done.passes_path / f"{name}.exr"), separate_channels=True) as exr:
+            channels = {key: channel.pixels for key, channel in exr.channels().items()}
+        plgs = {key for key in channels if key.startswith("PLGS.")}
+        single = {f"PLGS.{kind}.V" for kind in ("Depth", "Semantic", "Instance", "Confidence", "Entropy")}
+        assert plgs == {f"PLGS.Combined.{letter}" for letter in "RGBA"} | single
+        assert {key.split(".")[0].rstrip("0123456789") for key in channels} == {"PLGS", "CryptoInstance", "CryptoClass"}
+        assert {pixels.shape for pixels in channels.values()} == {(48, 64)}
+        assert set(np.unique(channels["PLGS.Semantic.V"])) <= {1.0, 2.0, 3.0, 5.0}
+        assert set(np.unique(channels["PLGS.Instance.V"])) <= {0.0, 1.0, 2.0}
+        picture = cv2.imread(str(lifts.done.previews_path / f"{name}_colour.png"))
+        assert picture is not None and picture.shape == (48, 64, 3)
+
+
+def test_metrics_compare_three_ways(lifts: Lifts) -> None:
+    metrics = json.loads((lifts.done.result_path / "metrics.json").read_text())
+    assert metrics["format"] == 1 and metrics["test_frames"] == HELD_OUT
+    rows = {(table["name"], table["mode"]): table for table in metrics["tables"]}
+    assert len(rows) == 6 and {mode for _, mode in rows} == {"strict", "pl_compat"}
+    assert {name.partition(" (")[0] for name, _ in rows} == {"machine masks", "lifted", "voxel vote"}
+    for table in rows.values():
+        assert all(0 <= table[figure] <= 1 for figure in ("miou", "pq", "sq", "rq"))
+    assert rows["lifted", "strict"]["psnr"] > 10
+
+
+def test_same_seed_same_bytes(lifts: Lifts) -> None:
+    assert files_of(lifts.lift("again")) == files_of(lifts.done)
+    other = files_of(lifts.lift("other", seed=1))
+    assert other["model.safetensors"] != files_of(lifts.done)["model.safetensors"]
+
+
+def test_ground_truth_touches_nothing_but_the_metrics(lifts: Lifts) -> None:
+    blind = shutil.copytree(lifts.scene, lifts.root / "blind")
+    shutil.rmtree(blind / "gt")
+    with_truth, without = files_of(lifts.done), files_of(lifts.lift("without", blind))
+    assert with_truth.keys() == without.keys()
+    assert {name for name in without if without[name] != with_truth[name]} == {"metrics.json"}
+    metrics = json.loads((lifts.root / "without" / "result" / "metrics.json").read_text())
+    assert all(table.get("miou") is None for table in metrics["tables"])
+
+
+def test_every_frame_or_none_is_baked(lifts: Lifts) -> None:
+    everything = lifts.lift("all", bake="all")
+    names = {frame.name for frame in open_scene(lifts.scene, None, "z").frames}
+    assert {path.stem for path in everything.passes_path.iterdir()} == names
+    nothing = files_of(lifts.lift("nothing", bake="none"))
+    assert not any(name.startswith("passes/") for name in nothing)
+    assert nothing["model.safetensors"] == files_of(everything)["model.safetensors"]
+    assert nothing["metrics.json"] == files_of(lifts.done)["metrics.json"]
+
+
+def test_a_cancelled_lift_goes_on(lifts: Lifts) -> None:
+    folder = LiftFolder.create(lifts.root / "cancelled", LiftRequest(scene=lifts.scene))
+    folder.cancel_path.touch()
+    with pytest.raises(Cancelled):
+        run(folder)
+    folder.cancel_path.unlink()
+    run(folder, resume=True)
+    assert files_of(folder) == files_of(lifts.done)
