@@ -24,8 +24,8 @@ def object_instances(
     """The objects that own points, ids 1.. in the order of the objects, and the instance of each point, int32
     [N], 0 = none.
 
-    ``xyz`` [N, 3] metres is the cloud's, ``object_of_point`` int32 [N] the object that each point was decided to belong to
-    (0 = none), ``class_of_object`` int32 [objects + 1]; ``min_thickness`` of a box in metres.
+    ``xyz`` [N, 3] metres is the cloud's, ``object_of_point`` int32 [N] the object that each point was decided to belong
+    to (0 = none), ``class_of_object`` int32 [objects + 1]; ``min_thickness`` of a box in metres.
     """
     pixels = {
         (view.name, int(segment)): int(count)

@@ -40,9 +40,11 @@ def vote_classes(
     return votes
 
 
-def object_classes(votes: NDArray[np.float64], class_ids: tuple[int, ...]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The class that each object was voted to be, int32 [objects + 1] (0 without votes; ties: lower id), and the winner's
-    share of the votes float32 [objects + 1]."""
+def object_classes(
+    votes: NDArray[np.float64], class_ids: tuple[int, ...]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The class that each object was voted to be, int32 [objects + 1] (0 without votes; ties: lower id), and the
+    winner's share of the votes float32 [objects + 1]."""
     ids = np.asarray(class_ids, np.int32)
     winner = votes.argmax(1)
     share = votes[np.arange(len(votes)), winner] / np.maximum(votes.sum(1), 1e-12)
@@ -56,13 +58,13 @@ def label_by_object(
     thing_ids: frozenset[int],
     least_share: float = 0.15,
 ) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
-    """The cloud with the points of each object that is a thing decided by the object's votes, float [objects + 1, C], and
-    the object that each point then belongs to, int32 [N], 0 = none or stuff.
+    """The cloud with the points of each object that is a thing decided by the object's votes, float [objects + 1, C],
+    and the object that each point then belongs to, int32 [N], 0 = none or stuff.
 
-    A point that (nearly) no view calls by its object's class, less than ``least_share`` of its own votes, was swept into the
-    object by an outline that took in its neighbour: it keeps its own label and belongs to no object. Stuff keeps its
-    points' own labels too: an outline of stuff is wherever a view ends, so views have no common object to vote on.
-    ``confidence`` of decided points becomes the winner's share of the object's votes.
+    A point that (nearly) no view calls by its object's class, less than ``least_share`` of its own votes, was swept
+    into the object by an outline that took in its neighbour: it keeps its own label and belongs to no object. Stuff
+    keeps its points' own labels too: an outline of stuff is wherever a view ends, so views have no common object to
+    vote on. ``confidence`` of decided points becomes the winner's share of the object's votes.
     """
     class_of_object, share = object_classes(votes, cloud.class_ids)
     proposed = class_of_object[object_of_point]
