@@ -5,7 +5,7 @@ from __future__ import annotations
 from .consensus import ConsensusOptions, ObjectMasks, ViewPoints, find_objects, shown_classes
 from .linear_assignment import assign_slots
 from .masks import instance_map, restrict_to_things, vote_instances
-from .matching import Evidence, GlobalInstance, MatchingOptions, limit_instances, match_views, merge_duplicates
+from .matching import Evidence, GlobalInstance, MatchingOptions, limit_instances, match_views
 from .objects import object_instances
 from .oriented_box import OrientedBox, fit_box, intersection_volume
 from .segments import LocalInstance, SegmentOptions, local_instances
@@ -28,7 +28,6 @@ __all__ = [
     "limit_instances",
     "local_instances",
     "match_views",
-    "merge_duplicates",
     "object_instances",
     "restrict_to_things",
     "shown_classes",

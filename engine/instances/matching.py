@@ -27,14 +27,12 @@ class MatchingOptions:
     """``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
     Hungarian partner if its cost is at most tau, else the best global instance if that is, else a new one;
     "literal" is the text of Algorithm 1. ``true_iou`` subtracts the intersection from the union, which the
-    paper's formula does not. ``merge_iom``: at the end, instances of one class with a greater IoM are merged
-    (None: never).
+    paper's formula does not.
     """
 
     tau_new: float = -0.1
     rule: str = "hybrid"
     true_iou: bool = False
-    merge_iom: float | None = None
 
     def __post_init__(self) -> None:
         if self.rule not in ("hybrid", "literal"):
@@ -108,9 +106,7 @@ def match_views(
     options: MatchingOptions,
     progress: Progress | None = None,
 ) -> list[GlobalInstance]:
-    """Algorithm 1 over the views in their order: I_global, ids 1.. in order of first sight, before any final
-    merge.
-    """
+    """Algorithm 1 over the views in their order: I_global, ids 1.. in order of first sight."""
     known: list[GlobalInstance] = []
     for done, view in enumerate(views, start=1):
         known = update_instances(known, local_instances(view, class_ids, segments), segments.voxel_size, options)
@@ -161,26 +157,6 @@ def _joined(
     together = thin(np.concatenate([instance.points, points]), voxel_size)
     box, both = fit_box(together, voxel_size), instance.evidence + evidence
     return replace(instance, points=together, box=box, evidence=both, class_id=class_by_views(both))
-
-
-def merge_duplicates(instances: Sequence[GlobalInstance], iom: float | None, voxel_size: float) -> list[GlobalInstance]:
-    """Merge instances of one class whose boxes have a greater IoM, the older id surviving, until none are
-    left. None merges nothing: in furnished rooms the boxes of different chairs contain each other.
-    """
-    merged = list(instances)
-    first = 0
-    while iom is not None and first < len(merged):
-        for second in range(first + 1, len(merged)):
-            one, two = merged[first], merged[second]
-            inter = intersection_volume(one.box, two.box)
-            if one.class_id == two.class_id and inter > iom * min(one.box.volume, two.box.volume):
-                merged[first] = _joined(one, two.points, two.evidence, voxel_size)
-                del merged[second]
-                # Its box has grown, so earlier ones may now contain it, or it them.
-                first = -1
-                break
-        first += 1
-    return merged
 
 
 def limit_instances(

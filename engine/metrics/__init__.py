@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .images import psnr, ssim
 from .panoptic import MODES, ClassScore, Mode, PanopticEvaluation, PanopticScores
-from .report import LIFTED, MACHINE_MASKS, VOXEL_VOTE, PredictedView, Report, add_rivals, evaluate_views
+from .report import LIFTED, MACHINE_MASKS, VOXEL_VOTE, PredictedView, Report, add_rivals
 from .voxel_vote import VoxelMap, VoxelVote
 
 __all__ = [
@@ -21,7 +21,6 @@ __all__ = [
     "VoxelMap",
     "VoxelVote",
     "add_rivals",
-    "evaluate_views",
     "psnr",
     "ssim",
 ]

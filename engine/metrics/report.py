@@ -108,21 +108,6 @@ def _place(method: str) -> tuple[int, str]:
     return (METHODS.index(method) if method in METHODS else len(METHODS), method)
 
 
-def evaluate_views(
-    scene: Scene, lifted: Callable[[Frame], PredictedView], progress: Progress | None = None
-) -> dict[str, object]:
-    """The whole report: machine masks, the lifted model (``lifted`` renders a held-out frame) and the
-    yardstick.
-
-    Returns what ``Report.to_json`` returns. Raises SceneError when a file is bad, and what ``lifted`` raises.
-    """
-    report = Report(scene.classes)
-    for frame in scene.test_frames:
-        report.add(LIFTED, frame, lifted(frame))
-    add_rivals(report, scene, progress)
-    return report.to_json()
-
-
 def add_rivals(report: Report, scene: Scene, progress: Progress | None = None) -> None:
     """Score the machine masks as they are, and the voxel vote, on the held-out frames that have ground truth.
 

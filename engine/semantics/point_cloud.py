@@ -8,7 +8,7 @@ anchors.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,11 +71,6 @@ class SemanticPointCloud:
     def index(self) -> CloudIndex:
         """Look-up of the nearest cluster, labelled or not."""
         return CloudIndex(self.xyz, self.spacing)
-
-    def with_votes(self, votes: NDArray[np.floating], majority: float) -> SemanticPointCloud:
-        """The same clusters decided by other votes, float [N, C]."""
-        class_id, confidence = majority_vote(votes, self.class_ids, majority)
-        return replace(self, votes=votes.astype(np.float32), class_id=class_id, confidence=confidence)
 
 
 def majority_vote(

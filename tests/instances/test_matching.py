@@ -12,7 +12,6 @@ from engine.instances import (
     limit_instances,
     local_instances,
     match_views,
-    merge_duplicates,
 )
 from engine.instances.matching import Evidence, class_by_views, pair_cost, update_instances
 from engine.scene import Camera, PanopticMask, Segment, View
@@ -108,16 +107,6 @@ def test_rules_differ_where_the_best_is_taken() -> None:
     assert [len(item.evidence) for item in literal] == [2, 2]
     with pytest.raises(ValueError, match="rule"):
         MatchingOptions(rule="greedy")
-
-
-def test_duplicates_of_one_class_merge_and_others_stay() -> None:
-    view = view_of("a", around(0), [LEFT])
-    one = match_views([view], THINGS, SEGMENTS, MatchingOptions())[0]
-    twin = replace(one, id=2)
-    sofa = replace(one, id=3, class_id=SOFA)
-    merged = merge_duplicates([one, sofa, twin], 0.8, 0.03)
-    assert len(merge_duplicates([one, sofa, twin], None, 0.03)) == 3
-    assert [item.id for item in merged] == [1, 3] and len(merged[0].evidence) == 2
 
 
 def test_near_views_count_more_but_do_not_outvote() -> None:

@@ -15,7 +15,7 @@ from engine.metrics import (
     VOXEL_VOTE,
     PredictedView,
     Report,
-    evaluate_views,
+    add_rivals,
 )
 from engine.scene import Camera, Category, ClassTable, Frame, GroundTruth, PanopticMask, Scene, Segment
 
@@ -49,12 +49,16 @@ def _frame(index: int, wrong: bool) -> Frame:
 SCENE = Scene(Path(), tuple(_frame(index, wrong=index in (1, 4)) for index in range(5)), CLASSES)
 
 
-def _perfect(frame: Frame) -> PredictedView:
-    return PredictedView(TRUE_CLASS, TRUE_ID, PHOTO)
+def _report_of_a_perfect_lift(scene: Scene) -> dict[str, object]:
+    report = Report(scene.classes)
+    for frame in scene.test_frames:
+        report.add(LIFTED, frame, PredictedView(TRUE_CLASS, TRUE_ID, PHOTO))
+    add_rivals(report, scene)
+    return report.to_json()
 
 
 def test_three_methods_in_two_modes() -> None:
-    metrics = evaluate_views(SCENE, _perfect)
+    metrics = _report_of_a_perfect_lift(SCENE)
     tables = {(table["name"], table["mode"]): table for table in metrics["tables"]}  # type: ignore[attr-defined]
     assert list(tables) == [(n, m) for n in (MACHINE_MASKS, LIFTED, VOXEL_VOTE) for m in ("strict", "pl_compat")]
     assert metrics["test_frames"] == ["0003", "0004"]
@@ -69,7 +73,7 @@ def test_three_methods_in_two_modes() -> None:
 
 def test_without_ground_truth_only_pictures_are_scored() -> None:
     scene = replace(SCENE, frames=tuple(replace(f, read_ground_truth=None) for f in SCENE.frames))
-    metrics = evaluate_views(scene, _perfect)
+    metrics = _report_of_a_perfect_lift(scene)
     (table,) = metrics["tables"]  # type: ignore[misc]
     assert (table["name"], table["mode"], table["miou"], table["psnr"]) == (LIFTED, None, None, 100.0)
 
