@@ -102,8 +102,8 @@ class Preset:
 PRESETS = {
     preset.name: preset
     for preset in (
-        Preset("preview", steps=600, size_within=(200, 200), voxel_size=0.06, gaussians_per_anchor=4),
-        Preset("standard", steps=2000, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=5),
+        Preset("preview", steps=500, size_within=(200, 200), voxel_size=0.06, gaussians_per_anchor=4),
+        Preset("standard", steps=1500, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=4),
         Preset(
             "paper",
             steps=30_000,
