@@ -6,7 +6,7 @@ from .consensus import ConsensusOptions, ObjectMasks, ViewPoints, find_objects, 
 from .linear_assignment import assign_slots
 from .masks import instance_map, restrict_to_things, vote_instances
 from .matching import Evidence, GlobalInstance, MatchingOptions, limit_instances, match_views
-from .objects import object_instances
+from .objects import object_instances, without_strays
 from .oriented_box import OrientedBox, fit_box, intersection_volume
 from .segments import LocalInstance, SegmentOptions, local_instances
 
@@ -32,4 +32,5 @@ __all__ = [
     "restrict_to_things",
     "shown_classes",
     "vote_instances",
+    "without_strays",
 ]

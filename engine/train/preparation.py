@@ -23,6 +23,7 @@ from ..instances import (
     restrict_to_things,
     shown_classes,
     vote_instances,
+    without_strays,
 )
 from ..model.anchors import initial_anchors
 from ..model.decoders import Decoders, DecoderShape
@@ -88,6 +89,9 @@ def prepare(
     return PreparedLift(scene, targets, cloud, instance_of_point, tuple(instances))
 
 
+LARGEST_GAP = 0.15
+"""Metres between neighbouring points of one object: about what a far view leaves between two pixels."""
+
 Matching = tuple[SemanticPointCloud, list[GlobalInstance], NDArray[np.int32]]
 """The cloud with its final classes, the instances, and the instance of each point int32 [N] (0 = none)."""
 
@@ -127,7 +131,9 @@ def objects_by_consent(
     shown = ((one.row, shown_classes(view, one), one.pixels) for view, one in zip(views, seen, strict=True))
     votes = vote_classes(shown, objects.object_of_point, cloud.class_ids)
     class_of_object, _ = object_classes(votes, cloud.class_ids)
-    cloud, object_of_point = label_by_object(cloud, objects.object_of_point, votes, classes.thing_ids)
+    _, owner = label_by_object(cloud, objects.object_of_point, votes, classes.thing_ids)
+    owner = without_strays(cloud.xyz, owner, max(LARGEST_GAP, 4 * cloud.spacing))
+    cloud, object_of_point = label_by_object(cloud, owner, votes, classes.thing_ids)
     instances, instance_of_point = object_instances(
         views, objects, cloud.xyz, class_of_object, object_of_point, preset.voxel_size
     )

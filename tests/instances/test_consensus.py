@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances import ConsensusOptions, find_objects, object_instances
+from engine.instances import ConsensusOptions, find_objects, object_instances, without_strays
 from engine.instances.consensus import join, shown_classes, view_points
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
@@ -129,3 +129,14 @@ def test_things_become_instances_with_boxes() -> None:
     assert [item.views for item in instances] == [3, 3] and instances[0].evidence[0].pixels == 30
     assert instances[0].box.size[0] == pytest.approx(9.0)
     assert set(of_point[:20].tolist()) == {1, 2} and not of_point[20:].any()
+
+
+def test_crumbs_on_the_wall_behind_leave_the_object() -> None:
+    chair = np.random.default_rng(0).uniform(0, 0.4, (300, 3))
+    crumbs = chair[:20] + [3.0, 0.0, 0.0]
+    half = chair[:150] + [0.0, 2.0, 0.0]
+    owner = np.array([1] * 300 + [1] * 20 + [1] * 150 + [2], np.int32)
+    kept = without_strays(np.concatenate([chair, crumbs, half, [[9.0, 9.0, 9.0]]]), owner, reach=0.15)
+    assert (kept[:300] == 1).all() and not kept[300:320].any()
+    assert (kept[320:470] == 1).all(), "a piece that is large enough belongs to the object"
+    assert kept[470] == 2, "a lone point is all there is of its object"
