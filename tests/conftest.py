@@ -33,6 +33,9 @@ def load_package(root: Path, name: str) -> ModuleType:
 
 sys.path.insert(0, str(ROOT))
 
+# As the engine's command has it: threads that wait do not spin. Read when torch is first imported.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
 HAS_BLENDER = importlib.util.find_spec("bpy") is not None
 if HAS_BLENDER:
     # Before bpy is imported, here or in a process that a test starts: nobody's preferences, nobody's extensions.
