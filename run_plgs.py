@@ -69,7 +69,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """The options; SystemExit(2) when they make no sense, SystemExit(0) after --help."""
-    from plgs.engine.job.options import add_lift_options
+    from plgs.engine.job.options import add_lift_options, readable
 
     parser = argparse.ArgumentParser(prog="run_plgs.py", description="Lift a scene and put the result into a .blend.")
     parser.add_argument(
@@ -85,7 +85,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         action="store_true",
         help="go on with the lift in OUT that was stopped or killed; start it when there is none",
     )
-    return parser.parse_args(arguments)
+    return parser.parse_args(readable(arguments))
 
 
 def python_with_blender() -> Path | None:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from .. import __version__
 from ..job import ExitCode, JobError
-from ..job.options import add_lift_options, add_scene_options
+from ..job.options import add_lift_options, add_scene_options, readable
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run a command and return its exit code. Bad arguments end with SystemExit(2), as argparse has it."""
-    options = _parser().parse_args(arguments)
+    options = _parser().parse_args(readable(arguments))
     from ..scene import SceneError  # numpy, which --help does not wait for
 
     try:

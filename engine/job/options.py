@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,6 +39,17 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """How to read the scene's folder."""
     parser.add_argument("--masks", type=Path, metavar="PATH", help="panoptic masks, where not in SCENE itself")
     parser.add_argument("--up", choices=UPS, help=f"the axis of the poses that points up (default: {_DEFAULTS.up})")
+
+
+def readable(arguments: Sequence[str]) -> list[str]:
+    """The arguments with "--up -y" as "--up=-y": argparse takes a value that begins with a dash for an option."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] == "--up" and argument in UPS:
+            joined[-1] = f"--up={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 def picture_size(text: str) -> tuple[int, int]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .classes import VOID
 from .frame import Frame, PanopticMask, Scene, SceneError, Size
 from .ground_truth import GroundTruthReader
 from .image_header import check_image_file
@@ -89,6 +90,10 @@ def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
             scene.frames[0].depth_path.parent,
             "Multiply it by 1000 and save it as 16-bit PNGs.",
         )
+    training = [fact for fact, frame in zip(facts, scene.frames, strict=True) if not frame.held_out]
+    if all(class_id == VOID for fact in training for class_id, _ in fact.class_pixels):
+        fix = "Give masks that have segments in the frames to train on."
+        raise SceneError("the masks are empty", scene.folder, fix)
     return Survey(tuple(facts), (*_pixel_warnings(facts), *_overlap_warnings(scene, thumbnails, tick)))
 
 

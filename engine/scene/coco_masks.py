@@ -105,7 +105,9 @@ def _read_categories(content: dict[str, Any], table: Path) -> tuple[dict[int, in
         context = f"category {position}"
         category_id = take_whole_number(entry, "id", context, table)
         if not 0 <= category_id <= _LARGEST_CLASS_ID:
-            raise SceneError(f"the category id {category_id} is out of range", table, "Use ids from 1 up.")
+            raise SceneError(
+                f"the category id {category_id} is out of range", table, f"Use ids from 1 to {_LARGEST_CLASS_ID}."
+            )
         if category_id in found:
             raise SceneError(f"the category id {category_id} occurs twice", table, "Give each category its own id.")
         found[category_id] = Category(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import unicodedata
 from pathlib import Path, PureWindowsPath
 from typing import Any, NoReturn
 
@@ -76,6 +77,8 @@ def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
     value = _take(entry, key, context, path)
     if not isinstance(value, str) or not value:
         raise wrong_type(key, "a text", value, context, path)
+    if any(unicodedata.category(character) in ("Cc", "Cs") for character in value):  # nothing could show or store it
+        raise SceneError(f'"{key}" of {context} has characters that no name can have', path, "Correct the file.")
     return value
 
 

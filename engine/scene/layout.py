@@ -32,7 +32,11 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
     found: dict[str, Path] = {}
     for path in sorted(paths, key=lambda path: (natural_order(path.stem), path.name)):
         # A name that starts with a dot is a file system's own note, such as macOS writes.
-        if path.suffix.lower() not in suffixes or path.name.startswith(".") or not path.is_file():
+        if path.suffix.lower() not in suffixes or path.name.startswith("."):
+            continue
+        if path.is_symlink() and not path.exists():
+            raise SceneError("this link leads nowhere", path, "Give the file it should lead to, or remove the link.")
+        if not path.is_file():
             continue
         if path.stem in found:
             raise SceneError(f"there is {found[path.stem].name} as well", path, "Keep one of the two.")

@@ -22,6 +22,8 @@ _TO_Z_UP = {
 _RIGID_TOLERANCE = 2e-3
 _NO_SKEW = 1e-3
 _CLEARLY_UP = 0.6
+_FARTHEST = 10_000.0
+"""Metres: positions are 32-bit floats, which tell millimetres apart up to here."""
 
 
 def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.float64]:
@@ -72,6 +74,13 @@ def read_pose(path: Path, up: UpAxis) -> NDArray[np.float64] | None:
     if np.linalg.det(rotation) < 0.0:
         raise SceneError(
             "the pose is mirrored", path, "Use right-handed axes: x right, y down, z forward, camera-to-world."
+        )
+    far = float(np.abs(pose[:3, 3]).max())
+    if far > _FARTHEST:
+        raise SceneError(
+            f"the camera is {far:.4g} m from the origin, too far for exact positions",
+            path,
+            "Write metres, and move the scene close to the origin.",
         )
     left, _, right = np.linalg.svd(rotation)
     turn = _TO_Z_UP[up]

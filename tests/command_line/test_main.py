@@ -74,6 +74,14 @@ def test_a_bad_scene_leaves_no_folder(
     assert os.listdir(tmp_path) == ["scene"]
 
 
+@pytest.mark.parametrize("form", [["--up", "-y"], ["--up=-y"]])
+def test_up_may_be_an_axis_that_points_down(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, form: list[str]
+) -> None:
+    assert code_of("inspect", *form, write_tiny_scene(tmp_path / "scene", frames=6)) == 0
+    assert "not -y" in capsys.readouterr().out
+
+
 def test_inspect(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=9)
     assert code_of("inspect", scene) == 0

@@ -132,6 +132,12 @@ def two_shapes(folder: Path) -> None:
     image("color/0001.png", np.zeros((64, 48, 3), np.uint8))(folder)
 
 
+def empty_masks(folder: Path) -> None:
+    for path in (folder / "panoptic").iterdir():
+        image(f"panoptic/{path.name}", np.zeros((48, 64, 3), np.uint8))(folder)
+    table(lambda content: [each.update(segments_info=[]) for each in content["annotations"]])(folder)
+
+
 PALETTE_PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x40\0\0\0\x30\x08\x03\0\0\0\0\0\0\0IEND\xaeB`\x82"
 """As much of a 64x48 PNG with a colour table as its header needs."""
 
@@ -150,9 +156,12 @@ CASES: dict[str, Spoil] = {
     "a frame without pose": remove("pose/0002.txt"),
     "a frame without mask entry": table(lambda content: content["annotations"].pop(3)),
     "a frame without mask image": remove("panoptic/0003.png"),
+    "a link to nowhere": lambda folder: ((path := folder / "color/0001.png").unlink(), path.symlink_to("gone.png")),
+    "a link to itself": lambda folder: ((path := folder / "color/0001.png").unlink(), path.symlink_to(path)),
     "two colour images of a frame": lambda folder: shutil.copy(folder / "color/0001.png", folder / "color/0001.jpg"),
     # Numbers
     "NaN in a pose": pose(lambda matrix: matrix.__setitem__((0, 3), np.nan)),
+    "a pose far away": pose(lambda matrix: matrix.__setitem__((0, 3), 1e300)),
     "words in a pose": write("pose/0001.txt", "1 0 0 0\n0 1 0 zero\n0 0 1 0\n0 0 0 1"),
     "a pose of three rows": write("pose/0001.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n"),
     "a ragged pose": write("pose/0001.txt", "1 0 0 0\n0 1 0\n0 0 1 0\n0 0 0 1"),
@@ -200,6 +209,9 @@ CASES: dict[str, Spoil] = {
     "no isthing": table(lambda content: content["categories"][0].pop("isthing")),
     "isthing of a wrong type": table(lambda content: content["categories"][0].update(isthing="yes")),
     "a colour of a wrong type": table(lambda content: content["categories"][0].update(color=[1, 2, 300])),
+    "a huge category": table(lambda content: content["categories"][0].update(id=2**40)),
+    "half a character": table(lambda content: content["categories"][0].update(name="wa\ud800ll")),
+    "a category of two lines": table(lambda content: content["categories"][0].update(name="wall\nfloor")),
     "a category twice": table(lambda content: content["categories"].append(content["categories"][0])),
     "a negative category": table(lambda content: content["categories"][0].update(id=-1)),
     "an annotation twice": table(lambda content: content["annotations"].append(content["annotations"][0])),
@@ -218,6 +230,7 @@ CASES: dict[str, Spoil] = {
     "a score in per cent": segment(score=85),
     "an infinite number": infinite,
     "ids in the PNG that the JSON lacks": table(lambda content: content["annotations"][1]["segments_info"].pop(2)),
+    "empty masks": empty_masks,
     # Splits
     "unknown names in splits.json": splits({"train": ["0000", "9999"], "test": ["0001.png"]}),
     "a frame in both splits": splits({"train": ["0000", "0001"], "test": ["0001"]}),
