@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import faulthandler
+import io
 import logging
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 
 @contextmanager
@@ -23,7 +24,7 @@ def output_to(log: Path) -> Iterator[TextIO]:
     sys.stderr.flush()
     out, err = os.dup(1), os.dup(2)
     with (
-        log.open("a", encoding="utf-8", errors="replace", buffering=1) as file,
+        _open_log(log) as file,
         os.fdopen(os.dup(2), "w", encoding="utf-8", errors="replace", buffering=1) as terminal,
     ):
         os.dup2(file.fileno(), 1)
@@ -35,6 +36,21 @@ def output_to(log: Path) -> Iterator[TextIO]:
             for saved, number in ((out, 1), (err, 2)):
                 os.dup2(saved, number)
                 os.close(saved)
+
+
+class _BestEffortFile(io.FileIO):
+    """What finds no room on a full disk is lost: the lift must not fail, nor its error be hidden, for want of a log."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            return memoryview(data).nbytes
+
+
+def _open_log(log: Path) -> TextIO:
+    raw = io.BufferedWriter(_BestEffortFile(log, "ab"))
+    return io.TextIOWrapper(raw, encoding="utf-8", errors="replace", line_buffering=True)
 
 
 @contextmanager

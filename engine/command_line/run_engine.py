@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
 import threading
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Protocol, TextIO
 
@@ -52,10 +53,11 @@ def _run(folder: LiftFolder, resume: bool, parent_pipe: int | None, lift: Lift |
         stop = StopSignal(folder.cancel_path)
         with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
             code = _lift(folder, events, stop, resume, lift, terminal)
-        if code is ExitCode.FINISHED:
-            events.done("finished")
-        elif code in (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED):
-            events.done("cancelled")
+        with suppress(OSError):  # a full disk; the manifest and the exit code tell it as well
+            if code is ExitCode.FINISHED:
+                events.done("finished")
+            elif code in (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED):
+                events.done("cancelled")
         return code
     finally:
         events.close()
@@ -86,8 +88,11 @@ def _lift(
         return _fail(events, terminal, "memory ran out", folder.path, fix, ExitCode.INTERNAL_ERROR)
     except Exception as error:  # the process's outermost frame: the traceback is kept, the user gets a line
         traceback.print_exc()
+        if _is_of_a_full_disk(error):
+            fix = "Make room there, then resume."
+            return _fail(events, terminal, "the disk is full", folder.path, fix, ExitCode.INTERNAL_ERROR)
         what = f"the engine failed ({type(error).__name__}: {_first_line(error)})"
-        fix = "The log has the details. After a full disk or the like, resume."
+        fix = "The log has the details. When the cause is gone, resume."
         return _fail(events, terminal, what, folder.log_path, fix, ExitCode.INTERNAL_ERROR)
 
 
@@ -105,6 +110,11 @@ def _fail(events: EventWriter, terminal: TextIO, what: str, where: object, fix: 
     except OSError:  # the full disk that may be the very reason: the line above and the exit code tell it
         traceback.print_exc()
     return code
+
+
+def _is_of_a_full_disk(error: Exception) -> bool:
+    """Libraries in Rust have errors of their own, with the system's number in their text."""
+    return getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT) or f"os error {errno.ENOSPC}" in str(error)
 
 
 def _first_line(error: Exception) -> str:

@@ -94,8 +94,15 @@ class LiftFollower:
         return events
 
     def cancel(self) -> None:
-        """Ask the engine to stop; polling goes on until it has. Raises OSError when the folder cannot be written."""
-        self.folder.ask_to_cancel()
+        """Ask the engine to stop; polling goes on until it has.
+
+        Raises OSError when the folder cannot be written and the engine is somebody else's; one's own is killed then.
+        """
+        try:
+            self.folder.ask_to_cancel()
+        except OSError:
+            if self._process is None:
+                raise
         self._begin_waiting()
 
     def kill(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from .errors import Cancelled
@@ -90,5 +91,6 @@ class Watchdog:
                 return
             self._asked.wait(POLL_S)
         if not self._over.wait(self._grace_s):
-            self._events.done("cancelled")
+            with suppress(OSError):  # a full disk does not keep the engine alive
+                self._events.done("cancelled")
             self._end_process(self._stop.exit_code)

@@ -51,7 +51,8 @@ def test_a_lift_that_works(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
         (MemoryError(), 1, "memory ran out"),
         (ValueError("first line\nsecond"), 1, "ValueError: first line)"),
         (ModuleNotFoundError("No module named 'torch'"), 1, "make set-up"),
-        (OSError(28, "No space left on device"), 1, "No space left"),
+        (OSError(28, "No space left on device"), 1, "the disk is full"),
+        (RuntimeError("I/O error: No space left on device (os error 28)"), 1, "the disk is full"),
     ],
 )
 def test_a_lift_that_fails(
@@ -63,6 +64,15 @@ def test_a_lift_that_fails(
     assert told in said and said.startswith("error: ") and said.count("\n") == 1
     assert folder.state() is LiftState.FAILED and folder.last_exit_code() == code
     assert ("Traceback" in folder.log_path.read_text()) == (code == 1)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_log_without_room(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = new_lift(tmp_path)
+    folder.log_path.symlink_to("/dev/full")
+    assert run_engine(folder, lift=raising(OSError(28, "No space left on device"))) == 1  # type: ignore[arg-type]
+    said = capfd.readouterr().err
+    assert said.startswith("error: the disk is full") and said.count("\n") == 1
 
 
 def test_a_lift_without_a_manifest_is_no_success(tmp_path: Path) -> None:

@@ -97,6 +97,18 @@ def test_cancel_ends_a_deaf_engine_within_a_second(folder: LiftFolder, start: St
     assert folder.checkpoints.latest() is not None and not folder.is_running
 
 
+def test_cancel_needs_no_room_on_the_disk(folder: LiftFolder, start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    follower = start("patient")
+    follow(follower, step_reached(follower, 2))
+    monkeypatch.setattr(LiftFolder, "ask_to_cancel", full)
+    follower.cancel()
+    assert follow(follower) < A_SECOND
+    assert code_of(follower) is ExitCode.CANCELLED
+
+
 def test_a_killed_engine_is_told_and_can_be_resumed(folder: LiftFolder, start: Start) -> None:
     follower = start("patient")
     follow(follower, step_reached(follower, 3))

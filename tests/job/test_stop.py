@@ -54,6 +54,20 @@ def test_ends_a_deaf_engine_within_a_second(tmp_path: Path, events: EventWriter)
     assert last_run(tmp_path / "events.jsonl")[-1].data["state"] == "cancelled"
 
 
+def test_a_full_disk_does_not_keep_a_deaf_engine_alive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    events = EventWriter(tmp_path / "events.jsonl")
+    monkeypatch.setattr(events, "done", full)
+    ended, stop = Ended(), StopSignal(tmp_path / "cancel")
+    with Watchdog(stop, events, end_process=ended, grace_s=0.1):
+        stop.ask("enough")
+        assert ended.when.wait(1.0)
+    assert ended.code == ExitCode.CANCELLED
+    events.close()
+
+
 def test_leaves_an_engine_alone_that_stops_by_itself(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended, grace_s=0.2):
