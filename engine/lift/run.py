@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
 
-from ..job import EventWriter, LiftFolder, StopSignal, write_manifest
+from ..job import Cancelled, EventWriter, LiftFolder, StopSignal, write_manifest
 from ..scene import Frame, Scene, check_scene, load_view, open_scene, size_within
 from ..train.preparation import prepare
 from ..train.presets import chosen_preset
@@ -87,19 +87,24 @@ def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
 
 
 def train(trainer: Trainer, folder: LiftFolder, stages: StageReporter) -> None:
-    """All steps that are left, with a checkpoint now and then, when stopped, and at the end."""
+    """All steps that are left, with a checkpoint now and then, when stopped, and at the end.
+
+    Not when a step fails: half a step's changes would be stored over the last whole state.
+    """
     steps = trainer.preset.steps
     with stages.stage("train") as progress:
         saved_at = time.monotonic()
         try:
             while not trainer.finished:
-                report = trainer.step()
+                report = trainer.step(stages.stop.check)
                 progress(report.step, steps, report.loss)
                 if time.monotonic() - saved_at > CHECKPOINT_EVERY_S:
                     save_checkpoint(trainer, folder)
                     saved_at = time.monotonic()
-        finally:
+        except Cancelled:
             save_checkpoint(trainer, folder)
+            raise
+        save_checkpoint(trainer, folder)
 
 
 def save_checkpoint(trainer: Trainer, folder: LiftFolder) -> None:

@@ -74,7 +74,6 @@ def bake(
     for start in range(0, len(scene.anchors), CHUNK):
         rows = torch.arange(start, min(start + CHUNK, len(scene.anchors)))
         decoded = decode_rows(scene.anchors, scene.decoders, rows, centre)
-        assert decoded.labels is not None  # decoded with labels
         labels = decoded.labels.numpy()
         class_id, instance_id = decided_labels(scene, labels, thing_ids)
         parts.append(

@@ -70,5 +70,8 @@ class Decoders(nn.Module):
     def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Semantic [V, k, C] and instance [V, k, S] logits; ``seen`` is what ``view_input`` gave."""
         given = seen if self.shape.label_view_input else feature
-        k = self.shape.gaussians_per_anchor
-        return self.semantic(given).view(len(given), k, -1), self.instance(given).view(len(given), k, -1)
+        shape, count = self.shape, len(given)
+        return (
+            self.semantic(given).view(count, shape.gaussians_per_anchor, shape.classes),
+            self.instance(given).view(count, shape.gaussians_per_anchor, shape.instance_slots),
+        )

@@ -25,7 +25,7 @@ class NeuralGaussians:
 
     ``means`` [N, 3] metres, ``scales`` [N, 3] standard deviations in metres, ``quats`` [N, 4] wxyz (not normalised),
     ``opacities`` [N] in (0, 1], ``colours`` [N, 3], ``labels`` [N, C + S]: class probabilities, then instance-slot
-    probabilities, or None. ``visible`` int64 [V] are the anchors decoded, ``all_opacities`` [V, k] their opacities in
+    probabilities. ``visible`` int64 [V] are the anchors decoded, ``all_opacities`` [V, k] their opacities in
     (-1, 1), ``kept`` int64 [N] index into the flattened [V * k]. ``class_logits`` [V, k, C] serves the cluster loss.
     """
 
@@ -34,17 +34,17 @@ class NeuralGaussians:
     quats: torch.Tensor
     opacities: torch.Tensor
     colours: torch.Tensor
-    labels: torch.Tensor | None
+    labels: torch.Tensor
     visible: torch.Tensor
     all_opacities: torch.Tensor
     kept: torch.Tensor
-    class_logits: torch.Tensor | None
+    class_logits: torch.Tensor
 
 
 def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
     """Indices int64 [V] of the anchors whose 3-sigma box touches the picture (Scaffold-GS's pre-filter).
 
-    Each anchor counts as a sphere of its largest offset scale, which bounds where its Gaussians can be.
+    Each anchor counts as a sphere of its largest offset scale: offsets are learnt in units of it, and rarely exceed 3.
     """
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     rows = _rows_in_picture(
@@ -80,15 +80,13 @@ def _rows_in_picture(position: Any, log_scale: Any, to_camera: Any, intrinsics: 
     return rows[:count].copy()
 
 
-def decode(anchors: Anchors, decoders: Decoders, camera: Camera, *, with_labels: bool = True) -> NeuralGaussians:
+def decode(anchors: Anchors, decoders: Decoders, camera: Camera) -> NeuralGaussians:
     """Decode the Gaussians of every anchor that ``camera`` can see; those with opacity <= 0 are dropped."""
     centre = torch.from_numpy(camera.centre.copy()).float()
-    return decode_rows(anchors, decoders, visible_anchors(anchors, camera), centre, with_labels=with_labels)
+    return decode_rows(anchors, decoders, visible_anchors(anchors, camera), centre)
 
 
-def decode_rows(
-    anchors: Anchors, decoders: Decoders, visible: torch.Tensor, centre: torch.Tensor, *, with_labels: bool = True
-) -> NeuralGaussians:
+def decode_rows(anchors: Anchors, decoders: Decoders, visible: torch.Tensor, centre: torch.Tensor) -> NeuralGaussians:
     """Decode the anchors of rows ``visible`` int64 [V] as seen from ``centre`` [3] metres."""
     position = anchors.position.index_select(0, visible)
     feature = take_rows(anchors.feature, visible)
@@ -103,13 +101,11 @@ def decode_rows(
     owner_scale = take_rows(anchors.log_scale, visible).exp().index_select(0, owner)
     offset = take_rows(take_rows(anchors.offset, visible).view(-1, 3), kept)
 
-    labels, class_logits = None, None
-    if with_labels:
-        class_logits, instance_logits = decoders.label_logits(feature, seen)
-        labels = torch.cat(
-            [torch.softmax(take_rows(logits.flatten(0, 1), kept), dim=1) for logits in (class_logits, instance_logits)],
-            dim=1,
-        )
+    class_logits, instance_logits = decoders.label_logits(feature, seen)
+    labels = torch.cat(
+        [torch.softmax(take_rows(logits.flatten(0, 1), kept), dim=1) for logits in (class_logits, instance_logits)],
+        dim=1,
+    )
     return NeuralGaussians(
         means=position.index_select(0, owner) + offset * owner_scale[:, :3],
         scales=owner_scale[:, 3:] * torch.sigmoid(shape[:, :3]),

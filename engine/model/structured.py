@@ -20,10 +20,6 @@ class LabelChannels:
     class_ids: tuple[int, ...]
     slot_ids: tuple[int, ...]
 
-    @property
-    def count(self) -> int:
-        return len(self.class_ids) + len(self.slot_ids)
-
 
 @dataclass
 class StructuredScene:

@@ -69,13 +69,14 @@ def prepare(
     """Everything before the first step. Raises what the progress callbacks raise (Cancelled)."""
     class_ids = used_classes(views)
     with stages.stage("believe") as progress:
-        cloud = build_point_cloud(
-            views,
-            consistency_masks(views, consistency_options(views, preset)),
-            class_ids,
-            CloudOptions(spacing=preset.voxel_size / 2, ballot=preset.ballot, majority=preset.majority),
-            progress,
-        )
+        comparison = consistency_options(views, preset)
+        if comparison.neighbours < preset.neighbours:
+            stages.events.warning("neighbouring views overlap too little to compare labels; all labels are believed")
+        options = CloudOptions(spacing=preset.voxel_size / 2, ballot=preset.ballot, majority=preset.majority)
+        cloud = build_point_cloud(views, consistency_masks(views, comparison), class_ids, options, progress)
+        if cloud.spacing > options.spacing:
+            wanted, got = (f"{100 * metres:.1f} cm" for metres in (options.spacing, cloud.spacing))
+            stages.events.warning(f"the scene is large: the point cloud has a point every {got}, not every {wanted}")
     with stages.stage("match") as progress:
         match = objects_by_consent if preset.objects == "consent" else instances_by_boxes
         cloud, found, instance_of_point = match(views, cloud, classes, preset, progress)

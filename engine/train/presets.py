@@ -15,7 +15,9 @@ from ..model.growing import GrowthRules
 @dataclass(frozen=True)
 class Schedule:
     """Fractions of all steps. ``self_training_every`` is the paper's 5k of 30k: the first round of pseudo labels ends
-    the initial stage. Growing as in Scaffold-GS: 1500/30000 to 15000/30000, statistics from 500/30000."""
+    the initial stage. Growing as in Scaffold-GS: every 100/30000 from 1500/30000 to 15000/30000, statistics from
+    500/30000; in short lifts no more often than ``grow_every_at_least_steps``, since a round judges by how often it
+    has seen an anchor."""
 
     self_training_every: float = 1 / 6
     statistics_from: float = 500 / 30000

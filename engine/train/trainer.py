@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ from ..model.growing import GrowthStatistics, grow_and_prune
 from ..model.render import render_view
 from ..model.structured import StructuredScene
 from ..raster import Rendering, rasterize
-from ..scene import View
+from ..scene import VOID, View
 from ..semantics.pseudo_labels import pseudo_labels
 from .losses import cluster_loss, label_loss, reconstruction_loss
 from .optimiser import Optimiser
@@ -45,7 +46,7 @@ class Trainer:
         self.step_number = 0
         schedule = preset.schedule
         self.growth_steps = max(round(schedule.grow_every * preset.steps), schedule.grow_every_at_least_steps)
-        self.self_training_steps = max(1, round(schedule.self_training_every * preset.steps))
+        self.pseudo_label_steps = pseudo_label_steps(schedule.self_training_every, preset.steps)
         self.optimiser = Optimiser(scene.anchors, scene.decoders, preset.rates, _extent(targets))
         self.statistics = GrowthStatistics.empty(scene.anchors)
         self.follow_anchors()
@@ -64,8 +65,14 @@ class Trainer:
         order = np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.targets))
         return self.targets[order[place]]
 
-    def step(self) -> StepReport:
-        """One optimisation step on one view, then whatever the schedule asks for after it."""
+    def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
+        """New pseudo labels if they are due, one optimisation step on one view, then growth if it is due.
+
+        Between steps, and when ``check`` raises, the state is whole: a checkpoint of it goes on bit for bit. Raises
+        what ``check`` does, and FloatingPointError, before anything is changed, when the loss is no finite number.
+        """
+        if self.step_number in self.pseudo_label_steps:
+            self.refresh_pseudo_labels(check)
         target = self._view_of_step(self.step_number)
         gaussians = decode(self.scene.anchors, self.scene.decoders, target.camera)
         rendering = self._rasterize(gaussians, target)
@@ -80,12 +87,14 @@ class Trainer:
         )
         semantic, instance = self._label_losses(gaussians, rendering, target)
         loss = reconstruction + weights.semantic * semantic + weights.instance * instance
+        if not bool(torch.isfinite(loss)):
+            raise FloatingPointError(f"the loss of step {self.step_number + 1} is {loss.item()}; the scene diverged")
         loss.backward()
         progress = self.step_number / self.preset.steps
         self._gather_statistics(gaussians, rendering, target, progress)
         self.optimiser.step(progress)
         self.step_number += 1
-        self._after_step()
+        self._grow_if_due()
         return StepReport(
             self.step_number,
             loss.item(),
@@ -113,8 +122,13 @@ class Trainer:
     def _label_losses(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets
     ) -> tuple[torch.Tensor, torch.Tensor]:
+        """L_sem (the view's target and L_cluster) and L_ins (linear assignment and M_match).
+
+        They stop at the blending weights, so nothing of them reaches opacity, shape or colour decoders. They do reach
+        the anchors' features, which all decoders share: that is what makes labels follow what the picture shows.
+        """
         classes = len(self.scene.channels.class_ids)
-        assert rendering.labels is not None and gaussians.class_logits is not None
+        assert rendering.labels is not None  # drawn with labels
         with torch.no_grad():
             probability = rendering.labels[..., classes:] / (rendering.alpha[..., None] + 1e-8)
             assigned = torch.from_numpy(assign_slots(probability.numpy(), target.machine_instances).astype(np.int64))
@@ -131,13 +145,11 @@ class Trainer:
             assert moved is not None  # asked for, and the backward pass is over
             self.statistics.add(gaussians, rendering.visible, moved, camera.width, camera.height)
 
-    def _after_step(self) -> None:
+    def _grow_if_due(self) -> None:
         schedule, steps = self.preset.schedule, self.preset.steps
         growing = schedule.grow_from * steps < self.step_number < schedule.grow_until * steps
         if growing and self.step_number % self.growth_steps == 0:
             self._grow()
-        if self.step_number % self.self_training_steps == 0 and not self.finished:
-            self.refresh_pseudo_labels()
 
     def _grow(self) -> None:
         round_ = grow_and_prune(
@@ -157,14 +169,26 @@ class Trainer:
         self.follow_anchors()
 
     def refresh_pseudo_labels(self, check: Callable[[], None] = lambda: None) -> None:
-        """Self-training: give each region of the machine's masks the class most of its pixels are rendered with."""
+        """Self-training: give each region of the machine's masks the class most of its pixels are rendered with.
+
+        All views or, when ``check`` raises, none. Pixels where nothing is rendered have no say.
+        """
         class_ids = np.array(self.scene.channels.class_ids, np.int32)
+        fresh = []
         for target, view in zip(self.targets, self.views, strict=True):
             check()
             coverage = render_view(self.scene, target.camera).class_coverage
-            rendered = class_ids[coverage.argmax(axis=2)]
-            labels = pseudo_labels(view.mask, rendered)
-            target.pseudo = columns_of(labels, self.scene.channels.class_ids)
+            rendered = np.where(coverage.any(axis=2), class_ids[coverage.argmax(axis=2)], VOID).astype(np.int32)
+            fresh.append(columns_of(pseudo_labels(view.mask, rendered), self.scene.channels.class_ids))
+        for target, labels in zip(self.targets, fresh, strict=True):
+            target.pseudo = labels
+
+
+def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
+    """The numbers of steps after which pseudo labels are made: at ``every``, 2 ``every``, ... of all ``steps``, but not
+    at their end."""
+    points = (round(number * every * steps) for number in range(1, math.ceil(1 / every)))
+    return frozenset(point for point in points if 0 < point < steps)
 
 
 def _extent(targets: list[ViewTargets]) -> float:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
 
+from engine.train import preparation
 from engine.train.preparation import PreparedLift, slots
 from tests.tiny_scene import CABINET, CABINET_ID, CHAIR, CHAIR_ID, WALL_ID
 from tests.train.tiny_lift import TINY, prepared_for, views_of
@@ -76,6 +78,15 @@ def test_the_smallest_instances_are_left_out_with_a_warning(tmp_path: Path) -> N
     assert [instance.id for instance in one.instances] == [1]
     assert set(one.instance_of_point.tolist()) == {0, 1}
     assert "1 smallest of 2 instances" in (tmp_path / "events.jsonl").read_text()
+
+
+def test_what_is_done_otherwise_than_asked_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    views, classes = views_of(tmp_path / "scene")
+    monkeypatch.setattr(preparation, "views_are_sparse", lambda views, options: True)
+    monkeypatch.setattr(preparation, "CloudOptions", partial(preparation.CloudOptions, cap=500))
+    prepared_for(views, classes, replace(TINY, neighbours=2), tmp_path)
+    said = (tmp_path / "events.jsonl").read_text()
+    assert "overlap too little" in said and "not every 10.0 cm" in said
 
 
 def test_spare_slots() -> None:

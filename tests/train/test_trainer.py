@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 import torch
 
+from engine.job import Cancelled
 from engine.model.gaussians import decode
 from engine.scene import ClassTable, View
 from engine.train.presets import LossWeights
 from engine.train.state import restore, trainer_state
-from engine.train.trainer import Trainer
+from engine.train.trainer import Trainer, pseudo_label_steps
 from tests.train.tiny_lift import STEPS, TINY, colour_error, trainer_of, views_of
 
 Input = tuple[list[View], ClassTable]
@@ -91,6 +92,69 @@ def test_without_label_losses_opacity_is_the_same(tiny: Input, tmp_path: Path) -
         trainer.step()
         moved.append([p.detach().clone() for p in trainer.scene.decoders.opacity.parameters()])
     assert all(torch.equal(one, two) for one, two in zip(*moved, strict=True))
+
+
+def test_pseudo_labels_are_made_at_sixths_of_the_lift() -> None:
+    assert sorted(pseudo_label_steps(1 / 6, 30_000)) == [5000, 10_000, 15_000, 20_000, 25_000]
+    assert sorted(pseudo_label_steps(1 / 6, 500)) == [83, 167, 250, 333, 417]  # and none two steps before the end
+    assert sorted(pseudo_label_steps(1 / 6, 2)) == [1]
+    assert not pseudo_label_steps(1 / 6, 1)
+
+
+def test_pseudo_labels_stopped_half_way_are_made_anew(tiny: Input, tmp_path: Path) -> None:
+    whole, stopped = (trainer_of(*tiny, TINY, tmp_path) for _ in range(2))
+    for trainer in (whole, stopped):
+        for _ in range(4):
+            trainer.step()
+    before = whole_state(stopped)
+
+    calls = 0
+
+    def stop_at_the_third_view() -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 3:
+            raise Cancelled("asked to")
+
+    with pytest.raises(Cancelled):
+        stopped.step(stop_at_the_third_view)
+    assert_equal(trainer_state(stopped)[0], before[0])
+    assert whole.step() == stopped.step()
+    assert_equal(trainer_state(stopped)[0], trainer_state(whole)[0])
+
+
+def test_what_is_not_rendered_has_no_say_in_pseudo_labels(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, TINY, tmp_path)
+    camera = trainer.targets[0].camera
+    away = camera.camera_to_world.copy()
+    away[:3, 3] += 1000.0
+    trainer.targets[0].camera = replace(camera, camera_to_world=away)
+    trainer.refresh_pseudo_labels()
+    nothing, something = trainer.targets[0].pseudo, trainer.targets[1].pseudo
+    assert nothing is not None and (nothing == -1).all()
+    assert something is not None and (something >= 0).any()
+
+
+def test_a_view_that_sees_nothing_does_no_harm(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, TINY, tmp_path)
+    for target in trainer.targets:
+        away = target.camera.camera_to_world.copy()
+        away[:3, 3] += 1000.0
+        target.camera = replace(target.camera, camera_to_world=away)
+    before = whole_state(trainer)[0]
+    assert trainer.step().gaussians == 0
+    after = trainer_state(trainer)[0]
+    assert all(torch.equal(after[name], before[name]) for name in before if name.startswith("model."))
+
+
+def test_a_diverged_scene_is_not_stepped_on(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, TINY, tmp_path)
+    with torch.no_grad():
+        trainer.scene.anchors.log_scale[0] = 90.0
+    before = whole_state(trainer)[0]
+    with pytest.raises(FloatingPointError, match="step 1 "):
+        trainer.step()
+    assert_equal(trainer_state(trainer)[0], before)
 
 
 def test_anchors_are_never_more_than_allowed(tiny: Input, tmp_path: Path) -> None:
