@@ -21,7 +21,7 @@ from .oriented_box import OrientedBox, fit_box
 class SegmentOptions:
     """Erosion of ``erosion_share`` of the picture's width, rounded up to pixels, at most
     ``erosion_of_inradius`` of the segment's inradius; a segment with fewer than ``min_eroded`` points left is
-    used whole; one with fewer than ``min_points`` is not matched (its pixels vote later). ``voxel_size`` in
+    used whole; one with fewer than ``min_points`` is not matched and founds nothing. ``voxel_size`` in
     metres thins the points.
     """
 
