@@ -57,9 +57,9 @@ def without_strays(
 ) -> NDArray[np.int32]:
     """``object_of_point`` int32 [N] with the stray points of each object set to 0.
 
-    A mask's ragged edge leaves crumbs on the wall behind, which would blow the object's box up to the whole room. Points of
-    an object hang together over gaps of at most ``reach`` metres; of the pieces that come of it those with fewer than
-    ``least_share`` of the largest one's points are strays.
+    A mask's ragged edge leaves crumbs on the wall behind, which would blow the object's box up to the whole room.
+    Points of an object hang together over gaps of at most ``reach`` metres; of the pieces that come of it those with
+    fewer than ``least_share`` of the largest one's points are strays.
     """
     kept = object_of_point.copy()
     for number in range(1, int(object_of_point.max(initial=0)) + 1):
