@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
+import signal
 import subprocess
 import sys
 import traceback
@@ -153,7 +154,15 @@ def blend_path(options: argparse.Namespace) -> Path:
         raise JobError("is no name for a .blend", blend, "Give --save a file name that ends in .blend.")
     if not is_in_lift and not os.access(blend.parent, os.W_OK):
         raise JobError("cannot be written to, or is not there", blend.parent, "Give --save another folder.")
+    if blend.exists() and not is_blend(blend):
+        raise JobError("is there already and is no Blender file", blend, "Give --save another file name.")
     return blend
+
+
+def is_blend(path: Path) -> bool:
+    """Whether a file begins as a .blend does: as it is, or compressed by zstd or gzip."""
+    with path.open("rb") as file:
+        return file.read(7).startswith((b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b"))
 
 
 def is_older(path: Path, than: Path) -> bool:
@@ -185,4 +194,8 @@ if __name__ == "__main__":
     if sys.version_info < (3, 11):  # noqa: UP036 - said here, because the imports in main say it in riddles
         print("error: Python 3.11 or newer is needed. Run 'make set-up', then .venv/bin/python run_plgs.py ...")
         sys.exit(2)
+    if (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    ):  # until `Interrupts` is there, Ctrl-C just ends it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.exit(main(script_arguments(sys.argv)))

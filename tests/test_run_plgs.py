@@ -188,6 +188,7 @@ def test_bad_input_is_found_before_anything_is_made(root: Path, tmp_path: Path) 
     used = tmp_path / "used"
     used.mkdir()
     (used / "diary.txt").write_text("private")
+    (tmp_path / "notes.blend").write_text("no blend")
     for arguments, told in (
         ((tmp_path / "nowhere", "-o", out), "nowhere"),
         ((scene, "-o", out, "--steps", "0"), "steps = 0"),
@@ -198,6 +199,7 @@ def test_bad_input_is_found_before_anything_is_made(root: Path, tmp_path: Path) 
         ((scene, "-o", out, "--seed", "-1"), "seed = -1"),
         ((scene, "-o", out, "--save", tmp_path / "a.txt"), ".blend"),
         ((scene, "-o", out, "--save", tmp_path / "no" / "a.blend"), str(tmp_path / "no")),
+        ((scene, "-o", out, "--save", tmp_path / "notes.blend"), "no Blender file"),
         ((scene, "-o", used), "diary.txt"),
         ((scene, "-o", used, "--resume"), "diary.txt"),
         ((scene, "-o", scene / "color" / "0000.png"), "0000.png"),

@@ -30,11 +30,11 @@ def run_folder(options: argparse.Namespace) -> ExitCode:
 
 def lift_scene(options: argparse.Namespace) -> int:
     """``lift SCENE -o OUT``: a second process is the engine, this one shows it. Raises JobError, SceneError."""
-    with Interrupts() as interrupts:
-        try:
+    try:
+        with Interrupts() as interrupts:
             lift, code = lift_in_terminal(options, interrupts, _check)
-        except Interrupted as error:
-            return error.exit_code
+    except Interrupted as error:
+        return error.exit_code
     if code is ExitCode.FINISHED:
         print(metrics_table(lift), "", *made_files(lift), sep="\n")
     return code

@@ -21,7 +21,7 @@ def metrics_table(lift: LiftFolder) -> str:
         shares = [_number(table.get(key), 100.0, 1) for key, _ in _SHARES]
         pictures = [_number(table.get("psnr"), 1.0, 2), _number(table.get("ssim"), 1.0, 3)]
         rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *pictures])
-    return _aligned(rows, left=2) if len(rows) > 1 else "No metrics: the held-out frames have no ground truth."
+    return _aligned(rows, left=2) if len(rows) > 1 else "No metrics: they need held-out frames that have ground truth."
 
 
 def class_tables(lift: LiftFolder) -> str:

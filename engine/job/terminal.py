@@ -29,7 +29,8 @@ class Interrupts:
     """Takes SIGINT, SIGTERM and SIGHUP over, from Blender's own handlers too. For ``with``, in the main thread.
 
     They raise Interrupted at once, or inside `deferred` only at its end: there code runs that must not be torn.
-    A signal that was ignored before, as nohup does it, stays ignored.
+    A signal that was ignored before, as nohup does it, stays ignored. Amid an import, native code may make another
+    error of Interrupted; when the block ends with one, it is Interrupted again.
     """
 
     def __init__(self) -> None:
@@ -43,10 +44,12 @@ class Interrupts:
                 self._before[number] = signal.signal(number, self._on_signal)
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         for number, handler in self._before.items():
             # None: it was installed by something else than Python (Blender); it cannot be put back from here.
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        if self.pending is not None and isinstance(error, Exception):
+            raise Interrupted(self.pending) from error
 
     def _on_signal(self, signum: int, frame: FrameType | None) -> None:
         self.pending = signum

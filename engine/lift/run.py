@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -15,7 +16,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from ..job import Cancelled, EventWriter, LiftFolder, StopSignal, write_manifest
-from ..scene import Frame, Scene, check_scene, load_view, open_scene, size_within
+from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene, size_within
 from ..train.preparation import prepare
 from ..train.presets import chosen_preset
 from ..train.progress import StageReporter
@@ -59,6 +60,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
         for frame in scene.train_frames:
             views.append(load_view(frame, size_within(frame.size, preset.size_within)))
             progress(len(views), len(scene.train_frames))
+        refuse_empty(views, scene)
 
     prepared = prepare(views, scene.classes, preset, request.seed, stages)
     trainer = Trainer(prepared.scene, prepared.targets, views, preset, request.seed)
@@ -79,6 +81,16 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
         settings=asdict(preset),
         timings=stages.timings,
     )
+
+
+def refuse_empty(views: Sequence[View], scene: Scene) -> None:
+    """Raise SceneError when nothing is left of all depth, or of all masks, at the size of training."""
+    if not any((view.depth > 0).any() for view in views):
+        fix = "Lift at a larger --size, or give denser depth."
+        raise SceneError("no depth is left at the size of training", scene.train_frames[0].depth_path.parent, fix)
+    if not any((view.mask.class_map() != VOID).any() for view in views):
+        fix = "Lift at a larger --size, or give masks with larger segments."
+        raise SceneError("nothing of the masks is left at the size of training", scene.folder, fix)
 
 
 def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:

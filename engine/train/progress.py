@@ -19,15 +19,16 @@ class StageProgress:
         self.name, self.events, self.stop = name, events, stop
         self.began = self.reported = time.monotonic()
         self.first: int | None = None
+        self.last: int | None = None
 
     def __call__(self, done: int, total: int, loss: float | None = None) -> None:
         self.stop.check()
         now = time.monotonic()
         if self.first is None:
             self.first, self.began = done, now
-        if done < total and now - self.reported < REPORT_EVERY_S:
+        if now - self.reported < REPORT_EVERY_S and (done < total or done == self.last):
             return
-        self.reported = now
+        self.reported, self.last = now, done
         self.events.progress(self.name, done, total, loss=loss, eta_s=self._remaining(done, total, now))
 
     def _remaining(self, done: int, total: int, now: float) -> float | None:

@@ -92,6 +92,21 @@ def test_deferred_code_is_not_torn() -> None:
         signal.signal(signal.SIGTERM, before)
 
 
+def test_an_import_that_a_signal_cut_off_is_an_interruption() -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(Interrupted) as caught, Interrupts():
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except Interrupted:
+                raise ImportError("numpy cannot be imported") from None
+        assert caught.value.exit_code == 130
+        with pytest.raises(ImportError), Interrupts():
+            raise ImportError
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def test_what_was_ignored_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from engine.job import Cancelled, EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.job import Cancelled, EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
 from engine.lift import run
+from engine.scene import PanopticMask, SceneError, Segment, load_view, open_scene
 from engine.train.progress import StageReporter
 from engine.train.trainer import StepReport
+from tests.tiny_scene import write_tiny_scene
 
 
 class Trainer:
@@ -63,3 +67,23 @@ def test_only_whole_states_are_stored(
         with pytest.raises(type(failure)):
             run.train(trainer, folder, stages)  # type: ignore[arg-type]
     assert trainer.stored == stored
+
+
+@pytest.mark.parametrize(("depth", "label", "told"), [(0.0, 1, "no depth is left"), (1.0, 0, "nothing of the masks")])
+def test_what_is_too_fine_for_the_size_is_refused(depth: float, label: int, told: str, tmp_path: Path) -> None:
+    scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=2))
+    view = load_view(scene.train_frames[0], (4, 3))
+    run.refuse_empty([view], scene)
+    ids = np.full((3, 4), label, np.int32)
+    mask = PanopticMask(ids, (Segment(1, 1, False),))
+    bad = replace(view, depth=np.full((3, 4), depth, np.float32), mask=mask)
+    with pytest.raises(SceneError, match=told):
+        run.refuse_empty([bad], scene)
+
+
+def test_the_same_progress_is_told_once(stages: StageReporter, tmp_path: Path) -> None:
+    with stages.stage("check") as progress:
+        for done in (1, 2, 3, 3, 3):
+            progress(done, 3)
+    told = [event.data["step"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "progress"]
+    assert told == [3]
