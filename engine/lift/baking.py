@@ -33,12 +33,12 @@ class FrameBaker:
         self.scene, self.lifted = scene, lifted
         self.names = instance_names(prepared.instances, scene.classes)
         self.colours = {instance.id: distinct_colour(instance.id) for instance in prepared.instances}
-        self.classes_of_instances = {instance.id: instance.class_id for instance in prepared.instances}
+        self.class_of_instance = prepared.class_of_instance
 
     def render(self, frame: Frame) -> tuple[PanopticRendering, PanopticLayers]:
         """The model seen from a frame's camera at the frame's own size: never anything of its mask."""
         rendering = render_view(self.lifted, frame.camera)
-        return rendering, decide(rendering, self.scene.classes, self.classes_of_instances)
+        return rendering, decide(rendering, self.scene.classes, self.class_of_instance)
 
     def write(self, folder: LiftFolder, frame: Frame, rendering: PanopticRendering, layers: PanopticLayers) -> None:
         """passes/<frame>.exr and the three previews."""

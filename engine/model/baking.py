@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,10 +44,14 @@ class BakedAnchors:
 
 
 def decided_labels(
-    scene: StructuredScene, labels: NDArray[np.float32], thing_ids: frozenset[int]
+    scene: StructuredScene,
+    labels: NDArray[np.float32],
+    thing_ids: frozenset[int],
+    instance_classes: Mapping[int, int] | None,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Class and instance ids, int32 [N] each, from label probabilities [N, C + S]; spare slots are left out, stuff has
-    instance 0."""
+    instance 0. With ``instance_classes`` (instance id to class id) an instance is of one class throughout, as in the
+    passes."""
     channels = scene.channels
     classes = len(channels.class_ids)
     class_id = np.array(channels.class_ids, np.int32)[labels[:, :classes].argmax(axis=1)]
@@ -55,12 +60,20 @@ def decided_labels(
     if not len(used):
         return class_id, np.zeros(len(class_id), np.int32)
     instance_id = slots[used][labels[:, classes + used].argmax(axis=1)]
-    return class_id, np.where(np.isin(class_id, sorted(thing_ids)), instance_id, 0).astype(np.int32)
+    instance_id = np.where(np.isin(class_id, sorted(thing_ids)), instance_id, 0).astype(np.int32)
+    if instance_classes:
+        class_of = np.zeros(max(instance_classes) + 1, np.int32)
+        class_of[list(instance_classes)] = list(instance_classes.values())
+        class_id = np.where(instance_id > 0, class_of[instance_id], class_id).astype(np.int32)
+    return class_id, instance_id
 
 
 @torch.no_grad()
 def bake(
-    scene: StructuredScene, viewpoint: NDArray[np.float64], thing_ids: frozenset[int]
+    scene: StructuredScene,
+    viewpoint: NDArray[np.float64],
+    thing_ids: frozenset[int],
+    instance_classes: Mapping[int, int] | None = None,
 ) -> tuple[BakedGaussians, BakedAnchors]:
     """Decode every anchor as seen from ``viewpoint`` [3] metres.
 
@@ -75,7 +88,7 @@ def bake(
         rows = torch.arange(start, min(start + CHUNK, len(scene.anchors)))
         decoded = decode_rows(scene.anchors, scene.decoders, rows, centre)
         labels = decoded.labels.numpy()
-        class_id, instance_id = decided_labels(scene, labels, thing_ids)
+        class_id, instance_id = decided_labels(scene, labels, thing_ids, instance_classes)
         parts.append(
             {
                 "means": decoded.means.numpy(),
@@ -93,7 +106,7 @@ def bake(
         anchor_parts[-1]["opacity"] = decoded.all_opacities.clamp_min(0).mean(dim=1).numpy()
     gaussians = BakedGaussians(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
     joined = {name: np.concatenate([part[name] for part in anchor_parts]) for name in anchor_parts[0]}
-    class_id, instance_id = decided_labels(scene, joined["labels"], thing_ids)
+    class_id, instance_id = decided_labels(scene, joined["labels"], thing_ids, instance_classes)
     anchors = BakedAnchors(
         xyz=scene.anchors.position.numpy(),
         class_id=np.where(joined["weight"] > 0, class_id, 0).astype(np.int32),

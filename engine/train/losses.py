@@ -70,7 +70,7 @@ def label_loss(
     for target in targets:
         flat = target.reshape(-1)
         pixel = (flat >= 0).nonzero().squeeze(1)
-        places.append(pixel * coverage.shape[-1] + first + flat.index_select(0, pixel))
+        places.append(pixel * coverage.shape[-1] + first + flat.index_select(0, pixel).long())
     place = torch.cat(places)
     loss: torch.Tensor = _TargetNegativeLog.apply(coverage, alpha.detach(), place, torch.full((len(place),), weight))
     return loss

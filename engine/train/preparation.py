@@ -5,7 +5,7 @@ Consistency-enhanced masks, the semantic point cloud, Algorithm 1, anchors by vo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,13 +54,15 @@ from .warm_start import warm_start
 @dataclass(frozen=True, eq=False)
 class PreparedLift:
     """What training starts from. ``cloud`` with ``instance_of_point`` int32 [N] (0 = none) and ``instances`` also go
-    into the result."""
+    into the result. ``class_of_instance``: instance id to the class that all of it is shown with, or None when every
+    pixel decides for itself."""
 
     scene: StructuredScene
     targets: list[ViewTargets]
     cloud: SemanticPointCloud
     instance_of_point: NDArray[np.int32]
     instances: tuple[GlobalInstance, ...]
+    class_of_instance: Mapping[int, int] | None
 
 
 def prepare(
@@ -72,7 +74,9 @@ def prepare(
         comparison = consistency_options(views, preset)
         if comparison.neighbours < preset.neighbours:
             stages.events.warning("neighbouring views overlap too little to compare labels; all labels are believed")
-        options = CloudOptions(spacing=preset.voxel_size / 2, ballot=preset.ballot, majority=preset.majority)
+        options = CloudOptions(
+            spacing=preset.voxel_size / 2, cap=preset.most_points, ballot=preset.ballot, majority=preset.majority
+        )
         cloud = build_point_cloud(views, consistency_masks(views, comparison), class_ids, options, progress)
         if cloud.spacing > options.spacing:
             wanted, got = (f"{100 * metres:.1f} cm" for metres in (options.spacing, cloud.spacing))
@@ -87,7 +91,8 @@ def prepare(
     viewpoints = np.array([view.camera.centre for view in views])
     scene = starting_scene(cloud, instance_of_point, channels, viewpoints, preset, seed)
     targets = projected_targets(views, cloud, instance_of_point, channels, classes, 2 * preset.voxel_size)
-    return PreparedLift(scene, targets, cloud, instance_of_point, tuple(instances))
+    class_of_instance = {one.id: one.class_id for one in instances} if preset.one_class_an_object else None
+    return PreparedLift(scene, targets, cloud, instance_of_point, tuple(instances), class_of_instance)
 
 
 LARGEST_GAP = 0.15

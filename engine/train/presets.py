@@ -72,8 +72,9 @@ class Preset:
     paper's product). ``instance_slots`` is the least number of slots. ``ballot`` and ``majority``: how the cloud's
     points vote (see CloudOptions). ``objects``: how segments of all views become
     instances, "boxes" (Algorithm 1) or "consent" (ours, with a vote of the views on each object's class).
-    ``most_instances`` caps them. ``seeded_features``: start features from colour and label of the anchors instead of
-    zero; ``warm_start`` fits the decoders to them.
+    ``most_instances`` caps them. ``one_class_an_object``: what is shown of an instance has the instance's class.
+    ``most_points`` caps the semantic point cloud. ``seeded_features``: start features from colour and label of the
+    anchors instead of zero; ``warm_start`` fits the decoders to them.
     """
 
     name: str
@@ -92,6 +93,8 @@ class Preset:
     majority: float = 0.0
     objects: Literal["boxes", "consent"] = "consent"
     most_instances: int = 200
+    one_class_an_object: bool = True
+    most_points: int = 200_000
     seeded_features: bool = True
     warm_start: WarmStart | None = WarmStart()
     tau_new: float = -0.1
@@ -117,6 +120,8 @@ PRESETS = {
             label_view_input=True,
             neighbours=4,
             objects="boxes",
+            one_class_an_object=False,
+            most_points=2_000_000,
             ballot="pixels",
             majority=0.5,
             seeded_features=False,

@@ -20,7 +20,7 @@ def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, 
     tensors |= {f"growth.{name}": tensor for name, tensor in trainer.statistics.tensors().items()}
     for number, target in enumerate(trainer.targets):
         if target.pseudo is not None:
-            tensors[f"pseudo.{number}"] = target.pseudo.to(torch.int16)
+            tensors[f"pseudo.{number}"] = target.pseudo
     return tensors, {"step": trainer.step_number, "optimiser_steps": trainer.optimiser.count, "model": facts}
 
 
@@ -33,7 +33,7 @@ def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mappin
     trainer.statistics = GrowthStatistics(**{name: tensor.clone() for name, tensor in growth.items()})
     for number, target in enumerate(trainer.targets):
         pseudo = tensors.get(f"pseudo.{number}")
-        target.pseudo = None if pseudo is None else pseudo.to(torch.int64)
+        target.pseudo = None if pseudo is None else pseudo.clone()
     trainer.step_number = facts["step"]
     trainer.follow_anchors()
 

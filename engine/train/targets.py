@@ -17,10 +17,10 @@ from .similarity import PhotoMoments
 class ViewTargets:
     """Targets of one training view at lift size.
 
-    ``photo`` float32 [H, W, 3] sRGB-encoded in [0, 1], ``moments`` what SSIM needs of it. ``projected`` int64 [H, W]:
-    semantic channel of the projected point cloud, -1 where it says nothing. ``matched`` int64 [H, W]: instance slot of
+    ``photo`` float32 [H, W, 3] sRGB-encoded in [0, 1], ``moments`` what SSIM needs of it. ``projected`` int16 [H, W]:
+    semantic channel of the projected point cloud, -1 where it says nothing. ``matched`` int16 [H, W]: instance slot of
     M_match, -1 = none. ``machine_instances`` int32 [H, W]: ids of the machine's thing segments in this view, 0 = none.
-    ``pseudo`` int64 [H, W]: semantic channel of the pseudo labels, None before the self-training stage.
+    ``pseudo`` int16 [H, W]: semantic channel of the pseudo labels, None before the self-training stage.
     """
 
     name: str
@@ -62,7 +62,7 @@ def view_targets(
         camera=view.camera,
         photo=photo,
         moments=PhotoMoments.of(photo),
-        projected=columns_of(projected_class, channels.class_ids),
-        matched=columns_of(matched_instance, channels.slot_ids),
+        projected=columns_of(projected_class, channels.class_ids).to(torch.int16),
+        matched=columns_of(matched_instance, channels.slot_ids).to(torch.int16),
         machine_instances=np.where(is_thing, view.mask.ids, 0).astype(np.int32),
     )

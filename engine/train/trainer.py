@@ -22,6 +22,9 @@ from .optimiser import Optimiser
 from .presets import Preset
 from .targets import ViewTargets, columns_of
 
+LARGEST_SCALE = 1.0
+"""Metres. Scales are brought back to this at each round of growth, as Scaffold-GS does in its own units."""
+
 
 @dataclass(frozen=True)
 class StepReport:
@@ -165,6 +168,7 @@ class Trainer:
         fresh = GrowthStatistics.empty(round_.grown).tensors()
         self.statistics = GrowthStatistics(**{name: torch.cat([statistics[name], fresh[name]]) for name in fresh})
         self.scene.anchors = self.scene.anchors.select(round_.keep).extended(round_.grown)
+        self.scene.anchors.log_scale.clamp_(max=math.log(LARGEST_SCALE))
         self.optimiser.replace_anchors(self.scene.anchors, round_.keep)
         self.follow_anchors()
 
@@ -179,7 +183,8 @@ class Trainer:
             check()
             coverage = render_view(self.scene, target.camera).class_coverage
             rendered = np.where(coverage.any(axis=2), class_ids[coverage.argmax(axis=2)], VOID).astype(np.int32)
-            fresh.append(columns_of(pseudo_labels(view.mask, rendered), self.scene.channels.class_ids))
+            columns = columns_of(pseudo_labels(view.mask, rendered), self.scene.channels.class_ids)
+            fresh.append(columns.to(torch.int16))
         for target, labels in zip(self.targets, fresh, strict=True):
             target.pseudo = labels
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -83,8 +82,7 @@ def test_the_smallest_instances_are_left_out_with_a_warning(tmp_path: Path) -> N
 def test_what_is_done_otherwise_than_asked_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     views, classes = views_of(tmp_path / "scene")
     monkeypatch.setattr(preparation, "views_are_sparse", lambda views, options: True)
-    monkeypatch.setattr(preparation, "CloudOptions", partial(preparation.CloudOptions, cap=500))
-    prepared_for(views, classes, replace(TINY, neighbours=2), tmp_path)
+    prepared_for(views, classes, replace(TINY, neighbours=2, most_points=500), tmp_path)
     said = (tmp_path / "events.jsonl").read_text()
     assert "overlap too little" in said and "not every 10.0 cm" in said
 
