@@ -149,6 +149,19 @@ def test_the_engine_ends_when_run_plgs_is_killed(run: Run, tmp_path: Path) -> No
     assert lift.state() is LiftState.CANCELLED
 
 
+def test_resuming_a_lift_that_is_at_work_leaves_it_alone(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first = run("patient", tmp_path / "scene", "-o", out)
+    wait_for(first, has_begun(out))
+    second = run("patient", tmp_path / "scene", "-o", out, "--resume")
+    assert "another engine is at work" in second.communicate(timeout=20)[1] and second.returncode == 2
+    third = run("patient", tmp_path / "scene", "-o", out, "--resume")
+    time.sleep(1.0)
+    third.send_signal(signal.SIGINT)
+    third.communicate(timeout=20)
+    assert not (out / "cancel").exists() and first.poll() is None
+
+
 def test_the_cancel_file(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = run("patient", tmp_path / "scene", "-o", out)

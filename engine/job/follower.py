@@ -171,7 +171,7 @@ class LiftFollower:
         words = self._process.words() if self._process else ""
         if not words:
             return f"the engine ended without a word: {self.folder.log_path}. The log may tell more."
-        return words.splitlines()[-1]
+        return words.splitlines()[-1].removeprefix("error: ")
 
 
 def _int(value: Json) -> int:

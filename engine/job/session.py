@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
+from .errors import JobError
 from .exit_code import ExitCode
 from .folder import LiftFolder, LiftState
 from .follower import LiftFollower
@@ -14,6 +16,9 @@ from .options import request_from, resumable
 from .process import engine_command, engine_python
 from .request import LiftRequest
 from .terminal import Interrupts, LiveLine, follow
+
+_ENDING_S = 2.0
+"""What an engine whose parent was killed may need to end."""
 
 
 def lift_in_terminal(
@@ -32,7 +37,7 @@ def lift_in_terminal(
         request = request_from(options)
         check(request)
         lift = LiftFolder.create(options.output, request)
-    elif lift.state() is LiftState.FINISHED:
+    elif _state_when_left_alone(lift) is LiftState.FINISHED:
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
         return lift, ExitCode.FINISHED
     try:
@@ -41,6 +46,20 @@ def lift_in_terminal(
         if is_new and _came_to_nothing(lift):
             lift.discard()
     return lift, code
+
+
+def _state_when_left_alone(lift: LiftFolder) -> LiftState:
+    """The state of a lift that nobody works on. Raises JobError when an engine still does after two seconds.
+
+    Before one is started in vain: Ctrl-C would make a cancel file, and that would stop the other one.
+    """
+    give_up = time.monotonic() + _ENDING_S
+    while (state := lift.state()) is LiftState.RUNNING:
+        if time.monotonic() > give_up:
+            fix = "Wait until it is done, or stop it by making a file named 'cancel' there."
+            raise JobError("another engine is at work here", lift.path, fix)
+        time.sleep(0.05)
+    return state
 
 
 def _run(lift: LiftFolder, interrupts: Interrupts, python: Path, *, resume: bool) -> ExitCode:

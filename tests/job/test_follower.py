@@ -149,7 +149,7 @@ def test_what_stops_it_before_it_begins_is_told(folder: LiftFolder, start: Start
     with folder.lock():
         follower = start("short")
         follow(follower)
-    assert follower.outcome is not None and "another engine is at work" in str(follower.outcome.error)
+    assert follower.outcome is not None and str(follower.outcome.error).startswith("another engine is at work")
     nonsense = LiftFollower(folder, EngineProcess([sys.executable, "-c", "raise SystemExit('no such thing')"]))
     follow(nonsense)
     assert nonsense.outcome is not None and nonsense.outcome.error == "no such thing"
