@@ -59,7 +59,11 @@ def decided_labels(
     used = np.flatnonzero(slots)
     if not len(used):
         return class_id, np.zeros(len(class_id), np.int32)
-    instance_id = slots[used][labels[:, classes + used].argmax(axis=1)]
+    weights = labels[:, classes + used]
+    if instance_classes:
+        columns = np.searchsorted(channels.class_ids, [instance_classes[int(slot)] for slot in slots[used]])
+        weights = weights * labels[:, columns]
+    instance_id = slots[used][weights.argmax(axis=1)]
     instance_id = np.where(np.isin(class_id, sorted(thing_ids)), instance_id, 0).astype(np.int32)
     if instance_classes:
         class_of = np.zeros(max(instance_classes) + 1, np.int32)

@@ -42,14 +42,21 @@ def decide(
 
     The class is the one of largest coverage (void never, ties to the lower id), its probability the share of
     the classes' coverage. A pixel of a thing class shows the instance of largest coverage (spare slots, id 0,
-    never). With ``instance_classes`` (instance id to class id) such a pixel then takes the class of its
-    instance, so that an object is of one class throughout: views have voted on objects, pixels have not.
+    never). With ``instance_classes`` (instance id to class id) an object is of one class throughout, since
+    views have voted on objects and pixels have not: such a pixel shows the instance whose coverage times the
+    probability of its class is largest, and takes that class. So where no instance was found, an instance
+    that no one believes in there cannot impose its class.
     """
     probabilities, class_ids = class_probabilities(rendering)
     rendered = rendering.alpha >= NOTHING
     column = probabilities.argmax(axis=-1)
     semantic = class_ids[column]
-    instance = np.where(np.isin(semantic, sorted(classes.thing_ids)), _best_instance(rendering), 0)
+    weights = rendering.instance_coverage
+    column_of = {int(class_id): c for c, class_id in enumerate(class_ids)}
+    if instance_classes:
+        columns = [column_of.get(instance_classes.get(one, VOID), -1) for one in rendering.instance_ids]
+        weights = weights * np.where(np.array(columns) >= 0, probabilities[..., columns], 0)
+    instance = np.where(np.isin(semantic, sorted(classes.thing_ids)), _best_instance(rendering, weights), 0)
     if instance_classes:
         semantic, column = _class_of_instance(semantic, column, instance, class_ids, instance_classes)
         instance = np.where(np.isin(semantic, sorted(classes.thing_ids)), instance, 0)
@@ -91,14 +98,14 @@ def encoded(linear_values: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.where(values <= 0.0031308, values * 12.92, 1.055 * values ** (1 / 2.4) - 0.055).astype(np.float32)
 
 
-def _best_instance(rendering: PanopticRendering) -> NDArray[np.int32]:
-    """Instance id of the largest coverage, int32 [H, W]; 0 where no instance covers anything. Ties: lower id."""
+def _best_instance(rendering: PanopticRendering, weights: NDArray[np.floating]) -> NDArray[np.int32]:
+    """Instance id of the largest weight [H, W, S], int32 [H, W]; 0 where all are 0. Ties: lower id."""
     ids = np.array(rendering.instance_ids, np.int32)
     columns = [c for c in np.argsort(ids, kind="stable").tolist() if ids[c] != 0]
     if not columns:
         return np.zeros(rendering.alpha.shape, np.int32)
-    coverage = rendering.instance_coverage[..., columns]
-    return np.where(coverage.max(axis=-1) > 0, ids[columns][coverage.argmax(axis=-1)], 0).astype(np.int32)
+    weights = weights[..., columns]
+    return np.where(weights.max(axis=-1) > 0, ids[columns][weights.argmax(axis=-1)], 0).astype(np.int32)
 
 
 def _class_of_instance(

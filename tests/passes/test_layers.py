@@ -50,10 +50,20 @@ def test_an_object_is_of_one_class_throughout() -> None:
     assert layers.semantic[0, 3] == WALL
 
 
-def test_an_instance_whose_class_is_stuff_leaves_the_things() -> None:
+def test_an_instance_cannot_impose_a_class_that_nothing_there_speaks_for() -> None:
     layers = decide(made_rendering(), CLASSES, {70001: WALL})
-    assert (layers.semantic[RIGHT] == WALL).all()
+    assert (layers.semantic[RIGHT] == CHAIR).all()
     assert not layers.instance[RIGHT].any()
+
+
+def test_a_likely_class_outweighs_a_little_more_coverage() -> None:
+    """Where no instance was found the slots are arbitrary: the one of the pixel's own class is the better guess."""
+    rendering = made_rendering()
+    rendering.instance_coverage[RIGHT] = 0.0
+    rendering.instance_coverage[RIGHT][..., list(rendering.instance_ids).index(3)] = 0.3
+    rendering.instance_coverage[RIGHT][..., list(rendering.instance_ids).index(70001)] = 0.4
+    layers = decide(rendering, CLASSES, {70001: SOFA, 3: CHAIR})
+    assert (layers.semantic[RIGHT] == CHAIR).all() and (layers.instance[RIGHT] == 3).all()
 
 
 def test_void_and_spare_slots_never_win_and_ties_go_to_the_lower_id() -> None:
