@@ -151,3 +151,15 @@ def composite_without_gpu(scene: bpy.types.Scene) -> None:
     """
     scene.render.compositor_device = "CPU"
     scene.render.compositor_precision = "FULL"
+
+
+def find_layers_again(image: bpy.types.Image) -> None:
+    """Let an image sequence find its layers after its path was changed.
+
+    Blender 4.5 otherwise forgets that the files are multilayer: the sockets of the Image nodes vanish, and with
+    them all links, and the compositor shows grey.
+    """
+    if image.source == "SEQUENCE":
+        image.source = "FILE"
+        image.size[:]  # asking is what loads the file
+        image.source = "SEQUENCE"

@@ -15,6 +15,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ..engine.job import JobError
+from . import compat
 from .boxes import place_boxes
 from .cameras import object_matrix
 from .clouds import place_anchors, place_semantic_points
@@ -80,12 +81,25 @@ def save_lift(lift: Path, blend: Path) -> None:
     root = place_lift(lift, scene)
     if is_new:
         _dress(scene, root)
+    _save(blend)
+    if is_new:
+        # Only now do relative paths lead anywhere, so that Blender can look what layers the passes have.
         relate_paths(root, blend.parent)
+        _save(blend, keep_backup=False)
+
+
+def _save(blend: Path, keep_backup: bool = True) -> None:
+    """Save by Blender's own safe way. Raises JobError."""
+    settings = bpy.context.preferences.filepaths
+    backups = settings.save_version
+    settings.save_version = backups if keep_backup else 0
     try:
         bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True, relative_remap=False)
     except RuntimeError as error:
         fix = "Choose a place that you may write to, on a disk with space."
         raise JobError(f"cannot be written ({str(error).strip()})", blend, fix) from error
+    finally:
+        settings.save_version = backups
 
 
 def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
@@ -105,6 +119,7 @@ def relate_paths(root: bpy.types.Collection, base: Path) -> None:
     for image in bpy.data.images:
         if key_of(image, root[LIFT]) is not None and image.filepath:
             image.filepath = _relative(image.filepath, base)
+            compat.find_layers_again(image)
     root[FOLDER] = _relative(root[FOLDER], base)
 
 

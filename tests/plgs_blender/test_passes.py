@@ -42,10 +42,10 @@ def passes_scene() -> bpy.types.Scene:
     return bpy.data.scenes["PLGS tiny room passes"]
 
 
-@pytest.fixture
-def scene(lift: Path, tmp_path: Path) -> bpy.types.Scene:
-    """The passes scene of a saved and opened file, twice placed."""
-    for _ in range(2):
+@pytest.fixture(params=[1, 2], ids=["new file", "placed again"])
+def scene(lift: Path, tmp_path: Path, request: pytest.FixtureRequest) -> bpy.types.Scene:
+    """The passes scene of a saved and opened file, placed once or twice."""
+    for _ in range(request.param):
         lift_scene.save_lift(lift, tmp_path / "lift.blend")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
     return passes_scene()
