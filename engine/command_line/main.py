@@ -37,6 +37,7 @@ def _parser() -> argparse.ArgumentParser:
     warm_up = commands.add_parser("warm-up", help="compile what a lift runs, so that the first one starts at once")
     warm_up.description = "Compile for this machine what a lift runs: half a minute, once. The set-up does it."
     warm_up.set_defaults(run=_warm_up)
+    _add_bench(commands.add_parser("bench", help="measure this machine"))
     return parser
 
 
@@ -81,6 +82,13 @@ def _evaluate(options: argparse.Namespace) -> ExitCode:
     return evaluate(options.lift, per_class=options.classes)
 
 
+def _add_bench(parser: argparse.ArgumentParser) -> None:
+    parser.description = "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak."
+    parser.add_argument("what", choices=("raster",))
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
+    parser.set_defaults(run=_bench)
+
+
 def _inspect(options: argparse.Namespace) -> ExitCode:
     from .inspect_scene import inspect_scene
 
@@ -91,4 +99,11 @@ def _warm_up(options: argparse.Namespace) -> ExitCode:
     from ..lift import warm_up
 
     warm_up()
+    return ExitCode.FINISHED
+
+
+def _bench(options: argparse.Namespace) -> ExitCode:
+    from ..raster.bench import bench_raster
+
+    bench_raster(options.json)
     return ExitCode.FINISHED

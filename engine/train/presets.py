@@ -1,6 +1,6 @@
 """How much work a lift may take: three presets, and what a user may override.
 
-Every schedule point is a fraction of the steps, so that a preset of 600 steps goes through the same stages as the
+Every schedule point is a fraction of the steps, so that a preset of 500 steps goes through the same stages as the
 paper's 30 000 (paper, "Implementation Details").
 """
 

@@ -113,3 +113,10 @@ def test_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     (lift.result_path / "metrics.json").write_text(METRICS.replace("0.625", "0.925"))
     assert code_of("evaluate", lift.path) == 2
     assert "was changed" in capsys.readouterr().err
+
+
+def test_bench_measures_the_rasteriser(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    asked: list[Path | None] = []
+    monkeypatch.setattr("engine.raster.bench.bench_raster", asked.append)
+    assert main(["bench", "raster", "--json", str(tmp_path / "figures.json")]) == 0
+    assert asked == [tmp_path / "figures.json"]
