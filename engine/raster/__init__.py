@@ -7,6 +7,7 @@ describes the Gaussians. Back ends: ``numba`` (CPU, the default), ``gsplat`` (CU
 
 from __future__ import annotations
 
-from .interface import Rendering, rasterize
+from .interface import rasterize
+from .rendering import Rendering
 
 __all__ = ["Rendering", "rasterize"]

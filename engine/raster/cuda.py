@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .conventions import BLUR, View
-from .interface import Rendering
+from .rendering import Rendering
 
 
 def is_installed() -> bool:

@@ -16,10 +16,10 @@ from .compiled import announce_compilation
 from .conventions import NEAR, View
 from .crew import share, worker_count
 from .gather import gather
-from .interface import Rendering
 from .kernels import Kernels, choose_kernels
 from .projection import project
 from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE
+from .rendering import Rendering
 
 log = logging.getLogger("plgs.raster")
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from .conventions import ALPHA_MAX, ALPHA_MIN, BLUR, TINY_NORM, TRANSMITTANCE_END, View
-from .interface import Rendering
+from .rendering import Rendering
 
 
 def rasterize_reference(

@@ -1,0 +1,38 @@
+"""What every back end returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """One view of a set of N Gaussians, over black. Float tensors have the dtype and device of ``means``.
+
+    With the blending weights w_i = alpha_i * prod_{j<i} (1 - alpha_j) of a pixel's Gaussians, front to back:
+
+    ``image`` [H, W, 3]: sum_i w_i colour_i.
+    ``labels`` [H, W, C] or None: sum_i w_i label_i. The weights are detached here: the gradient of ``labels``
+    reaches the label values and nothing else.
+    ``alpha`` [H, W]: sum_i w_i, in [0, 1].
+    ``depth`` [H, W], metres: sum_i w_i z_i with the planar camera depth z_i of the centres. It is not
+    normalised: divide by ``alpha`` for the expected depth.
+    ``visible`` bool [N]: the Gaussian lies beyond the near plane and its footprint (every pixel where its
+    alpha can reach 1/255) overlaps the image. It may still be hidden behind others.
+    ``means2d`` [N, 2], pixels: the projected centres; rows of Gaussians that are not visible hold zeros. With
+    ``want_means2d_grad`` it is a leaf whose ``.grad`` [N, 2] holds dLoss/d(2D mean) after ``backward`` (zero
+    where not visible). ``top_indices`` int32 [H, W, top_k] and ``top_weights`` [H, W, top_k], or None: the
+    Gaussians with the largest weights of each pixel, largest first, -1 and 0 where there are fewer. Not
+    differentiable.
+    """
+
+    image: Tensor
+    labels: Tensor | None
+    alpha: Tensor
+    depth: Tensor
+    visible: Tensor
+    means2d: Tensor
+    top_indices: Tensor | None = None
+    top_weights: Tensor | None = None
