@@ -79,8 +79,6 @@ def rasterize(
 
 def _pick(backend: Backend | None, means: Tensor) -> Backend:
     """The back end's name; said once in the log."""
-    from .cuda import is_installed
-
     by_device: Backend = "numba" if means.device.type == "cpu" else "gsplat"
     name: Backend = backend if backend is not None else by_device
     if name not in BACKENDS:
@@ -90,15 +88,25 @@ def _pick(backend: Backend | None, means: Tensor) -> Backend:
             f"the back end numba takes float32 tensors on the CPU, these are {means.dtype} on {means.device}; "
             "move them or choose the back end reference"
         )
-    if name == "gsplat" and (means.device.type != "cuda" or not is_installed()):
-        raise ValueError(
-            f"the back end gsplat needs gsplat installed and tensors on a CUDA device, these are on {means.device}; "
-            "install gsplat, or move the tensors to the CPU"
-        )
+    if name == "gsplat":
+        _check_gsplat(means)
     if name not in _announced:
         _announced.add(name)
         log.info("rasterising with the back end %s on %s", name, means.device)
     return name
+
+
+def _check_gsplat(means: Tensor) -> None:
+    from .cuda import what_is_missing
+
+    if means.device.type != "cuda":
+        raise ValueError(
+            f"the back end gsplat takes tensors on a CUDA device, these are on {means.device}; "
+            "move them or choose the back end numba"
+        )
+    missing = what_is_missing()
+    if missing is not None:
+        raise ValueError(f"the back end gsplat cannot be used: {missing}, or move the tensors to the CPU")
 
 
 def _check(

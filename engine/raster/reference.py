@@ -103,12 +103,20 @@ def footprint_visible(
 ) -> Tensor:
     """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} holds a pixel centre of the
     image."""
+    return footprint_boxes(centres, covariances, depths, opacities, view)[2]
+
+
+def footprint_boxes(
+    centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, view: View
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The box of the pixels of the image within that around {alpha >= 1/255}: its first and last (column, row),
+    [N, 2] each, and ``footprint_visible``, without which the two say nothing."""
     reach = 2.0 * torch.log(opacities.clamp(min=1e-30) / ALPHA_MIN)
     extent = torch.sqrt(reach.clamp(min=0.0)[:, None] * torch.diagonal(covariances, dim1=-2, dim2=-1))
     size = torch.tensor([view.width, view.height], dtype=centres.dtype, device=centres.device)
     first = torch.ceil(centres - extent - 0.5).clamp(min=0.0)
     last = torch.minimum(torch.floor(centres + extent - 0.5), size - 1.0)
-    return (depths > view.near) & (opacities >= ALPHA_MIN) & (first <= last).all(-1)
+    return first, last, (depths > view.near) & (opacities >= ALPHA_MIN) & (first <= last).all(-1)
 
 
 def raw_alphas(centres: Tensor, covariances: Tensor, opacities: Tensor, view: View) -> Tensor:

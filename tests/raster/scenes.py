@@ -105,11 +105,11 @@ def render(scene: Scene, backend: str, where: Tensor | None = None) -> tuple[Ren
     )
     generator = torch.Generator().manual_seed(1)
     kept = torch.ones(scene.height, scene.width) if where is None else where.float()
-    loss = torch.zeros((), dtype=torch.float64)
+    loss = torch.zeros((), dtype=torch.float64, device=out.image.device)
     for name in LAYERS:
         layer = getattr(out, name)
         by = torch.randn(layer.shape, generator=generator) * (kept if layer.ndim == 2 else kept[:, :, None])
-        loss = loss + (layer.double() * by).sum()
+        loss = loss + (layer.double() * by.to(layer.device)).sum()
     loss.backward()
     return out, dict(zip(GROUPS, [*(tensor.grad for tensor in tensors), out.means2d.grad], strict=True))
 
