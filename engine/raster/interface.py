@@ -46,10 +46,10 @@ def rasterize(
     ``camera_to_world`` [4, 4] with OpenCV axes (x right, y down, z forward); ``K`` [3, 3] with any fx, fy,
     cx, cy, no skew; the centre of pixel (i, j) is (i + 0.5, j + 0.5). No gradient flows to the camera.
 
-    Conventions (those of gsplat, "classic"): 0.3 px^2 added to the diagonal of the 2D covariance; Gaussians
-    with z <= ``near`` (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)), skipped below 1/255
-    and nowhere else; a pixel ends before the Gaussian that would leave a transmittance <= 1e-4; order by
-    planar depth rounded to float32, ties by index.
+    Conventions (gsplat's "classic"; ``cuda`` says where versions of it differ): 0.3 px^2 added to the diagonal of
+    the 2D covariance; Gaussians with z <= ``near`` (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)),
+    skipped below 1/255 and nowhere else; a pixel ends before the Gaussian that would leave a transmittance <= 1e-4;
+    order by planar depth rounded to float32, ties by index.
 
     ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device:
     ``numba`` on the CPU, ``gsplat`` on CUDA.

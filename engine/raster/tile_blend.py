@@ -71,8 +71,8 @@ class Blended:
 
 
 def blend_tiles(splats: Splats, lists: TileLists, top_k: int) -> Blended:
-    """Differentiable in all tensors of ``splats``. The same bits on every run where torch's batched matrix
-    product has them: nothing is summed by atomics."""
+    """Differentiable in all tensors of ``splats``. On the CPU the same bits on every run, whatever the number of
+    threads."""
     dtype, device = splats.opacities.dtype, splats.opacities.device
     tiles = torch.arange(lists.rows * lists.columns, device=device)
     corners = torch.stack([tiles % lists.columns, tiles // lists.columns], -1) * TILE

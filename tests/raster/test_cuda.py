@@ -74,6 +74,25 @@ def test_matches_the_reference_in_many_passes(name: str, monkeypatch: pytest.Mon
     assert_as_the_reference(SCENES[name])
 
 
+def test_the_same_bits_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(interface, "_pick", lambda backend, means: backend)
+    monkeypatch.setattr(cuda, "list_tiles", list_tiles_plainly)
+    scene = random_scene(5, 500, 20, 70, 50)
+    before = torch.get_num_threads()
+    results = []
+    try:
+        for threads in (1, 2, 3, 1):
+            torch.set_num_threads(threads)
+            results.append(render(scene, "gsplat"))
+    finally:
+        torch.set_num_threads(before)
+    for out, gradients in results[1:]:
+        for layer in LAYERS:
+            assert torch.equal(getattr(out, layer), getattr(results[0][0], layer))
+        for group in GROUPS:
+            assert torch.equal(gradients[group], results[0][1][group]), group
+
+
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
 @pytest.mark.skipif(cuda.what_is_missing() is not None, reason=str(cuda.what_is_missing()))
 @pytest.mark.parametrize("name", SCENES)
