@@ -2,9 +2,9 @@
 
 gsplat's one call, ``rasterization``, cannot give the semantics of ``rasterize``. In its version 1.5:
 
-- it caps alpha at 0.999, not at 0.99 (1.6 caps at 0.99), so an opaque Gaussian lets a tenth of ours through;
+- it caps alpha at 0.999, not at 0.99 (1.6 caps at 0.99), so what an opaque Gaussian lets through is a tenth;
 - it projects, inverts the 2D covariance and evaluates its quadratic form in float32, where the terms of a long thin
-  Gaussian cancel: its inverse is off by up to 7 % for the needles of the tests;
+  Gaussian cancel: for the tests' needles its inverse is off by up to 7 %;
 - it has no top_k (1.6 has), and its weights are never seen, so labels with detached weights cost a second pass.
 
 The rest agrees: 0.3 px^2 blur, clamp margins, the near plane (only a z equal to it differs), alphas skipped below
@@ -13,7 +13,7 @@ The rest agrees: 0.3 px^2 blur, clamp margins, the near plane (only a z equal to
 So two of its operators are used here, ``isect_tiles`` and ``isect_offset_encode``: they list the Gaussians of every
 tile by depth as float32, ties by index, which is our order. They are handed boxes of whole pixels, which float32 holds
 exactly. The projection (float64) is the reference's, the blending is ``tile_blend``'s; both are torch and run where
-the tensors are. That costs speed against gsplat's compiled blending; what is drawn is the same on every device.
+the tensors are. Against gsplat's compiled blending that costs speed.
 
 Checked on a CPU, with gsplat 1.5.3's own torch counterparts of the two operators; not yet run on a GPU.
 """
