@@ -98,3 +98,6 @@ compiled = _compiler()
 
 contracted = _compiler(fastmath={"contract"})
 """For sums of products that only one pass makes: multiply-add may be fused."""
+
+inlined = _compiler(forceinline=True)
+"""As ``compiled``, always made a part of its caller: for steps whose state shall stay in registers."""

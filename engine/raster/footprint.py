@@ -19,7 +19,8 @@ from .records import (
     L12_LOW,
     L22,
     L22_LOW,
-    REACH,
+    LOG_OPACITY,
+    REACH_OVER_LOG_OPACITY,
     TILE,
 )
 
@@ -47,12 +48,13 @@ def whiten_rows(record: Array, left: int, top: int, s1_left: Array, s2: Array) -
     s1_origin = F(l11 * dx + l12 * dy)
     s2_origin = F((float(record[L22]) + float(record[L22_LOW])) * dy)
     across = record[L11] * LAST_LANE
+    reach = record[LOG_OPACITY] + REACH_OVER_LOG_OPACITY
     rows = 0
     for r in range(TILE):
         s1_left[r] = s1_origin + record[L12] * F(r)
         s2[r] = s2_origin + record[L22] * F(r)
         nearest = max(max(s1_left[r], -(s1_left[r] + across)), ZERO)
-        if nearest * nearest + s2[r] * s2[r] <= record[REACH]:
+        if nearest * nearest + s2[r] * s2[r] <= reach:
             rows |= 1 << r
     return rows
 

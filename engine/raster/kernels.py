@@ -16,13 +16,13 @@ VARIABLE = "PLGS_RASTER_KERNELS"
 
 @dataclass(frozen=True)
 class Kernels:
-    """``blend`` and ``unblend`` run one worker's tiles; the others tell the floats of scratch for so many
-    channels."""
+    """``blend`` and ``unblend`` run one worker's tiles; the others tell the floats of scratch for so many channels
+    (and Gaussians in the longest list of a tile)."""
 
     name: str
     blend: Callable[..., None]
     unblend: Callable[..., None]
-    blend_scratch: Callable[[int], int]
+    blend_scratch: Callable[[int, int], int]
     unblend_scratch: Callable[[int], int]
 
 
@@ -73,7 +73,7 @@ def _vector() -> Kernels:
 def _plain() -> Kernels:
     from . import blend_backward, blend_forward
 
-    def none(channels: int) -> int:
+    def none(*sizes: int) -> int:
         return 0
 
     return Kernels("plain", blend_forward.blend_tiles, blend_backward.unblend_tiles, none, none)

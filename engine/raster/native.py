@@ -93,12 +93,12 @@ def _array(tensor: Tensor) -> NDArray[Any]:
     return tensor.detach().contiguous().numpy()
 
 
-def _scratch(workers: int, floats: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """What the workers of one pass need for themselves."""
+def _scratch(workers: int, floats: int, longest: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """What the workers of one pass need for themselves: floats, members of a chunk, and a word a row or a chunk."""
     return (
         memory.empty((workers, -(-floats // TILE) * TILE), np.float32),
-        memory.empty((workers, TILE * CHUNK), np.int32),
-        memory.empty((workers, TILE), np.int64),
+        memory.empty((workers, (TILE + 1) * CHUNK), np.int32),
+        memory.empty((workers, max(TILE + 1, -(-longest // CHUNK))), np.int64),
     )
 
 
@@ -137,6 +137,7 @@ class _Lists:
         self.starts, self.ids, self.tile_slots = tiles.deal(
             sorters, order, boxes, self.slots, touched, view.width, view.height
         )
+        self.longest = int(np.diff(self.starts).max())
 
 
 class _Blend(torch.autograd.Function):
@@ -186,7 +187,7 @@ class _Blend(torch.autograd.Function):
             *(layer.numpy().reshape(-1) for layer in (image, labels_out, alpha, depth)),
             rest,
             last,
-            *_scratch(workers, kernels.blend_scratch(channels)),
+            *_scratch(workers, kernels.blend_scratch(channels, lists.longest), lists.longest),
         )
         top_indices = torch.empty((height, width, top_k), dtype=torch.int32)
         top_weights = torch.empty((height, width, top_k), dtype=torch.float32)
@@ -300,6 +301,6 @@ def _unblend(
         touched,
         slot_gradients,
         slot_labels,
-        *_scratch(workers, kernels.unblend_scratch(channels)),
+        *_scratch(workers, kernels.unblend_scratch(channels), lists.longest),
     )
     return touched, slot_gradients, slot_labels

@@ -5,21 +5,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import binding, ir
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from .vectors import FLOAT, INT, WIDTH, call, element, intrinsic
+from .vectors import FLOAT, INT, WIDE, WIDTH, call, element, intrinsic
 
 INDEX = ir.IntType(64)
 
 
-def has_wide_registers() -> bool:
-    """AVX-512: thirty-two registers of sixteen floats."""
-    return bool(binding.get_host_cpu_features().get("avx512f", False))
-
-
-WIDE = has_wide_registers()
 BLOCK = 16 if WIDE else 8
 """Channels in one vector of a block: as wide as a register."""
 ROWS = 8 if WIDE else 4

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 
 from .compiled import Array, compiled
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM
@@ -24,9 +23,8 @@ from .records import (
     L12_LOW,
     L22,
     L22_LOW,
+    LOG_OPACITY,
     OPACITY,
-    REACH,
-    REACH_MARGIN,
     RED,
     TILE,
     WHITENING,
@@ -197,7 +195,7 @@ def project_range(
         records[i, L12_LOW] = l12 - float(records[i, L12])
         records[i, L22_LOW] = l22 - float(records[i, L22])
         records[i, OPACITY] = opacities[i]
-        records[i, REACH] = np.float32(reach * LOG2_E) + REACH_MARGIN
+        records[i, LOG_OPACITY] = math.log2(opacity)
         records[i, RED] = colours[i, 0]
         records[i, GREEN] = colours[i, 1]
         records[i, BLUE] = colours[i, 2]

@@ -23,7 +23,7 @@ CHUNK = 64
 CENTRE_X, CENTRE_X_LOW, CENTRE_Y, CENTRE_Y_LOW = 0, 1, 2, 3
 L11, L12, L22 = 4, 5, 6
 OPACITY = 7
-REACH = 8  # |s|^2 beyond which alpha < 1/255, a little rounded up
+LOG_OPACITY = 8  # to base two
 RED, GREEN, BLUE, DEPTH = 9, 10, 11, 12
 L11_LOW, L12_LOW, L22_LOW = (
     13,
@@ -41,5 +41,6 @@ GRADIENT_WIDTH = 16
 
 WHITENING = math.sqrt(0.5 * math.log2(math.e))
 """s = WHITENING * L d."""
-REACH_MARGIN = np.float32(1e-3)
-"""Added to ``REACH``: far more than the rounding of s, far less than a pixel."""
+REACH_OVER_LOG_OPACITY = np.float32(math.log2(255.0) + 1e-3)
+"""Added to ``LOG_OPACITY``: the |s|^2 beyond which alpha < 1/255, rounded up by far more than the rounding of s and
+far less than a pixel."""

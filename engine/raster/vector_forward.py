@@ -1,5 +1,9 @@
-"""Front-to-back blending, sixteen pixels at a time. The same steps as ``blend_forward``, its readable
-twin."""
+"""Front-to-back blending, sixteen pixels of a row at a time. The same steps as ``blend_forward``, its readable
+twin.
+
+A row of a tile takes all members of a chunk one after the other, its state in registers, then adds up their labels
+while the weights are still in the first cache.
+"""
 
 from __future__ import annotations
 
@@ -7,44 +11,47 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled
+from .compiled import Array, compiled, inlined
 from .conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
 from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
-from .records import (
-    BLUE,
-    CENTRE_X,
-    CENTRE_X_LOW,
-    CENTRE_Y,
-    CENTRE_Y_LOW,
-    CHUNK,
-    DEPTH,
-    GREEN,
-    L11,
-    L11_LOW,
-    L12,
-    L12_LOW,
-    L22,
-    L22_LOW,
-    OPACITY,
-    REACH,
-    RECORD,
-    RED,
-    TILE,
+from .records import CHUNK, TILE
+from .vector_chunk import (
+    BLUES,
+    CHUNK_FIELDS,
+    DEPTHS,
+    GREENS,
+    PLACES,
+    REDS,
+    ROW_EXPONENTS,
+    ROW_FIELDS,
+    ROW_S1,
+    SLOPE,
+    load_chunk,
+    padded_channels,
+    whiten_row,
 )
 from .vectors import (
     bits_of,
     choose,
-    exp2,
+    everywhere,
+    exp2_of_four,
+    fetch,
+    fetch_to_write,
     fma,
+    get,
+    interleaved,
+    is_aligned,
     lane_numbers,
+    less_product,
     load,
     load_some,
     lowest_bit,
     maximum,
     minimum,
-    negative_of,
+    put,
     spread,
     store,
+    store_past_cache,
     store_some,
     take_next,
 )
@@ -54,69 +61,55 @@ ZERO, ONE = F(0.0), F(1.0)
 ALPHA_CAP = F(ALPHA_MAX)
 ALPHA_LEAST = F(ALPHA_MIN)
 ENDED = F(TRANSMITTANCE_END)
-LAST_LANE = F(TILE - 1)
-PIXELS = TILE * TILE
+NEARLY_NOTHING = F(1e-20)
+"""A transmittance is not multiplied further down: subnormal numbers are slow."""
 
 # a worker's scratch, in floats
-S1_LEFT = 0
-S2 = TILE
-ROW_STATE = (
-    2 * TILE
-)  # [row, field, pixel]; a row's fields lie together, for arrays 4096 bytes apart get in each other's way
-ROW_STRIDE = 8 * TILE
-THROUGH = ROW_STATE
-LAST = THROUGH + TILE
+ROW = 0  # of the row at hand: what its members are there
+WEIGHTS = ROW + ROW_FIELDS  # [member, pixel], with room for those that turn out not to be blended
+STATE = WEIGHTS + (CHUNK + 4) * TILE  # [field, pixel]
+THROUGH = STATE
+REST = THROUGH + TILE
+LAST = REST + TILE
 PLANES = LAST + TILE  # red, green, blue, depth
-WEIGHTS = ROW_STATE + TILE * ROW_STRIDE  # [row, member, pixel]
-CHUNK_LABELS = (
-    WEIGHTS + TILE * CHUNK * TILE
-)  # [member, padded channels], then the tile's [pixel, padded channels]
-
-
-def padded_channels(channels: int) -> int:
-    return -(-channels // TILE) * TILE
-
-
-def scratch_size(channels: int) -> int:
-    """Floats of scratch that a worker needs."""
-    return CHUNK_LABELS + (CHUNK + PIXELS) * padded_channels(channels)
+ROW_LABELS = PLANES + 4 * TILE  # [pixel, padded channels], then the fields and the labels of each chunk
 
 
 @compiled
-def whiten_rows(records: Array, at: int, left: int, top: int, scratch: Array) -> Any:
-    """s1 at the first pixel and s2 of each of the tile's rows, to scratch; returns the mask of the rows that
-    are touched."""
-    # the origin in double, once a tile: everything after is within a few standard deviations
-    dx = (left + 0.5 - float(records[at + CENTRE_X])) - float(records[at + CENTRE_X_LOW])
-    dy = (top + 0.5 - float(records[at + CENTRE_Y])) - float(records[at + CENTRE_Y_LOW])
-    l11 = float(records[at + L11]) + float(records[at + L11_LOW])
-    l12 = float(records[at + L12]) + float(records[at + L12_LOW])
-    s1_origin = F(l11 * dx + l12 * dy)
-    s2_origin = F((float(records[at + L22]) + float(records[at + L22_LOW])) * dy)
-    s1_left = fma(spread(records[at + L12]), lane_numbers(), spread(s1_origin))
-    s2 = fma(spread(records[at + L22]), lane_numbers(), spread(s2_origin))
-    store(scratch, S1_LEFT, s1_left)
-    store(scratch, S2, s2)
-    s1_right = s1_left + spread(records[at + L11] * LAST_LANE)
-    nearest = maximum(maximum(s1_left, spread(ZERO) - s1_right), spread(ZERO))
-    return bits_of(fma(nearest, nearest, s2 * s2) <= spread(records[at + REACH]))
+def chunk_floats(channels: int) -> int:
+    return CHUNK_FIELDS + CHUNK * padded_channels(channels)
+
+
+def scratch_size(channels: int, longest: int) -> int:
+    """Floats of scratch that a worker needs when the longest list of a tile has so many Gaussians."""
+    floats: int = ROW_LABELS + TILE * padded_channels(channels) + -(-longest // CHUNK) * chunk_floats(channels)
+    return floats
 
 
 @compiled
-def start_tile(width: int, height: int, left: int, top: int, scratch: Array) -> Any:
-    """Transmittance one inside the image, minus one (ended) outside. Returns the mask of rows inside."""
+def start_row(left: int, width: int, padded: int, scratch: Array) -> None:
+    """Nothing blended yet; no transmittance outside the image."""
     inside = lane_numbers() < spread(F(width - left))
-    alive = 0
-    for r in range(TILE):
-        if top + r < height:
-            store(scratch, THROUGH + r * ROW_STRIDE, choose(inside, spread(ONE), spread(-ONE)))
-            alive |= 1 << r
-        else:
-            store(scratch, THROUGH + r * ROW_STRIDE, spread(-ONE))
-        store(scratch, LAST + r * ROW_STRIDE, spread(-ONE))
-        for plane in range(4):
-            store(scratch, PLANES + plane * TILE + r * ROW_STRIDE, spread(ZERO))
-    return alive
+    store(scratch, THROUGH, choose(inside, spread(ONE), spread(ZERO)))
+    store(scratch, REST, spread(ONE))
+    store(scratch, LAST, spread(-ONE))
+    for plane in range(4):
+        store(scratch, PLANES + plane * TILE, spread(ZERO))
+    for at in range(ROW_LABELS, ROW_LABELS + TILE * padded, TILE):
+        store(scratch, at, spread(ZERO))
+
+
+@compiled
+def fetch_row(
+    pixel: int, image: Array, alpha: Array, depth: Array, rest_out: Array, last_out: Array
+) -> None:
+    """Have the lines brought that ``write_row`` will write: it would wait for one after the other."""
+    fetch_to_write(alpha, pixel)
+    fetch_to_write(depth, pixel)
+    fetch_to_write(rest_out, pixel)
+    fetch_to_write(last_out, pixel)
+    for line in range(3):
+        fetch_to_write(image, 3 * pixel + line * TILE)
 
 
 @compiled
@@ -131,151 +124,184 @@ def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at:
         store(scratch, at + c, load_some(labels, source + c, lane_numbers() < spread(F(rest))))
 
 
-@compiled
-def blend_gaussian(
-    records: Array,
-    at: int,
-    place: float,
-    member: int,
-    rows: int,
-    alive: int,
-    scratch: Array,
-    counts: Array,
-    members: Array,
-) -> Any:
-    """Blend one Gaussian on the rows of a mask; returns the rows that still see anything."""
-    slope = spread(records[at + L11])
-    opacity = spread(records[at + OPACITY])
-    red, green = spread(records[at + RED]), spread(records[at + GREEN])
-    blue, depth = spread(records[at + BLUE]), spread(records[at + DEPTH])
-    while rows != 0:
-        r = lowest_bit(rows)
-        rows &= rows - 1
-        row = r * ROW_STRIDE
-        s1 = fma(slope, lane_numbers(), spread(scratch[S1_LEFT + r]))
-        s2 = spread(scratch[S2 + r])
-        alpha = minimum(opacity * exp2(spread(ZERO) - fma(s1, s1, s2 * s2)), spread(ALPHA_CAP))
-        through = load(scratch, THROUGH + row)
-        weight = alpha * through
-        after = through * (spread(ONE) - alpha)
-        seen = alpha >= spread(ALPHA_LEAST)
-        blended = seen & (after > spread(ENDED))
-        through = choose(blended, after, choose(seen, negative_of(through), through))
-        store(scratch, THROUGH + row, through)
-        if bits_of(blended) == 0:
-            if bits_of(through > spread(ZERO)) == 0:
-                alive &= ~(1 << r)
-            continue
-        weight = choose(blended, weight, spread(ZERO))
-        store(scratch, LAST + row, choose(blended, spread(place), load(scratch, LAST + row)))
-        store(scratch, PLANES + row, fma(weight, red, load(scratch, PLANES + row)))
-        store(scratch, PLANES + TILE + row, fma(weight, green, load(scratch, PLANES + TILE + row)))
-        store(scratch, PLANES + 2 * TILE + row, fma(weight, blue, load(scratch, PLANES + 2 * TILE + row)))
-        store(scratch, PLANES + 3 * TILE + row, fma(weight, depth, load(scratch, PLANES + 3 * TILE + row)))
-        store(scratch, WEIGHTS + (r * CHUNK + counts[r]) * TILE, weight)
-        members[r * CHUNK + counts[r]] = member
-        counts[r] += 1
-    return alive
+@inlined
+def exponent_of(m: int, scratch: Array, fields: int) -> Any:
+    """log2 of a member's alpha on the row."""
+    s1 = fma(everywhere(scratch, fields + SLOPE + m), lane_numbers(), everywhere(scratch, ROW + ROW_S1 + m))
+    return less_product(s1, s1, everywhere(scratch, ROW + ROW_EXPONENTS + m))
+
+
+@inlined
+def seen_alpha(raw: Any) -> Any:
+    """The alpha that counts: at most 0.99, 0 where it is too small."""
+    return choose(raw >= spread(ALPHA_LEAST), minimum(raw, spread(ALPHA_CAP)), spread(ZERO))
+
+
+@inlined
+def blend_member(m: int, alpha: Any, state: Any, count: int, scratch: Array, fields: int, members: Array) -> Any:
+    """Blend one member; returns the row's new state, and how many members have been blended so far.
+
+    A pixel has ended once its transmittance is too small; the product goes on, and says so of all that follow.
+    """
+    through, rest, last, red, green, blue, depth = state
+    after = less_product(alpha, through, through)
+    blended = (alpha > spread(ZERO)) & (after > spread(ENDED))
+    weight = choose(blended, alpha * through, spread(ZERO))
+    rest = choose(blended, after, rest)
+    last = choose(blended, everywhere(scratch, fields + PLACES + m), last)
+    red = fma(weight, everywhere(scratch, fields + REDS + m), red)
+    green = fma(weight, everywhere(scratch, fields + GREENS + m), green)
+    blue = fma(weight, everywhere(scratch, fields + BLUES + m), blue)
+    depth = fma(weight, everywhere(scratch, fields + DEPTHS + m), depth)
+    # written over by the next one where nothing was blended: cheaper than a branch that nobody can foresee
+    store(scratch, WEIGHTS + count * TILE, weight)
+    put(members, count, np.int32(m))
+    return (after, rest, last, red, green, blue, depth), count + int(bits_of(blended) != 0)
 
 
 @compiled
-def add_labels(scratch: Array, counts: Array, members: Array, padded: int) -> None:
-    """The tile's labels += the chunk's weights times its labels, row after row, eight pixels times three
-    vectors at a time."""
-    tile_labels = CHUNK_LABELS + CHUNK * padded
-    for r in range(TILE):
-        count = counts[r]
-        counts[r] = 0
-        if count == 0:
-            continue
-        listed = r * CHUNK
-        for x in range(0, TILE, ROWS):
-            weights = WEIGHTS + listed * TILE + x
-            out = tile_labels + (r * TILE + x) * padded
-            c = 0
-            while c + 3 * BLOCK <= padded:
-                blend_3(
-                    scratch,
-                    out + c,
-                    scratch,
-                    CHUNK_LABELS + c,
-                    members,
-                    listed,
-                    scratch,
-                    weights,
-                    count,
-                    padded,
-                )
-                c += 3 * BLOCK
-            if c + 2 * BLOCK <= padded:
-                blend_2(
-                    scratch,
-                    out + c,
-                    scratch,
-                    CHUNK_LABELS + c,
-                    members,
-                    listed,
-                    scratch,
-                    weights,
-                    count,
-                    padded,
-                )
-            elif c + BLOCK <= padded:
-                blend_1(
-                    scratch,
-                    out + c,
-                    scratch,
-                    CHUNK_LABELS + c,
-                    members,
-                    listed,
-                    scratch,
-                    weights,
-                    count,
-                    padded,
-                )
+def blend_row(touching: int, scratch: Array, fields: int, members: Array) -> Any:
+    """Blend the members of a mask on the row, four at a time, so that one does not wait for the other's alpha.
+
+    Weights and ``members`` hold those that were blended anywhere, in order; returns how many, and whether the row
+    still sees anything.
+    """
+    state = (
+        load(scratch, THROUGH),
+        load(scratch, REST),
+        load(scratch, LAST),
+        load(scratch, PLANES),
+        load(scratch, PLANES + TILE),
+        load(scratch, PLANES + 2 * TILE),
+        load(scratch, PLANES + 3 * TILE),
+    )
+    count = 0
+    sees = True
+    while sees and touching != 0:
+        m0 = lowest_bit(touching)
+        touching &= touching - 1
+        m1 = lowest_bit(touching)
+        touching &= touching - 1
+        m2 = lowest_bit(touching)
+        touching &= touching - 1
+        m3 = lowest_bit(touching)
+        touching &= touching - 1
+        e0, e1 = exponent_of(m0, scratch, fields), exponent_of(m1, scratch, fields)
+        e2, e3 = exponent_of(m2, scratch, fields), exponent_of(m3, scratch, fields)
+        raw0, raw1, raw2, raw3 = exp2_of_four(e0, e1, e2, e3)
+        alpha0, alpha1, alpha2, alpha3 = seen_alpha(raw0), seen_alpha(raw1), seen_alpha(raw2), seen_alpha(raw3)
+        state, count = blend_member(m0, alpha0, state, count, scratch, fields, members)
+        state, count = blend_member(m1, alpha1, state, count, scratch, fields, members)
+        state, count = blend_member(m2, alpha2, state, count, scratch, fields, members)
+        state, count = blend_member(m3, alpha3, state, count, scratch, fields, members)
+        through, rest, last, red, green, blue, depth = state
+        state = (maximum(through, spread(NEARLY_NOTHING)), rest, last, red, green, blue, depth)
+        sees = bits_of(through > spread(ENDED)) != 0
+    through, rest, last, red, green, blue, depth = state
+    store(scratch, THROUGH, through)
+    store(scratch, REST, rest)
+    store(scratch, LAST, last)
+    store(scratch, PLANES, red)
+    store(scratch, PLANES + TILE, green)
+    store(scratch, PLANES + 2 * TILE, blue)
+    store(scratch, PLANES + 3 * TILE, depth)
+    return count, sees
 
 
 @compiled
-def write_tile(
-    left: int,
-    top: int,
-    width: int,
-    height: int,
+def add_row_labels(count: int, scratch: Array, labels: int, members: Array, padded: int) -> None:
+    """The labels of the row's pixels += its weights times a chunk's labels, a few pixels times three vectors at a
+    time."""
+    for x in range(0, TILE, ROWS):
+        out = ROW_LABELS + x * padded
+        weights = WEIGHTS + x
+        c = 0
+        while c + 3 * BLOCK <= padded:
+            blend_3(scratch, out + c, scratch, labels + c, members, 0, scratch, weights, count, padded)
+            c += 3 * BLOCK
+        if c + 2 * BLOCK <= padded:
+            blend_2(scratch, out + c, scratch, labels + c, members, 0, scratch, weights, count, padded)
+        elif c + BLOCK <= padded:
+            blend_1(scratch, out + c, scratch, labels + c, members, 0, scratch, weights, count, padded)
+
+
+@compiled
+def fetch_labels(first: int, count: int, tile_ids: Array, labels: Array, channels: int) -> None:
+    """Have the labels of a chunk brought: they lie anywhere in memory, and will be needed soon."""
+    for m in range(count):
+        source = int(get(tile_ids, first + m)) * channels
+        for c in range(0, channels, TILE):
+            fetch(labels, source + c)
+        fetch(labels, source + channels - 1)
+
+
+@compiled
+def copy_touching(
+    touching: int, first: int, tile_ids: Array, labels: Array, channels: int, scratch: Array, at: int, copied: Array, c: int
+) -> None:
+    """The labels of a chunk's members that no row before has touched, to scratch[at:]."""
+    fresh = touching & ~get(copied, c)
+    put(copied, c, get(copied, c) | touching)
+    while fresh != 0:
+        m = lowest_bit(fresh)
+        fresh &= fresh - 1
+        gaussian = int(get(tile_ids, first + m))
+        copy_labels(gaussian, labels, channels, scratch, at + m * padded_channels(channels))
+
+
+@compiled
+def write_colours(target: int, floats: int, scratch: Array, image: Array) -> None:
+    """The row's colours, pixel after pixel, to image[target : target + floats]."""
+    first, second, third = interleaved(
+        load(scratch, PLANES), load(scratch, PLANES + TILE), load(scratch, PLANES + 2 * TILE)
+    )
+    store_some(image, target, first, lane_numbers() < spread(F(floats)))
+    store_some(image, target + TILE, second, lane_numbers() < spread(F(floats - TILE)))
+    store_some(image, target + 2 * TILE, third, lane_numbers() < spread(F(floats - 2 * TILE)))
+
+
+@compiled
+def write_row(
+    pixel: int,
+    pixels: int,
     channels: int,
     scratch: Array,
     image: Array,
     labels_out: Array,
     alpha: Array,
     depth: Array,
-    rest: Array,
+    rest_out: Array,
     last_out: Array,
 ) -> None:
-    padded = (channels + TILE - 1) // TILE * TILE
-    inside = lane_numbers() < spread(F(width - left))
-    tail = channels % TILE
-    in_tail = lane_numbers() < spread(F(tail))
-    for r in range(min(TILE, height - top)):
-        row = r * ROW_STRIDE
-        pixel = (top + r) * width + left
-        through = maximum(load(scratch, THROUGH + row), spread(ZERO) - load(scratch, THROUGH + row))
-        store_some(rest, pixel, through, inside)
-        store_some(alpha, pixel, spread(ONE) - through, inside)
-        store_some(depth, pixel, load(scratch, PLANES + 3 * TILE + row), inside)
-        store_some(last_out, pixel, load(scratch, LAST + row), inside)
-        for x in range(min(TILE, width - left)):
-            for plane in range(3):
-                image[3 * (pixel + x) + plane] = scratch[PLANES + plane * TILE + row + x]
-        if channels == 0:
-            continue
-        for x in range(min(TILE, width - left)):
-            source = CHUNK_LABELS + (CHUNK + r * TILE + x) * padded
-            target = (pixel + x) * channels
-            for c in range(0, channels - TILE + 1, TILE):
-                store(labels_out, target + c, load(scratch, source + c))
-            if tail > 0:
-                store_some(
-                    labels_out, target + channels - tail, load(scratch, source + channels - tail), in_tail
-                )
+    """The row's pixels, of which the first has the number ``pixel`` in the image."""
+    inside = lane_numbers() < spread(F(pixels))
+    rest = load(scratch, REST)
+    store_some(rest_out, pixel, rest, inside)
+    store_some(alpha, pixel, spread(ONE) - rest, inside)
+    store_some(depth, pixel, load(scratch, PLANES + 3 * TILE), inside)
+    store_some(last_out, pixel, load(scratch, LAST), inside)
+    write_colours(3 * pixel, 3 * pixels, scratch, image)
+    if channels > 0:
+        write_labels(pixel * channels, pixels, channels, scratch, labels_out)
+
+
+@compiled
+def write_labels(target: int, pixels: int, channels: int, scratch: Array, labels_out: Array) -> None:
+    """The row's labels without their padding, to labels_out[target:]; whole cache lines where they begin one."""
+    padded = padded_channels(channels)
+    for x in range(1, pixels):
+        for c in range(0, padded, TILE):  # what is too much, the next pixel writes over
+            store(scratch, ROW_LABELS + x * channels + c, load(scratch, ROW_LABELS + x * padded + c))
+    floats = pixels * channels
+    whole = floats // TILE * TILE
+    if is_aligned(labels_out, target):
+        for at in range(0, whole, TILE):
+            store_past_cache(labels_out, target + at, load(scratch, ROW_LABELS + at))
+    else:
+        for at in range(0, whole, TILE):
+            store(labels_out, target + at, load(scratch, ROW_LABELS + at))
+    rest = lane_numbers() < spread(F(floats - whole))
+    store_some(labels_out, target + whole, load(scratch, ROW_LABELS + whole), rest)
 
 
 @compiled
@@ -298,45 +324,46 @@ def blend_tiles(
     last_out: Array,
     scratches: Array,
     member_lists: Array,
-    row_counts: Array,
+    masks: Array,
 ) -> None:
     """Tile after tile until none is left. ``rest`` [H * W] gets the final transmittance, ``last_out`` [H * W]
     (as float32) the place in the tile's list of the last Gaussian blended (-1: none)."""
-    scratch, members, counts = scratches[worker], member_lists[worker], row_counts[worker]
+    scratch, members, copied = scratches[worker], member_lists[worker], masks[worker]
     columns = (width + TILE - 1) // TILE
     tiles = starts.shape[0] - 1
-    padded = (channels + TILE - 1) // TILE * TILE
-    for r in range(TILE):
-        counts[r] = 0
+    padded = padded_channels(channels)
+    chunks = ROW_LABELS + TILE * padded
     while True:
         tile = take_next(next_tile)
         if tile >= tiles:
             break
         left = tile % columns * TILE
         top = tile // columns * TILE
-        alive = start_tile(width, height, left, top, scratch)
-        for at in range(CHUNK_LABELS + CHUNK * padded, CHUNK_LABELS + (CHUNK + PIXELS) * padded, TILE):
-            store(scratch, at, spread(ZERO))
-        first, end = starts[tile], starts[tile + 1]
-        for chunk in range(first, end, CHUNK):
-            for k in range(chunk, min(chunk + CHUNK, end)):
-                gaussian = int(tile_ids[k])
-                at = gaussian * RECORD
-                rows = whiten_rows(records, at, left, top, scratch) & alive
-                if rows == 0:
-                    continue
-                alive = blend_gaussian(
-                    records, at, F(k - first), k - chunk, rows, alive, scratch, counts, members
-                )
-                if channels > 0:
-                    copy_labels(gaussian, labels, channels, scratch, CHUNK_LABELS + (k - chunk) * padded)
-            if channels > 0:
-                add_labels(scratch, counts, members, padded)
-            else:
-                for r in range(TILE):
-                    counts[r] = 0
-            if alive == 0:
-                break
-        write_tile(
-            left, top, width, height, channels, scratch, image, labels_out, alpha, depth, rest, last_out
-        )
+        first, total = starts[tile], starts[tile + 1] - starts[tile]
+        loaded = 0
+        for r in range(min(TILE, height - top)):
+            pixel = (top + r) * width + left
+            fetch_row(pixel, image, alpha, depth, rest, last_out)
+            start_row(left, width, padded, scratch)
+            for place in range(0, total, CHUNK):
+                c = place // CHUNK
+                fields = chunks + c * chunk_floats(channels)
+                count = min(CHUNK, total - place)
+                if place == loaded:
+                    if channels > 0:
+                        fetch_labels(first + place, count, tile_ids, labels, channels)
+                    load_chunk(tile_ids, first + place, count, place, records, left, top, scratch, fields)
+                    put(copied, c, 0)
+                    loaded += CHUNK
+                touching = whiten_row(r, count, scratch, fields, ROW)
+                blended, sees = blend_row(touching, scratch, fields, members)
+                if channels > 0 and blended > 0:
+                    own_labels = fields + CHUNK_FIELDS
+                    copy_touching(
+                        touching, first + place, tile_ids, labels, channels, scratch, own_labels, copied, c
+                    )
+                    add_row_labels(blended, scratch, own_labels, members, padded)
+                if not sees:
+                    break
+            pixels = min(TILE, width - left)
+            write_row(pixel, pixels, channels, scratch, image, labels_out, alpha, depth, rest, last_out)

@@ -12,8 +12,8 @@ from __future__ import annotations
 import operator
 from typing import Any
 
-from llvmlite import ir
-from numba import extending, types
+from llvmlite import binding, ir
+from numba import config, extending, types
 from numba.core import cgutils
 from numba.extending import lower_builtin, models, register_model, type_callable
 
@@ -27,6 +27,7 @@ INT = ir.IntType(32)
 WORD = ir.IntType(WIDTH)
 LANES_IR = ir.VectorType(FLOAT, WIDTH)
 INTS_IR = ir.VectorType(INT, WIDTH)
+BYTES_IR = ir.IntType(8).as_pointer()
 FLAGS_IR = ir.VectorType(ir.IntType(1), WIDTH)
 
 
@@ -138,6 +139,91 @@ def store_some(typing_context: Any, array: Any, index: Any, values: Any, wanted:
 
 
 @intrinsic
+def get(typing_context: Any, array: Any, index: Any) -> Any:
+    """array[index] of a flat contiguous array; unchecked, and no negative index."""
+    if not _is_flat(array, array.dtype):
+        return None
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(element(context, builder, signature.args[0], *arguments))
+
+    return array.dtype(array, types.int64), emit
+
+
+@intrinsic
+def put(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
+    """array[index] = value of a flat contiguous array, the value already of its type; unchecked."""
+    if not _is_flat(array, array.dtype):
+        return None
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.store(arguments[2], element(context, builder, signature.args[0], *arguments[:2]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, array.dtype), emit
+
+
+@intrinsic
+def everywhere(typing_context: Any, array: Any, index: Any) -> Any:
+    """array[index] of a flat contiguous float32 array in all lanes; unchecked."""
+    if not _is_flat(array, types.float32):
+        return None
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return splat(builder, builder.load(element(context, builder, signature.args[0], *arguments)))
+
+    return lanes(array, types.int64), emit
+
+
+def _fetch(to_write: int) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = builder.bitcast(element(context, builder, signature.args[0], *arguments), BYTES_IR)
+        call(builder, "llvm.prefetch.p0", ir.VoidType(), [pointer, INT(to_write), INT(3), INT(1)])
+        return context.get_dummy_value()
+
+    return emit
+
+
+@intrinsic
+def fetch(typing_context: Any, array: Any, index: Any) -> Any:
+    """Have the cache line of array[index] brought, to be read a little later; any index is harmless."""
+    return types.void(array, types.int64), _fetch(0)
+
+
+@intrinsic
+def fetch_to_write(typing_context: Any, array: Any, index: Any) -> Any:
+    """Have the cache line of array[index] brought, to be written a little later; any index is harmless."""
+    return types.void(array, types.int64), _fetch(1)
+
+
+@intrinsic
+def is_aligned(typing_context: Any, array: Any, index: Any) -> Any:
+    """Whether array[index] begins a cache line."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        address = builder.ptrtoint(element(context, builder, signature.args[0], *arguments), ir.IntType(64))
+        rest = builder.and_(address, ir.IntType(64)(4 * WIDTH - 1))
+        return builder.icmp_unsigned("==", rest, ir.IntType(64)(0))
+
+    return types.boolean(array, types.int64), emit
+
+
+@intrinsic
+def store_past_cache(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
+    """As ``store``, at the beginning of a cache line, without reading what was there nor keeping it in the cache."""
+    if not _is_flat(array, types.float32) or values is not lanes:
+        return None
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = element(context, builder, signature.args[0], *arguments[:2])
+        written = builder.store(arguments[2], builder.bitcast(pointer, LANES_IR.as_pointer()), align=4 * WIDTH)
+        written.set_metadata("nontemporal", builder.module.add_metadata([INT(1)]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, lanes), emit
+
+
+@intrinsic
 def spread(typing_context: Any, scalar: Any) -> Any:
     """A scalar in all lanes."""
 
@@ -163,6 +249,17 @@ def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call(builder, "llvm.fmuladd.v16f32", LANES_IR, list(arguments))
+
+    return lanes(lanes, lanes, lanes), emit
+
+
+@intrinsic
+def less_product(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """c - a * b, fused where the machine can."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, b, c = arguments
+        return call(builder, "llvm.fmuladd.v16f32", LANES_IR, [builder.fneg(a), b, c])
 
     return lanes(lanes, lanes, lanes), emit
 
@@ -222,16 +319,16 @@ def bits_of(typing_context: Any, condition: Any) -> Any:
 
 @intrinsic
 def lowest_bit(typing_context: Any, bits: Any) -> Any:
-    """The place of the lowest bit set (bits is not 0)."""
+    """The place of the lowest bit set, 64 when there is none."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return call(builder, "llvm.cttz.i64", ir.IntType(64), [arguments[0], ir.Constant(ir.IntType(1), 1)])
+        return call(builder, "llvm.cttz.i64", ir.IntType(64), [arguments[0], ir.Constant(ir.IntType(1), 0)])
 
     return types.int64(types.int64), emit
 
 
-# 2^f on [-1/2, 1/2], Chebyshev interpolation; relative error 1e-7 in float32
-_EXP2 = [
+# 2^f on [-1/2, 1/2] and on [0, 1], Chebyshev interpolation; relative error 1e-7 in float32
+_EXP2_AROUND_ZERO = (
     0.00015461444854736328,
     0.0013400427997112274,
     0.009618056938052177,
@@ -239,8 +336,69 @@ _EXP2 = [
     0.24022650718688965,
     0.6931471824645996,
     1.0,
-]
+)
+_EXP2_UP_TO_ONE = (
+    0.00021865784947294742,
+    0.0012391331838443875,
+    0.009684186428785324,
+    0.055480629205703735,
+    0.24023045599460602,
+    0.6931469440460205,
+    1.0,
+)
 _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it leaves the nearest integer in the low bits of the mantissa
+_LOWEST = -64.0
+
+
+def has_wide_registers() -> bool:
+    """AVX-512: thirty-two registers of sixteen floats, and its own steps of an exponential."""
+    if config.CPU_NAME not in (None, "host"):  # Numba was told to compile for another one
+        return False
+    features = binding.get_host_cpu_features()
+    return bool(features.get("avx512f", False) and features.get("avx512dq", False))
+
+
+WIDE = has_wide_registers()
+_ALL = ir.Constant(WORD, -1)
+_NEAREST_IS_FLOOR, _AS_SET = INT(1), INT(4)
+
+
+
+
+def _polynomials(builder: ir.IRBuilder, places: list[ir.Value], coefficients: tuple[float, ...]) -> list[ir.Value]:
+    values: list[ir.Value] = [constant(coefficients[0])] * len(places)
+    for coefficient in map(constant, coefficients[1:]):
+        values = [
+            call(builder, "llvm.fmuladd.v16f32", LANES_IR, [value, f, coefficient])
+            for value, f in zip(values, places, strict=True)
+        ]
+    return values
+
+
+def _exp2_wide(builder: ir.IRBuilder, exponents: list[ir.Value]) -> list[ir.Value]:
+    """The fraction, and the scaling by the whole part, are one instruction each."""
+    rest = [constant(0.0), _ALL, _AS_SET]
+    reduce, scale = "llvm.x86.avx512.mask.reduce.ps.512", "llvm.x86.avx512.mask.scalef.ps.512"
+    fractions = [call(builder, reduce, LANES_IR, [a, _NEAREST_IS_FLOOR, *rest]) for a in exponents]
+    values = _polynomials(builder, fractions, _EXP2_UP_TO_ONE)
+    return [call(builder, scale, LANES_IR, [value, a, *rest]) for value, a in zip(values, exponents, strict=True)]
+
+
+def _exp2_anywhere(builder: ir.IRBuilder, exponents: list[ir.Value]) -> list[ir.Value]:
+    """With the whole part rounded off by a large number, and added to the exponent's bits."""
+    shifted = [builder.fadd(a, constant(_ROUNDING)) for a in exponents]
+    wholes = [builder.fsub(value, constant(_ROUNDING)) for value in shifted]
+    fractions = [builder.fsub(a, whole) for a, whole in zip(exponents, wholes, strict=True)]
+    values = _polynomials(builder, fractions, _EXP2_AROUND_ZERO)
+    bits = [builder.shl(builder.bitcast(value, INTS_IR), ir.Constant(INTS_IR, [23] * WIDTH)) for value in shifted]
+    sums = [builder.add(builder.bitcast(value, INTS_IR), own) for value, own in zip(values, bits, strict=True)]
+    return [builder.bitcast(own, LANES_IR) for own in sums]
+
+
+def _exp2(builder: ir.IRBuilder, exponents: list[ir.Value]) -> list[ir.Value]:
+    lowest = constant(_LOWEST)
+    exponents = [builder.select(builder.fcmp_ordered(">", a, lowest), a, lowest) for a in exponents]
+    return (_exp2_wide if WIDE else _exp2_anywhere)(builder, exponents)
 
 
 @intrinsic
@@ -248,16 +406,36 @@ def exp2(typing_context: Any, a: Any) -> Any:
     """2^a for a <= 127; what is below -64 counts as -64, so that no product with it is a (slow) subnormal."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _exp2(builder, list(arguments))[0]
+
+    return lanes(lanes), emit
+
+
+@intrinsic
+def exp2_of_four(typing_context: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """``exp2`` of each, side by side: one alone is a chain of ten operations that wait for one another."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.make_tuple(builder, signature.return_type, _exp2(builder, list(arguments)))
+
+    return types.UniTuple(lanes, 4)(lanes, lanes, lanes, lanes), emit
+
+
+@intrinsic
+def reciprocal(typing_context: Any, a: Any) -> Any:
+    """1 / a for normal numbers, to within two units in the last place.
+
+    With AVX-512 an estimate of 14 bits and one Newton step: a division would hold up everything else for
+    sixteen cycles.
+    """
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         a = arguments[0]
-        lowest = constant(-64.0)
-        a = builder.select(builder.fcmp_ordered(">", a, lowest), a, lowest)
-        shifted = builder.fadd(a, constant(_ROUNDING))
-        f = builder.fsub(a, builder.fsub(shifted, constant(_ROUNDING)))
-        value: ir.Value = constant(_EXP2[0])
-        for coefficient in _EXP2[1:]:
-            value = call(builder, "llvm.fmuladd.v16f32", LANES_IR, [value, f, constant(coefficient)])
-        exponent = builder.shl(builder.bitcast(shifted, INTS_IR), ir.Constant(INTS_IR, [23] * WIDTH))
-        return builder.bitcast(builder.add(builder.bitcast(value, INTS_IR), exponent), LANES_IR)
+        if not WIDE:
+            return builder.fdiv(constant(1.0), a)
+        estimate = call(builder, "llvm.x86.avx512.rcp14.ps.512", LANES_IR, [a, constant(0.0), _ALL])
+        error = call(builder, "llvm.fmuladd.v16f32", LANES_IR, [builder.fneg(a), estimate, constant(1.0)])
+        return call(builder, "llvm.fmuladd.v16f32", LANES_IR, [estimate, error, estimate])
 
     return lanes(lanes), emit
 
@@ -298,6 +476,45 @@ def _fold(
         builder.shuffle_vector(a, b, ir.Constant(INTS_IR, low)),
         builder.shuffle_vector(a, b, ir.Constant(INTS_IR, high)),
     )
+
+
+def _shuffled(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, places: list[int]) -> ir.Value:
+    return builder.shuffle_vector(a, b, ir.Constant(INTS_IR, places))
+
+
+@intrinsic
+def interleaved(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """a0 b0 c0 a1 b1 c1 ... c15 as three vectors: planes to pixels."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, b, c = arguments
+        vectors = []
+        for start in range(0, 3 * WIDTH, WIDTH):
+            places = [divmod(start + lane, 3) for lane in range(WIDTH)]
+            pairs = _shuffled(builder, a, b, [pixel + WIDTH * (plane == 1) for pixel, plane in places])
+            mixed = [WIDTH + pixel if plane == 2 else lane for lane, (pixel, plane) in enumerate(places)]
+            vectors.append(_shuffled(builder, pairs, c, mixed))
+        return context.make_tuple(builder, signature.return_type, vectors)
+
+    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
+
+
+@intrinsic
+def planes_of(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """The inverse of ``interleaved``: pixels to planes."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, b, c = arguments
+        planes = []
+        for plane in range(3):
+            places = [3 * lane + plane for lane in range(WIDTH)]
+            front = [place if place < 2 * WIDTH else 0 for place in places]
+            both = _shuffled(builder, a, b, front)
+            mixed = [WIDTH + place - 2 * WIDTH if place >= 2 * WIDTH else lane for lane, place in enumerate(places)]
+            planes.append(_shuffled(builder, both, c, mixed))
+        return context.make_tuple(builder, signature.return_type, planes)
+
+    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
 
 
 @intrinsic
