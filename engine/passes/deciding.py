@@ -65,10 +65,11 @@ def decide_blocks(
     worker: int, workers: int, pixels: Any, columns: Any, linear_light: Array, scratch: Array, decided: Any
 ) -> None:
     """Every ``workers``-th block. ``linear_light`` float32 [N + 1]: linear values of 0, 1/N, ... 1 (sRGB-encoded);
-    ``scratch`` float32 [workers, C + S + 4, BLOCK]."""
+    ``scratch`` float32 [workers, 3 C + S + 4, BLOCK]."""
     count = len(pixels.alpha)
     own, classes, slots = scratch[worker], len(columns.of_class), len(columns.of_slot)
     share, weight, rest = own[:classes], own[classes : classes + slots], own[classes + slots :]
+    logarithm, exponent = rest[4 : 4 + classes], rest[4 + classes : 4 + 2 * classes]
     for start in range(worker * BLOCK, count, workers * BLOCK):
         size = min(BLOCK, count - start)
         transpose(pixels.classes, start, size, columns.of_class, share)
@@ -80,7 +81,8 @@ def decide_blocks(
         largest(share, size, rest[0], rest[1])
         largest(weight, size, rest[2], rest[3])
         choose(pixels, columns, start, size, share, rest, decided)
-        undecidedness(share, size, rest, pixels.alpha[start:], decided.entropy[start:])
+        natural_logarithm(share.reshape(-1), exponent.reshape(-1), logarithm.reshape(-1))
+        undecidedness(share, logarithm, size, rest[0], pixels.alpha[start:], decided.entropy[start:])
         combine(pixels, start, size, linear_light, decided.combined)
 
 
@@ -156,41 +158,38 @@ def choose(
 
 
 @compiled
-def undecidedness(share: Array, size: int, rest: Array, alpha: Array, entropy: Array) -> None:
-    """Entropy of the probabilities over the logarithm of their number, 0 where nothing was rendered."""
-    logarithm, mantissa, exponent = rest[0], rest[1], rest[2]
-    total = rest[3]
-    total[:size] = ZERO
-    for number in range(len(share)):
-        row = share[number]
-        natural_logarithm(row, size, mantissa, exponent, logarithm)
-        for x in range(size):
-            total[x] -= row[x] * logarithm[x]
-    scale = ONE / np.float32(np.log(max(len(share), 2)))
-    for x in range(size):
-        entropy[x] = total[x] * scale if alpha[x] >= FAINT else ZERO
-
-
-@compiled
-def natural_logarithm(values: Array, size: int, mantissa: Array, exponent: Array, out: Array) -> None:
+def natural_logarithm(values: Array, exponent: Array, out: Array) -> None:
     """The logarithm of values in [0, 1], 1e-12 for those below. The library's would take the values one by one.
 
     A value is m 2^k with m in [sqrt(1/2), sqrt(2)), and log m = 2 artanh s for s = (m - 1) / (m + 1), of which five
-    terms reach float32's precision.
+    terms reach float32's precision. ``exponent`` is scratch.
     """
-    bits = mantissa.view(np.int32)
-    for x in range(size):
-        mantissa[x] = max(values[x], LEAST_SHARE)
-    for x in range(size):
+    bits = out.view(np.int32)
+    for x in range(len(values)):
+        out[x] = max(values[x], LEAST_SHARE)
+    for x in range(len(values)):
         word = bits[x]
         k = np.int32(np.int32(word - HALF_ROOT_BITS) >> MANTISSA_BITS)
         exponent[x] = np.float32(k)
         bits[x] = np.int32(word - np.int32(k << MANTISSA_BITS))
-    for x in range(size):
-        s = (mantissa[x] - ONE) / (mantissa[x] + ONE)
+    for x in range(len(values)):
+        s = (out[x] - ONE) / (out[x] + ONE)
         z = s * s
         series = ONE + z * (THIRD + z * (FIFTH + z * (SEVENTH + z * NINTH)))
         out[x] = exponent[x] * LN_2 + TWO * s * series
+
+
+@compiled
+def undecidedness(share: Array, logarithm: Array, size: int, total: Array, alpha: Array, entropy: Array) -> None:
+    """Entropy of the probabilities over the logarithm of their number, 0 where nothing was rendered."""
+    total[:size] = ZERO
+    for number in range(len(share)):
+        row, logarithms = share[number], logarithm[number]
+        for x in range(size):
+            total[x] -= row[x] * logarithms[x]
+    scale = ONE / np.float32(np.log(max(len(share), 2)))
+    for x in range(size):
+        entropy[x] = total[x] * scale if alpha[x] >= FAINT else ZERO
 
 
 @compiled

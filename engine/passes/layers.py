@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,14 +62,16 @@ def decide(
         entropy=memory.empty((height, width), np.float32),
     )
     decided = Decided(
-        layers.combined.reshape(-1, 4),
-        *(each.reshape(-1) for each in (layers.depth, layers.semantic, layers.instance)),
-        *(each.reshape(-1) for each in (layers.confidence, layers.entropy)),
+        combined=layers.combined.reshape(-1, 4),
+        depth=layers.depth.reshape(-1),
+        semantic=layers.semantic.reshape(-1),
+        instance=layers.instance.reshape(-1),
+        confidence=layers.confidence.reshape(-1),
+        entropy=layers.entropy.reshape(-1),
     )
     workers = worker_count()
-    scratch = memory.empty((workers, len(columns.of_class) + len(columns.of_slot) + 4, BLOCK), np.float32)
-    table = linear(np.linspace(0.0, 1.0, LINEAR_STEPS + 1))
-    share(workers, decide_blocks, _pixels(rendering), columns, table, scratch, decided)
+    scratch = memory.empty((workers, 3 * len(columns.of_class) + len(columns.of_slot) + 4, BLOCK), np.float32)
+    share(workers, decide_blocks, _pixels(rendering), columns, _linear_light(), scratch, decided)
     return layers
 
 
@@ -109,6 +112,12 @@ def linear(encoded: NDArray[np.floating]) -> NDArray[np.float32]:
     """sRGB-encoded values in [0, 1] decoded to linear light (IEC 61966-2-1), float32 of the same shape."""
     values = np.clip(encoded, 0.0, 1.0)
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+@cache
+def _linear_light() -> NDArray[np.float32]:
+    """Linear values of LINEAR_STEPS + 1 encoded ones, evenly spaced from 0 to 1."""
+    return linear(np.linspace(0.0, 1.0, LINEAR_STEPS + 1))
 
 
 def encoded(linear_values: NDArray[np.floating]) -> NDArray[np.float32]:

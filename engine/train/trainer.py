@@ -106,7 +106,7 @@ class Trainer:
         self.clock.lap("optimiser")
         self.step_number += 1
         self._grow_if_due()
-        return StepReport(
+        report = StepReport(
             self.step_number,
             loss.item(),
             reconstruction.item(),
@@ -114,6 +114,8 @@ class Trainer:
             instance.item(),
             len(gaussians.opacities),
         )
+        self.clock.lap("the rest")
+        return report
 
     def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets) -> Rendering:
         return rasterize(
