@@ -65,24 +65,19 @@ def decide_blocks(
     worker: int, workers: int, pixels: Any, columns: Any, linear_light: Array, scratch: Array, decided: Any
 ) -> None:
     """Every ``workers``-th block. ``linear_light`` float32 [N + 1]: linear values of 0, 1/N, ... 1 (sRGB-encoded);
-    ``scratch`` float32 [workers, 3 C + S + 4, BLOCK]."""
+    ``scratch`` float32 [workers, 3 C + 2, BLOCK]."""
     count = len(pixels.alpha)
-    own, classes, slots = scratch[worker], len(columns.of_class), len(columns.of_slot)
-    share, weight, rest = own[:classes], own[classes : classes + slots], own[classes + slots :]
-    logarithm, exponent = rest[4 : 4 + classes], rest[4 + classes : 4 + 2 * classes]
+    own, classes = scratch[worker], len(columns.of_class)
+    likely, likeliest = own[3 * classes], own[3 * classes + 1]
+    share, logarithm, exponent = own[:classes], own[classes : 2 * classes], own[2 * classes : 3 * classes]
     for start in range(worker * BLOCK, count, workers * BLOCK):
         size = min(BLOCK, count - start)
         transpose(pixels.classes, start, size, columns.of_class, share)
-        transpose(pixels.slots, start, size, columns.of_slot, weight)
-        to_shares(share, size, rest[0])
-        if columns.one_class:
-            for slot in range(slots):
-                weigh(weight[slot], share, columns.class_of_slot[slot], size)
-        largest(share, size, rest[0], rest[1])
-        largest(weight, size, rest[2], rest[3])
-        choose(pixels, columns, start, size, share, rest, decided)
+        to_shares(share, size, likely)
+        largest(share, size, likely, likeliest)
+        choose(pixels, columns, start, size, share, likeliest, decided)
         natural_logarithm(share.reshape(-1), exponent.reshape(-1), logarithm.reshape(-1))
-        undecidedness(share, logarithm, size, rest[0], pixels.alpha[start:], decided.entropy[start:])
+        undecidedness(share, logarithm, size, likely, pixels.alpha[start:], decided.entropy[start:])
         combine(pixels, start, size, linear_light, decided.combined)
 
 
@@ -112,17 +107,6 @@ def to_shares(coverage: Array, size: int, total: Array) -> None:
 
 
 @compiled
-def weigh(coverage: Array, share: Array, class_place: int, size: int) -> None:
-    """A slot's coverage times the probability of its class, in place; nothing where it has none."""
-    if class_place < 0:
-        coverage[:size] = ZERO
-        return
-    likely = share[class_place]
-    for x in range(size):
-        coverage[x] = coverage[x] * likely[x]
-
-
-@compiled
 def largest(rows: Array, size: int, value: Array, place: Array) -> None:
     """The largest of each column and which row has it, the first of several; 0 and row 0 where none is above 0."""
     value[:size] = ZERO
@@ -136,20 +120,35 @@ def largest(rows: Array, size: int, value: Array, place: Array) -> None:
 
 
 @compiled
+def best_slot(coverage: Array, pixel: int, columns: Any, share: Array, x: int) -> int:
+    """The slot that the pixel shows, the first of several, -1 where there is none: the one of largest coverage, or of
+    coverage times the probability of its class."""
+    best, most = -1, ZERO
+    for slot in range(len(columns.of_slot)):
+        weight = coverage[pixel, columns.of_slot[slot]]
+        if columns.one_class:
+            place = columns.class_of_slot[slot]
+            weight = weight * share[place, x] if place >= 0 else ZERO
+        if weight > most:
+            best, most = slot, weight
+    return best
+
+
+@compiled
 def choose(
-    pixels: Any, columns: Any, start: int, size: int, share: Array, found: Array, decided: Any
+    pixels: Any, columns: Any, start: int, size: int, share: Array, likeliest: Array, decided: Any
 ) -> None:
-    """Class, instance, confidence and depth. ``found``: largest probability and its class, largest weight and its
-    slot."""
+    """Class, instance, confidence and depth of a block. ``share`` [C, BLOCK], ``likeliest`` [BLOCK] its largest row."""
     for x in range(size):
-        pixel, place, instance = start + x, int(found[1, x]), 0
-        if columns.is_thing[place] and found[2, x] > ZERO:
-            slot = int(found[3, x])
-            instance = columns.slot_ids[slot]
-            if columns.one_class and columns.class_of_slot[slot] >= 0:
-                place = columns.class_of_slot[slot]
-            if not columns.is_thing[place]:
-                instance = 0
+        pixel, place, instance = start + x, int(likeliest[x]), 0
+        if columns.is_thing[place]:
+            slot = best_slot(pixels.slots, pixel, columns, share, x)
+            if slot >= 0:
+                instance = columns.slot_ids[slot]
+                if columns.one_class and columns.class_of_slot[slot] >= 0:
+                    place = columns.class_of_slot[slot]
+                if not columns.is_thing[place]:
+                    instance = 0
         rendered = pixels.alpha[pixel] >= FAINT
         decided.semantic[pixel] = columns.class_ids[place] if rendered else 0
         decided.instance[pixel] = instance if rendered else 0

@@ -70,7 +70,7 @@ def decide(
         entropy=layers.entropy.reshape(-1),
     )
     workers = worker_count()
-    scratch = memory.empty((workers, 3 * len(columns.of_class) + len(columns.of_slot) + 4, BLOCK), np.float32)
+    scratch = memory.empty((workers, 3 * len(columns.of_class) + 2, BLOCK), np.float32)
     share(workers, decide_blocks, _pixels(rendering), columns, _linear_light(), scratch, decided)
     return layers
 
