@@ -83,8 +83,11 @@ def _evaluate(options: argparse.Namespace) -> ExitCode:
 
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:
-    parser.description = "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak."
-    parser.add_argument("what", choices=("raster",))
+    parser.description = (
+        "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak. "
+        "step: a training step of a lift of the sample, by part, and the drawing of what was lifted."
+    )
+    parser.add_argument("what", choices=("raster", "step"))
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=_bench)
 
@@ -103,7 +106,12 @@ def _warm_up(options: argparse.Namespace) -> ExitCode:
 
 
 def _bench(options: argparse.Namespace) -> ExitCode:
-    from ..raster.bench import bench_raster
+    if options.what == "raster":
+        from ..raster.bench import bench_raster
 
-    bench_raster(options.json)
+        bench_raster(options.json)
+    else:
+        from ..lift.bench import bench_step
+
+        bench_step(options.json)
     return ExitCode.FINISHED

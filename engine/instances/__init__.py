@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .consensus import ConsensusOptions, ObjectMasks, ViewPoints, find_objects, shown_classes
-from .linear_assignment import assign_slots
+from .linear_assignment import assign_slots, best_slots
 from .masks import instance_map, restrict_to_things, vote_instances
 from .matching import Evidence, GlobalInstance, MatchingOptions, limit_instances, match_views
 from .objects import object_instances, without_strays
@@ -21,6 +21,7 @@ __all__ = [
     "SegmentOptions",
     "ViewPoints",
     "assign_slots",
+    "best_slots",
     "find_objects",
     "fit_box",
     "instance_map",

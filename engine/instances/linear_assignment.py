@@ -31,8 +31,14 @@ def assign_slots(probabilities: NDArray[np.floating], instance_ids: NDArray[np.i
     shown = probabilities[inside].astype(np.float64)
     count = np.bincount(row, minlength=len(ids))
     mean = np.column_stack([np.bincount(row, column, len(ids)) / count for column in shown.T])
-    slot_of_row = np.full(len(ids), -1, np.int32)
+    target[inside] = best_slots(mean)[row]
+    return target
+
+
+def best_slots(mean: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Slot of each instance, int32 [I], -1 for those that get none: the assignment of largest sum of ``mean`` [I, S],
+    the mean probabilities of the slots over the instances' pixels."""
+    slot_of_row = np.full(len(mean), -1, np.int32)
     rows, slots = linear_sum_assignment(-mean)
     slot_of_row[rows] = slots
-    target[inside] = slot_of_row[row]
-    return target
+    return slot_of_row

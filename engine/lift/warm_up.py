@@ -9,9 +9,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from ..job import EventWriter, StopSignal
+from ..model.render import render_view
+from ..passes import decide
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
 from ..train.preparation import prepare
-from ..train.presets import PRESETS, WarmStart
+from ..train.presets import PRESETS, Schedule, WarmStart
 from ..train.progress import StageReporter
 from ..train.trainer import Trainer
 from .run import STAGES
@@ -21,12 +23,13 @@ WALL, PICTURE = 1, 2
 
 
 def warm_up() -> None:
-    """Take every compiled path of a lift once: believing, matching, projecting, drawing, and its way back."""
+    """Take every compiled path of a lift once: believing, matching, projecting, drawing and its way back, deciding."""
     classes = ClassTable(
         (Category(WALL, "wall", False, (200, 200, 200)), Category(PICTURE, "picture", True, (200, 0, 0)))
     )
     views = [_view_of_a_wall(number) for number in range(3)]
-    preset = replace(PRESETS["preview"], steps=2, neighbours=2, warm_start=WarmStart(steps=1))
+    whole = Schedule(statistics_from=0.0)  # two steps are too few to count anything else
+    preset = replace(PRESETS["preview"], steps=2, neighbours=2, warm_start=WarmStart(steps=1), schedule=whole)
     with TemporaryDirectory() as folder:
         events = EventWriter(Path(folder) / "events.jsonl")
         stages = StageReporter(events, StopSignal(Path(folder) / "cancel"), STAGES)
@@ -34,6 +37,7 @@ def warm_up() -> None:
         trainer = Trainer(prepared.scene, prepared.targets, views, preset, 0)
         while not trainer.finished:
             trainer.step()
+        decide(render_view(trainer.scene, views[0].camera), classes, prepared.class_of_instance)
         events.close()
 
 

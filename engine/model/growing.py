@@ -13,8 +13,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..raster.compiled import Array, compiled
 from .anchors import UNKNOWN_CLASS, Anchors
 from .gaussians import NeuralGaussians
+
+ONE, ZERO = np.float32(1), np.float32(0)
 
 
 @dataclass(frozen=True)
@@ -56,15 +59,45 @@ class GrowthStatistics:
         self, gaussians: NeuralGaussians, drawn: torch.Tensor, means2d_gradient: torch.Tensor, width: int, height: int
     ) -> None:
         """Count one step: ``drawn`` bool [N], ``means2d_gradient`` [N, 2] per pixel, brought to NDC units here."""
-        visible = gaussians.visible
-        self.visits[visible] += 1
-        self.opacity[visible] += gaussians.all_opacities.detach().clamp_min(0).sum(dim=1)
-        k = self.gradient.shape[1]
-        rows = visible[gaussians.kept // k] * k + gaussians.kept % k
-        ndc = means2d_gradient * torch.tensor([0.5 * width, 0.5 * height])
-        seen = drawn.float()
-        self.gradient.view(-1)[rows] += ndc.norm(dim=1) * seen
-        self.drawn.view(-1)[rows] += seen
+        _add_step(
+            gaussians.visible.numpy(),
+            gaussians.all_opacities.detach().contiguous().numpy(),
+            gaussians.kept.numpy(),
+            drawn.numpy(),
+            means2d_gradient.contiguous().numpy(),
+            np.array([0.5 * width, 0.5 * height], np.float32),
+            *(tensor.numpy() for tensor in (self.visits, self.opacity, self.gradient, self.drawn)),
+        )
+
+
+@compiled
+def _add_step(
+    visible: Array,
+    opacities: Array,
+    kept: Array,
+    was_drawn: Array,
+    moved: Array,
+    half_size: Array,
+    visits: Array,
+    opacity: Array,
+    gradient: Array,
+    drawn: Array,
+) -> None:
+    """The loops behind ``GrowthStatistics.add``; the last four are its sums."""
+    k = gradient.shape[1]
+    for place in range(len(visible)):
+        row = visible[place]
+        visits[row] += ONE
+        total = ZERO
+        for each in range(k):
+            total += max(opacities[place, each], ZERO)
+        opacity[row] += total
+    for place in range(len(kept)):
+        if was_drawn[place]:
+            row, each = visible[kept[place] // k], kept[place] % k
+            across, along = moved[place, 0] * half_size[0], moved[place, 1] * half_size[1]
+            gradient[row, each] += np.sqrt(across * across + along * along)
+            drawn[row, each] += ONE
 
 
 @dataclass(frozen=True)

@@ -32,14 +32,14 @@ def render_view(scene: StructuredScene, camera: Camera) -> PanopticRendering:
     assert rendering.labels is not None  # drawn with labels
     labels = rendering.labels.numpy()
     classes = len(scene.channels.class_ids)
-    used = [column for column, slot in enumerate(scene.channels.slot_ids) if slot]
+    used = sum(slot != 0 for slot in scene.channels.slot_ids)  # spare slots come last
     return PanopticRendering(
         camera=camera,
         image=np.clip(rendering.image.numpy(), 0.0, 1.0),
         alpha=alpha,
         depth=np.where(alpha > 1e-3, rendering.depth.numpy() / np.maximum(alpha, 1e-3), 0.0).astype(np.float32),
         class_coverage=labels[..., :classes],
-        instance_coverage=np.ascontiguousarray(labels[..., [classes + column for column in used]]),
+        instance_coverage=labels[..., classes : classes + used],
         class_ids=scene.channels.class_ids,
-        instance_ids=tuple(scene.channels.slot_ids[column] for column in used),
+        instance_ids=scene.channels.slot_ids[:used],
     )

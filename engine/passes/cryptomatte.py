@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..model.rendering import PanopticRendering
 from ..scene import VOID, ClassTable
-from .layers import NOTHING
+from .deciding import NOTHING
 
 RANKS = 6
 """Pairs a pixel: three layers of channels of two pairs each."""

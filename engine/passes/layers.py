@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..model.rendering import PanopticRendering
+from ..raster import memory
+from ..raster.crew import share, worker_count
 from ..scene import VOID, ClassTable
+from .deciding import BLOCK, Columns, Decided, Pixels, decide_blocks
 
-NOTHING = 1e-3
-"""Below this alpha nothing was rendered: the pixel's labels, depth and confidence are 0."""
+LINEAR_STEPS = 4096
+"""Between so many equal steps of the encoded values, linear light is as good as straight: within 1e-7."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,43 +51,61 @@ def decide(
     probability of its class is largest, and takes that class. So where no instance was found, an instance
     that no one believes in there cannot impose its class.
     """
-    probabilities, class_ids = class_probabilities(rendering)
-    rendered = rendering.alpha >= NOTHING
-    column = probabilities.argmax(axis=-1)
-    semantic = class_ids[column]
-    weights = rendering.instance_coverage
-    column_of = {int(class_id): c for c, class_id in enumerate(class_ids)}
-    if instance_classes:
-        columns = [column_of.get(instance_classes.get(one, VOID), -1) for one in rendering.instance_ids]
-        weights = weights * np.where(np.array(columns) >= 0, probabilities[..., columns], 0)
-    instance = np.where(np.isin(semantic, sorted(classes.thing_ids)), _best_instance(rendering, weights), 0)
-    if instance_classes:
-        semantic, column = _class_of_instance(semantic, column, instance, class_ids, instance_classes)
-        instance = np.where(np.isin(semantic, sorted(classes.thing_ids)), instance, 0)
-    confidence = np.take_along_axis(probabilities, column[..., None], axis=-1)[..., 0]
-    entropy = -(probabilities * np.log(np.maximum(probabilities, 1e-12))).sum(axis=-1)
-    return PanopticLayers(
-        combined=np.dstack([linear(rendering.image), np.clip(rendering.alpha, 0, 1)]).astype(np.float32),
-        depth=np.where(rendered, rendering.depth, 0).astype(np.float32),
-        semantic=np.where(rendered, semantic, VOID).astype(np.int32),
-        instance=np.where(rendered, instance, 0).astype(np.int32),
-        confidence=np.where(rendered, confidence, 0).astype(np.float32),
-        entropy=np.where(rendered, entropy / np.log(max(len(class_ids), 2)), 0).astype(np.float32),
+    height, width = rendering.alpha.shape
+    columns = _columns(rendering, classes, instance_classes or {})
+    layers = PanopticLayers(
+        combined=memory.empty((height, width, 4), np.float32),
+        depth=memory.empty((height, width), np.float32),
+        semantic=memory.empty((height, width), np.int32),
+        instance=memory.empty((height, width), np.int32),
+        confidence=memory.empty((height, width), np.float32),
+        entropy=memory.empty((height, width), np.float32),
+    )
+    decided = Decided(
+        combined=layers.combined.reshape(-1, 4),
+        depth=layers.depth.reshape(-1),
+        semantic=layers.semantic.reshape(-1),
+        instance=layers.instance.reshape(-1),
+        confidence=layers.confidence.reshape(-1),
+        entropy=layers.entropy.reshape(-1),
+    )
+    workers = worker_count()
+    scratch = memory.empty((workers, 3 * len(columns.of_class) + 2, BLOCK), np.float32)
+    share(workers, decide_blocks, _pixels(rendering), columns, _linear_light(), scratch, decided)
+    return layers
+
+
+def _pixels(rendering: PanopticRendering) -> Pixels:
+    image, alpha, depth = (
+        np.ascontiguousarray(each, np.float32) for each in (rendering.image, rendering.alpha, rendering.depth)
+    )
+    covered = (rendering.class_coverage, rendering.instance_coverage)
+    by_class, by_slot = (each.reshape(alpha.size, each.shape[-1]) for each in covered)
+    return Pixels(image.reshape(-1, 3), alpha.reshape(-1), depth.reshape(-1), by_class, by_slot)
+
+
+def _columns(rendering: PanopticRendering, classes: ClassTable, instance_classes: Mapping[int, int]) -> Columns:
+    """The channels to look at, by ascending id. Raises ValueError when the rendering has no class at all."""
+    of_class, of_slot = _by_id(rendering.class_ids), _by_id(rendering.instance_ids)
+    if not of_class:
+        raise ValueError("the rendering has no classes")
+    class_ids = [rendering.class_ids[column] for column in of_class]
+    slot_ids = [rendering.instance_ids[column] for column in of_slot]
+    place = {class_id: number for number, class_id in enumerate(class_ids)}
+    return Columns(
+        of_class=np.array(of_class, np.int64),
+        class_ids=np.array(class_ids, np.int32),
+        is_thing=np.isin(class_ids, sorted(classes.thing_ids)),
+        of_slot=np.array(of_slot, np.int64),
+        slot_ids=np.array(slot_ids, np.int32),
+        class_of_slot=np.array([place.get(instance_classes.get(one, VOID), -1) for one in slot_ids], np.int64),
+        one_class=bool(instance_classes),
     )
 
 
-def class_probabilities(rendering: PanopticRendering) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Probabilities float32 [H, W, C'] of the classes but void, and their ids int32 [C'], ascending.
-
-    Raises ValueError when the rendering has no class at all.
-    """
-    ids = np.array(rendering.class_ids, np.int32)
-    columns = [c for c in np.argsort(ids, kind="stable").tolist() if ids[c] != VOID]
-    if not columns:
-        raise ValueError("the rendering has no classes")
-    coverage = rendering.class_coverage[..., columns]
-    total = coverage.sum(axis=-1, keepdims=True)
-    return (coverage / np.maximum(total, 1e-8)).astype(np.float32), ids[columns]
+def _by_id(ids: Sequence[int]) -> list[int]:
+    """The places of all ids but 0, by ascending id."""
+    return sorted((place for place, one in enumerate(ids) if one), key=lambda place: ids[place])
 
 
 def linear(encoded: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -92,34 +114,13 @@ def linear(encoded: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
+@cache
+def _linear_light() -> NDArray[np.float32]:
+    """Linear values of LINEAR_STEPS + 1 encoded ones, evenly spaced from 0 to 1."""
+    return linear(np.linspace(0.0, 1.0, LINEAR_STEPS + 1))
+
+
 def encoded(linear_values: NDArray[np.floating]) -> NDArray[np.float32]:
     """The inverse of ``linear``."""
     values = np.clip(linear_values, 0.0, 1.0)
     return np.where(values <= 0.0031308, values * 12.92, 1.055 * values ** (1 / 2.4) - 0.055).astype(np.float32)
-
-
-def _best_instance(rendering: PanopticRendering, weights: NDArray[np.floating]) -> NDArray[np.int32]:
-    """Instance id of the largest weight [H, W, S], int32 [H, W]; 0 where all are 0. Ties: lower id."""
-    ids = np.array(rendering.instance_ids, np.int32)
-    columns = [c for c in np.argsort(ids, kind="stable").tolist() if ids[c] != 0]
-    if not columns:
-        return np.zeros(rendering.alpha.shape, np.int32)
-    weights = weights[..., columns]
-    return np.where(weights.max(axis=-1) > 0, ids[columns][weights.argmax(axis=-1)], 0).astype(np.int32)
-
-
-def _class_of_instance(
-    semantic: NDArray[np.int32],
-    column: NDArray[np.int64],
-    instance: NDArray[np.int32],
-    class_ids: NDArray[np.int32],
-    instance_classes: Mapping[int, int],
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Class ids and their columns after pixels with an instance have taken its class, if the model has it."""
-    columns = {int(class_id): c for c, class_id in enumerate(class_ids)}
-    table = np.full(max(int(instance.max(initial=0)), 0) + 1, -1)
-    for instance_id, class_id in instance_classes.items():
-        if 0 < instance_id < len(table) and class_id in columns:
-            table[instance_id] = columns[class_id]
-    column = np.where(table[instance] >= 0, table[instance], column)
-    return class_ids[column], column

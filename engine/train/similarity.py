@@ -1,59 +1,80 @@
-"""Structural similarity as a loss: 11x11 Gaussian window of sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2."""
+"""Structural similarity as a loss: 11x11 Gaussian window of sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2; and
+L1, which is measured on the way."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import Any
 
+import cv2
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from torch.autograd.function import once_differentiable
 
-WINDOW, SIGMA = 11, 1.5
-C1, C2 = 0.01**2, 0.03**2
-
-
-@lru_cache(maxsize=32)
-def _blur_matrix(size: int) -> torch.Tensor:
-    """The window as a banded matrix [size, size]: row i holds the weights of output i. Zeros fall off the ends.
-
-    Two matrix products blur a picture, and blur its gradient back. On a CPU that beats convolution layers, whose
-    backward pass is made for many channels, by an order of magnitude.
-    """
-    position = torch.arange(size)
-    distance = (position[:, None] - position[None, :]).abs()
-    weights = torch.exp(-(distance**2) / (2 * SIGMA**2)) * (distance <= WINDOW // 2)
-    offsets = torch.arange(WINDOW) - WINDOW // 2
-    return weights / torch.exp(-(offsets**2) / (2 * SIGMA**2)).sum()
+from ..raster import memory
+from ..raster.crew import share, worker_count
+from .similarity_kernels import WEIGHTS, compare_strips, scratch_size, strip_count
 
 
-def _blur(planes: torch.Tensor) -> torch.Tensor:
-    """Planes [N, H, W] blurred along both axes."""
-    height, width = planes.shape[1:]
-    return _blur_matrix(height) @ planes @ _blur_matrix(width).T
+def _blur(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A picture [H, W, 3] blurred by the window, with zeros around it."""
+    window = np.array([*reversed(WEIGHTS), *WEIGHTS[1:]], np.float32)
+    return cv2.sepFilter2D(picture, -1, window, window, borderType=cv2.BORDER_CONSTANT).astype(np.float32, copy=False)
 
 
 @dataclass(frozen=True)
 class PhotoMoments:
-    """What SSIM needs of the photo, computed once: ``planes`` [3, H, W], blurred ``mean`` and ``variance`` of them."""
+    """A photo and what SSIM needs of it, computed once: its blurred mean and variance; float32 [H, W, 3] each."""
 
-    planes: torch.Tensor
-    mean: torch.Tensor
-    variance: torch.Tensor
+    values: NDArray[np.float32]
+    mean: NDArray[np.float32]
+    variance: NDArray[np.float32]
 
     @classmethod
     def of(cls, photo: torch.Tensor) -> PhotoMoments:
         """Moments of a photo float32 [H, W, 3] in [0, 1]."""
-        planes = photo.permute(2, 0, 1).contiguous()
-        mean = _blur(planes)
-        return cls(planes, mean, _blur(planes * planes) - mean**2)
+        values = np.ascontiguousarray(photo.numpy())
+        mean = _blur(values)
+        return cls(values, mean, _blur(values * values) - mean**2)
+
+
+class _Comparison(torch.autograd.Function):
+    """l1_weight * L1 + ssim_weight * SSIM of a picture and a photo, with the gradient made on the way."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, image: torch.Tensor, photo: PhotoMoments, l1_weight: float, ssim_weight: float
+    ) -> torch.Tensor:
+        if image.shape != photo.values.shape:
+            raise ValueError(f"the picture is {tuple(image.shape)}, the photo {photo.values.shape}")
+        height, width, channels = image.shape
+        length, count, workers = width * channels, image.numel(), worker_count()
+        pictures = (image.detach().contiguous().numpy(), photo.values, photo.mean, photo.variance)
+        rows = [picture.reshape(height, length) for picture in pictures]
+        weights = np.array([l1_weight / count, ssim_weight / count], np.float32)
+        gradient = memory.empty((height, length), np.float32)
+        sums = np.zeros((strip_count(height), 2))
+        scratch = memory.empty((workers, scratch_size(length)), np.float32)
+        share(workers, compare_strips, *rows, weights, gradient, sums, scratch)
+        ctx.save_for_backward(torch.from_numpy(gradient).view(image.shape))
+        difference, similarity = sums.sum(axis=0) / count
+        return image.new_tensor(l1_weight * difference + ssim_weight * similarity)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
+        (gradient,) = ctx.saved_tensors
+        return gradient * gradients[0], None, None, None
+
+
+def compare(image: torch.Tensor, photo: PhotoMoments, l1_weight: float, ssim_weight: float) -> torch.Tensor:
+    """``l1_weight`` * mean |difference| + ``ssim_weight`` * mean SSIM of ``image`` float32 [H, W, 3] in [0, 1] and a
+    photo. Differentiable once in ``image``. Raises ValueError when sizes differ."""
+    result: torch.Tensor = _Comparison.apply(image, photo, l1_weight, ssim_weight)
+    return result
 
 
 def structural_similarity(image: torch.Tensor, photo: PhotoMoments) -> torch.Tensor:
     """Mean SSIM of ``image`` [H, W, 3] in [0, 1] and a photo."""
-    planes = image.permute(2, 0, 1)
-    blurred = _blur(torch.cat([planes, planes * planes, planes * photo.planes]))
-    mean, square, product = blurred[:3], blurred[3:6], blurred[6:]
-    mean_square, mean_product = mean * mean, mean * photo.mean
-    variance, covariance = square - mean_square, product - mean_product
-    ssim = (2 * mean_product + C1) * (2 * covariance + C2)
-    ssim = ssim / ((mean_square + photo.mean**2 + C1) * (variance + photo.variance + C2))
-    return ssim.mean()
+    return compare(image, photo, 0.0, 1.0)

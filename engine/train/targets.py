@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..model.structured import LabelChannels
 from ..scene import Camera, View
+from .assignment import ThingSegments
 from .similarity import PhotoMoments
 
 
@@ -17,19 +18,18 @@ from .similarity import PhotoMoments
 class ViewTargets:
     """Targets of one training view at lift size.
 
-    ``photo`` float32 [H, W, 3] sRGB-encoded in [0, 1], ``moments`` what SSIM needs of it. ``projected`` int16 [H, W]:
-    semantic channel of the projected point cloud, -1 where it says nothing. ``matched`` int16 [H, W]: instance slot of
-    M_match, -1 = none. ``machine_instances`` int32 [H, W]: ids of the machine's thing segments in this view, 0 = none.
-    ``pseudo`` int16 [H, W]: semantic channel of the pseudo labels, None before the self-training stage.
+    ``photo`` is sRGB-encoded, in [0, 1], with what SSIM needs of it. ``projected`` int16 [H, W]: semantic channel of
+    the projected point cloud, -1 where it says nothing. ``matched`` int16 [H, W]: instance slot of M_match, -1 = none.
+    ``things`` are the machine's thing segments in this view. ``pseudo`` int16 [H, W]: semantic channel of the pseudo
+    labels, None before the self-training stage.
     """
 
     name: str
     camera: Camera
-    photo: torch.Tensor
-    moments: PhotoMoments
+    photo: PhotoMoments
     projected: torch.Tensor
     matched: torch.Tensor
-    machine_instances: NDArray[np.int32]
+    things: ThingSegments
     pseudo: torch.Tensor | None = None
 
     @property
@@ -56,13 +56,11 @@ def view_targets(
     """Targets of ``view`` from class ids and instance ids, int32 [H, W] each, 0 = nothing known."""
     things = {segment.id for segment in view.mask.segments if segment.is_thing}
     is_thing = np.isin(view.mask.ids, sorted(things))
-    photo = torch.from_numpy(view.colour.astype(np.float32) / 255.0)
     return ViewTargets(
         name=view.name,
         camera=view.camera,
-        photo=photo,
-        moments=PhotoMoments.of(photo),
+        photo=PhotoMoments.of(torch.from_numpy(view.colour.astype(np.float32) / 255.0)),
         projected=columns_of(projected_class, channels.class_ids).to(torch.int16),
         matched=columns_of(matched_instance, channels.slot_ids).to(torch.int16),
-        machine_instances=np.where(is_thing, view.mask.ids, 0).astype(np.int32),
+        things=ThingSegments.of(np.where(is_thing, view.mask.ids, 0)),
     )

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..instances.linear_assignment import assign_slots
 from ..model.gaussians import NeuralGaussians, decode
 from ..model.growing import GrowthStatistics, grow_and_prune
 from ..model.render import render_view
@@ -17,9 +16,12 @@ from ..model.structured import StructuredScene
 from ..raster import Rendering, rasterize
 from ..scene import VOID, View
 from ..semantics.pseudo_labels import pseudo_labels
-from .losses import cluster_loss, label_loss, reconstruction_loss
+from .assignment import assigned_slots
+from .label_losses import label_losses
+from .losses import cluster_loss, reconstruction_loss
 from .optimiser import Optimiser
 from .presets import Preset
+from .step_clock import StepClock
 from .targets import ViewTargets, columns_of
 
 LARGEST_SCALE = 1.0
@@ -40,13 +42,14 @@ class StepReport:
 
 class Trainer:
     """Trains ``scene`` on ``targets``. Everything random is drawn from (seed, purpose, number), so that a trainer
-    restored at step n goes on bit for bit as the one that never stopped."""
+    restored at step n goes on bit for bit as the one that never stopped. ``clock`` is told of the parts of a step."""
 
     def __init__(
         self, scene: StructuredScene, targets: list[ViewTargets], views: list[View], preset: Preset, seed: int
     ) -> None:
         self.scene, self.targets, self.views, self.preset, self.seed = scene, targets, views, preset, seed
         self.step_number = 0
+        self.clock = StepClock()
         schedule = preset.schedule
         self.growth_steps = max(round(schedule.grow_every * preset.steps), schedule.grow_every_at_least_steps)
         self.pseudo_label_steps = pseudo_label_steps(schedule.self_training_every, preset.steps)
@@ -77,28 +80,33 @@ class Trainer:
         if self.step_number in self.pseudo_label_steps:
             self.refresh_pseudo_labels(check)
         target = self._view_of_step(self.step_number)
+        self.clock.start()
         gaussians = decode(self.scene.anchors, self.scene.decoders, target.camera)
+        self.clock.lap("decode, forward")
         rendering = self._rasterize(gaussians, target)
+        self.clock.lap("rasterise, forward")
         weights = self.preset.weights
         reconstruction = reconstruction_loss(
             rendering.image,
             target.photo,
-            target.moments,
             gaussians.scales,
             ssim_weight=weights.ssim,
             volume_weight=weights.volume,
         )
+        self.clock.lap("SSIM, L1, volume")
         semantic, instance = self._label_losses(gaussians, rendering, target)
         loss = reconstruction + weights.semantic * semantic + weights.instance * instance
         if not bool(torch.isfinite(loss)):
             raise FloatingPointError(f"the loss of step {self.step_number + 1} is {loss.item()}; the scene diverged")
-        loss.backward()
+        self._descend(loss, gaussians, rendering)
         progress = self.step_number / self.preset.steps
         self._gather_statistics(gaussians, rendering, target, progress)
+        self.clock.lap("growth statistics")
         self.optimiser.step(progress)
+        self.clock.lap("optimiser")
         self.step_number += 1
         self._grow_if_due()
-        return StepReport(
+        report = StepReport(
             self.step_number,
             loss.item(),
             reconstruction.item(),
@@ -106,6 +114,8 @@ class Trainer:
             instance.item(),
             len(gaussians.opacities),
         )
+        self.clock.lap("the rest")
+        return report
 
     def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets) -> Rendering:
         return rasterize(
@@ -122,6 +132,15 @@ class Trainer:
             want_means2d_grad=True,
         )
 
+    def _descend(self, loss: torch.Tensor, gaussians: NeuralGaussians, rendering: Rendering) -> None:
+        """The backward pass."""
+        drawn = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.colours)
+        assert rendering.labels is not None  # drawn with labels
+        self.clock.lap_on_way_back((rendering.image, rendering.labels), "losses, backward")
+        self.clock.lap_on_way_back((*drawn, gaussians.labels), "rasterise, backward")
+        loss.backward()
+        self.clock.lap("decode, backward")
+
     def _label_losses(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets
     ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -132,12 +151,15 @@ class Trainer:
         """
         classes = len(self.scene.channels.class_ids)
         assert rendering.labels is not None  # drawn with labels
-        with torch.no_grad():
-            probability = rendering.labels[..., classes:] / (rendering.alpha[..., None] + 1e-8)
-            assigned = torch.from_numpy(assign_slots(probability.numpy(), target.machine_instances).astype(np.int64))
-        semantic = label_loss(rendering.labels, rendering.alpha, 0, (target.semantic,))
+        assigned = assigned_slots(rendering.labels, rendering.alpha, classes, target.things)
+        self.clock.lap("linear assignment")
+        semantic, instance = label_losses(
+            rendering.labels, rendering.alpha, classes, target.semantic, (assigned, target.matched)
+        )
+        self.clock.lap("label losses")
         semantic = semantic + cluster_loss(gaussians.class_logits, self.initial_channels[gaussians.visible])
-        return semantic, label_loss(rendering.labels, rendering.alpha, classes, (assigned, target.matched))
+        self.clock.lap("cluster loss")
+        return semantic, instance
 
     def _gather_statistics(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float

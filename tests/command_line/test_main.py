@@ -24,7 +24,7 @@ def code_of(*arguments: str | Path) -> int:
         return error.code
 
 
-@pytest.mark.parametrize("command", [[], ["lift"], ["evaluate"], ["inspect"], ["warm-up"]])
+@pytest.mark.parametrize("command", [[], ["lift"], ["evaluate"], ["inspect"], ["warm-up"], ["bench"]])
 def test_help_is_fast(root: Path, command: list[str]) -> None:
     code = (
         "import sys\n"
@@ -120,3 +120,11 @@ def test_bench_measures_the_rasteriser(monkeypatch: pytest.MonkeyPatch, tmp_path
     monkeypatch.setattr("engine.raster.bench.bench_raster", asked.append)
     assert main(["bench", "raster", "--json", str(tmp_path / "figures.json")]) == 0
     assert asked == [tmp_path / "figures.json"]
+
+
+def test_bench_measures_a_training_step(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    asked: list[Path | None] = []
+    monkeypatch.setattr("engine.lift.bench.bench_step", asked.append)
+    assert main(["bench", "step"]) == 0
+    assert main(["bench", "step", "--json", str(tmp_path / "figures.json")]) == 0
+    assert asked == [None, tmp_path / "figures.json"]

@@ -8,6 +8,8 @@ from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 
 from engine.lift import warm_up
+from engine.model.render import render_view
+from engine.passes import decide
 from tests.train.tiny_lift import TINY, colour_error, trainer_of, views_of
 
 
@@ -27,4 +29,6 @@ def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
     while not trainer.finished:
         trainer.step()
     colour_error(views, trainer)
+    for owned in (None, {1: 5}):
+        decide(render_view(trainer.scene, views[0].camera), classes, owned)
     assert compiled() == before

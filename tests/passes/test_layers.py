@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from engine.model.rendering import PanopticRendering
 from engine.passes import decide, encoded, linear
+from engine.scene import Camera, Category, ClassTable
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NOTHING, RIGHT, SOFA, WALL, made_rendering
 
 
@@ -84,3 +89,89 @@ def test_combined_is_linear() -> None:
     assert not layers.combined[NOTHING].any()
     ramp = np.linspace(0, 1, 101)
     assert encoded(linear(ramp)) == pytest.approx(ramp, abs=1e-6)
+
+
+def coarse_rendering(seed: int, height: int = 23, width: int = 29) -> tuple[PanopticRendering, ClassTable]:
+    """Coverages of few values, so that ties abound; void and spare channels, ids in no order, some pixels empty."""
+    random = np.random.default_rng(seed)
+    classes, slots = int(random.integers(1, 12)), int(random.integers(0, 9))
+    class_ids = random.permutation(20)[:classes] + (0 if seed % 3 else 1)
+    class_ids[class_ids == 0] = 0 if classes > 1 else 20
+    table = ClassTable(tuple(Category(int(one), str(one), bool(one % 2), (0, 0, 0)) for one in range(1, 22)))
+    alpha = random.choice(np.array([0, 5e-4, 0.3, 1], np.float32), (height, width))
+    by_class = random.integers(0, 4, (height, width, classes)).astype(np.float32) * alpha[..., None] / 7
+    by_slot = random.integers(0, 4, (height, width, slots)).astype(np.float32) * alpha[..., None] / 7
+    ids = [int(one) for one in random.permutation(30)[:slots]]  # 0 may be among them
+    image = random.uniform(-0.1, 1.1, (height, width, 3)).astype(np.float32)
+    camera = Camera(width, height, 8.0, 8.0, 4.0, 3.0, np.eye(4))
+    wide = np.concatenate([by_class, by_slot], axis=2)  # channels of one picture lie side by side
+    named = tuple(int(one) for one in class_ids)
+    return PanopticRendering(camera, image, alpha, alpha * 3, wide[..., :classes], by_slot, named, tuple(ids)), table
+
+
+def plain_decision(
+    rendering: PanopticRendering, classes: ClassTable, owned: Mapping[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Semantic, instance, confidence and entropy, pixel by pixel as the docstring of ``decide`` tells it."""
+    order = sorted((one, c) for c, one in enumerate(rendering.class_ids) if one)
+    slots = sorted((one, s) for s, one in enumerate(rendering.instance_ids) if one)
+    shape = rendering.alpha.shape
+    semantic, instance = np.zeros(shape, np.int32), np.zeros(shape, np.int32)
+    confidence, entropy = np.zeros(shape), np.zeros(shape)
+    for pixel in zip(*np.nonzero(rendering.alpha >= 1e-3), strict=True):
+        coverage = np.array([rendering.class_coverage[pixel][c] for _, c in order])
+        total = np.float32(0)
+        for each in coverage:
+            total += each
+        probability = coverage / max(total, np.float32(1e-8))
+        likely = {one: p for (one, _), p in zip(order, probability, strict=True)}
+        shown = max(likely, key=lambda one: (likely[one], -one))
+        if shown in classes.thing_ids:
+            weight = {one: rendering.instance_coverage[pixel][s] for one, s in slots}
+            if owned:
+                weight = {one: w * likely.get(owned.get(one, 0), np.float32(0)) for one, w in weight.items()}
+            best = max(weight, key=lambda one: (weight[one], -one), default=0)
+            if best and weight[best] > 0:
+                instance[pixel] = best
+                shown = owned[best] if owned.get(best) in likely else shown
+                instance[pixel] = best if shown in classes.thing_ids else 0
+        semantic[pixel], confidence[pixel] = shown, likely[shown]
+        terms = probability.astype(float) * np.log(np.maximum(probability, 1e-12).astype(float))
+        entropy[pixel] = -terms.sum() / np.log(max(len(order), 2))
+    return semantic, instance, confidence, entropy
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000))
+def test_every_pixel_is_decided_as_told(seed: int) -> None:
+    rendering, classes = coarse_rendering(seed)
+    random = np.random.default_rng(seed + 1)
+    of_things = {one: int(random.integers(1, 22)) for one in rendering.instance_ids if one and random.random() < 0.8}
+    for owned in ({}, of_things):
+        layers = decide(rendering, classes, owned)
+        semantic, instance, confidence, entropy = plain_decision(rendering, classes, owned)
+        assert (layers.semantic == semantic).all() and (layers.instance == instance).all()
+        assert (layers.confidence == confidence.astype(np.float32)).all()
+        np.testing.assert_allclose(layers.entropy, entropy, atol=1e-6)
+    light = np.dstack([linear(rendering.image), rendering.alpha])
+    np.testing.assert_allclose(layers.combined, light, atol=1e-6)
+
+
+def test_the_number_of_threads_changes_no_bit() -> None:
+    import torch
+
+    rendering, classes = coarse_rendering(5, 61, 83)
+    threads, seen = torch.get_num_threads(), []
+    try:
+        for count in (1, 2, 3):
+            torch.set_num_threads(count)
+            layers = decide(rendering, classes, {3: 5})
+            seen.append(b"".join(getattr(layers, name).tobytes() for name in sorted(vars(layers))))
+    finally:
+        torch.set_num_threads(threads)
+    assert seen[0] == seen[1] == seen[2]
+
+
+def test_a_rendering_without_classes_is_refused() -> None:
+    with pytest.raises(ValueError, match="no classes"):
+        decide(replace(made_rendering(), class_ids=(0,), class_coverage=np.zeros((6, 8, 1), np.float32)), CLASSES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from engine.train.losses import cluster_loss, label_loss, reconstruction_loss
+from engine.train.losses import cluster_loss, reconstruction_loss
 from engine.train.similarity import PhotoMoments, structural_similarity
 
 
@@ -34,36 +34,8 @@ def test_ssim_matches_a_direct_computation() -> None:
 def test_equal_images_cost_only_their_volume() -> None:
     image = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(1))
     moments, scales = PhotoMoments.of(image), torch.full((5, 3), 0.1)
-    loss = reconstruction_loss(image, image, moments, scales, ssim_weight=0.2, volume_weight=0.001)
+    loss = reconstruction_loss(image, moments, scales, ssim_weight=0.2, volume_weight=0.001)
     np.testing.assert_allclose(loss.item(), 0.001 * 5 * 1e-3, atol=1e-6)
-
-
-def test_label_loss_ignores_unlabelled_pixels_and_never_reaches_alpha() -> None:
-    coverage = torch.full((2, 2, 3), 0.2, requires_grad=True)
-    alpha = torch.full((2, 2), 0.8, requires_grad=True)
-    target = torch.tensor([[0, -1], [2, -1]])
-    loss = label_loss(coverage, alpha, 0, (target,))
-    np.testing.assert_allclose(loss.item(), -np.log(0.25), rtol=1e-5)
-    loss.backward()
-    assert alpha.grad is None
-    assert (coverage.grad[:, 1] == 0).all() and (coverage.grad[:, 0] != 0).any()
-
-
-def test_label_loss_without_any_target_is_zero_with_a_gradient() -> None:
-    coverage = torch.rand(2, 2, 3, requires_grad=True)
-    loss = label_loss(coverage, torch.ones(2, 2), 1, (torch.full((2, 2), -1),))
-    loss.backward()
-    assert loss.item() == 0 and (coverage.grad == 0).all()
-
-
-def test_instance_loss_adds_both_targets_over_the_supervised_pixels() -> None:
-    coverage = torch.tensor([[[0.5, 0.5], [0.25, 0.75], [0.9, 0.1]]])
-    alpha = torch.ones(1, 3)
-    assigned = torch.tensor([[0, -1, -1]])
-    matched = torch.tensor([[1, 1, -1]])
-    loss = label_loss(coverage, alpha, 0, (assigned, matched))
-    expected = -(np.log(0.5) + np.log(0.5) + np.log(0.75)) / 2
-    np.testing.assert_allclose(loss.item(), expected, rtol=1e-5)
 
 
 def test_cluster_loss_counts_every_gaussian_of_labelled_anchors_only() -> None:

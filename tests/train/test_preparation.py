@@ -54,7 +54,7 @@ def test_targets_show_the_masks(prepared: PreparedLift) -> None:
     assert set(channels.slot_ids[:2]) == {1, 2} and set(channels.slot_ids[2:]) == {0}
     for target in prepared.targets:
         shape = (target.camera.height, target.camera.width)
-        assert target.photo.shape == (*shape, 3) and target.machine_instances.shape == shape
+        assert target.photo.values.shape == (*shape, 3) and target.things.row.shape == shape
         assert target.pseudo is None and target.semantic is target.projected
         assert (target.projected >= 0).float().mean() > 0.95
         matched, projected = target.matched.numpy(), target.projected.numpy()

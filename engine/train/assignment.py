@@ -1,0 +1,69 @@
+"""Linear assignment of a view's instances to the model's slots, in each step (``instances.assign_slots``, with what
+never changes about a view computed once)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..instances import best_slots
+from ..raster.compiled import Array, compiled
+from ..raster.crew import share, worker_count
+from .bands import band_count, band_of
+from .label_losses import TINY
+
+NO_SLOT = -1
+ONE, LEAST = np.float32(1), np.float32(TINY)
+
+
+@dataclass(frozen=True, eq=False)
+class ThingSegments:
+    """The thing segments of a view's machine mask: ``row`` int32 [H, W] the number of a pixel's segment, -1 = none;
+    ``pixels`` int64 [I] how many each has."""
+
+    row: NDArray[np.int32]
+    pixels: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, ids: NDArray[np.integer]) -> ThingSegments:
+        """From segment ids [H, W], 0 = none."""
+        present, row = np.unique(ids, return_inverse=True)
+        without = int((present == 0).any())  # 0 is the least id, so the first
+        row = (row.reshape(ids.shape) - without).astype(np.int32)
+        return cls(row, np.bincount(row[row >= 0], minlength=len(present) - without))
+
+
+def assigned_slots(coverage: torch.Tensor, alpha: torch.Tensor, first: int, things: ThingSegments) -> torch.Tensor:
+    """Target slot of each pixel, int16 [H, W], -1 where there is none.
+
+    ``coverage`` float32 [H, W, C] holds the blended slot probabilities from channel ``first`` on; over ``alpha``
+    [H, W] they are probabilities. As ``instances.assign_slots``, whose docstring tells the method.
+    """
+    slots, segments = coverage.shape[-1] - first, len(things.pixels)
+    slot_of_segment = np.full(segments + 1, NO_SLOT, np.int16)
+    if slots and segments:
+        flat = coverage.detach().contiguous().numpy().reshape(-1, coverage.shape[-1])
+        sums = np.zeros((band_count(len(flat)), segments, slots))
+        share(worker_count(), add_slots, flat, alpha.detach().numpy().reshape(-1), first, things.row.reshape(-1), sums)
+        slot_of_segment[:-1] = best_slots(sums.sum(axis=0) / things.pixels[:, None])
+    return torch.from_numpy(slot_of_segment[things.row])  # row -1 is the last entry: no slot
+
+
+@compiled
+def add_slots(
+    worker: int, workers: int, coverage: Array, alpha: Array, first: int, row: Array, sums: Array
+) -> None:
+    """Slot probabilities of every ``workers``-th band of pixels, added up by segment into ``sums`` float64
+    [bands, I, S]."""
+    for band in range(worker, len(sums), workers):
+        start, end = band_of(band, len(row))
+        for pixel in range(start, end):
+            if row[pixel] < 0:
+                continue
+            share_of_alpha = ONE / (alpha[pixel] + LEAST)
+            shown, total = coverage[pixel, first:], sums[band, row[pixel]]  # inner loops over whole arrays are fastest
+            for slot in range(len(total)):
+                total[slot] += shown[slot] * share_of_alpha

@@ -1,0 +1,148 @@
+"""The two losses of a rendered label picture: L_sem and L_ins (paper, section "Loss Functions")."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from torch.autograd.function import once_differentiable
+
+from ..raster import memory
+from ..raster.compiled import Array, compiled
+from ..raster.crew import share, worker_count
+from .bands import band_count, band_of
+
+TINY = 1e-8
+TARGETS = 3
+"""Of a pixel: a class, the slot of linear assignment, the slot of M_match."""
+LEAST, ONE, ZERO = np.float32(TINY), np.float32(1), np.float32(0)
+
+
+def label_losses(
+    coverage: torch.Tensor,
+    alpha: torch.Tensor,
+    classes: int,
+    semantic: torch.Tensor,
+    instance: tuple[torch.Tensor, torch.Tensor],
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """L_sem without L_cluster, and L_ins: -log of the rendered probability of the target label, mean over the pixels
+    that have any. A pixel's two instance targets (linear assignment and M_match) add up.
+
+    ``coverage`` float32 [H, W, C + S] holds blended probabilities of ``classes`` C classes, then of S slots; ``alpha``
+    [H, W] only divides: no gradient reaches it, since only the reconstruction loss may reach opacity. Targets are int16
+    [H, W]: the class's or slot's number, -1 where none is known. A loss is 0 when it has no target at all.
+    Differentiable once.
+    """
+    losses: tuple[torch.Tensor, torch.Tensor] = _LabelLosses.apply(coverage, alpha, classes, semantic, *instance)
+    return losses
+
+
+class _LabelLosses(torch.autograd.Function):
+    """The dense gradient of both losses is written once, where slices, divisions and logarithms of whole label pictures
+    would write many."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, coverage: torch.Tensor, alpha: torch.Tensor, classes: int, *targets: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        flat = coverage.detach().contiguous().numpy().reshape(-1, coverage.shape[-1])
+        ctx.places = [target.to(torch.int16).contiguous().numpy().reshape(-1) for target in targets]
+        ctx.slopes = memory.empty((len(flat), TARGETS), np.float32)
+        sums, counts = np.zeros((band_count(len(flat)), 2)), np.zeros((band_count(len(flat)), 2), np.int64)
+        opaque = alpha.detach().contiguous().numpy().reshape(-1)
+        share(worker_count(), judge_pixels, flat, opaque, classes, *ctx.places, ctx.slopes, sums, counts)
+        ctx.known = np.maximum(counts.sum(axis=0), 1)
+        ctx.classes, ctx.shape = classes, coverage.shape
+        semantic, instance = sums.sum(axis=0) / ctx.known
+        return coverage.new_tensor(semantic), coverage.new_tensor(instance)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        scales = np.array([gradient.item() for gradient in gradients] / ctx.known, np.float32)
+        gradient = memory.empty((len(ctx.slopes), ctx.shape[-1]), np.float32)
+        bands = band_count(len(gradient))
+        share(worker_count(), spread_slopes, bands, ctx.classes, *ctx.places, ctx.slopes, scales, gradient)
+        return torch.from_numpy(gradient).view(ctx.shape), None, None, None, None, None
+
+
+@compiled
+def judge(shown: float, alpha: float) -> Any:
+    """The probability that a coverage stands for, and the slope of its -log by the coverage."""
+    visible = alpha + LEAST
+    probability = shown / visible + LEAST
+    return np.float64(probability), -ONE / (probability * visible)
+
+
+@compiled
+def judge_pixels(
+    worker: int,
+    workers: int,
+    coverage: Array,
+    alpha: Array,
+    classes: int,
+    semantic: Array,
+    assigned: Array,
+    matched: Array,
+    slopes: Array,
+    sums: Array,
+    counts: Array,
+) -> None:
+    """Every ``workers``-th band of pixels: ``slopes`` [P, 3], and into ``sums`` float64 and ``counts`` int64
+    [bands, 2] the sums of -log(probability) and how many pixels have a target, of both losses."""
+    for band in range(worker, len(sums), workers):
+        start, end = band_of(band, len(alpha))
+        # Probabilities are multiplied as long as float64 holds the product: few logarithms are left to take.
+        likely, alike = 1.0, 1.0
+        for pixel in range(start, end):
+            known, taken, agreed = semantic[pixel], assigned[pixel], matched[pixel]
+            if known >= 0:
+                probability, slopes[pixel, 0] = judge(coverage[pixel, known], alpha[pixel])
+                likely *= probability
+                counts[band, 0] += 1
+            if taken >= 0:
+                probability, slopes[pixel, 1] = judge(coverage[pixel, classes + taken], alpha[pixel])
+                alike *= probability
+            if agreed >= 0:
+                probability, slopes[pixel, 2] = judge(coverage[pixel, classes + agreed], alpha[pixel])
+                alike *= probability
+            if taken >= 0 or agreed >= 0:
+                counts[band, 1] += 1
+            if not 1e-200 < likely < 1e200:  # also when it is no number
+                sums[band, 0] -= math.log(likely)
+                likely = 1.0
+            if not 1e-200 < alike < 1e200:
+                sums[band, 1] -= math.log(alike)
+                alike = 1.0
+        sums[band, 0] -= math.log(likely)
+        sums[band, 1] -= math.log(alike)
+
+
+@compiled
+def spread_slopes(
+    worker: int,
+    workers: int,
+    bands: int,
+    classes: int,
+    semantic: Array,
+    assigned: Array,
+    matched: Array,
+    slopes: Array,
+    scales: Array,
+    gradient: Array,
+) -> None:
+    """Every ``workers``-th band: the slopes times ``scales`` [2] (of either loss) at their channels of ``gradient``
+    [P, C + S], zero elsewhere."""
+    for band in range(worker, bands, workers):
+        start, end = band_of(band, len(gradient))
+        for pixel in range(start, end):
+            for channel in range(gradient.shape[1]):
+                gradient[pixel, channel] = ZERO
+            if semantic[pixel] >= 0:
+                gradient[pixel, semantic[pixel]] = scales[0] * slopes[pixel, 0]
+            if assigned[pixel] >= 0:
+                gradient[pixel, classes + assigned[pixel]] += scales[1] * slopes[pixel, 1]
+            if matched[pixel] >= 0:
+                gradient[pixel, classes + matched[pixel]] += scales[1] * slopes[pixel, 2]
