@@ -188,8 +188,6 @@ def gather(
     slots: Array,
     touched: Array,
     slot_gradients: Array,
-    slot_labels: Array,
-    channels: int,
     records: Array,
     means: Array,
     scales: Array,
@@ -200,41 +198,42 @@ def gather(
     d_quats: Array,
     d_opacities: Array,
     d_colours: Array,
-    d_labels: Array,
     d_means2d: Array,
 ) -> None:
-    """A worker's share of the gradients of all N Gaussians, zeros included. d_labels is flat, [N * C]."""
+    """A worker's share of the gradients of all N Gaussians but for their labels, zeros included."""
     count = means.shape[0]
     total = np.empty(GRADIENT, np.float64)
-    labels = np.empty(channels, np.float32)
-    padded = (channels + TILE - 1) // TILE * TILE
     for i in range(count * worker // workers, count * (worker + 1) // workers):
         hit = False
         for c in range(GRADIENT):
             total[c] = 0.0
-        own = labels[:channels]
         for slot in range(slots[i], slots[i + 1]):
             if touched[slot] == 0:
                 continue
             for c in range(GRADIENT):
                 total[c] += float(slot_gradients[slot * GRADIENT_WIDTH + c])
-            at = slot * padded
-            if not hit:
-                for c in range(channels):
-                    own[c] = slot_labels[at + c]
-            else:
-                for c in range(channels):
-                    own[c] += slot_labels[at + c]
             hit = True
         if not hit:
             clear(i, d_means, d_scales, d_quats, d_opacities, d_colours, d_means2d)
-            for c in range(channels):
-                d_labels[i * channels + c] = F(0.0)
             continue
-        for c in range(channels):
-            d_labels[i * channels + c] = own[c]
         d_opacities[i] = total[G] / float(records[i, OPACITY])
         d_colours[i, 0] = total[D_RED]
         d_colours[i, 1] = total[D_GREEN]
         d_colours[i, 2] = total[D_BLUE]
         chain_to_scene(i, total, records, means, scales, quats, camera, d_means, d_scales, d_quats, d_means2d)
+
+
+@compiled
+def gather_labels(
+    worker: int, workers: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
+) -> None:
+    """A worker's share of the label gradients of all N Gaussians, zeros included: d_labels [N * C]."""
+    count = slots.shape[0] - 1
+    padded = (channels + TILE - 1) // TILE * TILE
+    for i in range(count * worker // workers, count * (worker + 1) // workers):
+        own = d_labels[i * channels : (i + 1) * channels]
+        own[:] = F(0.0)
+        for slot in range(slots[i], slots[i + 1]):
+            if touched[slot] != 0:
+                for c in range(channels):
+                    own[c] += slot_labels[slot * padded + c]

@@ -16,12 +16,13 @@ VARIABLE = "PLGS_RASTER_KERNELS"
 
 @dataclass(frozen=True)
 class Kernels:
-    """``blend`` and ``unblend`` run one worker's tiles; the others tell the floats of scratch for so many channels
+    """``blend`` and ``unblend`` run one worker's tiles, ``gather_labels`` its Gaussians; the others tell the floats of scratch for so many channels
     (and Gaussians in the longest list of a tile)."""
 
     name: str
     blend: Callable[..., None]
     unblend: Callable[..., None]
+    gather_labels: Callable[..., None]
     blend_scratch: Callable[[int, int], int]
     unblend_scratch: Callable[[int], int]
 
@@ -56,7 +57,7 @@ def _vector() -> Kernels:
     """Compiles the smallest kernel on the way, so that a machine that cannot run them says so here."""
     import numpy as np
 
-    from . import vector_backward, vector_forward
+    from . import vector_backward, vector_forward, vector_gather
     from .peak import multiply_add
 
     multiply_add(1, np.zeros(16, np.float32))
@@ -64,6 +65,7 @@ def _vector() -> Kernels:
         "vector",
         vector_forward.blend_tiles,
         vector_backward.unblend_tiles,
+        vector_gather.gather_labels,
         vector_forward.scratch_size,
         vector_backward.scratch_size,
     )
@@ -71,9 +73,9 @@ def _vector() -> Kernels:
 
 @cache
 def _plain() -> Kernels:
-    from . import blend_backward, blend_forward
+    from . import blend_backward, blend_forward, gather
 
     def none(*sizes: int) -> int:
         return 0
 
-    return Kernels("plain", blend_forward.blend_tiles, blend_backward.unblend_tiles, none, none)
+    return Kernels("plain", blend_forward.blend_tiles, blend_backward.unblend_tiles, gather.gather_labels, none, none)

@@ -23,6 +23,9 @@ from .rendering import Rendering
 
 log = logging.getLogger("plgs.raster")
 
+LABELS = 5
+"""Their place among the arguments."""
+
 
 def rasterize_native(
     means: Tensor,
@@ -217,7 +220,7 @@ class _Blend(torch.autograd.Function):
         kernels, camera, records, lists, rest, last = ctx.state
         means, scales, quats = (_array(tensor) for tensor in ctx.saved_tensors)
         height, width = d_alpha.shape
-        wants_labels = ctx.has_labels and ctx.needs_input_grad[5]
+        wants_labels = ctx.has_labels and ctx.needs_input_grad[LABELS]
         d_features = _array(d_labels) if wants_labels else np.empty((height, width, 0), np.float32)
         channels = d_features.shape[2]
         touched, slot_gradients, slot_labels = _unblend(
@@ -236,15 +239,17 @@ class _Blend(torch.autograd.Function):
         shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels), (count, 2))
         gradients = [memory.empty_tensor(shape) for shape in shapes]
         arrays = [gradient.numpy() for gradient in gradients]
-        arrays[5] = arrays[5].reshape(-1)
+        own_labels = arrays.pop(LABELS).reshape(-1)
+        if wants_labels:
+            share(
+                workers, kernels.gather_labels, lists.slots, touched, slot_labels, channels, own_labels
+            )
         share(
             workers,
             gather,
             lists.slots,
             touched,
             slot_gradients,
-            slot_labels,
-            channels,
             records,
             means,
             scales,
@@ -257,7 +262,7 @@ class _Blend(torch.autograd.Function):
             for gradient, need in zip(gradients, ctx.needs_input_grad, strict=False)
         ]
         if not wants_labels:
-            wanted[5] = None
+            wanted[LABELS] = None
         return (*wanted, None, None, None)
 
 

@@ -158,7 +158,12 @@ def load_tile_labels(
     left: int, top: int, width: int, height: int, d_labels: Array, channels: int, padded: int, scratch: Array
 ) -> None:
     tile_labels = CHUNK_LABELS + (CHUNK + 1) * padded
+    row_lines = min(TILE, width - left) * channels // TILE + 1
     for r in range(TILE):
+        # of the row after the next one: where a row begins, no hardware foresees it
+        ahead = ((top + r + 2) * width + left) * channels
+        for line in range(row_lines if top + r + 2 < height and r + 2 < TILE else 0):
+            fetch(d_labels, ahead + line * TILE)
         for x in range(TILE):
             at = tile_labels + (r * TILE + x) * padded
             if left + x < width and top + r < height:

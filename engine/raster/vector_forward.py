@@ -72,7 +72,9 @@ THROUGH = STATE
 REST = THROUGH + TILE
 LAST = REST + TILE
 PLANES = LAST + TILE  # red, green, blue, depth
-ROW_LABELS = PLANES + 4 * TILE  # [pixel, padded channels], then the fields and the labels of each chunk
+ROW_LABELS = PLANES + 4 * TILE  # [pixel, padded channels], twice; then the fields and the labels of each chunk
+LINES_AT_ONCE = 12
+"""Cache lines that a core can have under way to memory: with more of them it waits."""
 
 
 @compiled
@@ -82,12 +84,12 @@ def chunk_floats(channels: int) -> int:
 
 def scratch_size(channels: int, longest: int) -> int:
     """Floats of scratch that a worker needs when the longest list of a tile has so many Gaussians."""
-    floats: int = ROW_LABELS + TILE * padded_channels(channels) + -(-longest // CHUNK) * chunk_floats(channels)
+    floats: int = ROW_LABELS + 2 * TILE * padded_channels(channels) + -(-longest // CHUNK) * chunk_floats(channels)
     return floats
 
 
 @compiled
-def start_row(left: int, width: int, padded: int, scratch: Array) -> None:
+def start_row(left: int, width: int, padded: int, row_labels: int, scratch: Array) -> None:
     """Nothing blended yet; no transmittance outside the image."""
     inside = lane_numbers() < spread(F(width - left))
     store(scratch, THROUGH, choose(inside, spread(ONE), spread(ZERO)))
@@ -95,7 +97,7 @@ def start_row(left: int, width: int, padded: int, scratch: Array) -> None:
     store(scratch, LAST, spread(-ONE))
     for plane in range(4):
         store(scratch, PLANES + plane * TILE, spread(ZERO))
-    for at in range(ROW_LABELS, ROW_LABELS + TILE * padded, TILE):
+    for at in range(row_labels, row_labels + TILE * padded, TILE):
         store(scratch, at, spread(ZERO))
 
 
@@ -209,11 +211,11 @@ def blend_row(touching: int, scratch: Array, fields: int, members: Array) -> Any
 
 
 @compiled
-def add_row_labels(count: int, scratch: Array, labels: int, members: Array, padded: int) -> None:
+def add_row_labels(count: int, row_labels: int, scratch: Array, labels: int, members: Array, padded: int) -> None:
     """The labels of the row's pixels += its weights times a chunk's labels, a few pixels times three vectors at a
     time."""
     for x in range(0, TILE, ROWS):
-        out = ROW_LABELS + x * padded
+        out = row_labels + x * padded
         weights = WEIGHTS + x
         c = 0
         while c + 3 * BLOCK <= padded:
@@ -264,16 +266,14 @@ def write_colours(target: int, floats: int, scratch: Array, image: Array) -> Non
 def write_row(
     pixel: int,
     pixels: int,
-    channels: int,
     scratch: Array,
     image: Array,
-    labels_out: Array,
     alpha: Array,
     depth: Array,
     rest_out: Array,
     last_out: Array,
 ) -> None:
-    """The row's pixels, of which the first has the number ``pixel`` in the image."""
+    """The row's pixels but for their labels; the first has the number ``pixel`` in the image."""
     inside = lane_numbers() < spread(F(pixels))
     rest = load(scratch, REST)
     store_some(rest_out, pixel, rest, inside)
@@ -281,27 +281,32 @@ def write_row(
     store_some(depth, pixel, load(scratch, PLANES + 3 * TILE), inside)
     store_some(last_out, pixel, load(scratch, LAST), inside)
     write_colours(3 * pixel, 3 * pixels, scratch, image)
-    if channels > 0:
-        write_labels(pixel * channels, pixels, channels, scratch, labels_out)
 
 
 @compiled
-def write_labels(target: int, pixels: int, channels: int, scratch: Array, labels_out: Array) -> None:
-    """The row's labels without their padding, to labels_out[target:]; whole cache lines where they begin one."""
+def pack_labels(target: int, pixels: int, channels: int, row_labels: int, scratch: Array, labels_out: Array) -> Any:
+    """Take the padding out of a row's labels, which belong to labels_out[target:], and write those that fill no cache
+    line. Returns how many lines are left for ``flush_lines``."""
     padded = padded_channels(channels)
     for x in range(1, pixels):
         for c in range(0, padded, TILE):  # what is too much, the next pixel writes over
-            store(scratch, ROW_LABELS + x * channels + c, load(scratch, ROW_LABELS + x * padded + c))
+            store(scratch, row_labels + x * channels + c, load(scratch, row_labels + x * padded + c))
     floats = pixels * channels
-    whole = floats // TILE * TILE
-    if is_aligned(labels_out, target):
-        for at in range(0, whole, TILE):
-            store_past_cache(labels_out, target + at, load(scratch, ROW_LABELS + at))
-    else:
-        for at in range(0, whole, TILE):
-            store(labels_out, target + at, load(scratch, ROW_LABELS + at))
-    rest = lane_numbers() < spread(F(floats - whole))
-    store_some(labels_out, target + whole, load(scratch, ROW_LABELS + whole), rest)
+    lines = floats // TILE if is_aligned(labels_out, target) else 0
+    for at in range(lines * TILE, floats, TILE):
+        rest = lane_numbers() < spread(F(floats - at))
+        store_some(labels_out, target + at, load(scratch, row_labels + at), rest)
+    return lines
+
+
+@inlined
+def flush_lines(lines: int, most: int, source: int, target: int, scratch: Array, labels_out: Array) -> Any:
+    """Write at most so many of the ``lines`` whose first is scratch[source], the last ones first, past the cache.
+    Returns how many are left."""
+    left = max(lines - most, 0)
+    for line in range(left, lines):
+        store_past_cache(labels_out, target + line * TILE, load(scratch, source + line * TILE))
+    return left
 
 
 @compiled
@@ -332,19 +337,23 @@ def blend_tiles(
     columns = (width + TILE - 1) // TILE
     tiles = starts.shape[0] - 1
     padded = padded_channels(channels)
-    chunks = ROW_LABELS + TILE * padded
+    chunks = ROW_LABELS + 2 * TILE * padded
+    row_labels = ROW_LABELS
+    # the labels of the row before: they go to memory, a few lines at a time, while this row is computed
+    lines, source, target = 0, 0, 0
     while True:
         tile = take_next(next_tile)
         if tile >= tiles:
             break
         left = tile % columns * TILE
         top = tile // columns * TILE
+        pixels = min(TILE, width - left)
         first, total = starts[tile], starts[tile + 1] - starts[tile]
         loaded = 0
         for r in range(min(TILE, height - top)):
             pixel = (top + r) * width + left
             fetch_row(pixel, image, alpha, depth, rest, last_out)
-            start_row(left, width, padded, scratch)
+            start_row(left, width, padded, row_labels, scratch)
             for place in range(0, total, CHUNK):
                 c = place // CHUNK
                 fields = chunks + c * chunk_floats(channels)
@@ -356,14 +365,23 @@ def blend_tiles(
                     put(copied, c, 0)
                     loaded += CHUNK
                 touching = whiten_row(r, count, scratch, fields, ROW)
+                lines = flush_lines(lines, LINES_AT_ONCE, source, target, scratch, labels_out)
                 blended, sees = blend_row(touching, scratch, fields, members)
+                lines = flush_lines(lines, LINES_AT_ONCE, source, target, scratch, labels_out)
                 if channels > 0 and blended > 0:
                     own_labels = fields + CHUNK_FIELDS
                     copy_touching(
                         touching, first + place, tile_ids, labels, channels, scratch, own_labels, copied, c
                     )
-                    add_row_labels(blended, scratch, own_labels, members, padded)
+                    add_row_labels(blended, row_labels, scratch, own_labels, members, padded)
+                    lines = flush_lines(lines, LINES_AT_ONCE, source, target, scratch, labels_out)
                 if not sees:
                     break
-            pixels = min(TILE, width - left)
-            write_row(pixel, pixels, channels, scratch, image, labels_out, alpha, depth, rest, last_out)
+            write_row(pixel, pixels, scratch, image, alpha, depth, rest, last_out)
+            flush_lines(lines, lines, source, target, scratch, labels_out)
+            if channels > 0:
+                source, target = row_labels, pixel * channels
+                lines = pack_labels(target, pixels, channels, row_labels, scratch, labels_out)
+                row_labels = ROW_LABELS + TILE * padded - (row_labels - ROW_LABELS)
+    flush_lines(lines, lines, source, target, scratch, labels_out)
+    take_next(next_tile)  # an atomic operation: all that went past the cache is there before anybody reads it

@@ -1,0 +1,36 @@
+"""Label gradients of a Gaussian's tiles, added in order, sixteen at a time. The same steps as
+``gather.gather_labels``, its readable twin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .compiled import Array, compiled
+from .records import TILE
+from .vector_chunk import padded_channels
+from .vectors import get, lane_numbers, load, spread, store, store_some
+
+F = np.float32
+ZERO = F(0.0)
+
+
+@compiled
+def gather_labels(
+    worker: int, workers: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
+) -> None:
+    """A worker's share of the label gradients of all N Gaussians, zeros included: d_labels [N * C]."""
+    count = slots.shape[0] - 1
+    padded = padded_channels(channels)
+    end = count * (worker + 1) // workers
+    in_tail = lane_numbers() < spread(F(channels - padded + TILE))
+    for i in range(count * worker // workers, end):
+        first, last = get(slots, i), get(slots, i + 1)
+        for c in range(0, padded, TILE):
+            total = spread(ZERO)
+            for slot in range(first, last):
+                if get(touched, slot) != 0:
+                    total = total + load(slot_labels, slot * padded + c)
+            if i + 1 < end or c + TILE < padded:
+                store(d_labels, i * channels + c, total)  # what is too much, the next Gaussian writes over
+            else:
+                store_some(d_labels, i * channels + c, total, in_tail)
