@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from .anchors import UNKNOWN_CLASS, Anchors
-from .gaussians import NeuralGaussians
+from .neural_gaussians import NeuralGaussians
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from torch.nn import functional
 
 from .similarity import PhotoMoments, structural_similarity
 
@@ -74,16 +73,3 @@ def label_loss(
     place = torch.cat(places)
     loss: torch.Tensor = _TargetNegativeLog.apply(coverage, alpha.detach(), place, torch.full((len(place),), weight))
     return loss
-
-
-def cluster_loss(class_logits: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """L_cluster over visible initial anchors: ``class_logits`` [V, k, C], ``target`` int64 [V] with -1 = no label.
-
-    All k Gaussians of an anchor count, drawn or not (equation "Cluster Loss").
-    """
-    if not bool((target >= 0).any()):
-        return class_logits.sum() * 0.0
-    k = class_logits.shape[1]
-    return functional.cross_entropy(
-        class_logits.reshape(-1, class_logits.shape[2]), target.repeat_interleave(k), ignore_index=-1
-    )

@@ -10,14 +10,15 @@ import numpy as np
 import torch
 
 from ..instances.linear_assignment import assign_slots
-from ..model.gaussians import NeuralGaussians, decode
+from ..model.gaussians import decode
 from ..model.growing import GrowthStatistics, grow_and_prune
+from ..model.neural_gaussians import NeuralGaussians
 from ..model.render import render_view
 from ..model.structured import StructuredScene
 from ..raster import Rendering, rasterize
 from ..scene import VOID, View
 from ..semantics.pseudo_labels import pseudo_labels
-from .losses import cluster_loss, label_loss, reconstruction_loss
+from .losses import label_loss, reconstruction_loss
 from .optimiser import Optimiser
 from .presets import Preset
 from .targets import ViewTargets, columns_of
@@ -77,7 +78,7 @@ class Trainer:
         if self.step_number in self.pseudo_label_steps:
             self.refresh_pseudo_labels(check)
         target = self._view_of_step(self.step_number)
-        gaussians = decode(self.scene.anchors, self.scene.decoders, target.camera)
+        gaussians = self._decode(target)
         rendering = self._rasterize(gaussians, target)
         weights = self.preset.weights
         reconstruction = reconstruction_loss(
@@ -106,6 +107,10 @@ class Trainer:
             instance.item(),
             len(gaussians.opacities),
         )
+
+    def _decode(self, target: ViewTargets) -> NeuralGaussians:
+        """What the view's camera sees, and L_cluster of it."""
+        return decode(self.scene.anchors, self.scene.decoders, target.camera, channels=self.initial_channels)
 
     def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets) -> Rendering:
         return rasterize(
@@ -136,7 +141,7 @@ class Trainer:
             probability = rendering.labels[..., classes:] / (rendering.alpha[..., None] + 1e-8)
             assigned = torch.from_numpy(assign_slots(probability.numpy(), target.machine_instances).astype(np.int64))
         semantic = label_loss(rendering.labels, rendering.alpha, 0, (target.semantic,))
-        semantic = semantic + cluster_loss(gaussians.class_logits, self.initial_channels[gaussians.visible])
+        semantic = semantic + gaussians.cluster_loss
         return semantic, label_loss(rendering.labels, rendering.alpha, classes, (assigned, target.matched))
 
     def _gather_statistics(
