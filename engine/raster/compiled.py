@@ -102,3 +102,6 @@ compiled = _compiler()
 
 contracted = _compiler(fastmath={"contract"})
 """For sums of products that only one pass makes: multiply-add may be fused."""
+
+inlined = _compiler(inline="always")
+"""For pieces of one or two kernels: compiled as part of those and never by themselves, which takes less time."""

@@ -14,6 +14,7 @@ from ..model.gaussians import decode
 from ..model.growing import GrowthStatistics, grow_and_prune
 from ..model.neural_gaussians import NeuralGaussians
 from ..model.render import render_view
+from ..model.scene_labels import scene_labels
 from ..model.structured import StructuredScene
 from ..raster import Rendering, rasterize
 from ..scene import VOID, View
@@ -183,10 +184,11 @@ class Trainer:
         All views or, when ``check`` raises, none. Pixels where nothing is rendered have no say.
         """
         class_ids = np.array(self.scene.channels.class_ids, np.int32)
+        shown = scene_labels(self.scene)
         fresh = []
         for target, view in zip(self.targets, self.views, strict=True):
             check()
-            coverage = render_view(self.scene, target.camera).class_coverage
+            coverage = render_view(self.scene, target.camera, shown).class_coverage
             rendered = np.where(coverage.any(axis=2), class_ids[coverage.argmax(axis=2)], VOID).astype(np.int32)
             columns = columns_of(pseudo_labels(view.mask, rendered), self.scene.channels.class_ids)
             fresh.append(columns.to(torch.int16))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from engine.train.losses import cluster_loss, label_loss, reconstruction_loss
+from engine.train.losses import label_loss, reconstruction_loss
 from engine.train.similarity import PhotoMoments, structural_similarity
 
 
@@ -64,11 +64,3 @@ def test_instance_loss_adds_both_targets_over_the_supervised_pixels() -> None:
     loss = label_loss(coverage, alpha, 0, (assigned, matched))
     expected = -(np.log(0.5) + np.log(0.5) + np.log(0.75)) / 2
     np.testing.assert_allclose(loss.item(), expected, rtol=1e-5)
-
-
-def test_cluster_loss_counts_every_gaussian_of_labelled_anchors_only() -> None:
-    logits = torch.randn(4, 2, 3, generator=torch.Generator().manual_seed(2))
-    target = torch.tensor([0, -1, 2, -1])
-    log = torch.log_softmax(logits, dim=2)
-    expected = -(log[0, :, 0].sum() + log[2, :, 2].sum()) / 4
-    torch.testing.assert_close(cluster_loss(logits, target), expected)

@@ -9,7 +9,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from ...raster.compiled import Array, compiled
+from ...raster.compiled import Array, inlined
 from ...raster.vectors import (
     INT,
     INTS_IR,
@@ -54,7 +54,7 @@ def sum_of(typing_context: Any, values: Any) -> Any:
     return types.float32(lanes), emit
 
 
-@compiled
+@inlined
 def exponential(x: Any) -> Any:
     """e^x; infinite above 88, e^-44 below -44."""
     power = x * spread(LOG2_E)
@@ -63,12 +63,12 @@ def exponential(x: Any) -> Any:
     return fma(x, spread(ZERO), value)  # exp2 drops NaN
 
 
-@compiled
+@inlined
 def sigmoid(x: Any) -> Any:
     return spread(ONE) / (spread(ONE) + exponential(spread(ZERO) - x))
 
 
-@compiled
+@inlined
 def tanh(x: Any) -> Any:
     """Exact sign, also next to zero: whether a Gaussian is drawn depends on it."""
     squared = x * x
@@ -78,13 +78,13 @@ def tanh(x: Any) -> Any:
     return choose(squared < spread(SMALL * SMALL), series, quotient)
 
 
-@compiled
+@inlined
 def falling_exponential(x: Any) -> Any:
     """e^x of x <= 0; e^-44 below -44."""
     return fma(x, spread(ZERO), exp2(x * spread(LOG2_E)))
 
 
-@compiled
+@inlined
 def copy(values: Array, at: int, out: Array, out_at: int, count: int) -> None:
     """out = values, ``count`` of them from ``at`` and ``out_at`` on."""
     whole = count - count % WIDTH

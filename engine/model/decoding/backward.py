@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ...raster.compiled import Array, compiled
+from ...raster.compiled import Array, compiled, inlined
 from ...raster.vectors import lane_numbers, load_some, spread, store, take_next
 from .activations import exponential
-from .layers import collect_inputs, fill, list_anchors, rounded_rows, run_first_layer, run_head, run_head_back
+from .layers import collect_inputs, fill, head_of, list_anchors, rounded_rows, run_first_layer, run_head, run_head_back
 from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC
 from .softmax import soften, soften_back
 
@@ -28,7 +28,7 @@ def clear(worker: int, workers: int, values: Array) -> None:
         values[i] = ZERO
 
 
-@compiled
+@inlined
 def opacities_back(
     listed: Array, count: int, first: int, head: Any, opacities: Array, d_opacities: Array, sizes: Any, mine: Array
 ) -> None:
@@ -42,7 +42,7 @@ def opacities_back(
                 n += 1
 
 
-@compiled
+@inlined
 def shapes_back(
     listed: Array,
     count: int,
@@ -85,7 +85,7 @@ def shapes_back(
                 n += 1
 
 
-@compiled
+@inlined
 def colours_back(
     listed: Array,
     count: int,
@@ -109,7 +109,7 @@ def colours_back(
                 n += 1
 
 
-@compiled
+@inlined
 def instances_back(
     listed: Array,
     count: int,
@@ -131,7 +131,7 @@ def instances_back(
                 n += 1
 
 
-@compiled
+@inlined
 def classes_back(
     listed: Array,
     count: int,
@@ -222,7 +222,7 @@ def decode_back(
             fill(mine, sizes.d_inputs_at, rounded_rows(everyone) * sizes.padded_features, ZERO)
 
             for number in range(len(heads)):
-                head = heads[number]
+                head = head_of(heads, number)
                 rows = everyone if number == SEMANTIC else drawn
                 if number == SEMANTIC:
                     run_head(head, rows, weights, sizes, mine)

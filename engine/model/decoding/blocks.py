@@ -102,11 +102,11 @@ def add_product(
     columns: int,
     count: int,
 ) -> None:
-    """out[a, c] += sum_b left[a, b] * right[b, c] for a < ``rows``, c < ``columns``, b < ``count``; flat float32 arrays.
+    """out[a, c] += sum_b left[a, b] * right[b, c] for a < ``rows``, c < ``columns``, b < ``count``; flat float32.
 
-    Row a of ``out`` starts at ``out_at`` + a * ``out_stride``, of ``right`` likewise; element (a, b) of ``left`` lies at
-    ``left_at`` + a * ``across`` + b * ``along``. ``columns`` is a multiple of 16; rows are taken eight at a time, so
-    memory must reach to the next multiple of eight. Summed in ascending order of b.
+    Row a of ``out`` starts at ``out_at`` + a * ``out_stride``, of ``right`` likewise; element (a, b) of ``left`` lies
+    at ``left_at`` + a * ``across`` + b * ``along``. ``columns`` is a multiple of 16. Rows are taken up to eight at a
+    time, so memory must reach to the next multiple of eight. Summed in ascending order of b.
     """
     at = 0
     while at < columns:

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ...raster.compiled import Array, compiled
+from ...raster.compiled import Array, compiled, inlined
 from ...raster.vectors import WIDTH, lane_numbers, load, load_some, spread, store, take_next
 from .activations import copy, exponential, sigmoid, tanh
-from .layers import collect_inputs, list_anchors, run_head
-from .packing import BATCH, COLOUR, COVARIANCE, SEMANTIC
+from .layers import collect_inputs, head_of, list_anchors, run_head
+from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC
 from .softmax import soften
 
 F = np.float32
@@ -37,7 +37,7 @@ def decode_opacities(
 ) -> None:
     """``opacities`` [V * k] in (-1, 1) of the anchors ``visible`` [V], and how many of each batch are above 0."""
     mine, listed = scratch[worker], lists[worker]
-    k, head = sizes.k, heads.opacity
+    k, head = sizes.k, head_of(heads, OPACITY)
     while True:
         batch = take_next(counter)
         if batch >= counts.shape[0]:
@@ -61,7 +61,7 @@ def decode_opacities(
         counts[batch] = count
 
 
-@compiled
+@inlined
 def write_shapes(
     listed: Array,
     count: int,
@@ -105,7 +105,7 @@ def write_shapes(
                 n += 1
 
 
-@compiled
+@inlined
 def write_colours(
     listed: Array, count: int, first: int, head: Any, opacities: Array, sizes: Any, mine: Array, colours: Array
 ) -> None:
@@ -121,7 +121,7 @@ def write_colours(
                 n += 1
 
 
-@compiled
+@inlined
 def write_known_labels(
     listed: Array,
     count: int,
@@ -143,7 +143,7 @@ def write_known_labels(
                 n += 1
 
 
-@compiled
+@inlined
 def write_instances(
     listed: Array, count: int, first: int, head: Any, opacities: Array, sizes: Any, mine: Array, labels: Array
 ) -> None:
@@ -157,7 +157,7 @@ def write_instances(
                 n += 1
 
 
-@compiled
+@inlined
 def write_classes(
     listed: Array,
     count: int,
@@ -230,8 +230,8 @@ def decode_gaussians(
 ) -> None:
     """All of the Gaussians with opacity above 0; batch b writes from Gaussian ``starts``[b] on.
 
-    ``channels`` int64 [M] or empty: channel of the anchor's class for the cluster loss, -1 for none; ``losses`` [batches]
-    gets its sum. ``known`` [M * k, known_channels]: labels to copy instead of decoding; empty to decode them.
+    ``channels`` int64 [M] or empty: channel of the anchor's class for the cluster loss, -1 for none; ``losses``
+    [batches] gets its sum. ``known`` [M * k, known_channels]: labels to copy instead of decoding; empty to decode them.
     """
     mine, listed = scratch[worker], lists[worker]
     k = sizes.k
@@ -250,7 +250,7 @@ def decode_gaussians(
             if number >= SEMANTIC and known.shape[0] > 0:
                 write_known_labels(listed, drawn, first, k, visible, opacities, known, known_channels, labels)
                 break
-            head = heads[number]
+            head = head_of(heads, number)
             rows = everyone if number == SEMANTIC else drawn
             run_head(head, rows, weights, sizes, mine)
             if number == COVARIANCE:

@@ -8,34 +8,41 @@ from typing import Any
 
 import numpy as np
 
-from ...raster.compiled import Array, compiled
+from ...raster.compiled import Array, compiled, inlined
 from ...raster.vectors import WIDTH, choose, load, maximum, spread, store
 from ..decoders import HIDDEN
 from .activations import copy
 from .blocks import add_product
-from .packing import ROUND_ROWS
+from .packing import ROUND_ROWS, Head
 
 F = np.float32
 ZERO = F(0.0)
+WIDE, STEP, START = np.int64(HIDDEN), np.int64(1), np.int64(0)
+"""For the arguments of ``add_product``: Numba would compile it anew for each plain number written there."""
 CLOSEST = F(1e-6)
 """Metres: an anchor at the camera's centre is seen from a distance of at least this."""
 
 
-@compiled
+@inlined
+def head_of(heads: Array, number: int) -> Any:
+    """Row ``number`` of heads [5, 9]."""
+    row = heads[number]
+    return Head(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
+
+
+@inlined
 def rounded_rows(rows: int) -> int:
     return (rows + ROUND_ROWS - 1) // ROUND_ROWS * ROUND_ROWS
 
 
-@compiled
+@inlined
 def fill(values: Array, at: int, count: int, value: Any) -> None:
     for i in range(at, at + count):
         values[i] = value
 
 
 @compiled
-def list_anchors(
-    start: int, end: int, k: int, opacities: Array, visible: Array, channels: Array, listed: Array
-) -> Any:
+def list_anchors(start: int, end: int, k: int, opacities: Array, visible: Array, channels: Array, listed: Array) -> Any:
     """Lists the places in ``visible`` [V] from ``start`` to ``end`` that have work beyond their opacity.
 
     First the anchors with a Gaussian to draw, then those that the cluster loss alone asks for. Returns how many of the
@@ -96,9 +103,7 @@ def run_first_layer(head: Any, rows: int, weights: Array, sizes: Any, mine: Arra
     for i in range(rounded_rows(rows)):
         for c in range(0, HIDDEN, WIDTH):
             store(mine, at + i * HIDDEN + c, load(weights, head.first_bias + c))
-    add_product(
-        mine, at, HIDDEN, mine, 0, sizes.inputs, 1, weights, head.first, HIDDEN, rows, HIDDEN, head.inputs
-    )
+    add_product(mine, at, WIDE, mine, START, sizes.inputs, STEP, weights, head.first, WIDE, rows, WIDE, head.inputs)
     for c in range(at, at + rows * HIDDEN, WIDTH):
         store(mine, c, maximum(spread(ZERO), load(mine, c)))
 
@@ -117,18 +122,18 @@ def run_head(head: Any, rows: int, weights: Array, sizes: Any, mine: Array) -> N
         head.padded,
         mine,
         sizes.hidden_at,
-        HIDDEN,
-        1,
+        WIDE,
+        STEP,
         weights,
         head.last,
         head.padded,
         rows,
         head.padded,
-        HIDDEN,
+        WIDE,
     )
 
 
-@compiled
+@inlined
 def add_columns(out: Array, out_at: int, values: Array, at: int, stride: int, rows: int, columns: int) -> None:
     """out[c] += the sum over rows of values[row, c], in ascending order."""
     for c in range(0, columns, WIDTH):
@@ -143,19 +148,17 @@ def run_head_back(head: Any, rows: int, weights: Array, sizes: Any, mine: Array,
     """From the gradient of the outputs in their place, and the hidden layer in its, to the gradients of the weights
     (added to ``gradient``) and of the features (added to scratch)."""
     hidden, d_hidden, out, padded = sizes.hidden_at, sizes.d_hidden_at, sizes.out_at, head.padded
-    add_product(gradient, head.last, padded, mine, hidden, 1, HIDDEN, mine, out, padded, HIDDEN, padded, rows)
+    add_product(gradient, head.last, padded, mine, hidden, STEP, WIDE, mine, out, padded, WIDE, padded, rows)
     add_columns(gradient, head.last_bias, mine, out, padded, rows, padded)
 
     fill(mine, d_hidden, rounded_rows(rows) * HIDDEN, ZERO)
-    add_product(
-        mine, d_hidden, HIDDEN, mine, out, padded, 1, weights, head.last_back, HIDDEN, rows, HIDDEN, head.outputs
-    )
+    add_product(mine, d_hidden, WIDE, mine, out, padded, STEP, weights, head.last_back, WIDE, rows, WIDE, head.outputs)
     for c in range(0, rows * HIDDEN, WIDTH):
         passed = load(mine, hidden + c) > spread(ZERO)
         store(mine, d_hidden + c, choose(passed, load(mine, d_hidden + c), spread(ZERO)))
 
     add_product(
-        gradient, head.first, HIDDEN, mine, 0, 1, sizes.inputs, mine, d_hidden, HIDDEN, head.inputs, HIDDEN, rows
+        gradient, head.first, WIDE, mine, START, STEP, sizes.inputs, mine, d_hidden, WIDE, head.inputs, WIDE, rows
     )
     add_columns(gradient, head.first_bias, mine, d_hidden, HIDDEN, rows, HIDDEN)
     features = sizes.padded_features
@@ -165,12 +168,12 @@ def run_head_back(head: Any, rows: int, weights: Array, sizes: Any, mine: Array,
         features,
         mine,
         d_hidden,
-        HIDDEN,
-        1,
+        WIDE,
+        STEP,
         weights,
         head.first_back,
         features,
         rows,
         features,
-        HIDDEN,
+        WIDE,
     )

@@ -54,9 +54,9 @@ OPACITY, COVARIANCE, COLOUR, SEMANTIC, INSTANCE = range(5)
 class Sizes(NamedTuple):
     """What the kernels need to know of the shapes, and where the parts of a worker's scratch begin, in floats.
 
-    The last three are
-    room for the outputs of one anchor after their activation and its six scales, for outputs of sixteen anchors
-    transposed, and for the sums of softmax. A row of inputs is feature, direction, distance (if wanted) and zeros, ``inputs`` floats in all.
+    A row of inputs, of which scratch holds a batch first, is feature, direction, distance (if wanted) and zeros:
+    ``inputs`` floats. The last three places are room for one anchor's activated outputs and its six scales, for the
+    outputs of sixteen anchors transposed, and for the sums of softmax.
     """
 
     features: int

@@ -8,7 +8,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from ...raster.compiled import Array, compiled
+from ...raster.compiled import Array, compiled, inlined
 from ...raster.vectors import (
     INTS_IR,
     LANES_IR,
@@ -65,8 +65,8 @@ def soften(values: Array, at: int, stride: int, rows: int, k: int, count: int, t
     """In place, the softmax of each of the k runs of ``count`` values in every row; rows are ``stride`` (a multiple of
     16) floats apart and ``rows`` is rounded up to a multiple of 16.
 
-    Two places more in ``values``: from ``tall`` on, ``stride`` x 16 floats to work in; from ``sums`` on come the largest
-    logits m [k, rounded rows], then the sums of e^(logit - m), likewise.
+    Two places more in ``values``: from ``tall`` on, ``stride`` x 16 floats to work in; from ``sums`` on come the
+    largest logits m [k, rounded rows], then the sums of e^(logit - m), likewise.
     """
     rounded = (rows + WIDTH - 1) // WIDTH * WIDTH
     for i in range(0, rounded, WIDTH):
@@ -93,7 +93,7 @@ def soften(values: Array, at: int, stride: int, rows: int, k: int, count: int, t
             transpose(values, tall + c * WIDTH, WIDTH, values, block + c, stride)
 
 
-@compiled
+@inlined
 def soften_back(p: Array, at: int, g: Array, g_at: int, shift: Any, out: Array, out_at: int, count: int) -> None:
     """out = p (g - sum(p g) + shift): the gradient through a softmax whose values are p, and ``shift`` times p.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
 import pytest
 import torch
 
@@ -149,3 +148,110 @@ def test_each_output_has_its_own_gradient(only: tuple[str, ...]) -> None:
 def test_both_options(options: tuple[bool, bool]) -> None:
     distance, labels = options
     assert_matches(case_of(replace(STANDARD, distance_input=distance, label_view_input=labels), 70))
+
+
+def test_camera_inside_an_anchor_and_huge_features() -> None:
+    """Saturated activations, and a direction that is none."""
+    case = case_of(STANDARD, 40)
+    case.anchors.position[case.visible[0]] = case.centre
+    case.anchors.feature[case.visible[1:20]] *= 30.0
+    assert_matches(case)
+
+
+def silenced(case: Case) -> Case:
+    """No Gaussian has an opacity above 0."""
+    with torch.no_grad():
+        case.decoders.opacity.get_parameter("2.weight").zero_()
+        case.decoders.opacity.get_parameter("2.bias").fill_(-1.0)
+    return case
+
+
+def test_transparent_anchors_still_cluster() -> None:
+    case = silenced(case_of(STANDARD, 70))
+    assert_matches(case)
+    gaussians = decoded(case)
+    assert len(gaussians.kept) == 0 and gaussians.cluster_loss > 0
+
+
+@pytest.mark.parametrize("unlabelled", ["none asked for", "none known"])
+def test_without_classes_there_is_no_cluster_loss(unlabelled: str) -> None:
+    case = case_of(STANDARD, 70)
+    assert case.channels is not None
+    case.channels = None if unlabelled == "none asked for" else torch.full_like(case.channels, -1)
+    assert_matches(case)
+    assert decoded(case).cluster_loss == 0
+
+
+@pytest.mark.parametrize("anchors", [0, 5])
+def test_nothing_visible(anchors: int) -> None:
+    case = asking(case_of(STANDARD, 0, anchors=anchors))
+    gaussians = decoded(case)
+    assert gaussians.means.shape == (0, 3) and gaussians.labels.shape == (0, 43) and gaussians.kept.shape == (0,)
+    assert gaussians.all_opacities.shape == (0, 4)
+    assert not any(gradient.any() for gradient in gradients(case, gaussians).values())
+
+
+def test_the_same_bits_with_any_number_of_threads(threads: None) -> None:
+    case = asking(case_of(STANDARD, 3000))
+    found = []
+    for count in (1, 2, 3, 1):
+        torch.set_num_threads(count)
+        gaussians = decoded(case)
+        found.append([*(getattr(gaussians, name) for name in OUTPUTS), *gradients(case, gaussians).values()])
+    for other in found[1:]:
+        assert all(torch.equal(one, two) for one, two in zip(found[0], other, strict=True))
+
+
+def test_what_one_step_keeps_the_next_does_not_overwrite() -> None:
+    """Outputs and gradients live in memory that is used again."""
+    first, second = asking(case_of(STANDARD, 100)), asking(case_of(STANDARD, 100, seed=1))
+    gaussians = decoded(first)
+    kept = {name: getattr(gaussians, name).clone() for name in OUTPUTS}
+    found = gradients(first, gaussians)
+    copies = {name: gradient.clone() for name, gradient in found.items()}
+    gradients(second, decoded(second))
+    assert all(torch.equal(getattr(gaussians, name), kept[name]) for name in OUTPUTS)
+    assert all(torch.equal(found[name], copies[name]) for name in found)
+
+
+@pytest.mark.parametrize("in_torch", [False, True])
+def test_known_labels_are_shown(in_torch: bool) -> None:
+    case = case_of(STANDARD, 90)
+    known = torch.rand(len(case.anchors) * 4, 20)
+    asked = (case.anchors, case.decoders, case.visible, case.centre)
+    shown = decode_in_torch(*asked, None, known) if in_torch else decode_rows(*asked, known_labels=known)
+    anchor, gaussian = case.visible[shown.kept // 4], shown.kept % 4
+    assert torch.equal(shown.labels, known[anchor * 4 + gaussian])
+    assert torch.equal(shown.colours, decoded(case, in_torch).colours)
+
+
+def test_known_labels_cannot_be_trained() -> None:
+    case = asking(case_of(STANDARD, 9))
+    known = torch.rand(len(case.anchors) * 4, 20)
+    shown = decode_rows(case.anchors, case.decoders, case.visible, case.centre, known_labels=known)
+    with pytest.raises(RuntimeError, match="no gradient"):
+        shown.means.sum().backward()
+
+
+@pytest.mark.parametrize("output", ["colours", "labels", "scales"])
+def test_nan_is_not_hidden(output: str) -> None:
+    """A diverged decoder must reach the loss, which the trainer looks at."""
+    case = case_of(STANDARD, 30)
+    decoder = {"colours": "colour", "labels": "instance", "scales": "covariance"}[output]
+    with torch.no_grad():
+        getattr(case.decoders, decoder).get_parameter("2.bias").fill_(torch.nan)
+    assert torch.isnan(getattr(decoded(case), output)).any()
+
+
+def test_plain_kernels_mean_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = case_of(STANDARD, 50)
+    vector = decoded(case)
+    monkeypatch.setenv("PLGS_RASTER_KERNELS", "plain")
+    plain, twin = decoded(case), decoded(case, in_torch=True)
+    assert all(torch.equal(getattr(plain, name), getattr(twin, name)) for name in OUTPUTS)
+    torch.testing.assert_close(vector.labels, plain.labels)
+
+
+def test_other_precisions_mean_torch() -> None:
+    case = case_of(STANDARD, 50).in_double()
+    assert decoded(case).means.dtype == torch.float64
