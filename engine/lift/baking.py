@@ -9,6 +9,7 @@ from ..job import EventWriter, LiftFolder, write_atomically
 from ..metrics.report import LIFTED, PredictedView, Report, add_rivals
 from ..model.render import render_view
 from ..model.rendering import PanopticRendering
+from ..model.scene_labels import scene_labels
 from ..model.structured import StructuredScene
 from ..passes import (
     PanopticLayers,
@@ -30,14 +31,14 @@ class FrameBaker:
     """Renders frames of a lifted scene and turns them into layers."""
 
     def __init__(self, scene: Scene, prepared: PreparedLift, lifted: StructuredScene) -> None:
-        self.scene, self.lifted = scene, lifted
+        self.scene, self.lifted, self.labels = scene, lifted, scene_labels(lifted)
         self.names = instance_names(prepared.instances, scene.classes)
         self.colours = {instance.id: distinct_colour(instance.id) for instance in prepared.instances}
         self.class_of_instance = prepared.class_of_instance
 
     def render(self, frame: Frame) -> tuple[PanopticRendering, PanopticLayers]:
         """The model seen from a frame's camera at the frame's own size: never anything of its mask."""
-        rendering = render_view(self.lifted, frame.camera)
+        rendering = render_view(self.lifted, frame.camera, self.labels)
         return rendering, decide(rendering, self.scene.classes, self.class_of_instance)
 
     def write(self, folder: LiftFolder, frame: Frame, rendering: PanopticRendering, layers: PanopticLayers) -> None:

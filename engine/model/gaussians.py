@@ -3,42 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 
 from ..raster.compiled import compiled
+from ..raster.kernels import choose_kernels
 from ..scene import Camera
 from .anchors import Anchors
 from .decoders import Decoders
-from .rows import take_rows
+from .decoding.native import decode_natively
+from .neural_gaussians import NeuralGaussians
+from .torch_decoding import decode_in_torch
 
 NEAR = 0.2
 """Anchors closer to the image plane than this, in metres, are left out (Scaffold-GS's near plane)."""
-
-
-@dataclass(frozen=True)
-class NeuralGaussians:
-    """N Gaussians with opacity > 0, decoded for one camera; float32.
-
-    ``means`` [N, 3] metres, ``scales`` [N, 3] standard deviations in metres, ``quats`` [N, 4] wxyz (not normalised),
-    ``opacities`` [N] in (0, 1], ``colours`` [N, 3], ``labels`` [N, C + S]: class probabilities, then instance-slot
-    probabilities. ``visible`` int64 [V] are the anchors decoded, ``all_opacities`` [V, k] their opacities in
-    (-1, 1), ``kept`` int64 [N] index into the flattened [V * k]. ``class_logits`` [V, k, C] serves the cluster loss.
-    """
-
-    means: torch.Tensor
-    scales: torch.Tensor
-    quats: torch.Tensor
-    opacities: torch.Tensor
-    colours: torch.Tensor
-    labels: torch.Tensor
-    visible: torch.Tensor
-    all_opacities: torch.Tensor
-    kept: torch.Tensor
-    class_logits: torch.Tensor
 
 
 def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
@@ -80,41 +60,42 @@ def _rows_in_picture(position: Any, log_scale: Any, to_camera: Any, intrinsics: 
     return rows[:count].copy()
 
 
-def decode(anchors: Anchors, decoders: Decoders, camera: Camera) -> NeuralGaussians:
-    """Decode the Gaussians of every anchor that ``camera`` can see; those with opacity <= 0 are dropped."""
+def decode(
+    anchors: Anchors,
+    decoders: Decoders,
+    camera: Camera,
+    *,
+    channels: torch.Tensor | None = None,
+    known_labels: torch.Tensor | None = None,
+) -> NeuralGaussians:
+    """Decode the Gaussians of every anchor that ``camera`` can see; those with opacity <= 0 are dropped.
+
+    The rest is as for ``decode_rows``.
+    """
     centre = torch.from_numpy(camera.centre.copy()).float()
-    return decode_rows(anchors, decoders, visible_anchors(anchors, camera), centre)
+    visible = visible_anchors(anchors, camera)
+    return decode_rows(anchors, decoders, visible, centre, channels=channels, known_labels=known_labels)
 
 
-def decode_rows(anchors: Anchors, decoders: Decoders, visible: torch.Tensor, centre: torch.Tensor) -> NeuralGaussians:
-    """Decode the anchors of rows ``visible`` int64 [V] as seen from ``centre`` [3] metres."""
-    position = anchors.position.index_select(0, visible)
-    feature = take_rows(anchors.feature, visible)
-    seen = decoders.view_input(feature, position, centre)
-    k = anchors.gaussians_per_anchor
+def decode_rows(
+    anchors: Anchors,
+    decoders: Decoders,
+    visible: torch.Tensor,
+    centre: torch.Tensor,
+    *,
+    channels: torch.Tensor | None = None,
+    known_labels: torch.Tensor | None = None,
+) -> NeuralGaussians:
+    """Decode the anchors of rows ``visible`` int64 [V] (none twice) as seen from ``centre`` [3] metres.
 
-    opacity = torch.tanh(decoders.opacity(seen))
-    kept = (opacity.detach().reshape(-1) > 0).nonzero().squeeze(1)
-    owner = kept // k
-    shape = take_rows(decoders.covariance(seen).view(-1, 7), kept)
-    colour = torch.sigmoid(take_rows(decoders.colour(seen).view(-1, 3), kept))
-    owner_scale = take_rows(anchors.log_scale, visible).exp().index_select(0, owner)
-    offset = take_rows(take_rows(anchors.offset, visible).view(-1, 3), kept)
+    ``channels`` int64 [M]: semantic channel of each anchor's class, -1 where it has none, for the cluster loss.
+    ``known_labels`` float32 [M * k, L]: what every Gaussian shows, decoded before (see ``SceneLabels``); then labels
+    are rows of it and have no gradient, and there is no cluster loss.
+    """
+    in_kernels = _kernels_fit(anchors.feature) and choose_kernels().name == "vector"
+    decode_with = decode_natively if in_kernels else decode_in_torch
+    return decode_with(anchors, decoders, visible, centre, channels, known_labels)
 
-    class_logits, instance_logits = decoders.label_logits(feature, seen)
-    labels = torch.cat(
-        [torch.softmax(take_rows(logits.flatten(0, 1), kept), dim=1) for logits in (class_logits, instance_logits)],
-        dim=1,
-    )
-    return NeuralGaussians(
-        means=position.index_select(0, owner) + offset * owner_scale[:, :3],
-        scales=owner_scale[:, 3:] * torch.sigmoid(shape[:, :3]),
-        quats=shape[:, 3:],
-        opacities=take_rows(opacity.reshape(-1), kept),
-        colours=colour,
-        labels=labels,
-        visible=visible,
-        all_opacities=opacity,
-        kept=kept,
-        class_logits=class_logits,
-    )
+
+def _kernels_fit(tensor: torch.Tensor) -> bool:
+    return tensor.dtype == torch.float32 and tensor.device.type == "cpu"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..raster.compiled import Array, compiled
 from .anchors import UNKNOWN_CLASS, Anchors
-from .gaussians import NeuralGaussians
+from .neural_gaussians import NeuralGaussians
 
 ONE, ZERO = np.float32(1), np.float32(0)
 

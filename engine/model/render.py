@@ -9,13 +9,18 @@ from ..raster import rasterize
 from ..scene import Camera
 from .gaussians import decode
 from .rendering import PanopticRendering
+from .scene_labels import SceneLabels
 from .structured import StructuredScene
 
 
 @torch.no_grad()
-def render_view(scene: StructuredScene, camera: Camera) -> PanopticRendering:
-    """Colour, depth and label coverage of one view, at the camera's size. Spare instance slots are left out."""
-    gaussians = decode(scene.anchors, scene.decoders, camera)
+def render_view(scene: StructuredScene, camera: Camera, labels: SceneLabels | None = None) -> PanopticRendering:
+    """Colour, depth and label coverage of one view, at the camera's size. Spare instance slots are left out.
+
+    ``labels``: what ``scene_labels`` made of this very scene, which saves decoding them for each view.
+    """
+    known = None if labels is None else labels.probabilities
+    gaussians = decode(scene.anchors, scene.decoders, camera, known_labels=known)
     rendering = rasterize(
         gaussians.means,
         gaussians.scales,
@@ -30,16 +35,18 @@ def render_view(scene: StructuredScene, camera: Camera) -> PanopticRendering:
     )
     alpha = rendering.alpha.numpy()
     assert rendering.labels is not None  # drawn with labels
-    labels = rendering.labels.numpy()
-    classes = len(scene.channels.class_ids)
-    used = sum(slot != 0 for slot in scene.channels.slot_ids)  # spare slots come last
+    coverage = rendering.labels.numpy()
+    classes, slot_ids = len(scene.channels.class_ids), scene.channels.slot_ids
+    used = [column for column, slot in enumerate(slot_ids) if slot]
+    if labels is None and used != list(range(len(used))):
+        coverage = coverage[..., [*range(classes), *(classes + column for column in used)]]
     return PanopticRendering(
         camera=camera,
-        image=np.clip(rendering.image.numpy(), 0.0, 1.0),
+        image=rendering.image.clamp_(0.0, 1.0).numpy(),
         alpha=alpha,
-        depth=np.where(alpha > 1e-3, rendering.depth.numpy() / np.maximum(alpha, 1e-3), 0.0).astype(np.float32),
-        class_coverage=labels[..., :classes],
-        instance_coverage=labels[..., classes : classes + used],
+        depth=np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 1e-3),
+        class_coverage=coverage[..., :classes],
+        instance_coverage=coverage[..., classes : classes + len(used)],
         class_ids=scene.channels.class_ids,
-        instance_ids=scene.channels.slot_ids[:used],
+        instance_ids=tuple(slot_ids[column] for column in used),
     )

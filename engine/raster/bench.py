@@ -117,7 +117,7 @@ def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict
     grouped: dict[str, float] = {}
     for name, seconds in stages.items():
         grouped[STAGES[name]] = grouped.get(STAGES[name], 0.0) + seconds * 1e3
-    blending = (grouped.get("blend",grouped.get("blend_tiles")) + grouped.get("unblend",grouped.get("unblend_tiles"))) * 1e-3
+    blending = (grouped["blend"] + grouped["unblend"]) * 1e-3
     return {
         "forward": forward * 1e3,
         "backward": backward * 1e3,

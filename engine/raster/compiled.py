@@ -1,7 +1,7 @@
 """``compiled``, the decorator of every kernel, and where the machine code is kept.
 
 Numba notices a change in a function's own file only, but kernels are compiled into one another across files.
-So the cache is a folder named after the text of this whole package: a new version never runs old code. It
+So the cache is a folder named after the text of all packages that have kernels: a new version never runs old code. It
 lies in the user's cache folder (or in ``NUMBA_CACHE_DIR`` where that is set), so the package itself may be
 read-only.
 """
@@ -45,10 +45,14 @@ def _can_write(folder: Path) -> bool:
 
 
 def _version() -> str:
-    """Names the text of this package and the versions of what compiles it."""
+    """Names the text of every package of the engine that has kernels (whole, for kernels freeze the constants that they
+    use) and the versions of what compiles them."""
     digest = hashlib.sha256(f"{sys.version_info[:2]} {numba.__version__}".encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
+    texts = {source: source.read_bytes() for source in sorted(Path(__file__).parent.parent.rglob("*.py"))}
+    packages = {source.parent for source, text in texts.items() if b"compiled import" in text}
+    for source, text in texts.items():
+        if source.parent in packages:
+            digest.update(text)
     return digest.hexdigest()[:16]
 
 
@@ -99,5 +103,5 @@ compiled = _compiler()
 contracted = _compiler(fastmath={"contract"})
 """For sums of products that only one pass makes: multiply-add may be fused."""
 
-inlined = _compiler(forceinline=True)
-"""As ``compiled``, always made a part of its caller: for steps whose state shall stay in registers."""
+inlined = _compiler(inline="always")
+"""For pieces of one or two kernels: compiled as part of those and never by themselves, which takes less time."""

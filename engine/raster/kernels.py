@@ -16,8 +16,8 @@ VARIABLE = "PLGS_RASTER_KERNELS"
 
 @dataclass(frozen=True)
 class Kernels:
-    """``blend`` and ``unblend`` run one worker's tiles, ``gather_labels`` its Gaussians; the others tell the floats of scratch for so many channels
-    (and Gaussians in the longest list of a tile)."""
+    """``blend`` and ``unblend`` run one worker's tiles, ``gather_labels`` its Gaussians; the others tell the floats of
+    scratch for so many channels (and Gaussians in the longest list of a tile)."""
 
     name: str
     blend: Callable[..., None]

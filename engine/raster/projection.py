@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-
 from .compiled import Array, compiled
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM
 from .records import (

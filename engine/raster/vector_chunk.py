@@ -31,7 +31,7 @@ from .records import (
     RED,
     TILE,
 )
-from .vectors import bits_of, fetch, fma, get, less_product, load, maximum, put, spread, store
+from .vectors import bits_of, fetch, fma, get, load, maximum, put, spread, store
 
 F = np.float32
 ZERO = F(0.0)

@@ -239,7 +239,15 @@ def fetch_labels(first: int, count: int, tile_ids: Array, labels: Array, channel
 
 @compiled
 def copy_touching(
-    touching: int, first: int, tile_ids: Array, labels: Array, channels: int, scratch: Array, at: int, copied: Array, c: int
+    touching: int,
+    first: int,
+    tile_ids: Array,
+    labels: Array,
+    channels: int,
+    scratch: Array,
+    at: int,
+    copied: Array,
+    c: int,
 ) -> None:
     """The labels of a chunk's members that no row before has touched, to scratch[at:]."""
     fresh = touching & ~get(copied, c)

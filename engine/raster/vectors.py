@@ -352,7 +352,8 @@ _LOWEST = -64.0
 
 def has_wide_registers() -> bool:
     """AVX-512: thirty-two registers of sixteen floats, and its own steps of an exponential."""
-    if config.CPU_NAME not in (None, "host"):  # Numba was told to compile for another one
+    settings: Any = config
+    if settings.CPU_NAME not in (None, "host"):  # Numba was told to compile for another one
         return False
     features = binding.get_host_cpu_features()
     return bool(features.get("avx512f", False) and features.get("avx512dq", False))

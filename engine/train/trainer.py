@@ -9,16 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..model.gaussians import NeuralGaussians, decode
+from ..model.gaussians import decode
 from ..model.growing import GrowthStatistics, grow_and_prune
+from ..model.neural_gaussians import NeuralGaussians
 from ..model.render import render_view
+from ..model.scene_labels import scene_labels
 from ..model.structured import StructuredScene
 from ..raster import Rendering, rasterize
 from ..scene import VOID, View
 from ..semantics.pseudo_labels import pseudo_labels
 from .assignment import assigned_slots
 from .label_losses import label_losses
-from .losses import cluster_loss, reconstruction_loss
+from .losses import reconstruction_loss
 from .optimiser import Optimiser
 from .presets import Preset
 from .step_clock import StepClock
@@ -81,7 +83,7 @@ class Trainer:
             self.refresh_pseudo_labels(check)
         target = self._view_of_step(self.step_number)
         self.clock.start()
-        gaussians = decode(self.scene.anchors, self.scene.decoders, target.camera)
+        gaussians = self._decode(target)
         self.clock.lap("decode, forward")
         rendering = self._rasterize(gaussians, target)
         self.clock.lap("rasterise, forward")
@@ -116,6 +118,10 @@ class Trainer:
         )
         self.clock.lap("the rest")
         return report
+
+    def _decode(self, target: ViewTargets) -> NeuralGaussians:
+        """What the view's camera sees, and L_cluster of it."""
+        return decode(self.scene.anchors, self.scene.decoders, target.camera, channels=self.initial_channels)
 
     def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets) -> Rendering:
         return rasterize(
@@ -157,9 +163,7 @@ class Trainer:
             rendering.labels, rendering.alpha, classes, target.semantic, (assigned, target.matched)
         )
         self.clock.lap("label losses")
-        semantic = semantic + cluster_loss(gaussians.class_logits, self.initial_channels[gaussians.visible])
-        self.clock.lap("cluster loss")
-        return semantic, instance
+        return semantic + gaussians.cluster_loss, instance
 
     def _gather_statistics(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float
@@ -200,10 +204,11 @@ class Trainer:
         All views or, when ``check`` raises, none. Pixels where nothing is rendered have no say.
         """
         class_ids = np.array(self.scene.channels.class_ids, np.int32)
+        shown = scene_labels(self.scene)
         fresh = []
         for target, view in zip(self.targets, self.views, strict=True):
             check()
-            coverage = render_view(self.scene, target.camera).class_coverage
+            coverage = render_view(self.scene, target.camera, shown).class_coverage
             rendered = np.where(coverage.any(axis=2), class_ids[coverage.argmax(axis=2)], VOID).astype(np.int32)
             columns = columns_of(pseudo_labels(view.mask, rendered), self.scene.channels.class_ids)
             fresh.append(columns.to(torch.int16))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from engine.train.losses import cluster_loss, reconstruction_loss
+from engine.train.losses import reconstruction_loss
 from engine.train.similarity import PhotoMoments, structural_similarity
 
 
@@ -38,9 +38,3 @@ def test_equal_images_cost_only_their_volume() -> None:
     np.testing.assert_allclose(loss.item(), 0.001 * 5 * 1e-3, atol=1e-6)
 
 
-def test_cluster_loss_counts_every_gaussian_of_labelled_anchors_only() -> None:
-    logits = torch.randn(4, 2, 3, generator=torch.Generator().manual_seed(2))
-    target = torch.tensor([0, -1, 2, -1])
-    log = torch.log_softmax(logits, dim=2)
-    expected = -(log[0, :, 0].sum() + log[2, :, 2].sum()) / 4
-    torch.testing.assert_close(cluster_loss(logits, target), expected)

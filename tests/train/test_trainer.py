@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from engine.job import Cancelled
-from engine.model.gaussians import decode
 from engine.scene import ClassTable, View
 from engine.train.presets import LossWeights
 from engine.train.state import restore, trainer_state
@@ -71,7 +70,8 @@ def test_pictures_get_better(tiny: Input, tmp_path: Path) -> None:
 def test_label_losses_never_reach_opacity_or_shape(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     target = trainer.targets[0]
-    gaussians = decode(trainer.scene.anchors, trainer.scene.decoders, target.camera)
+    gaussians = trainer._decode(target)
+    assert gaussians.cluster_loss > 0
     semantic, instance = trainer._label_losses(gaussians, trainer._rasterize(gaussians, target), target)
     assert semantic > 0 and instance > 0
     (semantic + instance).backward()

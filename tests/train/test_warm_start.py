@@ -27,11 +27,9 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StructuredScene]:
 
 
 def share_right(scene: StructuredScene) -> float:
-    """Share of the anchors with a known class whose every drawn Gaussian shows that class first."""
-    rows = torch.arange(len(scene.anchors))
+    """Share of the anchors with a known class whose every Gaussian shows that class first."""
     with torch.no_grad():
-        logits = decode_rows(scene.anchors, scene.decoders, rows, torch.tensor([2.0, 1.5, 1.5])).class_logits
-    assert logits is not None
+        logits, _ = scene.decoders.label_logits(scene.anchors.feature, scene.anchors.feature)
     class_ids = torch.tensor(scene.channels.class_ids)
     known = scene.anchors.initial_class > 0
     shown = class_ids[logits.argmax(dim=2)]

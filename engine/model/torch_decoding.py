@@ -1,0 +1,71 @@
+"""Decoding in plain torch: the readable twin of the kernels in ``decoding``, and the oracle of their tests.
+
+It serves where the kernels cannot run, on any device and in any precision.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch.nn import functional
+
+from .anchors import Anchors
+from .decoders import Decoders
+from .neural_gaussians import NeuralGaussians
+from .rows import take_rows
+
+
+def decode_in_torch(
+    anchors: Anchors,
+    decoders: Decoders,
+    visible: torch.Tensor,
+    centre: torch.Tensor,
+    channels: torch.Tensor | None,
+    known_labels: torch.Tensor | None,
+) -> NeuralGaussians:
+    """As ``decode_rows``."""
+    position = anchors.position.index_select(0, visible)
+    feature = take_rows(anchors.feature, visible)
+    seen = decoders.view_input(feature, position, centre)
+    k = anchors.gaussians_per_anchor
+
+    opacity = torch.tanh(decoders.opacity(seen))
+    kept = (opacity.detach().reshape(-1) > 0).nonzero().squeeze(1)
+    owner = kept // k
+    shape = take_rows(decoders.covariance(seen).view(-1, 7), kept)
+    colour = torch.sigmoid(take_rows(decoders.colour(seen).view(-1, 3), kept))
+    owner_scale = take_rows(anchors.log_scale, visible).exp().index_select(0, owner)
+    offset = take_rows(take_rows(anchors.offset, visible).view(-1, 3), kept)
+    cluster = feature.new_zeros(())
+    if known_labels is not None:
+        labels = known_labels.index_select(0, visible.index_select(0, owner) * k + kept % k)
+    else:
+        logits = decoders.label_logits(feature, seen)
+        drawn = [torch.softmax(take_rows(each.flatten(0, 1), kept), dim=1) for each in logits]
+        labels = torch.cat(drawn, dim=1)
+        if channels is not None:
+            cluster = cluster_loss(logits[0], channels.index_select(0, visible))
+    return NeuralGaussians(
+        means=position.index_select(0, owner) + offset * owner_scale[:, :3],
+        scales=owner_scale[:, 3:] * torch.sigmoid(shape[:, :3]),
+        quats=shape[:, 3:],
+        opacities=take_rows(opacity.reshape(-1), kept),
+        colours=colour,
+        labels=labels,
+        visible=visible,
+        all_opacities=opacity.detach(),
+        kept=kept,
+        cluster_loss=cluster,
+    )
+
+
+def cluster_loss(class_logits: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """L_cluster over visible initial anchors: ``class_logits`` [V, k, C], ``target`` int64 [V] with -1 = no label.
+
+    All k Gaussians of an anchor count, drawn or not (equation "Cluster Loss").
+    """
+    if not bool((target >= 0).any()):
+        return class_logits.sum() * 0.0
+    k = class_logits.shape[1]
+    return functional.cross_entropy(
+        class_logits.reshape(-1, class_logits.shape[2]), target.repeat_interleave(k), ignore_index=-1
+    )

@@ -1,0 +1,31 @@
+"""Compiled kernels are kept under a name that changes with all that is compiled into them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from engine.raster import compiled
+
+
+def test_the_cache_is_named_after_every_package_with_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = {
+        "raster/compiled.py": "",
+        "raster/kernel.py": "from .compiled import compiled",
+        "model/deep/kernel.py": "from ...raster.compiled import Array, compiled",
+        "model/deep/constants.py": "WIDTH = 16",
+        "scene/camera.py": "",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "raster" / "compiled.py"))
+    names = [compiled._version()]
+    assert compiled._version() == names[0]
+    for name in ("raster/kernel.py", "model/deep/kernel.py", "model/deep/constants.py"):
+        (tmp_path / name).write_text(texts[name] + " # changed")
+        names.append(compiled._version())
+    assert len(set(names)) == 4
+    (tmp_path / "scene" / "camera.py").write_text("# changed")
+    assert compiled._version() == names[-1]
