@@ -53,7 +53,7 @@ def timed() -> Iterator[dict[str, float]]:
 
 
 def _share(workers: int, kernel: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    if workers == 1 or not getattr(kernel, "signatures", None):
+    if workers == 1 or not getattr(kernel, "overloads", None):
         for worker in range(workers):
             kernel(worker, workers, *arguments)
         return

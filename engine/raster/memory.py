@@ -24,6 +24,8 @@ KEPT_CALLS = 400
 class _Block:
     def __init__(self, size: int) -> None:
         self.bytes = np.empty(size + ALIGNMENT, np.uint8)
+        start = -self.bytes.ctypes.data % ALIGNMENT
+        self.aligned = self.bytes[start : start + size]
         self.used = 0
 
     def is_free(self) -> bool:
@@ -32,17 +34,16 @@ class _Block:
 
 def _count_of_unshared() -> int:
     """What ``is_free`` sees when nobody else holds the block; differs between versions of Python."""
-    block = object.__new__(_Block)
-    block.bytes = np.empty(1, np.uint8)
 
     def count(self: _Block) -> int:
         return sys.getrefcount(self.bytes)
 
-    return count(block)
+    return count(_Block(1))
 
 
 _UNSHARED = _count_of_unshared()
-_blocks: list[_Block] = []
+_blocks: dict[int, list[_Block]] = {}
+"""By size."""
 _calls = 0
 _lock = threading.Lock()
 
@@ -51,21 +52,25 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """As ``np.empty``, aligned to a cache line, out of blocks that are used again."""
     global _calls
     kind = np.dtype(dtype)
-    count = math.prod(shape) if isinstance(shape, tuple) else shape
-    size = count * kind.itemsize
+    size = kind.itemsize * (math.prod(shape) if isinstance(shape, tuple) else shape)
     with _lock:
         _calls += 1
-        fitting = [b for b in _blocks if size + ALIGNMENT <= b.bytes.size <= 2 * size + 65536 and b.is_free()]
-        if fitting:
-            block = min(fitting, key=lambda b: b.bytes.size)
-        else:
-            _blocks[:] = [b for b in _blocks if not b.is_free() or b.used > _calls - KEPT_CALLS]
-            block = _Block(_rounded(size))
-            _blocks.append(block)
+        block = _free_block(_rounded(size))
         block.used = _calls
-        start = -block.bytes.ctypes.data % ALIGNMENT
-        view = block.bytes[start : start + size]
+        view = block.aligned[:size]
     return view.view(kind).reshape(shape)
+
+
+def _free_block(size: int) -> _Block:
+    """One of this size that nobody holds; a new one where there is none, and then those go that were long unused."""
+    for block in _blocks.setdefault(size, []):
+        if block.is_free():
+            return block
+    for blocks in _blocks.values():
+        blocks[:] = [block for block in blocks if not block.is_free() or block.used > _calls - KEPT_CALLS]
+    block = _Block(size)
+    _blocks[size].append(block)
+    return block
 
 
 def empty_tensor(shape: tuple[int, ...]) -> Tensor:
@@ -81,4 +86,4 @@ def _rounded(size: int) -> int:
 
 def held_bytes() -> int:
     """All that is held, free or not."""
-    return sum(block.bytes.size for block in _blocks)
+    return sum(block.bytes.size for blocks in _blocks.values() for block in blocks)

@@ -33,7 +33,8 @@ def _emit_block(
     """out[row a] += sum_b weight[a * across + b * along] * source[row b], b < count; a < rows; all in
     registers.
 
-    ``out_rows`` and ``source_rows`` are int32 lists, or None where row a is simply a.
+    ``out_rows`` and ``source_rows`` are int32 lists, or None where row a is simply a. ``stride`` and
+    ``source_stride`` are the floats from one row to the next.
     """
     stride = pointers["stride"]
 
@@ -56,7 +57,7 @@ def _emit_block(
     ]
     with cgutils.for_range(builder, pointers["count"]) as loop:
         place = loop.index
-        source = builder.gep(pointers["source"], [builder.mul(row_of("source_rows", place), stride)])
+        source = builder.gep(pointers["source"], [builder.mul(row_of("source_rows", place), pointers["source_stride"])])
         features = [builder.load(vector_at(source, v), align=4) for v in range(vectors)]
         weights = builder.gep(pointers["weights"], [builder.mul(place, pointers["along"])])
         for a in range(rows):
@@ -99,6 +100,7 @@ def _blend_block(rows: int, vectors: int) -> Any:
                 "out_rows": None,
                 "count": arguments[8],
                 "stride": arguments[9],
+                "source_stride": arguments[9],
                 "across": INDEX(1),
                 "along": INDEX(WIDTH),
             }
@@ -124,6 +126,7 @@ def _unblend_block(rows: int, vectors: int) -> Any:
         weights: Any,
         weights_at: Any,
         stride: Any,
+        source_stride: Any,
     ) -> Any:
         def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             pointers = {
@@ -134,6 +137,7 @@ def _unblend_block(rows: int, vectors: int) -> Any:
                 "source_rows": None,
                 "count": INDEX(WIDTH),
                 "stride": arguments[8],
+                "source_stride": arguments[9],
                 "across": INDEX(WIDTH),
                 "along": INDEX(1),
             }
@@ -141,7 +145,7 @@ def _unblend_block(rows: int, vectors: int) -> Any:
             return context.get_dummy_value()
 
         index = types.int64
-        return types.void(out, index, members, index, source, index, weights, index, index), emit
+        return types.void(out, index, members, index, source, index, weights, index, index, index), emit
 
     return block
 

@@ -38,7 +38,7 @@ from .records import (
     TILE,
 )
 from .vector_chunk import AHEAD, LAST_LANE, NOBODY, origin_of, padded_channels
-from .vector_forward import ALPHA_CAP, ALPHA_LEAST, ONE, ZERO, F, copy_labels
+from .vector_forward import ALPHA_CAP, ALPHA_LEAST, LINES_AT_ONCE, ONE, ZERO, F, copy_labels
 from .vectors import (
     bits_of,
     choose,
@@ -78,15 +78,14 @@ D_PLANES = BEHIND + TILE  # gradients of red, green, blue, depth
 WEIGHTS = ROW_STATE + (TILE + 1) * ROW_STRIDE  # [row, member, pixel]
 CHUNK_LABELS = (
     WEIGHTS + TILE * CHUNK * TILE
-)  # [member or nobody, padded], then the tile's gradients [pixel, padded]
-PIXELS = TILE * TILE
+)  # [member or nobody, padded], then a row's gradients [pixel, padded]
 NO_ROW = TILE
 """Takes a row's place where there are not four; nothing was ever blended on it."""
 
 
 def scratch_size(channels: int) -> int:
     """Floats of scratch that a worker needs."""
-    floats: int = CHUNK_LABELS + (CHUNK + 1 + PIXELS) * padded_channels(channels)
+    floats: int = CHUNK_LABELS + (CHUNK + 1 + TILE) * padded_channels(channels)
     return floats
 
 
@@ -151,26 +150,6 @@ def load_colours(source: int, floats: int, row: int, d_image: Array, scratch: Ar
     store(scratch, D_PLANES + row, red)
     store(scratch, D_PLANES + TILE + row, green)
     store(scratch, D_PLANES + 2 * TILE + row, blue)
-
-
-@compiled
-def load_tile_labels(
-    left: int, top: int, width: int, height: int, d_labels: Array, channels: int, padded: int, scratch: Array
-) -> None:
-    tile_labels = CHUNK_LABELS + (CHUNK + 1) * padded
-    row_lines = min(TILE, width - left) * channels // TILE + 1
-    for r in range(TILE):
-        # of the row after the next one: where a row begins, no hardware foresees it
-        ahead = ((top + r + 2) * width + left) * channels
-        for line in range(row_lines if top + r + 2 < height and r + 2 < TILE else 0):
-            fetch(d_labels, ahead + line * TILE)
-        for x in range(TILE):
-            at = tile_labels + (r * TILE + x) * padded
-            if left + x < width and top + r < height:
-                copy_labels((top + r) * width + left + x, d_labels, channels, scratch, at)
-            else:
-                for c in range(0, padded, TILE):
-                    store(scratch, at + c, spread(ZERO))
 
 
 @compiled
@@ -302,39 +281,71 @@ def unblend_gaussian(
 
 
 @compiled
-def add_label_gradients(scratch: Array, counts: Array, members: Array, padded: int) -> None:
-    """The chunk's label gradients += its weights times the tile's label gradients, row after row."""
+def add_row_gradients(
+    r: int, count: int, source: Array, at: int, stride: int, scratch: Array, members: Array, padded: int
+) -> None:
+    """The chunk's label gradients += the weights of row r, of so many members, times the label gradients of its
+    pixels, which lie at source[at:], ``stride`` floats apart."""
+    listed = r * CHUNK
+    while count % 4 != 0:
+        put(members, listed + count, np.int32(NOBODY))
+        store(scratch, WEIGHTS + (listed + count) * TILE, spread(ZERO))
+        count += 1
+    k = 0
+    while k + ROWS <= count:
+        m, w = listed + k, WEIGHTS + (listed + k) * TILE
+        c = 0
+        while c + 3 * BLOCK <= padded:
+            unblend_3(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+            c += 3 * BLOCK
+        if c + 2 * BLOCK <= padded:
+            unblend_2(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+        elif c + BLOCK <= padded:
+            unblend_1(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+        k += ROWS
+    if k < count:
+        m, w = listed + k, WEIGHTS + (listed + k) * TILE
+        c = 0
+        while c + 3 * BLOCK <= padded:
+            unblend_four_3(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+            c += 3 * BLOCK
+        if c + 2 * BLOCK <= padded:
+            unblend_four_2(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+        elif c + BLOCK <= padded:
+            unblend_four_1(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+
+
+@compiled
+def add_label_gradients(
+    left: int,
+    top: int,
+    width: int,
+    d_labels: Array,
+    channels: int,
+    scratch: Array,
+    counts: Array,
+    members: Array,
+    padded: int,
+) -> None:
+    """The chunk's label gradients, row after row. They are read where they lie, beyond a pixel's own channels too (no
+    one looks at what becomes of that); only where that would leave the row or the image are they copied first."""
     for r in range(TILE):
-        count = counts[r]
-        counts[r] = 0
-        listed = r * CHUNK
-        source = CHUNK_LABELS + (CHUNK + 1 + r * TILE) * padded
-        while count % 4 != 0:
-            members[listed + count] = NOBODY
-            store(scratch, WEIGHTS + (listed + count) * TILE, spread(ZERO))
-            count += 1
-        k = 0
-        while k + ROWS <= count:
-            m, w = listed + k, WEIGHTS + (listed + k) * TILE
-            c = 0
-            while c + 3 * BLOCK <= padded:
-                unblend_3(scratch, CHUNK_LABELS + c, members, m, scratch, source + c, scratch, w, padded)
-                c += 3 * BLOCK
-            if c + 2 * BLOCK <= padded:
-                unblend_2(scratch, CHUNK_LABELS + c, members, m, scratch, source + c, scratch, w, padded)
-            elif c + BLOCK <= padded:
-                unblend_1(scratch, CHUNK_LABELS + c, members, m, scratch, source + c, scratch, w, padded)
-            k += ROWS
-        if k < count:
-            m, w = listed + k, WEIGHTS + (listed + k) * TILE
-            c = 0
-            while c + 3 * BLOCK <= padded:
-                unblend_four_3(scratch, CHUNK_LABELS + c, members, m, scratch, source + c, scratch, w, padded)
-                c += 3 * BLOCK
-            if c + 2 * BLOCK <= padded:
-                unblend_four_2(scratch, CHUNK_LABELS + c, members, m, scratch, source + c, scratch, w, padded)
-            elif c + BLOCK <= padded:
-                unblend_four_1(scratch, CHUNK_LABELS + c, members, m, scratch, source + c, scratch, w, padded)
+        count = get(counts, r)
+        if count == 0:
+            continue
+        put(counts, r, 0)
+        pixel = (top + r) * width + left
+        if left + TILE <= width and (pixel + TILE) * channels + TILE <= d_labels.shape[0]:
+            add_row_gradients(r, count, d_labels, pixel * channels, channels, scratch, members, padded)
+        else:
+            row = CHUNK_LABELS + (CHUNK + 1) * padded
+            for x in range(TILE):
+                if left + x < width:
+                    copy_labels(pixel + x, d_labels, channels, scratch, row + x * padded)
+                else:
+                    for c in range(0, padded, TILE):
+                        store(scratch, row + x * padded + c, spread(ZERO))
+            add_row_gradients(r, count, scratch, row, padded, scratch, members, padded)
 
 
 @compiled
@@ -381,8 +392,9 @@ def unblend_tiles(
             touched[tile_slots[k]] = 0
         if far < 0:
             continue
-        if channels > 0:
-            load_tile_labels(left, top, width, height, d_labels, channels, padded, scratch)
+        # the tile's label gradients are asked for while the first Gaussians are on
+        row_lines = (min(TILE, width - left) * channels + TILE - 1) // TILE
+        ahead_rows, ahead_row, ahead_line = min(TILE, height - top) if channels > 0 else 0, 0, 0
         for chunk in range(far // CHUNK * CHUNK, -1, -CHUNK):
             for at in range(CHUNK_LABELS, CHUNK_LABELS + CHUNK * padded, TILE):
                 store(scratch, at, spread(ZERO))
@@ -390,6 +402,13 @@ def unblend_tiles(
                 at = int(get(tile_ids, first + place)) * RECORD
                 fetch(records, int(get(tile_ids, first + max(place - AHEAD, 0))) * RECORD)
                 slot = int(get(tile_slots, first + place))
+                if ahead_row < ahead_rows:
+                    ahead = ((top + ahead_row) * width + left) * channels + ahead_line * TILE
+                    for line in range(LINES_AT_ONCE):
+                        fetch(d_labels, ahead + line * TILE)
+                    ahead_line += LINES_AT_ONCE
+                    if ahead_line >= row_lines:
+                        ahead_row, ahead_line = ahead_row + 1, 0
                 rows = whiten_tile(records, at, left, top, scratch)
                 rows &= bits_of(load(scratch, LAST_OF_ROW) >= spread(F(place)))
                 if rows == 0:
@@ -410,7 +429,7 @@ def unblend_tiles(
                     slot,
                 )
             if channels > 0:
-                add_label_gradients(scratch, counts, members, padded)
+                add_label_gradients(left, top, width, d_labels, channels, scratch, counts, members, padded)
                 for place in range(chunk, min(chunk + CHUNK, far + 1)):
                     slot = int(tile_slots[first + place])
                     if touched[slot] != 0:
