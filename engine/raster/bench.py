@@ -36,28 +36,31 @@ def bench_raster(json_file: Path | None = None, repeats: int = 9) -> list[dict[s
     """Print a table of medians over ``repeats`` (after one warm-up) and return its rows; also written to
     ``json_file``.
 
-    All times are milliseconds of wall time, whole passes from 3D parameters, except ``processor``, which is
-    the processor time of a whole step (least of the repeats). ``GFLOP/s`` counts two operations for every
-    label of every blended pair of Gaussian and pixel, over the time of the two blending stages.
+    All times are milliseconds of wall time, whole passes from 3D parameters, except ``processor``, which is the
+    processor time of a whole step (least of the repeats). ``GFLOP/s`` counts two operations for every label of every
+    blended pair of Gaussian and pixel, over the time of the two blending stages. ``efficiency`` is how much of a
+    thread's speed is left when all run: the least time with one thread over ``threads`` times the least with all.
     """
     threads, peak = torch.get_num_threads(), fma_peak()
     kernels = choose_kernels().name
     print(
         f"{processor_name()}, {threads} threads, {kernels} kernels; multiply-add peak {peak:.0f} GFLOP/s a thread"
     )
-    print("Gaussians      size  channels  forward  backward   total  processor  GFLOP/s  stages")
+    print("Gaussians      size  channels  forward  backward   total  processor  GFLOP/s  efficiency  stages")
     rows = []
     for count, width, height in CASES:
         workload = room_workload(count, width, height)
         pairs = blended_pairs(workload)
         for channels in (0, CHANNELS):
             row = measure(workload, channels, repeats, pairs)
+            row["efficiency"] = efficiency(workload, channels, repeats, threads)
             row.update(gaussians=count, width=width, height=height, channels=channels + 3)
             rows.append(row)
             stages = ", ".join(f"{name} {value:.1f}" for name, value in row["stages"].items())
             print(
                 f"{count:9d} {width:5d}x{height:<4d} {channels + 3:7d} {row['forward']:8.1f} {row['backward']:9.1f} "
-                f"{row['total']:7.1f} {row['processor']:10.1f} {row['gflops']:8.1f}  {stages}"
+                f"{row['total']:7.1f} {row['processor']:10.1f} {row['gflops']:8.1f} {row['efficiency']:11.0%}  {stages}",
+                flush=True,
             )
     if json_file is not None:
         report = {
@@ -72,8 +75,8 @@ def bench_raster(json_file: Path | None = None, repeats: int = 9) -> list[dict[s
 
 
 def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict[str, Any]:
-    """Median milliseconds of forward, backward and total, least processor milliseconds, stages of the median
-    run."""
+    """Median milliseconds of forward, backward and total, least milliseconds of the total, least processor
+    milliseconds, stages of the median run."""
     labels = workload.labels[:, :channels].copy() if channels else None
     random = np.random.default_rng(1234)
     shape = (workload.height, workload.width)
@@ -122,10 +125,25 @@ def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict
         "forward": forward * 1e3,
         "backward": backward * 1e3,
         "total": total * 1e3,
+        "least": runs[0][0] * 1e3,
         "processor": min(run[3] for run in runs) * 1e3,
         "gflops": 4.0 * channels * pairs / blending / 1e9,
         "stages": grouped,
     }
+
+
+def efficiency(workload: Workload, channels: int, repeats: int, threads: int) -> float:
+    """Least time with one thread over ``threads`` times the least with all of them, measured in turns."""
+    alone, together = [], []
+    try:
+        for _ in range(-(-repeats // 3)):
+            torch.set_num_threads(1)
+            alone.append(measure(workload, channels, 2, 0)["least"])
+            torch.set_num_threads(threads)
+            together.append(measure(workload, channels, 2, 0)["least"])
+    finally:
+        torch.set_num_threads(threads)
+    return min(alone) / (threads * min(together))
 
 
 def blended_pairs(workload: Workload) -> int:

@@ -1,7 +1,7 @@
 """Threads that run compiled kernels side by side.
 
 Kernels release the interpreter's lock, so plain Python threads are enough: they need no threading layer of
-Numba's (none of which is both on every system and safe to call from several threads), do not spin while they
+Numba's (none of which is both on every system and safe to call from several threads), do not spin for long while they
 wait, and compile far faster.
 """
 
@@ -17,7 +17,39 @@ from typing import Any
 
 import torch
 
-_helpers: list[SimpleQueue[Any]] = []
+from .bell import LOOKS, listen, new_bell
+
+
+
+class _Helper:
+    """A thread and its inbox. ``called`` rings when something was put there, ``finished`` when a kernel is done."""
+
+    def __init__(self, name: str) -> None:
+        self.inbox: SimpleQueue[Any] = SimpleQueue()
+        self.called, self.finished = new_bell(), new_bell()
+        threading.Thread(target=self._work, name=name, daemon=True).start()
+
+    def start(self, job: tuple[Any, ...]) -> None:
+        self.inbox.put(job)
+        self.called[0] += 1
+
+    def _work(self) -> None:
+        heard = 0
+        while True:
+            listen(self.called, heard, LOOKS)
+            kernel, worker, workers, arguments, done = self.inbox.get()
+            heard += 1
+            mistake: BaseException | None = None
+            try:
+                kernel(worker, workers, *arguments)
+            except BaseException as error:  # handed to the caller, who raises it
+                mistake = error
+            del kernel, arguments
+            done.put(mistake)
+            self.finished[0] += 1
+
+
+_helpers: list[_Helper] = []
 _owner = 0
 _growing = threading.Lock()
 _stopwatch: dict[str, float] | None = None
@@ -58,15 +90,19 @@ def _share(workers: int, kernel: Callable[..., None], arguments: tuple[Any, ...]
             kernel(worker, workers, *arguments)
         return
     _grow(workers - 1)
+    helpers = _helpers[: workers - 1]
+    heard = [int(helper.finished[0]) for helper in helpers]
     done: SimpleQueue[BaseException | None] = SimpleQueue()
-    for worker in range(1, workers):
-        _helpers[worker - 1].put((kernel, worker, workers, arguments, done))
+    for worker, helper in enumerate(helpers, start=1):
+        helper.start((kernel, worker, workers, arguments, done))
     mistakes: list[BaseException | None] = []
     try:
         kernel(0, workers, *arguments)
     finally:
         # the arrays must not go while others write to them
-        mistakes = [done.get() for _ in range(1, workers)]
+        for helper, rings in zip(helpers, heard, strict=True):
+            listen(helper.finished, rings, LOOKS)
+        mistakes = [done.get() for _ in helpers]
     for mistake in mistakes:
         if mistake is not None:
             raise mistake
@@ -82,19 +118,4 @@ def _grow(count: int) -> None:
             _helpers.clear()
             _owner = os.getpid()
         while len(_helpers) < count:
-            inbox: SimpleQueue[Any] = SimpleQueue()
-            name = f"plgs-raster-{len(_helpers) + 1}"
-            threading.Thread(target=_help, args=(inbox,), name=name, daemon=True).start()
-            _helpers.append(inbox)
-
-
-def _help(inbox: SimpleQueue[Any]) -> None:
-    while True:
-        kernel, worker, workers, arguments, done = inbox.get()
-        mistake: BaseException | None = None
-        try:
-            kernel(worker, workers, *arguments)
-        except BaseException as error:  # handed to the caller, who raises it
-            mistake = error
-        del kernel, arguments
-        done.put(mistake)
+            _helpers.append(_Helper(f"plgs-raster-{len(_helpers) + 1}"))

@@ -89,7 +89,7 @@ def chain_to_scene(
     x, y, z = camera_point(camera, float(means[i, 0]), float(means[i, 1]), float(means[i, 2]))
     jacobian = image_jacobian(camera, x, y, z)
     j0, j1, j2, j3, j4, j5, u, v = jacobian
-    w, qx, qy, qz, norm = unit_quaternion(
+    w, qx, qy, qz, over_norm = unit_quaternion(
         float(quats[i, 0]), float(quats[i, 1]), float(quats[i, 2]), float(quats[i, 3])
     )
     rotation = rotation_of(w, qx, qy, qz)
@@ -120,10 +120,10 @@ def chain_to_scene(
     d_qy = 2.0 * (qx * (m1 + m3) + qz * (m5 + m7) - 2.0 * qy * (m0 + m8) + w * (m2 - m6))
     d_qz = 2.0 * (qx * (m2 + m6) + qy * (m5 + m7) - 2.0 * qz * (m0 + m4) + w * (m3 - m1))
     along = d_w * w + d_qx * qx + d_qy * qy + d_qz * qz
-    d_quats[i, 0] = (d_w - along * w) / norm
-    d_quats[i, 1] = (d_qx - along * qx) / norm
-    d_quats[i, 2] = (d_qy - along * qy) / norm
-    d_quats[i, 3] = (d_qz - along * qz) / norm
+    d_quats[i, 0] = (d_w - along * w) * over_norm
+    d_quats[i, 1] = (d_qx - along * qx) * over_norm
+    d_quats[i, 2] = (d_qy - along * qy) * over_norm
+    d_quats[i, 3] = (d_qz - along * qz) * over_norm
 
     # dT = dX M^T
     c0, c1, c2 = q0 * sx, q1 * sy, q2 * sz

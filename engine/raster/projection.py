@@ -30,6 +30,7 @@ from .records import (
 )
 
 LOG2_E = math.log2(math.e)
+LOG_ALPHA_MIN = math.log(ALPHA_MIN)
 
 # layout of the camera array that the kernels take
 CAMERA_ROTATION = 0  # nine, row by row
@@ -56,9 +57,10 @@ def camera_point(camera: Array, x: float, y: float, z: float) -> Any:
 
 @compiled
 def unit_quaternion(w: float, x: float, y: float, z: float) -> Any:
-    """The normalised quaternion and the norm it was divided by."""
+    """The normalised quaternion, and one over its norm."""
     norm = max(math.sqrt(w * w + x * x + y * y + z * z), TINY_NORM)
-    return w / norm, x / norm, y / norm, z / norm, norm
+    over = 1.0 / norm
+    return w * over, x * over, y * over, z * over, over
 
 
 @compiled
@@ -194,7 +196,7 @@ def project_range(
         records[i, L12_LOW] = l12 - float(records[i, L12])
         records[i, L22_LOW] = l22 - float(records[i, L22])
         records[i, OPACITY] = opacities[i]
-        records[i, LOG_OPACITY] = math.log2(opacity)
+        records[i, LOG_OPACITY] = (reach + LOG_ALPHA_MIN) * LOG2_E
         records[i, RED] = colours[i, 0]
         records[i, GREEN] = colours[i, 1]
         records[i, BLUE] = colours[i, 2]
