@@ -19,7 +19,7 @@ from .records import DEPTH, TILE
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
 DIGIT_PASSES = 3
-WORTH_SHARING = 6_000
+WORTH_SHARING = 2_500
 """Fewer Gaussians than this are sorted by one worker: waking the others takes longer."""
 
 
