@@ -41,12 +41,12 @@ def whiten_rows(record: Array, left: int, top: int, s1_left: Array, s2: Array) -
     """s1 at the first pixel and s2 of each of the tile's rows; returns the mask of the rows that the
     footprint touches."""
     # the origin in double, once a tile: everything after is within a few standard deviations
-    dx = (left + 0.5 - float(record[CENTRE_X])) - float(record[CENTRE_X_LOW])
-    dy = (top + 0.5 - float(record[CENTRE_Y])) - float(record[CENTRE_Y_LOW])
-    l11 = float(record[L11]) + float(record[L11_LOW])
-    l12 = float(record[L12]) + float(record[L12_LOW])
+    dx = (left + 0.5 - np.float64(record[CENTRE_X])) - np.float64(record[CENTRE_X_LOW])
+    dy = (top + 0.5 - np.float64(record[CENTRE_Y])) - np.float64(record[CENTRE_Y_LOW])
+    l11 = np.float64(record[L11]) + np.float64(record[L11_LOW])
+    l12 = np.float64(record[L12]) + np.float64(record[L12_LOW])
     s1_origin = F(l11 * dx + l12 * dy)
-    s2_origin = F((float(record[L22]) + float(record[L22_LOW])) * dy)
+    s2_origin = F((np.float64(record[L22]) + np.float64(record[L22_LOW])) * dy)
     across = record[L11] * LAST_LANE
     reach = record[LOG_OPACITY] + REACH_OVER_LOG_OPACITY
     rows = 0

@@ -49,9 +49,9 @@ def gradient_on_image(record: Array, total: Array) -> Any:
     With A = WHITENING * L, s = A d and g = dL/d(ln alpha): ln alpha = -|s|^2 / log2(e), so
     dL/dcentre = 2 / log2(e) * A^T sum(g s) and dL/dcov = A^T sum(g s s^T) A / (log2(e) * WHITENING^2).
     """
-    a = float(record[L11]) + float(record[L11_LOW])
-    b = float(record[L12]) + float(record[L12_LOW])
-    c = float(record[L22]) + float(record[L22_LOW])
+    a = np.float64(record[L11]) + np.float64(record[L11_LOW])
+    b = np.float64(record[L12]) + np.float64(record[L12_LOW])
+    c = np.float64(record[L22]) + np.float64(record[L22_LOW])
     first = 2.0 / LOG2_E
     d_x = first * (a * total[G_S1])
     d_y = first * (b * total[G_S1] + c * total[G_S2])
@@ -86,15 +86,15 @@ def chain_to_scene(
     d_x2, d_y2, d_xx, d_xy, d_yy = gradient_on_image(records[i], total)
     d_means2d[i, 0] = d_x2
     d_means2d[i, 1] = d_y2
-    x, y, z = camera_point(camera, float(means[i, 0]), float(means[i, 1]), float(means[i, 2]))
+    x, y, z = camera_point(camera, np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2]))
     jacobian = image_jacobian(camera, x, y, z)
     j0, j1, j2, j3, j4, j5, u, v = jacobian
     w, qx, qy, qz, over_norm = unit_quaternion(
-        float(quats[i, 0]), float(quats[i, 1]), float(quats[i, 2]), float(quats[i, 3])
+        np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
     )
     rotation = rotation_of(w, qx, qy, qz)
     q0, q1, q2, q3, q4, q5, q6, q7, q8 = rotation
-    sx, sy, sz = float(scales[i, 0]), float(scales[i, 1]), float(scales[i, 2])
+    sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
     a0, a1, a2, b0, b1, b2 = axes_on_image(jacobian, rotation, sx, sy, sz)
 
     # cov = X X^T with X = [a; b] (2x3): dX = 2 dcov X
@@ -211,12 +211,12 @@ def gather(
             if touched[slot] == 0:
                 continue
             for c in range(GRADIENT):
-                total[c] += float(slot_gradients[slot * GRADIENT_WIDTH + c])
+                total[c] += np.float64(slot_gradients[slot * GRADIENT_WIDTH + c])
             hit = True
         if not hit:
             clear(i, d_means, d_scales, d_quats, d_opacities, d_colours, d_means2d)
             continue
-        d_opacities[i] = total[G] / float(records[i, OPACITY])
+        d_opacities[i] = total[G] / np.float64(records[i, OPACITY])
         d_colours[i, 0] = total[D_RED]
         d_colours[i, 1] = total[D_GREEN]
         d_colours[i, 2] = total[D_BLUE]

@@ -6,6 +6,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from .compiled import Array, compiled
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM
 from .records import (
@@ -147,17 +149,17 @@ def project_range(
     touched = 0
     for i in range(first, last):
         boxes[i, 0] = boxes[i, 1] = boxes[i, 2] = boxes[i, 3] = 0
-        opacity = float(opacities[i])
-        x, y, z = camera_point(camera, float(means[i, 0]), float(means[i, 1]), float(means[i, 2]))
+        opacity = np.float64(opacities[i])
+        x, y, z = camera_point(camera, np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2]))
         if not (z > camera[16] and opacity >= ALPHA_MIN):
             continue
         jacobian = image_jacobian(camera, x, y, z)
         w, qx, qy, qz, _ = unit_quaternion(
-            float(quats[i, 0]), float(quats[i, 1]), float(quats[i, 2]), float(quats[i, 3])
+            np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
         )
         rotation = rotation_of(w, qx, qy, qz)
         a0, a1, a2, b0, b1, b2 = axes_on_image(
-            jacobian, rotation, float(scales[i, 0]), float(scales[i, 1]), float(scales[i, 2])
+            jacobian, rotation, np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
         )
         cov_xx = a0 * a0 + a1 * a1 + a2 * a2 + BLUR
         cov_xy = a0 * b0 + a1 * b1 + a2 * b2
@@ -183,18 +185,18 @@ def project_range(
 
         root = math.sqrt(cov_yy / determinant)
         records[i, CENTRE_X] = centre_x
-        records[i, CENTRE_X_LOW] = centre_x - float(records[i, CENTRE_X])
+        records[i, CENTRE_X_LOW] = centre_x - np.float64(records[i, CENTRE_X])
         records[i, CENTRE_Y] = centre_y
-        records[i, CENTRE_Y_LOW] = centre_y - float(records[i, CENTRE_Y])
+        records[i, CENTRE_Y_LOW] = centre_y - np.float64(records[i, CENTRE_Y])
         l11 = WHITENING * root
         l12 = -WHITENING * cov_xy / (determinant * root)
         l22 = WHITENING / math.sqrt(cov_yy)
         records[i, L11] = l11
         records[i, L12] = l12
         records[i, L22] = l22
-        records[i, L11_LOW] = l11 - float(records[i, L11])
-        records[i, L12_LOW] = l12 - float(records[i, L12])
-        records[i, L22_LOW] = l22 - float(records[i, L22])
+        records[i, L11_LOW] = l11 - np.float64(records[i, L11])
+        records[i, L12_LOW] = l12 - np.float64(records[i, L12])
+        records[i, L22_LOW] = l22 - np.float64(records[i, L22])
         records[i, OPACITY] = opacities[i]
         records[i, LOG_OPACITY] = (reach + LOG_ALPHA_MIN) * LOG2_E
         records[i, RED] = colours[i, 0]

@@ -60,11 +60,11 @@ ROW_FIELDS = 2 * CHUNK + TILE
 def origin_of(records: Array, at: int, left: int, top: int) -> Any:
     """s at the centre of a tile's first pixel: in double, once a tile; everything after is within a few standard
     deviations."""
-    dx = (left + 0.5 - float(get(records, at + CENTRE_X))) - float(get(records, at + CENTRE_X_LOW))
-    dy = (top + 0.5 - float(get(records, at + CENTRE_Y))) - float(get(records, at + CENTRE_Y_LOW))
-    l11 = float(get(records, at + L11)) + float(get(records, at + L11_LOW))
-    l12 = float(get(records, at + L12)) + float(get(records, at + L12_LOW))
-    l22 = float(get(records, at + L22)) + float(get(records, at + L22_LOW))
+    dx = (left + 0.5 - np.float64(get(records, at + CENTRE_X))) - np.float64(get(records, at + CENTRE_X_LOW))
+    dy = (top + 0.5 - np.float64(get(records, at + CENTRE_Y))) - np.float64(get(records, at + CENTRE_Y_LOW))
+    l11 = np.float64(get(records, at + L11)) + np.float64(get(records, at + L11_LOW))
+    l12 = np.float64(get(records, at + L12)) + np.float64(get(records, at + L12_LOW))
+    l22 = np.float64(get(records, at + L22)) + np.float64(get(records, at + L22_LOW))
     return F(l11 * dx + l12 * dy), F(l22 * dy)
 
 

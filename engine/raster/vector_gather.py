@@ -30,7 +30,8 @@ def gather_labels(
             for slot in range(first, last):
                 if get(touched, slot) != 0:
                     total = total + load(slot_labels, slot * padded + c)
-            if i + 1 < end or c + TILE < padded:
-                store(d_labels, i * channels + c, total)  # what is too much, the next Gaussian writes over
+            at = i * channels + c
+            if at + TILE <= end * channels:
+                store(d_labels, at, total)  # what is too much, the next Gaussians write over
             else:
-                store_some(d_labels, i * channels + c, total, in_tail)
+                store_some(d_labels, at, total, in_tail)
