@@ -20,7 +20,6 @@ import torch
 from .bell import LOOKS, listen, new_bell
 
 
-
 class _Helper:
     """A thread and its inbox. ``called`` rings when something was put there, ``finished`` when a kernel is done."""
 

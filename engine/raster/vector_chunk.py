@@ -52,7 +52,8 @@ CHUNK_FIELDS = 11 * CHUNK
 ROW_S1 = 0  # s1 at the row's first pixel
 ROW_EXPONENTS = CHUNK  # log2(opacity) - s2^2
 NOBODY = CHUNK
-"""Stands for a member where there is none: ROW_EXPONENTS has a place for it, which lets it reach no pixel."""
+"""Stands for a member where there is none: ROW_EXPONENTS has a place for it, which lets it reach no pixel. What is read
+of its other fields is the first member's next field, so a number."""
 ROW_FIELDS = 2 * CHUNK + TILE
 
 

@@ -20,6 +20,7 @@ from .vector_chunk import (
     CHUNK_FIELDS,
     DEPTHS,
     GREENS,
+    NOBODY,
     PLACES,
     REDS,
     ROW_EXPONENTS,
@@ -182,11 +183,11 @@ def blend_row(touching: int, scratch: Array, fields: int, members: Array) -> Any
     while sees and touching != 0:
         m0 = lowest_bit(touching)
         touching &= touching - 1
-        m1 = lowest_bit(touching)
+        m1 = min(lowest_bit(touching), NOBODY)
         touching &= touching - 1
-        m2 = lowest_bit(touching)
+        m2 = min(lowest_bit(touching), NOBODY)
         touching &= touching - 1
-        m3 = lowest_bit(touching)
+        m3 = min(lowest_bit(touching), NOBODY)
         touching &= touching - 1
         e0, e1 = exponent_of(m0, scratch, fields), exponent_of(m1, scratch, fields)
         e2, e3 = exponent_of(m2, scratch, fields), exponent_of(m3, scratch, fields)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
-from scenes import random_scene, render
+from scenes import LAYERS, random_scene, render
 
 from engine.raster import memory, rasterize
 from engine.raster.workload import room_workload
@@ -47,3 +48,23 @@ def test_stays_within_its_bound() -> None:
     assert out.labels is not None
     torch.autograd.backward([out.image, out.labels], [out.image.detach(), out.labels.detach()])
     assert memory.held_bytes() <= 2500 * 10_000 + 450 * work.width * work.height
+
+
+@pytest.mark.parametrize("kernels", ["vector", "plain"])
+def test_reads_nothing_that_was_left_behind(kernels: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Free memory full of NaN changes no bit, whatever the count of Gaussians leaves unused of it."""
+    monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
+    for count in (1, 3, 17, 50, 130):
+        scene = random_scene(count, count, 5, 33, 18)
+        clean, clean_gradients = render(scene, "numba")
+        kept = [getattr(clean, layer).clone() for layer in LAYERS], {k: v.clone() for k, v in clean_gradients.items()}
+        del clean, clean_gradients
+        for blocks in memory._blocks.values():
+            for block in blocks:
+                if block.is_free():
+                    block.bytes[:] = 255
+        out, gradients = render(scene, "numba")
+        for layer, expected in zip(LAYERS, kept[0], strict=True):
+            assert torch.equal(getattr(out, layer), expected), layer
+        for group, gradient in gradients.items():
+            assert torch.equal(gradient, kept[1][group]), group
