@@ -16,6 +16,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from ..job import Cancelled, EventWriter, LiftFolder, StopSignal, write_manifest
+from ..raster.compiled import announce_compilation
 from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene, size_within
 from ..train.preparation import prepare
 from ..train.presets import chosen_preset
@@ -106,9 +107,11 @@ def train(trainer: Trainer, folder: LiftFolder, stages: StageReporter) -> None:
     steps = trainer.preset.steps
     with stages.stage("train") as progress:
         saved_at = time.monotonic()
+        compiled = announce_compilation("the kernels of a training step", "half a minute")
         try:
             while not trainer.finished:
                 report = trainer.step(stages.stop.check)
+                compiled()
                 progress(report.step, steps, report.loss)
                 if time.monotonic() - saved_at > CHECKPOINT_EVERY_S:
                     save_checkpoint(trainer, folder)

@@ -14,7 +14,7 @@ from .decoders import Decoders, DecoderShape
 class LabelChannels:
     """Meaning of the label channels: class id of each semantic channel, instance id of each slot (0 = spare slot).
 
-    Spare slots come last; they take part in training, as in the paper's 25, but are never shown.
+    Spare slots take part in training, as in the paper's 25, but are never shown.
     """
 
     class_ids: tuple[int, ...]

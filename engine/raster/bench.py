@@ -59,7 +59,8 @@ def bench_raster(json_file: Path | None = None, repeats: int = 9) -> list[dict[s
             stages = ", ".join(f"{name} {value:.1f}" for name, value in row["stages"].items())
             print(
                 f"{count:9d} {width:5d}x{height:<4d} {channels + 3:7d} {row['forward']:8.1f} {row['backward']:9.1f} "
-                f"{row['total']:7.1f} {row['processor']:10.1f} {row['gflops']:8.1f} {row['efficiency']:11.0%}  {stages}",
+                f"{row['total']:7.1f} {row['processor']:10.1f} {row['gflops']:8.1f} {row['efficiency']:11.0%}  "
+                f"{stages}",
                 flush=True,
             )
     if json_file is not None:

@@ -73,13 +73,13 @@ def choose_cache_folder() -> Path:
 CACHE_FOLDER = choose_cache_folder()
 
 
-def announce_compilation(variant: str) -> Callable[[], None]:
+def announce_compilation(what: str, how_long: str) -> Callable[[], None]:
     """Say so when kernels have yet to be compiled on this machine; call what is returned when they have
     been."""
-    stamp = CACHE_FOLDER / f"compiled-{variant}-{os.cpu_count()}"
+    stamp = CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{os.cpu_count()}"
     if stamp.exists():
         return lambda: None
-    log.info("compiling the %s rasteriser for this machine, about 15 s, once", variant)
+    log.info("compiling %s for this machine, about %s, once", what, how_long)
     return stamp.touch
 
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 ALIGNMENT = 64
 KEPT_CALLS = 400
-"""A block that was not used for so many requests is given back to the system."""
+"""A block that was not used for so many requests is given back to the system when a new one is made."""
 
 
 class _Block:

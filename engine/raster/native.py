@@ -60,7 +60,7 @@ def rasterize_native(
 def _warm_up() -> None:
     """Compile all kernels, or load them, once a process; the log says so when it takes long."""
     kernels = choose_kernels()
-    finished = announce_compilation(kernels.name)
+    finished = announce_compilation(f"the {kernels.name} rasteriser", "15 s")
     log.info("blending with the %s kernels, %d threads", kernels.name, worker_count())
     one = [
         torch.ones(1, 3),
@@ -141,6 +141,8 @@ class _Lists:
             sorters, order, boxes, self.slots, touched, view.width, view.height
         )
         self.longest = int(np.diff(self.starts).max())
+        # a worker has room for the longest list: no more of them than there are such lists to do
+        self.blenders = min(workers, max(1, -(-touched // max(1, self.longest))))
 
 
 class _Blend(torch.autograd.Function):
@@ -177,7 +179,7 @@ class _Blend(torch.autograd.Function):
         alpha, depth = memory.empty_tensor((height, width)), memory.empty_tensor((height, width))
         rest, last = memory.empty(height * width, np.float32), memory.empty(height * width, np.float32)
         share(
-            workers,
+            lists.blenders,
             kernels.blend,
             np.zeros(1, np.int64),
             lists.starts,
@@ -190,7 +192,7 @@ class _Blend(torch.autograd.Function):
             *(layer.numpy().reshape(-1) for layer in (image, labels_out, alpha, depth)),
             rest,
             last,
-            *_scratch(workers, kernels.blend_scratch(channels, lists.longest), lists.longest),
+            *_scratch(lists.blenders, kernels.blend_scratch(channels, lists.longest), lists.longest),
         )
         top_indices = torch.empty((height, width, top_k), dtype=torch.int32)
         top_weights = torch.empty((height, width, top_k), dtype=torch.float32)

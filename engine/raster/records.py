@@ -18,6 +18,7 @@ TILE = 16
 """Pixels: the side of a tile, and the length of the rows that the kernels work on."""
 CHUNK = 48
 """Gaussians of a tile that are handled together: whole vectors of them, and no more than a word has bits."""
+assert CHUNK % TILE == 0 and CHUNK <= 64
 
 # columns of a record; the centre is the sum of two floats (a double's precision where it matters)
 CENTRE_X, CENTRE_X_LOW, CENTRE_Y, CENTRE_Y_LOW = 0, 1, 2, 3

@@ -46,14 +46,14 @@ SLOPE, SHEAR, DROP = 2 * CHUNK, 3 * CHUNK, 4 * CHUNK  # L11, L12, L22
 LOG_OPACITIES = 5 * CHUNK
 REDS, GREENS, BLUES, DEPTHS = 6 * CHUNK, 7 * CHUNK, 8 * CHUNK, 9 * CHUNK
 PLACES = 10 * CHUNK  # in the tile's list
-CHUNK_FIELDS = 11 * CHUNK
+CHUNK_FIELDS = 11 * CHUNK + TILE  # the last one has a place for nobody too
 
 # fields of one row, in floats from where they lie
 ROW_S1 = 0  # s1 at the row's first pixel
 ROW_EXPONENTS = CHUNK  # log2(opacity) - s2^2
 NOBODY = CHUNK
 """Stands for a member where there is none: ROW_EXPONENTS has a place for it, which lets it reach no pixel. What is read
-of its other fields is the first member's next field, so a number."""
+of its other fields is of no consequence, but must be a number where it is multiplied: the first member's next field."""
 ROW_FIELDS = 2 * CHUNK + TILE
 
 

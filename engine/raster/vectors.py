@@ -297,17 +297,6 @@ def choose(typing_context: Any, condition: Any, a: Any, b: Any) -> Any:
 
 
 @intrinsic
-def negative_of(typing_context: Any, a: Any) -> Any:
-    """-abs(a): the sign bit set."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        bits = builder.or_(builder.bitcast(arguments[0], INTS_IR), ir.Constant(INTS_IR, [-(1 << 31)] * WIDTH))
-        return builder.bitcast(bits, LANES_IR)
-
-    return lanes(lanes), emit
-
-
-@intrinsic
 def bits_of(typing_context: Any, condition: Any) -> Any:
     """The flags as an integer, lane 0 lowest."""
 
@@ -362,8 +351,6 @@ def has_wide_registers() -> bool:
 WIDE = has_wide_registers()
 _ALL = ir.Constant(WORD, -1)
 _NEAREST_IS_FLOOR, _AS_SET = INT(1), INT(4)
-
-
 
 
 def _polynomials(builder: ir.IRBuilder, places: list[ir.Value], coefficients: tuple[float, ...]) -> list[ir.Value]:

@@ -50,6 +50,27 @@ def test_stays_within_its_bound() -> None:
     assert memory.held_bytes() <= 2500 * 10_000 + 450 * work.width * work.height
 
 
+def test_stays_within_its_bound_when_one_tile_has_them_all() -> None:
+    """Seen from afar, with more threads than there is work for."""
+    work, count = room_workload(4000), 4000
+    memory._blocks.clear()
+    arrays = (work.means * 1e-3, work.scales, work.quats, work.opacities, work.colours, work.labels)
+    tensors = [torch.from_numpy(np.ascontiguousarray(array, np.float32)).requires_grad_() for array in arrays]
+    tensors[1] = tensors[1].detach().mul_(1e-3).requires_grad_()
+    pose = np.eye(4)
+    pose[2, 3] = -5.0
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(16)
+        out = rasterize(*tensors, pose, np.array([[100.0, 0, 24], [0, 100, 24], [0, 0, 1]]), 48, 48)
+        assert out.labels is not None and out.visible.all()
+        torch.autograd.backward([out.image, out.labels], [out.image.detach(), out.labels.detach()])
+    finally:
+        torch.set_num_threads(threads)
+    backward_scratch = 16 * 4 * (17 * 48 * 16 + 65 * 48)  # a worker's own, whatever the scene
+    assert memory.held_bytes() <= 2500 * count + 450 * 48 * 48 + backward_scratch
+
+
 @pytest.mark.parametrize("kernels", ["vector", "plain"])
 def test_reads_nothing_that_was_left_behind(kernels: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Free memory full of NaN changes no bit, whatever the count of Gaussians leaves unused of it."""

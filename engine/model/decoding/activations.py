@@ -56,7 +56,7 @@ def sum_of(typing_context: Any, values: Any) -> Any:
 
 @inlined
 def exponential(x: Any) -> Any:
-    """e^x; infinite above 88, e^-44 below -44."""
+    """e^x of a number; infinite above 88, e^-44 below -44. NaN of what is not finite."""
     power = x * spread(LOG2_E)
     value = exp2(minimum(power, spread(LARGEST_POWER)))
     value = choose(power > spread(LARGEST_POWER), spread(INFINITY), value)
@@ -80,7 +80,7 @@ def tanh(x: Any) -> Any:
 
 @inlined
 def falling_exponential(x: Any) -> Any:
-    """e^x of x <= 0; e^-44 below -44."""
+    """e^x of a number <= 0; e^-44 below -44. NaN of what is not finite."""
     return fma(x, spread(ZERO), exp2(x * spread(LOG2_E)))
 
 

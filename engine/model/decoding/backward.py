@@ -215,7 +215,7 @@ def decode_back(
         for batch in range(batches * part // parts, batches * (part + 1) // parts):
             start, first = batch * BATCH, starts[batch]
             end = min(start + BATCH, visible.shape[0])
-            drawn, everyone, _ = list_anchors(start, end, k, opacities, visible, channels, listed)
+            drawn, everyone = list_anchors(start, end, k, opacities, visible, channels, listed)
             if everyone == 0:
                 continue
             collect_inputs(listed, everyone, visible, feature, position, centre, sizes, mine)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import binding, ir
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
 from ...raster.compiled import Array, compiled
-from ...raster.vectors import FLOAT, INT, call, element, intrinsic
+from ...raster.vectors import FLOAT, INT, WIDE, call, element, intrinsic
 
-WIDE = bool(binding.get_host_cpu_features().get("avx512f", False))
-"""Thirty-two registers of sixteen floats; else there are about sixteen of eight."""
 COLUMNS = 16 if WIDE else 8
 """Columns in one vector of a block: as wide as a register."""
 ROWS = 8 if WIDE else 4

@@ -241,7 +241,7 @@ def decode_gaussians(
             break
         start, first = batch * BATCH, starts[batch]
         end = min(start + BATCH, visible.shape[0])
-        drawn, everyone, _ = list_anchors(start, end, k, opacities, visible, channels, listed)
+        drawn, everyone = list_anchors(start, end, k, opacities, visible, channels, listed)
         losses[batch] = 0.0
         if everyone == 0:
             continue

@@ -46,9 +46,9 @@ def list_anchors(start: int, end: int, k: int, opacities: Array, visible: Array,
     """Lists the places in ``visible`` [V] from ``start`` to ``end`` that have work beyond their opacity.
 
     First the anchors with a Gaussian to draw, then those that the cluster loss alone asks for. Returns how many of the
-    former, of both together, and of Gaussians to draw.
+    former, and of both together.
     """
-    drawn, gaussians = 0, 0
+    drawn = 0
     for v in range(start, end):
         shown = 0
         for g in range(k):
@@ -57,7 +57,6 @@ def list_anchors(start: int, end: int, k: int, opacities: Array, visible: Array,
         if shown > 0:
             listed[drawn] = v
             drawn += 1
-            gaussians += shown
     everyone = drawn
     if channels.shape[0] > 0:
         for v in range(start, end):
@@ -69,7 +68,7 @@ def list_anchors(start: int, end: int, k: int, opacities: Array, visible: Array,
                 if shown == 0:
                     listed[everyone] = v
                     everyone += 1
-    return drawn, everyone, gaussians
+    return drawn, everyone
 
 
 @compiled
@@ -105,7 +104,7 @@ def run_first_layer(head: Any, rows: int, weights: Array, sizes: Any, mine: Arra
             store(mine, at + i * HIDDEN + c, load(weights, head.first_bias + c))
     add_product(mine, at, WIDE, mine, START, sizes.inputs, STEP, weights, head.first, WIDE, rows, WIDE, head.inputs)
     for c in range(at, at + rows * HIDDEN, WIDTH):
-        store(mine, c, maximum(spread(ZERO), load(mine, c)))
+        store(mine, c, maximum(load(mine, c), spread(ZERO)))
 
 
 @compiled

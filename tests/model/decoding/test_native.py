@@ -243,6 +243,17 @@ def test_nan_is_not_hidden(output: str) -> None:
     assert torch.isnan(getattr(decoded(case), output)).any()
 
 
+@pytest.mark.parametrize("parameter", ["0.weight", "0.bias"])
+@pytest.mark.parametrize("decoder", ["colour", "covariance", "semantic", "instance"])
+def test_nan_comes_through_the_hidden_layer(decoder: str, parameter: str) -> None:
+    case = case_of(STANDARD, 30)
+    with torch.no_grad():
+        getattr(case.decoders, decoder).get_parameter(parameter).fill_(torch.nan)
+    out = decoded(case)
+    reached = {"colour": out.colours, "covariance": out.scales, "semantic": out.labels, "instance": out.labels}
+    assert torch.isnan(reached[decoder]).any()
+
+
 def test_plain_kernels_mean_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     case = case_of(STANDARD, 50)
     vector = decoded(case)
