@@ -9,6 +9,7 @@ import torch
 from scenes import (
     GROUPS,
     LAYERS,
+    Scene,
     hard_scenes,
     missed_elements,
     random_scene,
@@ -17,8 +18,9 @@ from scenes import (
     steady_pixels,
 )
 
-from engine.raster import rasterize
+from engine.raster import Rendering, rasterize
 from engine.raster.conventions import NEAR
+from engine.raster.workload import room_workload
 
 SCENES = hard_scenes() | scenes_by_channels()
 MOST_NEAR_A_THRESHOLD = 0.03
@@ -115,6 +117,27 @@ def test_the_same_bits_with_any_number_of_threads(
             assert torch.equal(getattr(out, layer), getattr(results[0][0], layer))
         for group in GROUPS:
             assert torch.equal(gradients[group], results[0][1][group]), group
+
+
+def test_the_same_bits_on_a_room() -> None:
+    """More Gaussians and tiles than the small scenes, so that the workers really do share everything."""
+    work = room_workload(10_000)
+    arrays = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
+    tensors = tuple(torch.from_numpy(array) for array in arrays)
+    scene = Scene(tensors, work.camera_to_world, work.intrinsics, work.width, work.height)
+    before = torch.get_num_threads()
+    first: tuple[Rendering, dict[str, torch.Tensor]] | None = None
+    try:
+        for threads in (1, 2, 3, 3, 1):
+            torch.set_num_threads(threads)
+            out, gradients = render(scene, "numba")
+            first = first or (out, gradients)
+            for layer in LAYERS:
+                assert torch.equal(getattr(out, layer), getattr(first[0], layer)), (layer, threads)
+            for group in GROUPS:
+                assert torch.equal(gradients[group], first[1][group]), (group, threads)
+    finally:
+        torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize("backend", ["numba", "reference"])
