@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.registry import cpu_target
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
@@ -73,10 +74,19 @@ def choose_cache_folder() -> Path:
 CACHE_FOLDER = choose_cache_folder()
 
 
+def machine_target() -> tuple[str, str, str]:
+    """What Numba compiles for: (triple, processor, features such as "+avx2,-avx512f"), by this machine and by
+    ``NUMBA_CPU_NAME``, ``NUMBA_CPU_FEATURES`` and ``NUMBA_ENABLE_AVX``. Machine code in the cache is told apart by the
+    same, so whatever depends on nothing else about the machine never mixes."""
+    target: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
+    return target
+
+
 def announce_compilation(what: str, how_long: str) -> Callable[[], None]:
     """Say so when kernels have yet to be compiled on this machine; call what is returned when they have
     been."""
-    stamp = CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{os.cpu_count()}"
+    target = hashlib.sha256(repr(machine_target()).encode()).hexdigest()[:16]
+    stamp = CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{target}"
     if stamp.exists():
         return lambda: None
     log.info("compiling %s for this machine, about %s, once", what, how_long)

@@ -12,10 +12,12 @@ from __future__ import annotations
 import operator
 from typing import Any
 
-from llvmlite import binding, ir
-from numba import config, extending, types
+from llvmlite import ir
+from numba import extending, types
 from numba.core import cgutils
 from numba.extending import lower_builtin, models, register_model, type_callable
+
+from .compiled import machine_target
 
 intrinsic: Any = extending.intrinsic
 """Called without the typing context that it is declared with, which no type checker can know."""
@@ -340,12 +342,10 @@ _LOWEST = -64.0
 
 
 def has_wide_registers() -> bool:
-    """AVX-512: thirty-two registers of sixteen floats, and its own steps of an exponential."""
-    settings: Any = config
-    if settings.CPU_NAME not in (None, "host"):  # Numba was told to compile for another one
-        return False
-    features = binding.get_host_cpu_features()
-    return bool(features.get("avx512f", False) and features.get("avx512dq", False))
+    """AVX-512: thirty-two registers of sixteen floats, and its own steps of an exponential. Where Numba is told to
+    compile for a machine without them, there are none."""
+    features = machine_target()[2].split(",")
+    return "+avx512f" in features and "+avx512dq" in features
 
 
 WIDE = has_wide_registers()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 import torch
 from scenes import LAYERS, random_scene, render
 
 from engine.raster import memory, rasterize
-from engine.raster.workload import room_workload
+from engine.raster.workload import Workload, room_workload
 
 
 def test_what_is_kept_is_not_overwritten() -> None:
@@ -37,17 +39,44 @@ def test_blocks_are_aligned_and_distinct() -> None:
     assert len({array.ctypes.data for array in arrays}) == 4
 
 
-def test_stays_within_its_bound() -> None:
-    work = room_workload(10_000)
-    memory._blocks.clear()
-    tensors = [
-        torch.from_numpy(array).requires_grad_()
-        for array in (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
-    ]
+def step(work: Workload, change: int = 0) -> None:
+    """Forward and backward; ``change`` moves and shrinks the Gaussians a little."""
+    arrays = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
+    tensors = [torch.from_numpy(array).clone() for array in arrays]
+    tensors[0] += 0.002 * change * torch.randn(tensors[0].shape, generator=torch.Generator().manual_seed(change))
+    tensors[1] *= 1.0 - 0.003 * change
+    for tensor in tensors:
+        tensor.requires_grad_()
     out = rasterize(*tensors, work.camera_to_world, work.intrinsics, work.width, work.height)
     assert out.labels is not None
     torch.autograd.backward([out.image, out.labels], [out.image.detach(), out.labels.detach()])
-    assert memory.held_bytes() <= 2500 * 10_000 + 450 * work.width * work.height
+
+
+@pytest.mark.parametrize("count", [10_000, 50_000])
+def test_stays_within_its_bound(count: int) -> None:
+    work = room_workload(count)
+    memory._blocks.clear()
+    step(work)
+    assert memory.held_bytes() <= 2500 * count + 450 * work.width * work.height
+
+
+@pytest.mark.parametrize("count", [10_000, 50_000])
+def test_steps_of_a_slowly_changing_scene_allocate_nothing(count: int) -> None:
+    work = room_workload(count)
+    memory._blocks.clear()
+    for _ in range(2):
+        step(work)
+    held = memory.held_bytes()
+    tracemalloc.start()
+    try:
+        for change in range(1, 6):
+            step(work, change)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    little = 1_000_000  # of the 100 MB that a step works with
+    assert abs(memory.held_bytes() - held) <= little
+    assert peak <= little
 
 
 def test_stays_within_its_bound_when_one_tile_has_them_all() -> None:

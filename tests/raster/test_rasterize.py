@@ -2,22 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
-from scenes import GROUPS, LAYERS, hard_scenes, missed_share, random_scene, render, steady_pixels
+from scenes import (
+    GROUPS,
+    LAYERS,
+    Scene,
+    hard_scenes,
+    missed_elements,
+    random_scene,
+    render,
+    scenes_by_channels,
+    steady_pixels,
+)
 
-from engine.raster import rasterize
+from engine.raster import Rendering, rasterize
+from engine.raster.conventions import NEAR
+from engine.raster.workload import room_workload
 
-SCENES = hard_scenes()
+SCENES = hard_scenes() | scenes_by_channels()
+MOST_NEAR_A_THRESHOLD = 0.03
+"""Share of a scene's pixels; float32 may decide these otherwise, so they are counted and left out."""
+MAY_MISS = {"long lists": 3} | dict.fromkeys(scenes_by_channels(), 1)
+"""So many elements of a group may miss the bound on gradients, beside 1e-4 of them (which is none of so few). Float32
+is good to about 1e-6 of a Gaussian's gradient, and an element that happens to be a thousandth of its neighbours misses
+its own thousandth; through a list of a thousand the transmittance, rounded at each, wanders off by 2e-6. Over all
+scenes together it is 1e-4."""
 
 
 @pytest.mark.parametrize("kernels", ["vector", "plain"])
 @pytest.mark.parametrize("name", SCENES)
-def test_matches_the_reference(name: str, kernels: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_matches_the_reference(
+    name: str, kernels: str, monkeypatch: pytest.MonkeyPatch, record_property: Callable[[str, object], None]
+) -> None:
     monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
     scene = SCENES[name]
     steady = steady_pixels(scene)
-    assert steady.float().mean() > 0.9
+    near = int((~steady).sum())
+    record_property("pixels near a threshold", near)
+    print(f"{name}: {near} of {steady.numel()} pixels are near a threshold")  # pytest -rP shows it
+    assert near <= MOST_NEAR_A_THRESHOLD * steady.numel(), f"{near} of {steady.numel()} pixels are near a threshold"
     ours, our_gradients = render(scene, "numba", steady)
     theirs, their_gradients = render(scene, "reference", steady)
     assert torch.equal(ours.visible, theirs.visible)
@@ -28,7 +54,34 @@ def test_matches_the_reference(name: str, kernels: str, monkeypatch: pytest.Monk
             got, expected, rtol=0, atol=1e-5, msg=lambda text, layer=layer: f"{layer}: {text}"
         )
     for group in GROUPS:
-        assert missed_share(our_gradients[group], their_gradients[group]) <= 1e-4, group
+        missed = missed_elements(our_gradients[group], their_gradients[group])
+        count = their_gradients[group].numel()
+        assert missed <= max(1e-4 * count, MAY_MISS.get(name, 0)), f"{group}: {missed} of {count} elements"
+
+
+@pytest.mark.parametrize("kernels", ["vector", "plain"])
+def test_gradients_over_all_scenes(kernels: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
+    missed, counts = dict.fromkeys(GROUPS, 0), dict.fromkeys(GROUPS, 0)
+    for scene in SCENES.values():
+        steady = steady_pixels(scene)
+        ours, theirs = (render(scene, backend, steady)[1] for backend in ("numba", "reference"))
+        for group in GROUPS:
+            missed[group] += missed_elements(ours[group], theirs[group])
+            counts[group] += theirs[group].numel()
+    for group in GROUPS:
+        assert missed[group] <= 1e-4 * counts[group], f"{group}: {missed[group]} of {counts[group]} elements"
+
+
+def test_scenes_are_what_their_names_say() -> None:
+    scene = SCENES["long lists"]
+    assert rasterize(*scene.tensors, scene.pose, scene.intrinsics, scene.width, scene.height).visible.all()
+    scene = SCENES["across the near plane"]
+    depths = (scene.tensors[0].double().numpy() - scene.pose[:3, 3]) @ scene.pose[:3, 2]
+    assert 20 < (depths <= NEAR).sum() < len(depths) - 20
+    scene = SCENES["partly saturated"]
+    alpha = rasterize(*scene.tensors, scene.pose, scene.intrinsics, scene.width, scene.height).alpha
+    assert (alpha > 0.99).float().mean() > 0.1 and (alpha < 0.96).float().mean() > 0.1
 
 
 @pytest.mark.parametrize("backend", ["numba", "reference"])
@@ -45,9 +98,12 @@ def test_nothing_to_see(backend: str, count: int) -> None:
 
 
 @pytest.mark.parametrize("kernels", ["vector", "plain"])
-def test_the_same_bits_with_any_number_of_threads(kernels: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("channels", [1, 5, 20])
+def test_the_same_bits_with_any_number_of_threads(
+    kernels: str, channels: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
-    scene = random_scene(5, 500, 20, 70, 50)
+    scene = random_scene(5, 500, channels, 70, 50)
     before = torch.get_num_threads()
     results = []
     try:
@@ -61,6 +117,27 @@ def test_the_same_bits_with_any_number_of_threads(kernels: str, monkeypatch: pyt
             assert torch.equal(getattr(out, layer), getattr(results[0][0], layer))
         for group in GROUPS:
             assert torch.equal(gradients[group], results[0][1][group]), group
+
+
+def test_the_same_bits_on_a_room() -> None:
+    """More Gaussians and tiles than the small scenes, so that the workers really do share everything."""
+    work = room_workload(10_000)
+    arrays = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
+    tensors = tuple(torch.from_numpy(array) for array in arrays)
+    scene = Scene(tensors, work.camera_to_world, work.intrinsics, work.width, work.height)
+    before = torch.get_num_threads()
+    first: tuple[Rendering, dict[str, torch.Tensor]] | None = None
+    try:
+        for threads in (1, 2, 3, 3, 1):
+            torch.set_num_threads(threads)
+            out, gradients = render(scene, "numba")
+            first = first or (out, gradients)
+            for layer in LAYERS:
+                assert torch.equal(getattr(out, layer), getattr(first[0], layer)), (layer, threads)
+            for group in GROUPS:
+                assert torch.equal(gradients[group], first[1][group]), (group, threads)
+    finally:
+        torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize("backend", ["numba", "reference"])

@@ -1,0 +1,158 @@
+"""What a new process pays before the first picture, with an empty cache and a full one, and on lesser machines.
+
+Processor time of the whole process is measured, so that the figures do not depend on who else is busy.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+NO_HOME = "/dev/null/home"  # cannot be made by anybody, root included
+COLD_SECONDS, WARM_SECONDS = 15.0, 1.0
+ANNOUNCEMENT = "compiling the vector rasteriser for this machine, about 15 s, once"
+RENDER = """
+import json, logging, sys, time
+import numba, torch
+lines = []
+handler = logging.Handler()
+handler.emit = lambda record: lines.append(record.getMessage())
+logging.getLogger("plgs.raster").addHandler(handler)
+logging.getLogger("plgs.raster").setLevel(logging.INFO)
+start = time.process_time()
+from engine.raster import compiled, rasterize
+from engine.raster.workload import room_workload
+work = room_workload(200, 64, 48)
+tensors = [torch.from_numpy(array).requires_grad_() for array in
+    (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)]
+out = rasterize(*tensors, work.camera_to_world, work.intrinsics, work.width, work.height)
+(out.image.sum() + out.labels.sum()).backward()
+seconds = time.process_time() - start
+print(json.dumps({"seconds": seconds, "lines": lines, "cache": str(compiled.CACHE_FOLDER)}))
+"""
+LESSER_MACHINE = """
+import sys
+import pytest
+from engine.raster import vector_backward, vector_forward, vectors
+assert not vectors.WIDE
+failed = pytest.main(["-q", "-p", "no:cacheprovider", "tests/raster/test_rasterize.py", "-k", "matches or same_bits"])
+kernels = (vector_forward.blend_tiles, vector_backward.unblend_tiles)
+code = "".join(text for kernel in kernels for text in kernel.inspect_asm().values())
+assert "%ymm" in code and "%zmm" not in code
+sys.exit(failed)
+"""
+
+
+@dataclass(frozen=True)
+class Run:
+    """``seconds`` of processor time after importing torch and Numba, the rasteriser's log, its cache folder."""
+
+    seconds: float
+    lines: list[str]
+    cache: Path
+
+
+def environment(**changes: str) -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "PLGS_", "XDG_"))}
+    return kept | {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"} | changes
+
+
+def render_in_a_process(code: Path, **changes: str) -> Run:
+    variables = environment(**changes) | {"PYTHONPATH": str(code)}
+    done = subprocess.run(
+        [sys.executable, "-c", RENDER], cwd=code, env=variables, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    row = json.loads(done.stdout.splitlines()[-1])
+    return Run(row["seconds"], row["lines"], Path(row["cache"]))
+
+
+@pytest.fixture(scope="module")
+def read_only_code(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The engine in a folder that nobody may write to; ``listing`` tells when somebody (root may) did."""
+    code = tmp_path_factory.mktemp("code")
+    shutil.copytree(ROOT / "engine", code / "engine", ignore=shutil.ignore_patterns("__pycache__"))
+    for path in [code, *code.rglob("*")]:
+        path.chmod(path.stat().st_mode & ~0o222)
+    return code
+
+
+def listing(folder: Path) -> list[tuple[str, int]]:
+    return sorted((str(path), path.stat().st_mtime_ns) for path in folder.rglob("*"))
+
+
+@pytest.fixture(scope="module")
+def cold(read_only_code: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    cache = str(tmp_path_factory.mktemp("cache"))
+    before = listing(read_only_code)
+    run = render_in_a_process(read_only_code, NUMBA_CACHE_DIR=cache, HOME=NO_HOME)
+    assert listing(read_only_code) == before
+    assert str(run.cache).startswith(cache)
+    return run
+
+
+@pytest.mark.slow
+def test_a_cold_start_compiles_and_says_so(cold: Run) -> None:
+    print(f"cold start: {cold.seconds:.1f} s")
+    assert ANNOUNCEMENT in cold.lines
+    assert cold.seconds <= COLD_SECONDS
+
+
+@pytest.mark.slow
+def test_a_warm_start_is_soon_over(cold: Run, read_only_code: Path) -> None:
+    cache = str(cold.cache.parent)
+    runs = [render_in_a_process(read_only_code, NUMBA_CACHE_DIR=cache, HOME=NO_HOME) for _ in range(3)]
+    seconds = [run.seconds for run in runs]
+    print("warm starts:", ", ".join(f"{own:.2f} s" for own in seconds))
+    assert all(run.cache == cold.cache and ANNOUNCEMENT not in run.lines for run in runs)
+    assert min(seconds) <= WARM_SECONDS
+
+
+@pytest.mark.slow
+def test_needs_neither_a_home_nor_a_setting(cold: Run, read_only_code: Path, tmp_path: Path) -> None:
+    """The temporary folder takes the machine code where nothing else can."""
+    own = tmp_path / "plgs" / cold.cache.name
+    shutil.copytree(cold.cache, own)
+    before = listing(read_only_code)
+    run = render_in_a_process(read_only_code, HOME=NO_HOME, TMPDIR=str(tmp_path))
+    assert run.cache == own
+    assert listing(read_only_code) == before
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="about x86 processors")
+def test_matches_the_reference_on_a_machine_without_avx512(tmp_path: Path) -> None:
+    """The processor's name alone is not enough: Numba would still use all that this one can."""
+    variables = environment(NUMBA_CPU_NAME="haswell", NUMBA_CPU_FEATURES="", NUMBA_CACHE_DIR=str(tmp_path))
+    done = subprocess.run(
+        [sys.executable, "-c", LESSER_MACHINE], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=500
+    )
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "setting, wide",
+    [
+        ({"NUMBA_CPU_NAME": "generic"}, False),
+        ({"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": ""}, False),
+        ({"NUMBA_CPU_FEATURES": "+avx2,+fma,-avx512f"}, False),
+        ({"NUMBA_ENABLE_AVX": "0"}, False),
+        ({"NUMBA_CPU_NAME": "cascadelake", "NUMBA_CPU_FEATURES": "+avx512f,+avx512dq"}, True),
+    ],
+)
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="about x86 processors")
+def test_uses_only_the_instructions_that_numba_may(setting: dict[str, str], wide: bool, tmp_path: Path) -> None:
+    variables = environment(NUMBA_CACHE_DIR=str(tmp_path), **setting)
+    text = "from engine.raster.vectors import WIDE; print(WIDE)"
+    done = subprocess.run([sys.executable, "-c", text], cwd=ROOT, env=variables, capture_output=True, text=True)
+    assert done.stdout.strip() == str(wide), done.stderr
