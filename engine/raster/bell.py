@@ -29,7 +29,7 @@ def _counter(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
     return context.make_array(signature.args[0])(context, builder, arguments[0]).data
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def _rings(typing_context: Any, bell: Any) -> Any:
     """How often it rang; what was written before the ring can be seen."""
 
@@ -39,7 +39,7 @@ def _rings(typing_context: Any, bell: Any) -> Any:
     return types.int64(bell), emit
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def _rest(typing_context: Any) -> Any:
     """Let the compiler keep the loop around it."""
 
