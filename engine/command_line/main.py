@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -106,6 +107,8 @@ def _warm_up(options: argparse.Namespace) -> ExitCode:
 
 
 def _bench(options: argparse.Namespace) -> ExitCode:
+    if options.json is not None:
+        refuse_unwritable(options.json)
     if options.what == "raster":
         from ..raster.bench import bench_raster
 
@@ -115,3 +118,13 @@ def _bench(options: argparse.Namespace) -> ExitCode:
 
         bench_step(options.json)
     return ExitCode.FINISHED
+
+
+def refuse_unwritable(file: Path) -> None:
+    """Before minutes of work: raise JobError when ``file`` could not be written."""
+    if file.is_dir():
+        raise JobError("the figures need a file, this is a folder", file, "Name a file in it.")
+    if not file.parent.is_dir():
+        raise JobError("there is no such folder to write the figures to", file.parent, "Make it, or name another file.")
+    if not os.access(file if file.exists() else file.parent, os.W_OK):
+        raise JobError("this cannot be written", file, "Name a file in a folder of yours.")

@@ -128,3 +128,16 @@ def test_bench_measures_a_training_step(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert main(["bench", "step"]) == 0
     assert main(["bench", "step", "--json", str(tmp_path / "figures.json")]) == 0
     assert asked == [None, tmp_path / "figures.json"]
+
+
+@pytest.mark.parametrize("what", ["raster", "step"])
+def test_bench_refuses_a_file_that_it_cannot_write_before_it_measures(
+    what: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    started = time.monotonic()
+    for file in (tmp_path / "missing" / "figures.json", tmp_path):
+        assert code_of("bench", what, "--json", file) == 2
+        captured = capsys.readouterr()
+        assert captured.err.startswith("error: ") and captured.err.count("\n") == 1
+        assert str(tmp_path) in captured.err and not captured.out
+    assert time.monotonic() - started < 5.0
