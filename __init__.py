@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from types import ModuleType
 
-_PARTS: tuple[ModuleType, ...] = ()
-"""Modules with `register` and `unregister`, in order. None has anything that Blender must know yet."""
+
+def _parts() -> tuple[ModuleType, ...]:
+    """Modules with `register` and `unregister`, in order: what others refer to comes first."""
+    from . import operators, plgs_blender, ui
+
+    return plgs_blender, operators, ui
 
 
 def register() -> None:
     """Called by Blender when the extension is switched on."""
-    for part in _PARTS:
+    for part in _parts():
         part.register()
 
 
 def unregister() -> None:
     """Called by Blender when the extension is switched off: the same, backwards."""
-    for part in reversed(_PARTS):
+    for part in reversed(_parts()):
         part.unregister()

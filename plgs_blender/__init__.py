@@ -3,3 +3,28 @@
 Functions here work the same from a script, a test, or an operator: they take a folder and a scene and never
 look at selections, modes or windows. Start with `lift_scene.place_lift` and `lift_scene.save_lift`.
 """
+
+from __future__ import annotations
+
+from types import ModuleType
+
+
+def _modules() -> tuple[ModuleType, ...]:
+    """Those that Blender has to know, in order. Imported late: a script that only reads a result needs none of them."""
+    from . import settings
+
+    return (settings,)
+
+
+def register() -> None:
+    """Called when the extension is switched on, before operators and panels."""
+    from .registration import register_modules
+
+    register_modules(_modules())
+
+
+def unregister() -> None:
+    """Called when the extension is switched off, after operators and panels."""
+    from .registration import unregister_modules
+
+    unregister_modules(_modules())

@@ -1,0 +1,20 @@
+"""What the user can do. Each operator checks the context, calls one function of `plgs_blender`, and reports.
+
+All of them work from a script with the same arguments as from their buttons.
+"""
+
+from __future__ import annotations
+
+from ..plgs_blender.registration import register_modules, unregister_modules
+
+_MODULES = ()
+
+
+def register() -> None:
+    """Called when the extension is switched on."""
+    register_modules(_MODULES)
+
+
+def unregister() -> None:
+    """Called when the extension is switched off."""
+    unregister_modules(_MODULES)

@@ -1,0 +1,116 @@
+"""What the user chose in the panel: kept with the scene in the .blend, undone with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
+
+from ..engine.job import LiftRequest
+from ..engine.job.request import LARGEST_SIDE, SMALLEST_SIDE
+
+_PRESETS = [
+    ("preview", "Preview", "Minutes: to see whether frames, poses and masks fit together"),
+    ("standard", "Standard", "The best result, in a few times the minutes"),
+    ("paper", "Paper", "The paper's own way and number of steps: hours"),
+]
+_UPS = [
+    ("z", "Z", "The poses' z axis points up"),
+    ("y", "Y", "The poses' y axis points up"),
+    ("-y", "-Y", "The poses' y axis points down, as in a camera"),
+]
+_BAKES = [
+    ("test", "Held-out frames", "Bake the passes of the frames that are held out of training"),
+    ("all", "All frames", "Bake the passes of every frame"),
+    ("none", "None", "Bake no passes; they can be baked later"),
+]
+
+
+class PLGS_PG_settings(bpy.types.PropertyGroup):
+    """`scene.plgs`. Zero for steps, width and height leaves them to the preset."""
+
+    scene_folder: StringProperty(  # type: ignore[valid-type]
+        name="Scene", subtype="DIR_PATH", description="Folder with color, depth, pose, intrinsic and the masks"
+    )
+    masks: StringProperty(  # type: ignore[valid-type]
+        name="Masks", subtype="FILE_PATH", description="Panoptic masks that lie elsewhere than in the scene's folder"
+    )
+    up: EnumProperty(  # type: ignore[valid-type]
+        name="Up", items=_UPS, default="z", description="The axis of the poses that points up"
+    )
+    preset: EnumProperty(  # type: ignore[valid-type]
+        name="Preset", items=_PRESETS, default="preview", description="How much work to spend"
+    )
+    steps: IntProperty(  # type: ignore[valid-type]
+        name="Steps", min=0, max=10_000_000, description="Training steps; 0 takes the preset's"
+    )
+    width: IntProperty(  # type: ignore[valid-type]
+        name="Width", min=0, max=LARGEST_SIDE, subtype="PIXEL",
+        description=f"Frames are brought within this width, at least {SMALLEST_SIDE}; 0 takes the preset's",
+    )  # fmt: skip
+    height: IntProperty(  # type: ignore[valid-type]
+        name="Height", min=0, max=LARGEST_SIDE, subtype="PIXEL",
+        description=f"Frames are brought within this height, at least {SMALLEST_SIDE}; 0 takes the preset's",
+    )  # fmt: skip
+    seed: IntProperty(  # type: ignore[valid-type]
+        name="Seed", min=0, max=2**31 - 1, description="Start of all chance: same seed, same result"
+    )
+    bake: EnumProperty(  # type: ignore[valid-type]
+        name="Bake", items=_BAKES, default="test", description="Which frames become compositor passes"
+    )
+    lift_folder: StringProperty(  # type: ignore[valid-type]
+        name="Lift folder", subtype="DIR_PATH",
+        description="Where the lift and its results go; empty: a new folder beside the scene's",
+    )  # fmt: skip
+    keep_running: BoolProperty(  # type: ignore[valid-type]
+        name="Go on without Blender",
+        description="Closing Blender does not stop the lift; the next Blender finds it again",
+    )
+    live_preview: BoolProperty(  # type: ignore[valid-type]
+        name="Live preview", default=True,
+        description="While it lifts, show what the active camera sees in the model as that camera's background",
+    )  # fmt: skip
+    place_when_done: BoolProperty(  # type: ignore[valid-type]
+        name="Show when done", default=True, description="Put the result into this scene as soon as it is there"
+    )
+
+
+def absolute(path: str) -> Path:
+    """A path as the user typed it ("//" is the .blend's folder), made absolute; without a trailing slash."""
+    return Path(bpy.path.abspath(path)).absolute()
+
+
+def request_of(settings: PLGS_PG_settings) -> LiftRequest:
+    """What the settings ask for. Raises JobError when a value is out of range."""
+    size = (settings.width, settings.height) if settings.width or settings.height else None
+    return LiftRequest(
+        scene=absolute(settings.scene_folder),
+        masks=absolute(settings.masks) if settings.masks else None,
+        preset=settings.preset,
+        steps=settings.steps or None,
+        size=size,
+        seed=settings.seed,
+        up=settings.up,
+        bake=settings.bake,
+    )
+
+
+def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> None:
+    """Let the settings say what the lift in `folder` was asked for."""
+    settings.lift_folder, settings.scene_folder = str(folder), str(request.scene)
+    settings.masks = "" if request.masks is None else str(request.masks)
+    settings.up, settings.preset, settings.bake = request.up, request.preset, request.bake
+    settings.steps, settings.seed = request.steps or 0, min(request.seed, 2**31 - 1)
+    settings.width, settings.height = request.size or (0, 0)
+
+
+CLASSES = (PLGS_PG_settings,)
+
+
+def register() -> None:
+    bpy.types.Scene.plgs = PointerProperty(type=PLGS_PG_settings)
+
+
+def unregister() -> None:
+    del bpy.types.Scene.plgs

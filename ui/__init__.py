@@ -1,0 +1,20 @@
+"""Panels, lists, preferences and what is drawn over the view. They read state and compute nothing.
+
+Nothing here looks at the disk while it draws.
+"""
+
+from __future__ import annotations
+
+from ..plgs_blender.registration import register_modules, unregister_modules
+
+_MODULES = ()
+
+
+def register() -> None:
+    """Called when the extension is switched on."""
+    register_modules(_MODULES)
+
+
+def unregister() -> None:
+    """Called when the extension is switched off."""
+    unregister_modules(_MODULES)
