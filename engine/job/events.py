@@ -7,7 +7,7 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,11 @@ from .json_file import Json, to_line
 
 _BINARY = getattr(os, "O_BINARY", 0)
 KINDS = frozenset({"hello", "stage", "progress", "metric", "preview", "artifact", "warning", "error", "done"})
+TAIL_BYTES = 16384
+"""The last lines of a run, and none of them is near as long."""
+MOST_BYTES = 1 << 17
+"""What a hurried reader takes at a time: a millisecond of reading, and an hour's events are caught up in seconds."""
+_PROGRESS = b'"event": "progress"'
 
 
 @dataclass(frozen=True)
@@ -51,10 +56,11 @@ class EventWriter:
             os.ftruncate(self._descriptor, whole)
         return max((event.seq for event in _parse(content[:whole])), default=0)
 
-    def hello(self, *, threads: int, resumed: bool) -> None:
-        """A run begins. ``threads``: how many compute threads it may use."""
+    def hello(self, *, threads: int, resumed: bool, task: str | None = None) -> None:
+        """A run begins. ``threads``: how many compute threads it may use; ``task``: what is done when it is no lift."""
         about = {"engine_version": __version__, "pid": os.getpid(), "python": platform.python_version()}
-        self._write("hello", **about, threads=threads, resumed=resumed)
+        what = {} if task is None else {"task": task}
+        self._write("hello", **about, threads=threads, resumed=resumed, **what)
 
     def stage(self, name: str, index: int, count: int, label: str) -> None:
         """Stage ``index`` (from 1) of ``count`` begins; ``label`` is for people."""
@@ -119,28 +125,44 @@ class EventReader:
     """Follows an events file that another process appends to.
 
     Its position is always the end of a whole line: a line that is still being written is read again later,
-    and one that a later run cuts off was never seen. ``from_end``: leave out what is there already. Raises
-    OSError.
+    and one that a later run cuts off was never seen. ``from_end``: leave out what is there already. ``hurried``:
+    read no more than MOST_BYTES at a time (``is_behind`` tells whether there is more), and of progress events that
+    follow one another only the last, so that a call takes a window's loop no time to speak of. Raises OSError.
     """
 
-    def __init__(self, path: Path, *, from_end: bool = False) -> None:
-        self._path, self._offset = path, 0
+    def __init__(self, path: Path, *, from_end: bool = False, hurried: bool = False) -> None:
+        self._path, self._offset, self._hurried = path, 0, hurried
+        self.is_behind = False
         if from_end and path.exists():
-            self._offset = path.read_bytes().rfind(b"\n") + 1
+            start, tail = _tail(path, TAIL_BYTES)
+            whole = tail.rfind(b"\n") + 1
+            self._offset = start + whole if whole or not start else path.read_bytes().rfind(b"\n") + 1
 
     def poll(self) -> list[Event]:
         """The events since the last call; unknown kinds and lines that are no event are left out."""
+        self.is_behind = False
         try:
             with self._path.open("rb") as file:
-                if os.fstat(file.fileno()).st_size < self._offset:  # another file took its place
+                size = os.fstat(file.fileno()).st_size
+                if size < self._offset:  # another file took its place
                     self._offset = 0
                 file.seek(self._offset)
-                content = file.read()
+                content = file.read(MOST_BYTES if self._hurried else -1)
         except FileNotFoundError:
             return []
         whole = content.rfind(b"\n") + 1
         self._offset += whole
-        return [event for event in _parse(content[:whole]) if event.kind in KINDS]
+        self.is_behind = whole > 0 and self._offset < size
+        lines = content[:whole].splitlines()
+        if self._hurried:
+            lines = _without_outdated(lines)
+        return [event for event in _parsed(lines) if event.kind in KINDS]
+
+
+def _without_outdated(lines: list[bytes]) -> list[bytes]:
+    """The lines but for progress that the next line brings up to date."""
+    is_progress = [_PROGRESS in line for line in lines] + [False]
+    return [line for place, line in enumerate(lines) if not (is_progress[place] and is_progress[place + 1])]
 
 
 def last_run(path: Path) -> list[Event]:
@@ -152,9 +174,39 @@ def last_run(path: Path) -> list[Event]:
     return events
 
 
+def last_events(path: Path) -> list[Event]:
+    """The last events of the latest run, read from the end of the file alone: enough to tell how the run ended.
+
+    An error is the last event of a run, or the last but the ``done`` of an engine that was cancelled meanwhile.
+    """
+    try:
+        start, tail = _tail(path, TAIL_BYTES)
+    except FileNotFoundError:
+        return []
+    events = [event for event in _parse(tail) if event.kind in KINDS]
+    if start and not events:  # what a power cut left of the end
+        return last_run(path)
+    for index in range(len(events) - 1, -1, -1):
+        if events[index].kind == "hello":
+            return events[index:]
+    return events
+
+
+def _tail(path: Path, size: int) -> tuple[int, bytes]:
+    """The last ``size`` bytes of a file, and where they begin. Raises OSError."""
+    with path.open("rb") as file:
+        start = max(0, os.fstat(file.fileno()).st_size - size)
+        file.seek(start)
+        return start, file.read(size)
+
+
 def _parse(content: bytes) -> list[Event]:
+    return _parsed(content.splitlines())
+
+
+def _parsed(lines: Iterable[bytes]) -> list[Event]:
     events = []
-    for line in content.splitlines():
+    for line in lines:
         try:
             fields = json.loads(line)
             event = Event(int(fields.pop("seq")), float(fields.pop("time")), str(fields.pop("event")), fields)

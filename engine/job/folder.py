@@ -11,10 +11,15 @@ from pathlib import Path
 from .atomic import PART, remove_parts
 from .checkpoint import CheckpointStore
 from .errors import JobError
-from .events import last_run
+from .events import last_events
 from .lock import FileLock, is_locked
 from .manifest import check_sizes
 from .request import LiftRequest
+
+LIFT, BAKE = "lift", "bake"
+"""What an engine may do in a lift folder: lift, or bake more frames of a finished lift."""
+LIVE_PREVIEW = "result/previews/live.png"
+"""A picture of the model while it is trained, replaced by rename every few seconds; gone when the lift is finished."""
 
 
 class LiftState(Enum):
@@ -93,6 +98,15 @@ class LiftFolder:
         return self.result_path / "previews"
 
     @property
+    def preview_request_path(self) -> Path:
+        """preview.json: which camera the watcher wants to see (see `preview_request`)."""
+        return self.path / "preview.json"
+
+    @property
+    def live_preview_path(self) -> Path:
+        return self.path / LIVE_PREVIEW
+
+    @property
     def checkpoints(self) -> CheckpointStore:
         return CheckpointStore(self.path)
 
@@ -109,14 +123,25 @@ class LiftFolder:
         """How far the lift is. Raises JobError when the file system knows no locks."""
         return LiftState.RUNNING if self.is_running else self.state_at_rest()
 
+    def state_at_a_glance(self) -> LiftState:
+        """How far the lift is, for a list or a timer: a manifest is taken for a result without looking at its files.
+
+        Takes a millisecond however large the lift. Raises JobError when the file system knows no locks.
+        """
+        if self.is_running:
+            return LiftState.RUNNING
+        return LiftState.FINISHED if self.manifest_path.is_file() else self._how_it_ended()
+
     def state_at_rest(self) -> LiftState:
         """How far the lift is, for somebody who knows that no other engine is at work.
 
         A result without a whole manifest is no result, whatever the events say.
         """
-        if self._has_result():
-            return LiftState.FINISHED
-        events = last_run(self.events_path)
+        return LiftState.FINISHED if self._has_result() else self._how_it_ended()
+
+    def _how_it_ended(self) -> LiftState:
+        """Of a lift that is neither running nor finished."""
+        events = last_events(self.events_path)
         if not events:
             return LiftState.NOT_STARTED
         kinds = {event.kind for event in events}
@@ -129,7 +154,7 @@ class LiftFolder:
 
     def last_exit_code(self) -> int | None:
         """The exit code that the latest run's error event tells; None when it has none."""
-        codes = [event.data.get("exit_code") for event in last_run(self.events_path) if event.kind == "error"]
+        codes = [event.data.get("exit_code") for event in last_events(self.events_path) if event.kind == "error"]
         return codes[-1] if codes and isinstance(codes[-1], int) else None
 
     def ask_to_cancel(self) -> None:
@@ -152,7 +177,7 @@ class LiftFolder:
         """
         if self.is_running or self.checkpoints.exists or self._has_result():
             raise JobError("holds work", self.path, "Resume it, or delete it yourself.")
-        for path in (self.cancel_path, self.events_path, self.log_path):
+        for path in (self.cancel_path, self.preview_request_path, self.events_path, self.log_path):
             path.unlink(missing_ok=True)
         if self.result_path.is_dir():
             shutil.rmtree(self.result_path)

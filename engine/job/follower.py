@@ -6,20 +6,34 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
+from .detached import DetachedEngine, detached_command
 from .events import Event, EventReader
 from .exit_code import ExitCode
-from .folder import LiftFolder, LiftState
+from .folder import BAKE, LIFT, LIVE_PREVIEW, LiftFolder, LiftState
 from .json_file import Json
+from .log_tail import last_lines
 from .process import EngineProcess, engine_command, engine_python
 
 CANCEL_WAIT_S = 0.65
 """How long an engine may take to stop by itself before it is killed. Its own watchdog needs 0.6 s at most."""
 
 
+class Engine(Protocol):
+    """An engine that this process started: `EngineProcess` or `DetachedEngine`."""
+
+    def exit_code(self) -> int | None: ...
+    def words(self) -> str: ...
+    def kill(self) -> None: ...
+    def close(self) -> None: ...
+
+
 @dataclass
 class LiftStatus:
-    """What is known of the lift so far. ``stage_index`` counts from 1; ``step`` of ``steps`` of this stage are done."""
+    """What is known of the run so far. ``task``: "lift" or "bake"; ``stage_index`` counts from 1; ``step`` of ``steps``
+    of this stage are done. ``live_preview`` is a picture of the model as it grows, whose content was replaced
+    ``live_previews`` times; ``previews`` are the lasting ones."""
 
     stage: str = ""
     label: str = "Starting"
@@ -33,27 +47,33 @@ class LiftStatus:
     artifacts: list[tuple[str, Path]] = field(default_factory=list)
     previews: list[Path] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    task: str = LIFT
+    live_preview: Path | None = None
+    live_previews: int = 0
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How it ended. ``error`` is one line for people, None when it finished or was cancelled."""
+    """How it ended. ``error`` is one line for people, None when it finished or was cancelled; ``log_lines`` are the
+    log's last, where the error is not the user's."""
 
     code: ExitCode
     error: str | None = None
+    log_lines: tuple[str, ...] = ()
 
 
 class LiftFollower:
     """Poll it often; between polls it does nothing, and it starts no threads.
 
-    With a process it owns the engine: ``cancel`` ends in a kill if it must, and the engine ends when this Python does.
-    Without one it watches an engine that somebody else started, in this machine or elsewhere.
+    With a process it owns the engine: ``cancel`` ends in a kill if it must, and the engine ends when this Python does
+    (unless it was started to go on). Without one it watches an engine that somebody else started, in this machine or
+    elsewhere; what earlier runs in the folder told is passed over.
     """
 
     def __init__(
         self,
         folder: LiftFolder,
-        process: EngineProcess | None = None,
+        process: Engine | None = None,
         *,
         reader: EventReader | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -61,25 +81,61 @@ class LiftFollower:
         self.folder, self.status = folder, LiftStatus()
         self.outcome: Outcome | None = None
         self._process, self._clock = process, clock
-        self._reader = reader or EventReader(folder.events_path)
+        self._reader = reader or EventReader(folder.events_path, hurried=True)
         self._kill_at: float | None = None
         self._error: Event | None = None
+        self._done: str | None = None
 
     @classmethod
-    def start(cls, folder: LiftFolder, *, resume: bool, command: Sequence[str | Path] | None = None) -> LiftFollower:
+    def start(
+        cls,
+        folder: LiftFolder,
+        *,
+        resume: bool,
+        command: Sequence[str | Path] | None = None,
+        stays_with_parent: bool = True,
+    ) -> LiftFollower:
         """Start an engine, with its usual command unless told otherwise, and follow it.
 
-        Raises JobError when no Python for it is found or it does not start.
+        Without ``stays_with_parent`` it goes on when this process ends. Raises JobError when no Python for it is found
+        or it does not start.
         """
-        reader = EventReader(folder.events_path, from_end=True)
-        if resume:
+        command = command or engine_command(engine_python(), folder.path, resume=resume)
+        return cls._started(folder, command, stays_with_parent, may_hold_old_cancel=resume)
+
+    @classmethod
+    def start_bake(
+        cls,
+        folder: LiftFolder,
+        frames: Sequence[str],
+        *,
+        command: Sequence[str | Path] | None = None,
+        stays_with_parent: bool = True,
+    ) -> LiftFollower:
+        """Start an engine that bakes more frames of a finished lift: "test", "all", or names. Otherwise as `start`."""
+        command = command or bake_command(engine_python(), folder.path, frames)
+        follower = cls._started(folder, command, stays_with_parent, may_hold_old_cancel=True)
+        follower.status.task = BAKE
+        return follower
+
+    @classmethod
+    def _started(
+        cls, folder: LiftFolder, command: Sequence[str | Path], stays_with_parent: bool, *, may_hold_old_cancel: bool
+    ) -> LiftFollower:
+        reader = EventReader(folder.events_path, from_end=True, hurried=True)
+        if may_hold_old_cancel:
             # Here, before the engine lives: a cancel that is asked for from now on is not to be taken for an old one.
             folder.cancel_path.unlink(missing_ok=True)
-        process = EngineProcess(command or engine_command(engine_python(), folder.path, resume=resume))
-        return cls(folder, process, reader=reader)
+        if stays_with_parent:
+            return cls(folder, EngineProcess(command), reader=reader)
+        return cls(folder, DetachedEngine(detached_command(command), folder.log_path), reader=reader)
 
     def poll(self) -> list[Event]:
-        """The new events; ``status`` and ``outcome`` (None while it goes on) are up to date afterwards."""
+        """The new events; ``status`` and ``outcome`` (None while it goes on) are up to date afterwards.
+
+        Of what happened before the first poll it takes a part at a time, and leaves out progress that is out of date:
+        a poll takes a few milliseconds at most.
+        """
         if self.outcome is not None:
             return []
         code = self._process.exit_code() if self._process else None
@@ -87,9 +143,9 @@ class LiftFollower:
         events = self._reader.poll()  # after the look at the process: so the last events are among them
         for event in events:
             self._take(event)
-        if ended:
+        if ended and not self._reader.is_behind:
             self.outcome = self._outcome(code)
-        elif self._process:
+        elif self._process and not ended:
             self._kill_if_deaf()
         return events
 
@@ -111,7 +167,7 @@ class LiftFollower:
             self._process.kill()
 
     def close(self) -> None:
-        """Let go. An engine of one's own that still runs ends within a second."""
+        """Let go. An engine of one's own that still runs ends within a second, or goes on if it was started to."""
         if self._process:
             self._process.close()
             self._process = None
@@ -131,6 +187,9 @@ class LiftFollower:
     def _take(self, event: Event) -> None:
         data, status = event.data, self.status
         match event.kind:
+            case "hello":
+                self.status = LiftStatus(task=str(data.get("task", LIFT)))
+                self._error = self._done = None
             case "stage":
                 status.stage, status.label = str(data["name"]), str(data["label"])
                 status.stage_index, status.stage_count = _int(data["index"]), _int(data["count"])
@@ -143,35 +202,54 @@ class LiftFollower:
                 status.metrics[str(data["name"])] = values if isinstance(values, dict) else {}
             case "artifact":
                 status.artifacts.append((str(data["kind"]), self.folder.path / str(data["path"])))
+            case "preview" if data["path"] == LIVE_PREVIEW:
+                status.live_preview = self.folder.path / LIVE_PREVIEW
+                status.live_previews += 1
             case "preview":
                 status.previews.append(self.folder.path / str(data["path"]))
             case "warning":
                 status.warnings.append(str(data["message"]))
             case "error":
                 self._error = event
+            case "done":
+                self._done = str(data["state"])
 
     def _outcome(self, code: int | None) -> Outcome:
         if self._error is not None:
             data = self._error.data
-            return Outcome(_exit_code(data.get("exit_code")), f"{data['what']}: {data['where']}. {data['fix']}")
+            return self._failed(_exit_code(data.get("exit_code")), f"{data['what']}: {data['where']}. {data['fix']}")
         if code in (ExitCode.BAD_INPUT, ExitCode.INTERNAL_ERROR):  # without an event: it never began
-            return Outcome(_exit_code(code), self._last_words())
+            return self._failed(_exit_code(code), self._last_words())
         state = self.folder.state_at_rest()
-        if state is LiftState.FINISHED:
+        # A bake leaves a finished lift finished, however it ends itself.
+        if state is LiftState.FINISHED and (self.status.task == LIFT or self._done == "finished"):
             return Outcome(ExitCode.FINISHED)
-        if state is LiftState.CANCELLED or self._kill_at is not None:
+        if state is LiftState.CANCELLED or self._done == "cancelled" or self._kill_at is not None:
             return Outcome(ExitCode.CANCELLED)
         if code is not None and code < 0:
             what = f"the engine was ended by signal {-code} (9 often means: out of memory)"
-            return Outcome(ExitCode.INTERNAL_ERROR, f"{what}: {self.folder.path}. The lift can be resumed.")
-        return Outcome(_exit_code(code), self._last_words())
+            return self._failed(ExitCode.INTERNAL_ERROR, f"{what}: {self.folder.path}. {self._what_is_left()}")
+        return self._failed(_exit_code(code), self._last_words())
+
+    def _failed(self, code: ExitCode, error: str) -> Outcome:
+        lines = last_lines(self.folder.log_path) if code is ExitCode.INTERNAL_ERROR else ()
+        return Outcome(code, error, lines)
 
     def _last_words(self) -> str:
         """Of an engine that ended without an event."""
         words = self._process.words() if self._process else ""
         if not words:
-            return f"the engine ended without a word: {self.folder.log_path}. The log may tell more."
+            what = "the engine ended without a word (killed, or out of memory?)"
+            return f"{what}: {self.folder.log_path}. The log may tell more. {self._what_is_left()}"
         return words.splitlines()[-1].removeprefix("error: ")
+
+    def _what_is_left(self) -> str:
+        return "The lift can be resumed." if self.status.task == LIFT else "The result is whole; bake again."
+
+
+def bake_command(python: Path, lift: Path, frames: Sequence[str]) -> list[str | Path]:
+    """The command that bakes frames of a finished lift and stays with its parent."""
+    return [python, "-m", "engine", "bake", lift, "--stay-with-parent", "--frames", *frames]
 
 
 def _int(value: Json) -> int:

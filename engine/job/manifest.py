@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from stat import S_ISREG
 
 from .. import __version__
 from .atomic import files_below, remove_parts, sha256, write_atomically
@@ -88,10 +89,12 @@ def check_sizes(result: Path) -> Manifest:
     manifest = read_manifest(result)
     for file in manifest.files:
         path = result / file.path
-        if not path.is_file():
-            raise JobError("is missing", path, _FIX)
-        if path.stat().st_size != file.bytes:
-            raise JobError(f"has {path.stat().st_size} bytes, {file.bytes} were written", path, _FIX)
+        try:
+            found = path.stat()
+        except OSError as error:
+            raise JobError("is missing", path, _FIX) from error
+        if found.st_size != file.bytes or not S_ISREG(found.st_mode):
+            raise JobError(f"has {found.st_size} bytes, {file.bytes} were written", path, _FIX)
     return manifest
 
 
