@@ -12,8 +12,9 @@ from types import ModuleType
 def _modules() -> tuple[ModuleType, ...]:
     """Those that Blender has to know, in order. Imported late: a script that only reads a result needs none of them."""
     from . import settings
+    from .running import watch
 
-    return (settings,)
+    return settings, watch
 
 
 def register() -> None:

@@ -67,10 +67,12 @@ def mark_timeline(
     scene: bpy.types.Scene,
     root: bpy.types.Collection,
     lift: str,
-    overview: bpy.types.Object,
+    overview: bpy.types.Object | None,
     cameras: Sequence[bpy.types.Object],
 ) -> None:
-    """A marker for the overview and one for each frame, bound to their cameras: scrubbing walks through them.
+    """A marker for the overview, where there is one, and one for each frame, bound to their cameras.
+
+    Scrubbing walks through them.
 
     Ours are the markers bound to our cameras. A scene that already has a camera of the user's keeps it: then
     ours lie behind the end of its own frames, and its camera gets a marker at the start, since the first
@@ -85,7 +87,7 @@ def mark_timeline(
         root[FIRST_FRAME] = scene.frame_end + 1 if theirs or bound else 0
         if theirs and not bound:
             markers.new(scene.camera.name, frame=scene.frame_start).camera = scene.camera
-    for frame, camera in enumerate([overview, *cameras], start=root[FIRST_FRAME]):
+    for frame, camera in enumerate([*([overview] if overview else []), *cameras], start=root[FIRST_FRAME]):
         markers.new(camera.get("frame", camera.name), frame=frame).camera = camera
 
 

@@ -8,7 +8,6 @@ replaces the earlier one.
 from __future__ import annotations
 
 from pathlib import Path
-from uuid import uuid4
 
 import bpy
 import numpy as np
@@ -20,18 +19,15 @@ from .boxes import place_boxes
 from .cameras import object_matrix
 from .clouds import place_anchors, place_semantic_points
 from .frames import mark_timeline, place_frames, set_lens
+from .lift_collection import FOLDER, child_collection, is_same_place, lifts_in, overview_of, root_collection
 from .open_room import open_room
 from .overview import overview_camera
-from .owned import KEY, LIFT, Holdings, key_of, tag
+from .owned import KEY, LIFT, Holdings, key_of
 from .passes import place_passes
 from .results import LiftResult, read_result
 from .surfaces import SurfaceGrid
 from .viewport import look_from, start_file
 
-FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
-"""Properties of a lift's collection: the folders of the lift and of the scene it was made from."""
-
-_ROOT = "lift"
 _VIEWPOINTS = 200
 """So many cameras tell which side of a surface was seen."""
 
@@ -43,19 +39,19 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     changed, when the lift is not finished or cannot be read.
     """
     result = read_result(lift)
-    root = _root_collection(result, scene)
+    root = root_collection(result.scene.folder, result.folder, scene)
     holdings = Holdings(root[LIFT], scene)
     frames = result.scene.frames
     grid = SurfaceGrid.of(result.points.xyz)
     normals = grid.normals(np.array([frame.camera.centre for frame in frames])[:: 1 + len(frames) // _VIEWPOINTS])
 
-    cameras = place_frames(holdings, _child(root, "Cameras"), frames)
+    cameras = place_frames(holdings, child_collection(root, "Cameras"), frames)
     clouds = place_semantic_points(
-        holdings, _child(root, "Semantic points"), result.points, grid, normals, result.classes
+        holdings, child_collection(root, "Semantic points"), result.points, grid, normals, result.classes
     )
     open_room(holdings, clouds)
-    place_anchors(holdings, _child(root, "Anchors", scene, hidden=True), result.anchors)
-    place_boxes(holdings, _child(root, "Instances"), result.instances)
+    place_anchors(holdings, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
+    place_boxes(holdings, child_collection(root, "Instances"), result.instances)
     overview = _place_overview(holdings, root, result, normals)
     mark_timeline(scene, root, root[LIFT], overview, cameras)
     if scene.camera is None:
@@ -102,16 +98,6 @@ def _save(blend: Path, keep_backup: bool = True) -> None:
         settings.save_version = backups
 
 
-def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
-    """The collections of the lifts that were placed in a scene."""
-    return [c for c in scene.collection.children_recursive if LIFT in c and c.get(KEY) == _ROOT]
-
-
-def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
-    """A lift's overview camera, None when the user removed it."""
-    return next((ob for ob in root.all_objects if key_of(ob, root[LIFT]) == "overview"), None)
-
-
 def relate_paths(root: bpy.types.Collection, base: Path) -> None:
     """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds
     both.
@@ -130,52 +116,6 @@ def _relative(path: str, base: Path) -> str:
         return bpy.path.relpath(path, start=str(base))
     except ValueError:  # another drive
         return path
-
-
-def _root_collection(result: LiftResult, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of an earlier lift of the same scene, or a new one."""
-    name = f"PLGS {result.name}"
-    for root in lifts_in(scene):
-        is_same_lift = _same_place(root.get(FOLDER, ""), result.folder)
-        if root.library is None and (is_same_lift or _same_place(root.get(SCENE, ""), result.scene.folder)):
-            break
-    else:
-        root = bpy.data.collections.new(name)
-        tag(root, uuid4().hex, _ROOT)
-        scene.collection.children.link(root)
-    root.name = name
-    root[FOLDER], root[SCENE] = str(result.folder), str(result.scene.folder.absolute())
-    return root
-
-
-def _same_place(stored: str, folder: Path) -> bool:
-    return bool(stored) and Path(bpy.path.abspath(stored)).resolve() == folder.resolve()
-
-
-def _child(
-    root: bpy.types.Collection, name: str, scene: bpy.types.Scene | None = None, hidden: bool = False
-) -> bpy.types.Collection:
-    """Our collection `name` under the root. One made `hidden` starts with its eye and camera off in the
-    scene.
-    """
-    key = f"collection:{name}"
-    for child in root.children:
-        if key_of(child, root[LIFT]) == key:
-            return child
-    child = bpy.data.collections.new(name)
-    tag(child, root[LIFT], key)
-    root.children.link(child)
-    if hidden and scene is not None:
-        child.hide_render = True
-        for view_layer in scene.view_layers:
-            for found in _layer_collections(view_layer.layer_collection):
-                if found.collection == child:
-                    found.hide_viewport = True
-    return child
-
-
-def _layer_collections(top: bpy.types.LayerCollection) -> list[bpy.types.LayerCollection]:
-    return [top, *(found for child in top.children for found in _layer_collections(child))]
 
 
 def _place_overview(
@@ -201,7 +141,7 @@ def _open(blend: Path, lift: Path) -> bpy.types.Scene:
         fix = "Check that it is a Blender file of this version or an older one, or name another with --save."
         raise JobError(f"cannot be opened ({str(error).strip()})", blend, fix) from error
     scenes = [s for s in bpy.data.scenes if s.library is None and KEY not in s]
-    holding = [s for s in scenes if any(_same_place(root.get(FOLDER, ""), lift) for root in lifts_in(s))]
+    holding = [s for s in scenes if any(is_same_place(root.get(FOLDER, ""), lift) for root in lifts_in(s))]
     current = [bpy.context.scene] if bpy.context.scene in scenes else []
     chosen = [*holding, *current, *scenes]
     if not chosen:

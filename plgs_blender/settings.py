@@ -9,6 +9,9 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, 
 
 from ..engine.job import LiftRequest
 from ..engine.job.request import LARGEST_SIDE, SMALLEST_SIDE
+from .paths import absolute
+from .running import watch
+from .scene_survey import Place
 
 _PRESETS = [
     ("preview", "Preview", "Minutes: to see whether frames, poses and masks fit together"),
@@ -27,18 +30,34 @@ _BAKES = [
 ]
 
 
-class PLGS_PG_settings(bpy.types.PropertyGroup):
-    """`scene.plgs`. Zero for steps, width and height leaves them to the preset."""
+def _look_at_scene(settings: LiftOptions, context: bpy.types.Context) -> None:
+    if isinstance(settings, PLGS_PG_settings):
+        watch.look_at_scene(place_of(settings))
+
+
+def _look_at_lift(settings: LiftOptions, context: bpy.types.Context) -> None:
+    if isinstance(settings, PLGS_PG_settings) and settings.lift_folder:
+        watch.look_at_lift(absolute(settings.lift_folder))
+
+
+class LiftOptions:
+    """What a lift is asked for: properties of the settings and of the operator that starts one.
+
+    Zero for steps, width and height leaves them to the preset.
+    """
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
-        name="Scene", subtype="DIR_PATH", description="Folder with color, depth, pose, intrinsic and the masks"
-    )
+        name="Scene", subtype="DIR_PATH", update=_look_at_scene,
+        description="Folder with color, depth, pose, intrinsic and the masks",
+    )  # fmt: skip
     masks: StringProperty(  # type: ignore[valid-type]
-        name="Masks", subtype="FILE_PATH", description="Panoptic masks that lie elsewhere than in the scene's folder"
-    )
+        name="Masks", subtype="FILE_PATH", update=_look_at_scene,
+        description="Panoptic masks that lie elsewhere than in the scene's folder",
+    )  # fmt: skip
     up: EnumProperty(  # type: ignore[valid-type]
-        name="Up", items=_UPS, default="z", description="The axis of the poses that points up"
-    )
+        name="Up", items=_UPS, default="z", update=_look_at_scene,
+        description="The axis of the poses that points up",
+    )  # fmt: skip
     preset: EnumProperty(  # type: ignore[valid-type]
         name="Preset", items=_PRESETS, default="preview", description="How much work to spend"
     )
@@ -60,13 +79,18 @@ class PLGS_PG_settings(bpy.types.PropertyGroup):
         name="Bake", items=_BAKES, default="test", description="Which frames become compositor passes"
     )
     lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH",
+        name="Lift folder", subtype="DIR_PATH", update=_look_at_lift,
         description="Where the lift and its results go; empty: a new folder beside the scene's",
     )  # fmt: skip
     keep_running: BoolProperty(  # type: ignore[valid-type]
         name="Go on without Blender",
         description="Closing Blender does not stop the lift; the next Blender finds it again",
     )
+
+
+class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
+    """`scene.plgs`: what the panel shows and the operators start from."""
+
     live_preview: BoolProperty(  # type: ignore[valid-type]
         name="Live preview", default=True,
         description="While it lifts, show what the active camera sees in the model as that camera's background",
@@ -76,9 +100,15 @@ class PLGS_PG_settings(bpy.types.PropertyGroup):
     )
 
 
-def absolute(path: str) -> Path:
-    """A path as the user typed it ("//" is the .blend's folder), made absolute; without a trailing slash."""
-    return Path(bpy.path.abspath(path)).absolute()
+def place_of(settings: PLGS_PG_settings) -> Place:
+    """Which scene the settings name."""
+    masks = absolute(settings.masks) if settings.masks else None
+    return Place(absolute(settings.scene_folder), masks, settings.up)
+
+
+def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
+    """The lift folder that the settings name, None when they name none."""
+    return absolute(settings.lift_folder) if settings.lift_folder else None
 
 
 def request_of(settings: PLGS_PG_settings) -> LiftRequest:

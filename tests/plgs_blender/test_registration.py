@@ -16,7 +16,9 @@ def footprint() -> dict[str, object]:
     handlers = {name: len(getattr(bpy.app.handlers, name)) for name in dir(bpy.app.handlers)
                 if isinstance(getattr(bpy.app.handlers, name), list)}  # fmt: skip
     kinds = (bpy.types.Operator, bpy.types.Panel, bpy.types.PropertyGroup, bpy.types.UIList, bpy.types.Menu)
-    classes = {kind.__name__: sorted(each.__name__ for each in kind.__subclasses__()) for kind in kinds}
+    # Python's own classes stay, as modules do; what counts is which of them Blender knows.
+    classes = {kind.__name__: sorted(each.__name__ for each in kind.__subclasses__() if each.is_registered)
+               for kind in kinds}  # fmt: skip
     properties = {
         name: len(getattr(bpy.types, name).bl_rna.properties) for name in ("Scene", "Object", "WindowManager")
     }

@@ -1,0 +1,179 @@
+"""Starting, watching, stopping and resuming a lift.
+
+In a window they return at once and end with the lift; called by a script with EXEC_DEFAULT, as in Blender without a
+window, they wait for it. The state machine behind both is `plgs_blender.running.lifts`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from ..plgs_blender.running import lifts, start, watch
+from ..plgs_blender.running.lifts import Watch
+from ..plgs_blender.settings import LiftOptions, chosen_lift
+from .answers import CANCELLED, FINISHED, PASSED_ON, RUNNING, reporting, reporting_events
+
+_GLANCE_S = 0.25
+"""How often a waiting operator looks whether its lift has ended."""
+
+
+class Following:
+    """An operator that begins or joins a lift (`begin`) and ends with it."""
+
+    report: Callable[[set[str], str], None]
+    _folder: Path
+    _timer: bpy.types.Timer | None = None
+
+    def begin(self, context: bpy.types.Context) -> Watch:
+        """Start or join; raises what `reporting` reports."""
+        raise NotImplementedError
+
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self._folder = self.begin(context).folder.path
+        watch.begin()
+        self._timer = context.window_manager.event_timer_add(_GLANCE_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return RUNNING
+
+    @reporting_events
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        followed = lifts.watch_of(self._folder)
+        if event.type != "TIMER" or (followed is not None and followed.is_running):
+            return PASSED_ON
+        self.cancel(context)
+        return CANCELLED if followed is None else self._end(context, followed)
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Another file was opened, or it is over. The lift itself goes on, followed by the module."""
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        followed = self.begin(context)
+        lifts.wait_for(followed)
+        return self._end(context, followed)
+
+    def _end(self, context: bpy.types.Context, followed: Watch) -> set[str]:
+        """Tell how it ended; show a finished lift if this scene is still set to it and wants to."""
+        outcome = followed.outcome
+        assert outcome is not None
+        self.report({"ERROR" if outcome.error else "INFO"}, lifts.words_for(outcome))
+        if not followed.is_finished:
+            return CANCELLED
+        settings = context.scene.plgs
+        if settings.place_when_done and chosen_lift(settings) == followed.folder.path:
+            bpy.ops.plgs.place_lift("EXEC_DEFAULT", True, lift_folder=str(followed.folder.path))
+        return FINISHED
+
+
+class PLGS_OT_lift_scene(LiftOptions, Following, bpy.types.Operator):
+    """Lift the scene: an engine starts in the background. What is not given is as in the panel"""
+
+    bl_idname, bl_label = "plgs.lift_scene", "Start"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        reason = start.why_not(context.scene.plgs)
+        if reason is not None:
+            cls.poll_message_set(reason)
+        return reason is None
+
+    def begin(self, context: bpy.types.Context) -> Watch:
+        settings = context.scene.plgs
+        for name in LiftOptions.__annotations__:
+            if self.properties.is_property_set(name):
+                setattr(settings, name, getattr(self, name))
+        return start.start_lift(settings)
+
+
+class PLGS_OT_resume_lift(Following, bpy.types.Operator):
+    """Go on with a lift that was cancelled or broke off"""
+
+    bl_idname, bl_label = "plgs.resume_lift", "Resume"
+
+    lift_folder: StringProperty(  # type: ignore[valid-type]
+        name="Lift folder", subtype="DIR_PATH", description="Empty: the one of the panel"
+    )
+
+    def begin(self, context: bpy.types.Context) -> Watch:
+        return start.resume_lift(context.scene.plgs, self.lift_folder)
+
+
+class PLGS_OT_watch_lift(Following, bpy.types.Operator):
+    """Follow a lift that another Blender or a command started, or look at one that has ended"""
+
+    bl_idname, bl_label = "plgs.watch_lift", "Watch"
+
+    lift_folder: StringProperty(  # type: ignore[valid-type]
+        name="Lift folder", subtype="DIR_PATH", description="Empty: the one of the panel"
+    )
+
+    def begin(self, context: bpy.types.Context) -> Watch:
+        return start.join_lift(context.scene.plgs, self.lift_folder)
+
+
+class PLGS_OT_cancel_lift(bpy.types.Operator):
+    """Stop the lift at its next step, within a second; it can be resumed"""
+
+    bl_idname, bl_label = "plgs.cancel_lift", "Cancel"
+
+    lift_folder: StringProperty(  # type: ignore[valid-type]
+        name="Lift folder", subtype="DIR_PATH", description="Empty: the one of the panel"
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        cls.poll_message_set("No lift is running")
+        return bool(lifts.running())
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        start.cancel_lift(context.scene.plgs, self.lift_folder)
+        return FINISHED
+
+
+class PLGS_OT_place_lift(bpy.types.Operator):
+    """Put a finished lift into the scene: cameras, points, anchors, boxes and passes"""
+
+    bl_idname, bl_label, bl_options = "plgs.place_lift", "Show Result", {"UNDO"}
+
+    lift_folder: StringProperty(  # type: ignore[valid-type]
+        name="Lift folder", subtype="DIR_PATH", description="Empty: the one of the panel"
+    )
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = start.show_lift(context.scene, self.lift_folder)
+        self.report({"INFO"}, f"{root.name} is placed")
+        return FINISHED
+
+
+class PLGS_OT_open_log(bpy.types.Operator):
+    """Show the engine's log in a text editor of the system"""
+
+    bl_idname, bl_label, bl_options = "plgs.open_log", "Open Log", {"INTERNAL"}
+
+    lift_folder: StringProperty(name="Lift folder", subtype="DIR_PATH")  # type: ignore[valid-type]
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        log = start.lift_at(context.scene.plgs, self.lift_folder).log_path
+        bpy.ops.wm.path_open(filepath=str(log))
+        return FINISHED
+
+
+CLASSES = (
+    PLGS_OT_lift_scene,
+    PLGS_OT_resume_lift,
+    PLGS_OT_watch_lift,
+    PLGS_OT_cancel_lift,
+    PLGS_OT_place_lift,
+    PLGS_OT_open_log,
+)

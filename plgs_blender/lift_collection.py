@@ -1,0 +1,77 @@
+"""The collection of a lift in a scene: "PLGS <scene>", found again by what it was made from, and its children."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from uuid import uuid4
+
+import bpy
+
+from .owned import KEY, LIFT, key_of, tag
+
+FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
+"""Properties of a lift's collection: the folders of the lift and of the scene it was made from. Where only the scene
+was imported so far, the first is empty."""
+
+_ROOT = "lift"
+
+
+def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    """The collections of the lifts that were placed in a scene."""
+    return [c for c in scene.collection.children_recursive if LIFT in c and c.get(KEY) == _ROOT]
+
+
+def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
+    """A lift's overview camera, None when the user removed it."""
+    return next((ob for ob in root.all_objects if key_of(ob, root[LIFT]) == "overview"), None)
+
+
+def root_collection(
+    scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene
+) -> bpy.types.Collection:
+    """The collection of this lift or of an earlier one of the same scene, or a new one."""
+    for root in lifts_in(scene):
+        is_same_lift = lift_folder is not None and is_same_place(root.get(FOLDER, ""), lift_folder)
+        if root.library is None and (is_same_lift or is_same_place(root.get(SCENE, ""), scene_folder)):
+            break
+    else:
+        root = bpy.data.collections.new("PLGS")
+        tag(root, uuid4().hex, _ROOT)
+        root[FOLDER] = ""
+        scene.collection.children.link(root)
+    root.name = f"PLGS {scene_folder.name}"
+    root[SCENE] = str(scene_folder.absolute())
+    if lift_folder is not None:
+        root[FOLDER] = str(lift_folder)
+    return root
+
+
+def is_same_place(stored: str, folder: Path) -> bool:
+    """Whether a path as it is stored in a .blend means this folder."""
+    return bool(stored) and Path(bpy.path.abspath(stored)).resolve() == folder.resolve()
+
+
+def child_collection(
+    root: bpy.types.Collection, name: str, scene: bpy.types.Scene | None = None, hidden: bool = False
+) -> bpy.types.Collection:
+    """Our collection `name` under the root. One made `hidden` starts with its eye and camera off in the
+    scene.
+    """
+    key = f"collection:{name}"
+    for child in root.children:
+        if key_of(child, root[LIFT]) == key:
+            return child
+    child = bpy.data.collections.new(name)
+    tag(child, root[LIFT], key)
+    root.children.link(child)
+    if hidden and scene is not None:
+        child.hide_render = True
+        for view_layer in scene.view_layers:
+            for found in _layer_collections(view_layer.layer_collection):
+                if found.collection == child:
+                    found.hide_viewport = True
+    return child
+
+
+def _layer_collections(top: bpy.types.LayerCollection) -> list[bpy.types.LayerCollection]:
+    return [top, *(found for child in top.children for found in _layer_collections(child))]

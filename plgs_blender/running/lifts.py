@@ -1,0 +1,184 @@
+"""The lifts that this Blender follows, by folder: started, watched, cancelled, resumed. Knows nothing of Blender.
+
+They live in the module, not in an operator or a file: so they survive undo and the opening of another .blend.
+`poll_all` is called often; it never waits, and no thread is used.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...engine.job import ExitCode, JobError, LiftFolder, LiftState
+from ...engine.job.follower import LiftFollower, LiftStatus, Outcome, bake_command
+from ...engine.job.process import engine_command
+
+_POLL_S = 0.05
+
+
+@dataclass
+class Watch:
+    """One followed lift. ``is_ours``: this Blender started the engine, which ends with it unless it was asked to go on.
+
+    ``state`` is how far the lift was when it was last looked at.
+    """
+
+    follower: LiftFollower
+    is_ours: bool
+    state: LiftState = LiftState.RUNNING
+
+    @property
+    def folder(self) -> LiftFolder:
+        return self.follower.folder
+
+    @property
+    def status(self) -> LiftStatus:
+        return self.follower.status
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """None while it goes on."""
+        return self.follower.outcome
+
+    @property
+    def is_running(self) -> bool:
+        return self.outcome is None
+
+    @property
+    def is_finished(self) -> bool:
+        return self.state is LiftState.FINISHED
+
+    @property
+    def can_be_resumed(self) -> bool:
+        """Whether an engine could go on with it."""
+        return self.state not in (LiftState.RUNNING, LiftState.FINISHED)
+
+    def poll(self) -> bool:
+        """Take in what happened; whether anything did."""
+        if not self.is_running:
+            return False
+        try:
+            events = self.follower.poll()
+            if self.outcome is not None:
+                self.state = self.folder.state_at_rest()
+        except (JobError, OSError) as error:  # its disk is gone, or the folder was deleted meanwhile
+            self.follower.outcome = Outcome(ExitCode.INTERNAL_ERROR, f"the lift can no longer be read: {error}")
+            self.state = LiftState.INTERRUPTED
+        return bool(events) or not self.is_running
+
+
+_watches: dict[Path, Watch] = {}
+_refusals: dict[Path, JobError] = {}
+
+
+def watch_of(folder: Path) -> Watch | None:
+    """The watch over the lift in this folder (absolute), None when it is not followed."""
+    return _watches.get(folder)
+
+
+def refusal_of(folder: Path) -> JobError | None:
+    """Why the lift in this folder could not be looked at, None when it could."""
+    return _refusals.get(folder)
+
+
+def running() -> list[Watch]:
+    """All followed lifts that go on."""
+    return [watch for watch in _watches.values() if watch.is_running]
+
+
+def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running: bool = False) -> Watch:
+    """Start an engine on a lift folder and follow it.
+
+    With ``keep_running`` it outlives this Blender. Raises JobError when an engine is at work there already, or when
+    it does not start.
+    """
+    _refuse_running(lift)
+    command = engine_command(python, lift.path, resume=resume)
+    follower = LiftFollower.start(lift, resume=resume, command=command, stays_with_parent=not keep_running)
+    return _follow(Watch(follower, is_ours=True))
+
+
+def bake(lift: LiftFolder, python: Path, frames: Sequence[str]) -> Watch:
+    """Let an engine bake the passes of more frames of a finished lift: "test", "all", or names. Raises JobError."""
+    _refuse_running(lift)
+    follower = LiftFollower.start_bake(lift, frames, command=bake_command(python, lift.path, frames))
+    return _follow(Watch(follower, is_ours=True))
+
+
+def attach(folder: Path) -> Watch:
+    """Follow a lift that somebody else started, or look at one that has ended. Raises JobError when it is no lift."""
+    known = _watches.get(folder)
+    if known is not None and known.is_running:
+        return known
+    lift = LiftFolder.open(folder)
+    watch = Watch(LiftFollower(lift), is_ours=False, state=lift.state())
+    if watch.state is LiftState.NOT_STARTED:
+        watch.follower.outcome = Outcome(ExitCode.CANCELLED)
+    watch.poll()
+    return _follow(watch)
+
+
+def look_at(folder: Path) -> Watch | None:
+    """Follow the lift in a folder if there is one; `refusal_of` keeps what is wrong with it. Never raises."""
+    known = _watches.get(folder)
+    if known is not None:
+        return known
+    _refusals.pop(folder, None)
+    if not folder.exists():
+        return None
+    try:
+        return attach(folder)
+    except JobError as error:
+        _refusals[folder] = error
+        return None
+
+
+def forget(folder: Path) -> None:
+    """Follow this lift no longer. An engine of our own stops, unless it was asked to go on."""
+    watch = _watches.pop(folder, None)
+    if watch is not None:
+        watch.follower.close()
+
+
+def poll_all() -> list[Watch]:
+    """Poll every running lift once; those with news."""
+    return [watch for watch in running() if watch.poll()]
+
+
+def wait_for(watch: Watch) -> Outcome:
+    """Block until a lift has ended: for scripts and Blender without a window."""
+    while watch.outcome is None:
+        watch.poll()
+        time.sleep(_POLL_S)
+    return watch.outcome
+
+
+def let_go() -> None:
+    """Forget all lifts. Engines of our own stop, unless they were asked to go on; they can be resumed."""
+    for watch in _watches.values():
+        watch.follower.close()
+    _watches.clear()
+    _refusals.clear()
+
+
+def words_for(outcome: Outcome) -> str:
+    """One line for people about how it ended."""
+    if outcome.error is not None:
+        return outcome.error
+    return "The lift is finished" if outcome.code is ExitCode.FINISHED else "The lift was cancelled; it can be resumed"
+
+
+def _refuse_running(lift: LiftFolder) -> None:
+    if lift.is_running:
+        raise JobError("another engine is at work here", lift.path, "Watch it, or cancel it first.")
+
+
+def _follow(watch: Watch) -> Watch:
+    before = _watches.get(watch.folder.path)
+    if before is not None:
+        before.follower.close()
+    _watches[watch.folder.path] = watch
+    _refusals.pop(watch.folder.path, None)
+    return watch

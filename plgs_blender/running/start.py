@@ -1,0 +1,129 @@
+"""From what the panel says to a running lift, and from a finished one to objects in the scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ...engine.job import JobError, LiftFolder
+from ...engine.scene import open_scene
+from .. import engine_environment
+from ..lift_scene import place_lift
+from ..paths import absolute, free_lift_folder
+from ..scene_survey import survey_of
+from ..settings import PLGS_PG_settings, adopt, chosen_lift, place_of, request_of
+from . import lifts
+from .lifts import Watch
+
+
+def why_not(settings: PLGS_PG_settings) -> str | None:
+    """Why no lift can be started from the panel now; None when one can. Looks at no disk."""
+    folder = chosen_lift(settings)
+    followed = lifts.watch_of(folder) if folder is not None else None
+    if followed is not None and followed.is_running:
+        return "This lift is running already"
+    engine = engine_environment.status()
+    if not engine.is_usable:
+        return f"{engine.message}. {engine.fix}"
+    survey = survey_of(place_of(settings)) if settings.scene_folder else None
+    if survey is not None and survey.error is not None:
+        return f"{survey.error}. {survey.fix}"
+    return None
+
+
+def start_lift(settings: PLGS_PG_settings) -> Watch:
+    """Start the lift that the settings ask for: in their lift folder, or a new one where that holds a lift already.
+
+    Raises JobError or SceneError before any folder is made.
+    """
+    if not settings.scene_folder:
+        raise JobError("no scene is chosen", "Scene", "Choose a folder with color, depth, pose and intrinsic.")
+    python = engine_environment.usable_python()
+    request = request_of(settings)
+    open_scene(request.scene, request.masks, request.up)
+    folder = chosen_lift(settings)
+    if folder is None or (folder / "request.json").exists():
+        folder = free_lift_folder(request.scene)
+    lift = LiftFolder.create(folder, request)
+    followed = lifts.start(lift, python, keep_running=settings.keep_running)
+    settings.lift_folder = str(folder)
+    return followed
+
+
+def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Watch:
+    """Go on with the lift in `folder`, or in that of the settings, which then say what it was asked for.
+
+    Raises JobError when there is none, it is running, or it is finished.
+    """
+    lift = lift_at(settings, folder)
+    known = lifts.attach(lift.path)
+    if not known.can_be_resumed:
+        raise JobError(f"cannot be resumed: it is {known.state.value}", lift.path, "Lift into another folder.")
+    followed = lifts.start(lift, engine_environment.usable_python(), resume=True, keep_running=settings.keep_running)
+    adopt(settings, lift.request, lift.path)
+    return followed
+
+
+def join_lift(settings: PLGS_PG_settings, folder: str = "") -> Watch:
+    """Follow the lift in `folder`, or in that of the settings, which then say what was asked. Raises JobError."""
+    lift = lift_at(settings, folder)
+    followed = lifts.attach(lift.path)
+    adopt(settings, lift.request, lift.path)
+    return followed
+
+
+def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
+    """Ask a lift to stop. Raises JobError when it is not followed, or its folder cannot be written."""
+    lift = lift_at(settings, folder)
+    followed = lifts.watch_of(lift.path) or lifts.attach(lift.path)
+    try:
+        followed.follower.cancel()
+    except OSError as error:
+        fix = "Ask whoever started it to cancel it."
+        raise JobError(f"cannot be cancelled from here ({error.strerror})", lift.path, fix) from error
+
+
+def why_no_bake(settings: PLGS_PG_settings) -> str | None:
+    """Why no passes can be baked from the panel now; None when they can. Looks at no disk."""
+    folder = chosen_lift(settings)
+    followed = lifts.watch_of(folder) if folder is not None else None
+    if followed is None or not (followed.is_finished or followed.is_running):
+        return "Passes are baked from a finished lift: lift the scene first, or choose the folder of a lift"
+    if followed.is_running:
+        return "The lift is still running"
+    engine = engine_environment.status()
+    return None if engine.is_usable else f"{engine.message}. {engine.fix}"
+
+
+def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Watch:
+    """Let an engine bake passes of a finished lift: of "all" frames, the held-out ones ("test"), or that of the scene's
+    "active" camera. Raises JobError.
+    """
+    lift = lift_at(scene.plgs, folder)
+    names = [frames]
+    if frames == "active":
+        names = [scene.camera.get("frame", "")] if scene.camera is not None else [""]
+        if not names[0]:
+            fix = "Choose one of the lift's cameras: select it and press Ctrl+Numpad 0."
+            raise JobError("the active camera is no frame of the lift", scene.name, fix)
+    return lifts.bake(lift, engine_environment.usable_python(), names)
+
+
+def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:
+    """Put the finished lift in `folder`, or in that of the scene's settings, into the scene.
+
+    Raises JobError or SceneError.
+    """
+    lift = lift_at(scene.plgs, folder)
+    root = place_lift(lift.path, scene)
+    adopt(scene.plgs, lift.request, lift.path)
+    return root
+
+
+def lift_at(settings: PLGS_PG_settings, folder: str = "") -> LiftFolder:
+    """The lift in `folder`, or in that of the settings. Raises JobError when there is none."""
+    path: Path | None = absolute(folder) if folder else chosen_lift(settings)
+    if path is None:
+        raise JobError("no lift is chosen", "Lift folder", "Start a lift, or choose the folder of one.")
+    return LiftFolder.open(path)

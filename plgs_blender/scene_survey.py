@@ -1,0 +1,147 @@
+"""What is in the scene's folder: the frames' headers at once, and what their pixels say from an engine, a moment later.
+
+The panel draws from here; nothing is read while it draws.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ..engine.job import JobError
+from ..engine.job.process import EngineProcess
+from ..engine.scene import Scene, SceneError, Size, UpAxis, open_scene
+
+
+@dataclass(frozen=True)
+class Place:
+    """Which scene: its folder, its masks where they lie elsewhere, and the axis that points up."""
+
+    folder: Path
+    masks: Path | None
+    up: UpAxis
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known of a scene. ``error`` and ``fix`` say why it cannot be lifted; None and empty when it can.
+
+    ``sizes`` of the colour images with how many have each, the commonest first; ``depth_range`` the nearest, middle and
+    farthest depth in metres and ``class_shares`` the share of the pixels of each class, both None until an engine has
+    looked into the pixels (``is_looking``).
+    """
+
+    place: Place
+    train_frames: int = 0
+    test_frames: int = 0
+    sizes: tuple[tuple[Size, int], ...] = ()
+    classes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    error: str | None = None
+    fix: str = ""
+    depth_range: tuple[float, float, float] | None = None
+    class_shares: Mapping[str, float] | None = None
+    is_looking: bool = False
+
+    @property
+    def frames(self) -> int:
+        return self.train_frames + self.test_frames
+
+
+_latest: Survey | None = None
+_inspector: EngineProcess | None = None
+
+
+def survey_of(place: Place) -> Survey | None:
+    """What is known of this scene; None when nobody has looked yet."""
+    return _latest if _latest is not None and _latest.place == place else None
+
+
+def look(place: Place, python: Path | None) -> Survey:
+    """Read the scene's headers now, and let an engine look into the pixels if there is a ``python`` for one.
+
+    Never raises for a bad scene: the survey says what is wrong.
+    """
+    global _latest
+    stop_looking()
+    try:
+        _latest = _from_headers(place, open_scene(place.folder, place.masks, place.up))
+    except SceneError as error:
+        _latest = Survey(place, error=f"{error.what}: {error.where}", fix=error.fix)
+        return _latest
+    if python is not None:
+        _begin_inspection(place, python)
+    return _latest
+
+
+def is_looking() -> bool:
+    """Whether an engine looks into the pixels just now."""
+    return _inspector is not None
+
+
+def poll() -> bool:
+    """Take the engine's answer, when it is there; whether it goes on looking."""
+    global _latest, _inspector
+    if _inspector is None or _latest is None:
+        return False
+    code = _inspector.exit_code()
+    if code is None:
+        return True
+    words = _inspector.words()
+    stop_looking()
+    _latest = _with_answer(replace(_latest, is_looking=False), code, words)
+    return False
+
+
+def stop_looking() -> None:
+    """End an inspection that is still going on."""
+    global _inspector
+    if _inspector is not None:
+        _inspector.kill()
+        _inspector.close()
+        _inspector = None
+
+
+def _begin_inspection(place: Place, python: Path) -> None:
+    global _latest, _inspector
+    assert _latest is not None
+    masks: list[str | Path] = [] if place.masks is None else ["--masks", place.masks]
+    command: list[str | Path] = [python, "-m", "engine", "inspect", place.folder, f"--up={place.up}", "--json", *masks]
+    try:
+        _inspector = EngineProcess(command)
+    except JobError as error:
+        _latest = replace(_latest, warnings=(*_latest.warnings, f"the pixels were not looked at: {error}"))
+    else:
+        _latest = replace(_latest, is_looking=True)
+
+
+def _from_headers(place: Place, scene: Scene) -> Survey:
+    sizes = Counter(frame.size for frame in scene.frames).most_common()
+    return Survey(
+        place,
+        train_frames=len(scene.train_frames),
+        test_frames=len(scene.test_frames),
+        sizes=tuple(sizes),
+        classes=tuple(category.name for category in scene.classes.categories),
+        warnings=scene.warnings,
+    )
+
+
+def _with_answer(survey: Survey, code: int, words: str) -> Survey:
+    """The survey with what `engine inspect --json` said; its error line when the scene is bad."""
+    line = words.splitlines()[-1] if words else "no answer"
+    if code != 0:
+        return replace(survey, error=line.removeprefix("error: "))
+    try:
+        answer: dict[str, Any] = json.loads(line)
+        near, middle, far = (float(each) for each in answer["depth_range"])
+        shares = {str(each["name"]): float(each["share"]) for each in answer["classes"]}
+        warnings = tuple(str(each) for each in answer["warnings"])
+    except (ValueError, TypeError, KeyError) as error:
+        told = f"the engine's answer about the pixels cannot be read ({error!r})"
+        return replace(survey, warnings=(*survey.warnings, told))
+    return replace(survey, depth_range=(near, middle, far), class_shares=shares, warnings=warnings)

@@ -1,0 +1,105 @@
+"""2 Lift: how much work to spend, what it will cost, and how far it is."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..plgs_blender import engine_environment
+from ..plgs_blender.running import lifts
+from ..plgs_blender.running.lifts import Watch
+from ..plgs_blender.settings import chosen_lift
+from .sidebar import Sidebar, duration, tell
+
+
+class PLGS_PT_lift(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label, bl_order = "PLGS_PT_lift", "2  Lift", 2
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.plgs
+        folder = chosen_lift(settings)
+        followed = lifts.watch_of(folder) if folder is not None else None
+        if followed is not None and followed.is_running:
+            _draw_progress(layout, context, followed)
+            return
+        layout.prop(settings, "preset", expand=True)
+        _draw_engine(layout, context)
+        row = layout.row()
+        row.scale_y = 1.4
+        row.operator("plgs.lift_scene", icon="PLAY")
+        if followed is not None:
+            _draw_ending(layout, context, followed)
+        elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
+            tell(layout, context, str(refusal), "ERROR")
+        for other in lifts.running():
+            row = layout.row()
+            row.label(text=f"Running: {other.folder.path.name}", icon="RENDER_ANIMATION")
+            row.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
+
+
+class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_lift_options", "Options"
+    bl_parent_id, bl_options = "PLGS_PT_lift", {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.plgs
+        layout.use_property_split, layout.use_property_decorate = True, False
+        layout.prop(settings, "lift_folder")
+        column = layout.column(align=True)
+        for name in ("steps", "width", "height", "seed"):
+            column.prop(settings, name)
+        layout.prop(settings, "bake")
+        column = layout.column(heading="While it lifts")
+        for name in ("live_preview", "place_when_done", "keep_running"):
+            column.prop(settings, name)
+
+
+def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Nothing when an engine answers; otherwise what is wrong and the way to the button that mends it."""
+    engine = engine_environment.status()
+    if engine.is_usable:
+        return
+    box = layout.box()
+    tell(box, context, f"{engine.message}. {engine.fix}", "INFO")
+    box.operator("plgs.show_preferences", icon="PREFERENCES")
+
+
+def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Watch) -> None:
+    status = followed.status
+    stages = f"{status.stage_index}/{status.stage_count}  " if status.stage_count else ""
+    layout.label(text=f"{stages}{status.label}", icon="RENDER_ANIMATION")
+    share = status.step / status.steps if status.steps else 0.0
+    layout.progress(factor=share, type="BAR", text=f"{status.step} of {status.steps}" if status.steps else "...")
+    told = [] if status.loss is None else [f"Loss {status.loss:.4f}"]
+    if status.eta_s is not None:
+        told.append(f"{duration(status.eta_s)} left")
+    layout.label(text=", ".join(told) or " ")
+    for warning in status.warnings[-2:]:
+        tell(layout, context, warning, "ERROR")
+    row = layout.row()
+    row.scale_y = 1.4
+    row.operator("plgs.cancel_lift", icon="CANCEL").lift_folder = str(followed.folder.path)
+    layout.prop(context.scene.plgs, "live_preview")
+
+
+def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Watch) -> None:
+    """How the lift of the panel ended, and what can be done about it."""
+    outcome = followed.outcome
+    assert outcome is not None
+    path = str(followed.folder.path)
+    box = layout.box()
+    box.alert = outcome.error is not None
+    tell(box, context, lifts.words_for(outcome), "ERROR" if outcome.error else "INFO")
+    column = box.column(align=True)
+    column.scale_y = 0.8
+    for line in outcome.log_lines[-6:]:
+        tell(column, context, line)
+    row = layout.row(align=True)
+    if followed.is_finished:
+        row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path
+    if followed.can_be_resumed:
+        row.operator("plgs.resume_lift", icon="FILE_REFRESH").lift_folder = path
+    if outcome.error is not None:
+        row.operator("plgs.open_log", icon="TEXT").lift_folder = path
+
+
+CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options)

@@ -1,0 +1,70 @@
+"""1 Scene: which folder, what is in it, and its cameras and images into Blender."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..plgs_blender.scene_survey import Survey, survey_of
+from ..plgs_blender.settings import place_of
+from .sidebar import Sidebar, tell
+
+_MOST_WARNINGS = 4
+
+
+class PLGS_PT_scene(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label, bl_order = "PLGS_PT_scene", "1  Scene", 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.plgs
+        row = layout.row(align=True)
+        row.prop(settings, "scene_folder", text="")
+        row.operator("plgs.look_at_scene", text="", icon="FILE_REFRESH")
+        survey = survey_of(place_of(settings)) if settings.scene_folder else None
+        if not settings.scene_folder:
+            tell(layout, context, "Choose a folder of posed RGB-D frames, or drop its panoptic.json here", "INFO")
+        elif survey is None:
+            layout.label(text="Not looked at yet", icon="QUESTION")
+        else:
+            _draw_survey(layout, context, survey)
+        layout.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
+
+
+class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_scene_options", "Masks and axes"
+    bl_parent_id, bl_options = "PLGS_PT_scene", {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.plgs
+        layout.use_property_split, layout.use_property_decorate = True, False
+        layout.prop(settings, "masks")
+        layout.prop(settings, "up")
+
+
+def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey) -> None:
+    if survey.error is not None:
+        box = layout.box()
+        box.alert = True
+        tell(box, context, survey.error, "ERROR")
+        tell(box, context, survey.fix)
+        return
+    column = layout.box().column(align=True)
+    column.label(text=f"{survey.frames} frames, {survey.test_frames} of them held out", icon="CAMERA_DATA")
+    sizes = [f"{width} x {height}" + (f" ({count})" if len(survey.sizes) > 1 else "")
+             for (width, height), count in survey.sizes[:3]]  # fmt: skip
+    column.label(text=", ".join(sizes), icon="IMAGE_DATA")
+    column.label(text=_depth(survey), icon="EMPTY_SINGLE_ARROW")
+    column.label(text=f"{len(survey.classes)} classes", icon="COLOR")
+    for warning in survey.warnings[:_MOST_WARNINGS]:
+        tell(layout, context, warning, "ERROR")
+    if len(survey.warnings) > _MOST_WARNINGS:
+        layout.label(text=f"and {len(survey.warnings) - _MOST_WARNINGS} more warnings", icon="BLANK1")
+
+
+def _depth(survey: Survey) -> str:
+    if survey.depth_range is not None:
+        near, middle, far = survey.depth_range
+        return f"Depth {near:.2f} to {far:.2f} m, middle {middle:.2f} m"
+    return "Depth: looking ..." if survey.is_looking else "Depth: known once an engine is set up"
+
+
+CLASSES = (PLGS_PT_scene, PLGS_PT_scene_options)

@@ -1,0 +1,35 @@
+"""The tab PLGS in the 3D view's sidebar: what its panels share."""
+
+from __future__ import annotations
+
+import textwrap
+
+import bpy
+
+_PIXELS_A_LETTER = 7.0
+"""Of the interface's font at scale 1, on average."""
+
+
+class Sidebar:
+    """Where a panel of ours lies."""
+
+    bl_space_type, bl_region_type, bl_category = "VIEW_3D", "UI", "PLGS"
+
+
+def tell(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
+    """A text of any length, wrapped to the sidebar's width: Blender's own labels are cut off."""
+    scale = context.preferences.system.ui_scale
+    letters = max(20, int(context.region.width / (_PIXELS_A_LETTER * scale)) - 5)
+    column = layout.column(align=True)
+    for number, line in enumerate(textwrap.wrap(text, letters) or [""]):
+        column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+def duration(seconds: float) -> str:
+    """Such as "2 min 40 s" or "1 h 05 min"."""
+    whole = max(0, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
