@@ -16,6 +16,8 @@ from .json_file import Json
 from .log_tail import last_lines
 from .process import EngineProcess, engine_command, engine_python
 
+LOG_LINES = 40
+"""Of the log's end in an outcome: enough for a Python traceback, and for one that a crash in native code leaves."""
 CANCEL_WAIT_S = 0.65
 """How long an engine may take to stop by itself before it is killed. Its own watchdog needs 0.6 s at most."""
 
@@ -232,7 +234,7 @@ class LiftFollower:
         return self._failed(_exit_code(code), self._last_words())
 
     def _failed(self, code: ExitCode, error: str) -> Outcome:
-        lines = last_lines(self.folder.log_path) if code is ExitCode.INTERNAL_ERROR else ()
+        lines = last_lines(self.folder.log_path, LOG_LINES) if code is ExitCode.INTERNAL_ERROR else ()
         return Outcome(code, error, lines)
 
     def _last_words(self) -> str:

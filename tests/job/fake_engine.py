@@ -1,6 +1,7 @@
 """An engine process for tests: the real `run_engine` around a lift that only pretends. Run as a script:
 
-fake_engine.py BEHAVIOUR LIFT [--resume]: what `engine lift LIFT --stay-with-parent` would be.
+fake_engine.py BEHAVIOUR LIFT [--resume] [--go-on]: what `engine lift LIFT --stay-with-parent` would be, or, with
+--go-on, without that.
 """
 
 from __future__ import annotations
@@ -65,7 +66,8 @@ if __name__ == "__main__":
     behaviour, lift = sys.argv[1:3]
     folder = LiftFolder.open(Path(lift))
     try:
-        code = run_engine(folder, resume="--resume" in sys.argv, parent_pipe=0, lift=Pretence(behaviour))
+        pipe = None if "--go-on" in sys.argv else 0
+        code = run_engine(folder, resume="--resume" in sys.argv, parent_pipe=pipe, lift=Pretence(behaviour))
     except JobError as error:
         sys.exit(f"error: {error}")
     sys.exit(code)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from engine.job import EventReader, EventWriter, last_run
+from engine.job.events import MOST_BYTES, TAIL_BYTES, last_events
 
 
 def lines(path: Path) -> list[dict[str, object]]:
@@ -124,3 +125,48 @@ def test_last_run_begins_with_the_last_hello(tmp_path: Path) -> None:
     writer.warning("two")
     assert [event.seq for event in last_run(path)] == [3, 4]
     assert last_run(tmp_path / "missing") == []
+
+
+def a_long_run(path: Path) -> EventWriter:
+    """A run whose hello lies far above the end of the file."""
+    writer = EventWriter(path)
+    writer.hello(threads=1, resumed=False)
+    for step in range(4000):
+        writer.progress("train", step, 4000, loss=0.5, eta_s=1.0)
+        if step % 100 == 0:
+            writer.warning(f"step {step}")
+    assert path.stat().st_size > 2 * max(MOST_BYTES, TAIL_BYTES)
+    return writer
+
+
+def test_a_hurried_reader_takes_a_part_at_a_time_and_the_newest_progress(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    writer = a_long_run(path)
+    reader, polls, seen = EventReader(path, hurried=True), 0, []
+    while not polls or reader.is_behind:
+        events = reader.poll()
+        assert len(events) < 100
+        seen += events
+        polls += 1
+    assert polls > 2 and [event.kind for event in seen].count("warning") == 40
+    assert seen[-1].data["step"] == 3999
+    assert reader.poll() == [] and not reader.is_behind
+    writer.progress("train", 4000, 4000)
+    assert [event.data["step"] for event in reader.poll()] == [4000]
+
+
+def test_the_end_of_a_run_is_read_from_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    assert last_events(path) == []
+    writer = a_long_run(path)
+    writer.error("broke", "here", "Mend it.", 1)
+    assert last_events(path)[-1].kind == "error" and len(last_events(path)) < 200
+    writer.hello(threads=1, resumed=True)
+    writer.warning("again")
+    assert [event.kind for event in last_events(path)] == ["hello", "warning"]
+    with path.open("ab") as file:
+        file.write(b"\0" * 2 * TAIL_BYTES)  # a power cut
+    assert [event.kind for event in last_events(path)] == ["hello", "warning"]
+    reader = EventReader(path, from_end=True)
+    EventWriter(path).warning("after the power came back")
+    assert [event.data["message"] for event in reader.poll()] == ["after the power came back"]

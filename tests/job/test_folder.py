@@ -87,6 +87,22 @@ def test_the_state_is_what_happened(tmp_path: Path) -> None:
     assert folder.state() is LiftState.FINISHED
 
 
+def test_a_glance_sees_the_same_without_looking_at_the_files(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    assert folder.state_at_a_glance() is LiftState.NOT_STARTED
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=False)
+    assert folder.state_at_a_glance() is LiftState.INTERRUPTED
+    with folder.lock():
+        assert folder.state_at_a_glance() is LiftState.RUNNING
+    events.error("broke", "here", "Mend it.", 2)
+    assert folder.state_at_a_glance() is LiftState.FAILED
+    events.done("cancelled")  # an engine that was asked to stop while it failed
+    assert folder.state_at_a_glance() is folder.state() is LiftState.FAILED
+    run_tiny(folder)
+    assert folder.state_at_a_glance() is LiftState.FINISHED
+
+
 def test_events_alone_never_make_it_finished(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)

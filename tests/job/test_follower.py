@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import EventReader, ExitCode, LiftFolder, LiftState
+from engine.job import EventReader, EventWriter, ExitCode, LiftFolder, LiftState
 from engine.job.follower import LiftFollower
 from engine.job.process import EngineProcess
 from tests.job.lift_folders import new_lift
@@ -142,6 +142,8 @@ def test_every_end_is_told(
     assert told.format(scene=folder.request.scene, log=folder.log_path) in follower.outcome.error
     assert "\n" not in follower.outcome.error
     assert logged in folder.log_path.read_text()
+    is_the_users = code is ExitCode.BAD_INPUT
+    assert any(logged in line for line in follower.outcome.log_lines) is not is_the_users
     assert folder.state() in (LiftState.FAILED, LiftState.INTERRUPTED)
 
 
@@ -211,3 +213,110 @@ def test_watching_somebody_elses_engine(folder: LiftFolder, start: Start) -> Non
     watcher.cancel()
     follow(watcher)
     assert code_of(watcher) is ExitCode.CANCELLED
+
+
+def start_parent(root: Path, folder: LiftFolder, behaviour: str) -> subprocess.Popen[bytes]:
+    """A process that starts an engine which goes on without it, and is then in the way of nobody."""
+    code = (
+        "import sys, time; from pathlib import Path; from engine.job import LiftFolder\n"
+        "from engine.job.follower import LiftFollower\n"
+        "folder = LiftFolder.open(Path(sys.argv[4]))\n"
+        "LiftFollower.start(folder, resume=False, command=sys.argv[1:], stays_with_parent=False); time.sleep(60)"
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", code, sys.executable, FAKE, behaviour, folder.path, "--go-on"], cwd=root
+    )
+
+
+def reattached(folder: LiftFolder) -> LiftFollower:
+    """As a new Blender would, as soon as an engine is at work."""
+    began = time.monotonic()
+    while not folder.is_running:
+        assert time.monotonic() - began < 20
+        time.sleep(0.02)
+    return LiftFollower(folder)
+
+
+def test_an_engine_that_goes_on_without_its_parent(folder: LiftFolder, root: Path) -> None:
+    with start_parent(root, folder, "patient") as parent:
+        watcher = reattached(folder)
+        follow(watcher, step_reached(watcher, 5))
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    step = watcher.status.step
+    later = LiftFollower(folder)  # a new Blender
+    follow(later, step_reached(later, step + 10))
+    assert later.outcome is None and folder.is_running
+    later.cancel()
+    assert follow(later) < A_SECOND
+    assert code_of(later) is ExitCode.CANCELLED and folder.state() is LiftState.CANCELLED
+
+
+@pytest.mark.parametrize(("behaviour", "told"), [("segfault", "Segmentation fault"), ("memory", "MemoryError")])
+def test_a_crash_is_told_to_who_comes_later(folder: LiftFolder, start: Start, behaviour: str, told: str) -> None:
+    failed = start("broken")
+    follow(failed)
+    follow(start(behaviour, resume=True))
+    watcher = LiftFollower(folder)
+    follow(watcher)
+    assert watcher.outcome is not None and watcher.outcome.code is ExitCode.INTERNAL_ERROR
+    assert "no such luck" not in str(watcher.outcome.error)  # that was the run before
+    assert any(told in line for line in watcher.outcome.log_lines)
+
+
+def test_a_kill_is_told_to_who_comes_later(folder: LiftFolder, start: Start) -> None:
+    own = start("patient")
+    follow(own, step_reached(own, 3))
+    watcher = LiftFollower(folder)
+    watcher.poll()
+    own.kill()
+    follow(watcher)
+    assert watcher.outcome is not None and "killed, or out of memory" in str(watcher.outcome.error)
+    assert any("python talks" in line for line in watcher.outcome.log_lines)
+
+
+def test_an_engine_of_ones_own_that_goes_on(folder: LiftFolder) -> None:
+    def start_one(behaviour: str, *more: str) -> LiftFollower:
+        command = [sys.executable, FAKE, behaviour, folder.path, "--go-on", *more]
+        return LiftFollower.start(folder, resume=bool(more), command=command, stays_with_parent=False)
+
+    first = start_one("patient")
+    follow(first, step_reached(first, 3))
+    first.close()
+    second = start_one("short", "--resume")
+    follow(second)
+    assert second.outcome is not None and "another engine is at work" in str(second.outcome.error)
+    watcher = LiftFollower(folder)
+    follow(watcher, step_reached(watcher, 6))
+    assert watcher.outcome is None
+    watcher.cancel()
+    follow(watcher)
+    third = start_one("deaf", "--resume")
+    follow(third, step_reached(third, watcher.status.step + 1))
+    third.cancel()
+    assert follow(third) < A_SECOND
+    assert code_of(third) is ExitCode.CANCELLED and not folder.is_running
+
+
+def test_a_poll_is_quick_however_much_was_told(folder: LiftFolder) -> None:
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=False)
+    events.stage("train", 1, 1, "Training")
+    events.close()
+    line = '{"seq": 3, "time": 1.5, "event": "%s", "stage": "train", "step": %d, "steps": 90000, "message": ""}\n'
+    with folder.events_path.open("a") as file:
+        file.writelines(line % ("warning" if step % 25 == 0 else "progress", step) for step in range(60000))
+    took = []
+    with folder.lock():
+        watcher = LiftFollower(folder)
+        while watcher.status.step < 59999:
+            began = time.process_time()
+            watcher.poll()
+            took.append(time.process_time() - began)
+            assert watcher.outcome is None
+        began = time.process_time()
+        folder.state()
+        took.append(time.process_time() - began)
+    assert sorted(took)[len(took) // 2] < 0.005 and max(took) < 0.02
+    watcher.poll()
+    assert watcher.outcome is not None and watcher.status.label == "Training"
