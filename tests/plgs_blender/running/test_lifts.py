@@ -14,6 +14,7 @@ from plgs.plgs_blender.running import lifts
 
 ENGINE = Path(__file__).resolve().parents[2] / "job" / "fake_engine.py"
 PYTHON = Path(sys.executable)
+Behaves = Callable[..., None]
 
 
 @pytest.fixture(autouse=True)
@@ -23,12 +24,12 @@ def nothing_followed() -> Iterator[None]:
 
 
 @pytest.fixture
-def behaves(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+def behaves(monkeypatch: pytest.MonkeyPatch) -> Behaves:
     """Chooses what the engine's lift does."""
 
-    def choose(behaviour: str) -> None:
+    def choose(behaviour: str, *options: str) -> None:
         def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
-            return [python, ENGINE, behaviour, lift, *(["--resume"] if resume else [])]
+            return [python, ENGINE, behaviour, lift, *options, *(["--resume"] if resume else [])]
 
         monkeypatch.setattr(lifts, "engine_command", command)
 
@@ -48,7 +49,7 @@ def poll_until(watch: lifts.Watch, condition: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-def test_a_lift_from_start_to_end(behaves: Callable[[str], None], lift: LiftFolder) -> None:
+def test_a_lift_from_start_to_end(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("short")
     watch = lifts.start(lift, PYTHON)
     assert watch.is_running and lifts.running() == [watch] and lifts.watch_of(lift.path) is watch
@@ -57,7 +58,7 @@ def test_a_lift_from_start_to_end(behaves: Callable[[str], None], lift: LiftFold
     assert lifts.words_for(lifts.wait_for(watch)) == "The lift is finished"
 
 
-def test_cancelled_and_resumed(behaves: Callable[[str], None], lift: LiftFolder) -> None:
+def test_cancelled_and_resumed(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
     watch = lifts.start(lift, PYTHON)
     poll_until(watch, lambda: watch.status.step > 5)
@@ -75,7 +76,7 @@ def test_cancelled_and_resumed(behaves: Callable[[str], None], lift: LiftFolder)
 
 @pytest.mark.parametrize("behaviour", ["broken", "memory", "segfault", "exits"])
 def test_an_engine_that_dies_leaves_a_message(
-    behaves: Callable[[str], None], lift: LiftFolder, behaviour: str
+    behaves: Behaves, lift: LiftFolder, behaviour: str
 ) -> None:
     behaves(behaviour)
     watch = lifts.start(lift, PYTHON)
@@ -84,7 +85,7 @@ def test_an_engine_that_dies_leaves_a_message(
     assert watch.can_be_resumed
 
 
-def test_two_cannot_work_in_one_folder(behaves: Callable[[str], None], lift: LiftFolder) -> None:
+def test_two_cannot_work_in_one_folder(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
     watch = lifts.start(lift, PYTHON)
     poll_until(watch, lambda: watch.status.step > 0)
@@ -93,7 +94,7 @@ def test_two_cannot_work_in_one_folder(behaves: Callable[[str], None], lift: Lif
     assert lifts.attach(lift.path) is watch
 
 
-def test_another_blender_watches_and_cancels(behaves: Callable[[str], None], lift: LiftFolder) -> None:
+def test_another_blender_watches_and_cancels(behaves: Behaves, lift: LiftFolder) -> None:
     """Two followers of one folder, the second without a process, as in another Blender."""
     behaves("long")
     ours = lifts.start(lift, PYTHON)
@@ -108,8 +109,8 @@ def test_another_blender_watches_and_cancels(behaves: Callable[[str], None], lif
     ours.follower.close()
 
 
-def test_a_lift_that_goes_on_is_found_again(behaves: Callable[[str], None], lift: LiftFolder) -> None:
-    behaves("long")
+def test_a_lift_that_goes_on_is_found_again(behaves: Behaves, lift: LiftFolder) -> None:
+    behaves("long", "--go-on")
     watch = lifts.start(lift, PYTHON, keep_running=True)
     poll_until(watch, lambda: watch.status.step > 0)
     lifts.let_go()
@@ -122,7 +123,7 @@ def test_a_lift_that_goes_on_is_found_again(behaves: Callable[[str], None], lift
 
 
 def test_a_lift_that_shall_not_go_on_ends_with_its_blender(
-    behaves: Callable[[str], None], lift: LiftFolder
+    behaves: Behaves, lift: LiftFolder
 ) -> None:
     behaves("long")
     watch = lifts.start(lift, PYTHON)
@@ -146,7 +147,7 @@ def test_a_folder_that_was_not_started_can_be_resumed(lift: LiftFolder) -> None:
     assert watch.state is LiftState.NOT_STARTED and watch.can_be_resumed and not watch.is_running
 
 
-def test_the_folder_is_deleted_while_it_lifts(behaves: Callable[[str], None], lift: LiftFolder) -> None:
+def test_the_folder_is_deleted_while_it_lifts(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
     watch = lifts.start(lift, PYTHON)
     poll_until(watch, lambda: watch.status.step > 0)

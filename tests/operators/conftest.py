@@ -1,0 +1,40 @@
+"""Operators are called as scripts call them: in Blender without a window, with the extension switched on."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+import pytest
+
+for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+
+import tiny_lift  # noqa: E402  (beside the tests of plgs_blender)
+from tiny_scene import write_tiny_scene  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def extension(plgs: ModuleType) -> Iterator[None]:
+    """On before each test and off afterwards, in an empty file."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    plgs.register()
+    yield
+    plgs.unregister()
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+@pytest.fixture(scope="session")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene of 8 small frames. Only for reading."""
+    return write_tiny_scene(tmp_path_factory.mktemp("scene") / "tiny room", frames=8, size=(64, 48))
+
+
+@pytest.fixture(scope="session")
+def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished lift. Only for reading."""
+    return tiny_lift.write_tiny_lift(tmp_path_factory.mktemp("lifts") / "lift").path

@@ -1,0 +1,105 @@
+"""Starting, watching, cancelling and resuming from a script, where operators wait for the lift."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+import pytest
+from plgs.engine.job import LiftFolder
+from plgs.plgs_blender import engine_environment
+from plgs.plgs_blender.running import lifts
+
+ENGINE = Path(__file__).resolve().parents[1] / "job" / "fake_engine.py"
+Behaves = Callable[[str], None]
+
+
+@pytest.fixture
+def behaves(monkeypatch: pytest.MonkeyPatch) -> Behaves:
+    """Chooses what the engine's lift does."""
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
+
+    def choose(behaviour: str) -> None:
+        def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
+            return [python, ENGINE, behaviour, lift, *(["--resume"] if resume else [])]
+
+        monkeypatch.setattr(lifts, "engine_command", command)
+
+    return choose
+
+
+def test_a_script_waits_for_the_lift(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+    behaves("short")
+    settings = bpy.context.scene.plgs
+    settings.place_when_done = False  # a pretended lift has nothing to show
+    made = bpy.ops.plgs.lift_scene(
+        scene_folder=str(room), lift_folder=str(tmp_path / "lift"), preset="standard", steps=7, seed=3
+    )
+    assert made == {"FINISHED"}
+    request = LiftFolder.open(tmp_path / "lift").request
+    assert (request.scene, request.preset, request.steps, request.seed) == (room, "standard", 7, 3)
+    assert (settings.preset, settings.steps, settings.seed) == ("standard", 7, 3), "the panel shows what is lifted"
+
+
+def test_without_a_lift_folder_one_is_made_beside_the_scene(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+    behaves("short")
+    own = shutil.copytree(room, tmp_path / "room")
+    bpy.context.scene.plgs.place_when_done = False
+    bpy.ops.plgs.lift_scene(scene_folder=str(own))
+    assert Path(bpy.context.scene.plgs.lift_folder) == tmp_path / "room_lift"
+    bpy.ops.plgs.lift_scene()
+    assert Path(bpy.context.scene.plgs.lift_folder) == tmp_path / "room_lift_2", "no lift is overwritten"
+
+
+def test_an_engine_that_breaks_raises_its_reason(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+    behaves("broken")
+    with pytest.raises(RuntimeError, match="no such luck|ZeroDivisionError"):
+        bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
+    watch = lifts.watch_of(tmp_path / "lift")
+    assert watch is not None and watch.can_be_resumed
+    assert watch.outcome is not None and watch.outcome.log_lines, "the panel shows the log's end"
+
+
+def test_resuming(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+    behaves("broken")
+    bpy.context.scene.plgs.place_when_done = False
+    with pytest.raises(RuntimeError):
+        bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
+    behaves("short")
+    assert bpy.ops.plgs.resume_lift(lift_folder=str(tmp_path / "lift")) == {"FINISHED"}
+    with pytest.raises(RuntimeError, match="cannot be resumed: it is finished"):
+        bpy.ops.plgs.resume_lift()
+
+
+def test_a_bad_scene_starts_nothing(behaves: Behaves, tmp_path: Path) -> None:
+    behaves("short")
+    with pytest.raises(RuntimeError):
+        bpy.ops.plgs.lift_scene(scene_folder=str(tmp_path), lift_folder=str(tmp_path / "lift"))
+    assert not (tmp_path / "lift").exists()
+
+
+def test_no_scene_is_said(behaves: Behaves) -> None:
+    with pytest.raises(RuntimeError, match="no scene is chosen"):
+        bpy.ops.plgs.lift_scene()
+
+
+def test_watching_a_finished_lift_places_it(lift: Path) -> None:
+    assert bpy.ops.plgs.watch_lift(lift_folder=str(lift)) == {"FINISHED"}
+    assert any(ob.type == "POINTCLOUD" for ob in bpy.context.scene.objects)
+    assert Path(bpy.context.scene.plgs.scene_folder) == lift.parent / "tiny room"
+
+
+def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None:
+    bpy.context.scene.plgs.lift_folder = str(lift)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    lifts.let_go()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    watch = lifts.watch_of(lift)
+    assert watch is not None and watch.is_finished
+
+
+def test_cancelling_nothing_says_so() -> None:
+    assert not bpy.ops.plgs.cancel_lift.poll()

@@ -1,0 +1,72 @@
+"""Importing a scene's cameras, and what a dropped file opens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import pytest
+from plgs.plgs_blender.scene_survey import survey_of
+from plgs.plgs_blender.settings import place_of
+
+
+def test_importing_cameras_lifts_nothing(room: Path) -> None:
+    assert bpy.ops.plgs.import_scene(scene_folder=str(room)) == {"FINISHED"}
+    scene = bpy.context.scene
+    cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
+    assert len(cameras) == 8 and len(scene.objects) == 8
+    assert all(camera.data.background_images[0].image for camera in cameras)
+    assert len(scene.timeline_markers) == 8 and scene.camera in cameras
+    assert Path(bpy.path.abspath(scene.plgs.scene_folder)) == room
+
+
+def test_importing_twice_changes_nothing(room: Path) -> None:
+    bpy.ops.plgs.import_scene(scene_folder=str(room))
+    names = sorted(ob.name for ob in bpy.context.scene.objects)
+    bpy.ops.plgs.import_scene()
+    assert sorted(ob.name for ob in bpy.context.scene.objects) == names
+
+
+def test_a_lift_fills_the_collection_of_its_imported_scene(lift: Path) -> None:
+    scene_folder = lift.parent / "tiny room"
+    bpy.ops.plgs.import_scene(scene_folder=str(scene_folder))
+    imported = {ob for ob in bpy.context.scene.objects}
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    assert imported <= set(bpy.context.scene.objects)
+    assert len([c for c in bpy.data.collections if c.name.startswith("PLGS")]) == 1
+    bpy.ops.plgs.import_scene()
+    assert any(ob.type == "POINTCLOUD" for ob in bpy.context.scene.objects), "importing again keeps the result"
+
+
+def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder = str(room)
+    survey = survey_of(place_of(settings))
+    assert survey is not None and survey.error is None
+    assert (survey.frames, survey.sizes) == (8, (((64, 48), 8),))
+
+
+def test_a_bad_folder_is_said_and_greys_the_button(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder = str(tmp_path)
+    survey = survey_of(place_of(settings))
+    assert survey is not None and survey.error is not None and survey.fix
+    assert not bpy.ops.plgs.import_scene.poll()
+    with pytest.raises(RuntimeError):
+        bpy.ops.plgs.import_scene()
+    assert len(bpy.data.objects) == 0
+
+
+def test_a_dropped_file_opens_its_scene_or_its_lift(room: Path, lift: Path) -> None:
+    settings = bpy.context.scene.plgs
+    bpy.ops.plgs.open_dropped(filepath=str(next((room / "pose").iterdir())))
+    assert Path(settings.scene_folder) == room
+    bpy.ops.plgs.open_dropped(filepath=str(lift / "result" / "instances.json"))
+    assert Path(settings.lift_folder) == lift
+
+
+def test_a_file_from_elsewhere_is_refused(tmp_path: Path) -> None:
+    stray = tmp_path / "notes.txt"
+    stray.write_text("nothing")
+    with pytest.raises(RuntimeError, match="neither to a scene nor to a lift"):
+        bpy.ops.plgs.open_dropped(filepath=str(stray))
