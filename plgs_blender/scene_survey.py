@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..engine.job import JobError
+from ..engine.job import ExitCode, JobError
 from ..engine.job.process import EngineProcess
 from ..engine.scene import Scene, SceneError, Size, UpAxis, open_scene
 
@@ -134,7 +134,7 @@ def _from_headers(place: Place, scene: Scene) -> Survey:
 def _with_answer(survey: Survey, code: int, words: str) -> Survey:
     """The survey with what `engine inspect --json` said; its error line when the scene is bad."""
     line = words.splitlines()[-1] if words else "no answer"
-    if code != 0:
+    if code == ExitCode.BAD_INPUT and line.startswith("error: "):
         return replace(survey, error=line.removeprefix("error: "))
     try:
         answer: dict[str, Any] = json.loads(line)
@@ -142,6 +142,6 @@ def _with_answer(survey: Survey, code: int, words: str) -> Survey:
         shares = {str(each["name"]): float(each["share"]) for each in answer["classes"]}
         warnings = tuple(str(each) for each in answer["warnings"])
     except (ValueError, TypeError, KeyError) as error:
-        told = f"the engine's answer about the pixels cannot be read ({error!r})"
+        told = f"the engine could not look into the pixels ({error!r}): {line}"
         return replace(survey, warnings=(*survey.warnings, told))
     return replace(survey, depth_range=(near, middle, far), class_shares=shares, warnings=warnings)

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 from ..job import ExitCode
 from ..scene import SceneReport, Size, UpAxis, describe, open_scene
 
 
-def inspect_scene(folder: Path, masks: Path | None, up: UpAxis) -> ExitCode:
-    """Decode every frame and print what is there. Raises SceneError for the first thing that is wrong."""
+def inspect_scene(folder: Path, masks: Path | None, up: UpAxis, *, as_json: bool = False) -> ExitCode:
+    """Decode every frame and print what is there, for people or as one line of JSON.
+
+    Raises SceneError for the first thing that is wrong.
+    """
     report = describe(open_scene(folder, masks, up))
-    print(*_lines(report), sep="\n")
+    if as_json:
+        print(json.dumps(asdict(report), default=str))
+    else:
+        print(*_lines(report), sep="\n")
     return ExitCode.FINISHED
 
 

@@ -65,6 +65,7 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.description = "Read a scene as a lift would, and describe it. Bad input: one line, exit code 2."
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder")
     add_scene_options(parser)
+    parser.add_argument("--json", action="store_true", help="one line of JSON, for programs")
     parser.set_defaults(run=_inspect)
 
 
@@ -96,7 +97,7 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 def _inspect(options: argparse.Namespace) -> ExitCode:
     from .inspect_scene import inspect_scene
 
-    return inspect_scene(options.scene, options.masks, options.up or "z")
+    return inspect_scene(options.scene, options.masks, options.up or "z", as_json=options.json)
 
 
 def _warm_up(options: argparse.Namespace) -> ExitCode:

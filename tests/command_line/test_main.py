@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -88,6 +89,13 @@ def test_inspect(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     said = capsys.readouterr().out
     for told in ("64x48", "chair", "thing", "wall", "stuff", "held out", " m"):
         assert told in said
+
+
+def test_inspect_for_programs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path / "scene", frames=9)
+    assert code_of("inspect", scene, "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["train_frames"] + answer["test_frames"] == 9 and len(answer["depth_range"]) == 3
 
 
 METRICS = """{"format": 1, "test_frames": ["0000"], "tables": [
