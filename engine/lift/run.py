@@ -24,7 +24,7 @@ from ..train.progress import StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
-from .scene_files import write_scene_files
+from .scene_files import shown_instances, write_scene_files
 
 log = logging.getLogger("plgs.lift")
 
@@ -73,7 +73,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
 
     with stages.stage("result"):
         write_scene_files(folder, scene, prepared, trainer.scene, events)
-    baker = FrameBaker(scene, prepared, trainer.scene)
+    baker = FrameBaker(scene, trainer.scene, shown_instances(prepared, scene.classes))
     bake_and_evaluate(folder, baker, frames_to_bake(scene, request.bake), events, stages)
     write_manifest(
         folder.result_path,
