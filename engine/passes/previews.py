@@ -70,6 +70,15 @@ def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] 
     return np.array(table, np.uint8)[index.reshape(instance.shape)]
 
 
+def panoptic_picture(layers: PanopticLayers, classes: ClassTable, instance_colours: Mapping[int, Colour]) -> Picture:
+    """Classes and instances in one picture: objects in their own colours, the rest in those of its classes, lit by what
+    was rendered. Nothing rendered: black."""
+    labels = semantic_picture(layers.semantic, classes)
+    owned = layers.instance > 0
+    labels[owned] = instance_picture(layers.instance, instance_colours)[owned]
+    return shaded(labels, colour_picture(layers))
+
+
 def shaded(labels: Picture, photo: Picture) -> Picture:
     """A label picture that lets the photo's light and edges through, with thin dark lines between labels."""
     luma = photo.astype(np.float32) @ np.array([0.2126, 0.7152, 0.0722], np.float32) / 255
