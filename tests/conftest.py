@@ -36,6 +36,10 @@ sys.path.insert(0, str(ROOT))
 # As the engine's command has it: threads that wait do not spin. Read when torch is first imported.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
+# Nobody's list of lifts, nobody's measured speed: what a test runs as an engine takes this folder too.
+os.environ["PLGS_CACHE_DIR"] = tempfile.mkdtemp(prefix="plgs-cache-")
+atexit.register(shutil.rmtree, os.environ["PLGS_CACHE_DIR"], ignore_errors=True)
+
 HAS_BLENDER = importlib.util.find_spec("bpy") is not None
 if HAS_BLENDER:
     # Before bpy is imported, here or in a process that a test starts: nobody's preferences, nobody's extensions.

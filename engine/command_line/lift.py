@@ -1,4 +1,4 @@
-"""``lift``: in a folder that is there, or from a scene."""
+"""``lift``: in a folder that is there, or from a scene. ``bake``: more frames of a finished lift."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..job.report import made_files, metrics_table
 from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupted, Interrupts
 from ..scene import open_scene
-from .run_engine import run_engine
+from .run_engine import run_bake, run_engine
 
 _REQUEST_OPTIONS = ("preset", "steps", "size", "seed", "masks", "up", "bake")
 
@@ -22,10 +22,20 @@ def run_folder(options: argparse.Namespace) -> ExitCode:
         fix = "Leave them out, or lift a scene into a new folder with -o."
         raise JobError("a lift's request never changes", ", ".join(f"--{name}" for name in given), fix)
     folder = LiftFolder.open(options.scene)
-    parent_pipe = sys.stdin.fileno() if options.stay_with_parent else None
-    if parent_pipe is None:
-        print(f"The engine's output goes to {folder.log_path}", flush=True)
-    return run_engine(folder, resume=options.resume, parent_pipe=parent_pipe)
+    return run_engine(folder, resume=options.resume, parent_pipe=_parent_pipe(options, folder))
+
+
+def bake_in_folder(options: argparse.Namespace) -> ExitCode:
+    """``bake LIFT``: this process is the engine. Raises JobError."""
+    folder = LiftFolder.open(options.lift)
+    return run_bake(folder, options.frames, parent_pipe=_parent_pipe(options, folder))
+
+
+def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:
+    if options.stay_with_parent:
+        return sys.stdin.fileno()
+    print(f"The engine's output goes to {folder.log_path}", flush=True)
+    return None
 
 
 def lift_scene(options: argparse.Namespace) -> int:

@@ -33,6 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_lift(commands.add_parser("lift", help="lift posed RGB-D frames and their masks"))
+    _add_bake(commands.add_parser("bake", help="render more frames of a finished lift as passes"))
     _add_evaluate(commands.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(commands.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
     warm_up = commands.add_parser("warm-up", help="compile what a lift runs, so that the first one starts at once")
@@ -48,10 +49,24 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="the lift folder to make")
     add_lift_options(parser)
     parser.add_argument("--resume", action="store_true", help="go on with a lift that was stopped")
+    _add_stay_with_parent(parser)
+    parser.set_defaults(run=_lift)
+
+
+def _add_bake(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Render frames of a finished lift as passes, beside those that are there already."
+    parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
+    parser.add_argument(
+        "--frames", nargs="+", default=["all"], metavar="FRAME", help="names of frames, test (those held out), or all"
+    )
+    _add_stay_with_parent(parser)
+    parser.set_defaults(run=_bake)
+
+
+def _add_stay_with_parent(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--stay-with-parent", action="store_true", help="stop when standard input ends (a parent holds it open)"
     )
-    parser.set_defaults(run=_lift)
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:
@@ -76,6 +91,12 @@ def _lift(options: argparse.Namespace) -> int:
     from . import lift
 
     return lift.lift_scene(options) if options.output else lift.run_folder(options)
+
+
+def _bake(options: argparse.Namespace) -> ExitCode:
+    from . import lift
+
+    return lift.bake_in_folder(options)
 
 
 def _evaluate(options: argparse.Namespace) -> ExitCode:

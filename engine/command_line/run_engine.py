@@ -3,25 +3,43 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol, TextIO
 
 from ..job import Cancelled, EventWriter, ExitCode, JobError, LiftFolder, LiftState, StopSignal, Watchdog
+from ..job.folder import BAKE
+from ..job.recent import remember_lift
 from ..scene import SceneError
 from .log_output import output_to
+
+log = logging.getLogger("plgs.engine")
 
 
 class Lift(Protocol):
     """The work itself: it ends by writing the manifest, or by raising."""
 
     def __call__(self, folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None: ...
+
+
+@dataclass(frozen=True)
+class Task:
+    """What an engine does in a folder, and what somebody is told whose engine did not get to its end."""
+
+    work: Callable[[EventWriter, StopSignal], object]
+    resumed: bool
+    name: str | None = None  # None: a lift
+    when_stopped: str = "The lift can be resumed"
+    again: str = "resume"
+    with_less_memory: str = "Resume after closing other programs, or lift anew with a smaller --size."
 
 
 def run_engine(
@@ -41,58 +59,93 @@ def run_engine(
             fix = "Choose another folder." if state is LiftState.FINISHED else "Add --resume to go on with it."
             raise JobError(f"holds a lift that was begun before ({state.value})", folder.path, fix)
         with output_to(folder.log_path) as terminal:
-            return _run(folder, resume, parent_pipe, lift, terminal)
+            if resume:
+                folder.prepare_run()
+
+            def work(events: EventWriter, stop: StopSignal) -> None:
+                (lift or _run_lift())(folder, events, stop, resume=resume)
+
+            return _run(folder, Task(work, resumed=resume and folder.checkpoints.exists), parent_pipe, terminal)
 
 
-def _run(folder: LiftFolder, resume: bool, parent_pipe: int | None, lift: Lift | None, terminal: TextIO) -> ExitCode:
-    if resume:
-        folder.prepare_run()
+def run_bake(folder: LiftFolder, frames: Sequence[str], *, parent_pipe: int | None = None) -> ExitCode:
+    """Bake more frames of a finished lift ("test", "all", or their names), and answer how it ended.
+
+    Whatever happens the lift stays finished, and what was baked before stays. Otherwise as `run_engine`.
+    """
+    with folder.lock():
+        state = folder.state_at_rest()
+        if state is not LiftState.FINISHED:
+            raise JobError(f"this lift is not finished ({state.value})", folder.path, "Resume it first.")
+        with output_to(folder.log_path) as terminal:
+            folder.prepare_bake()
+
+            def work(events: EventWriter, stop: StopSignal) -> None:
+                from ..lift import bake_frames  # late, as in `_run_lift`
+
+                bake_frames(folder, frames, events, stop)
+
+            left = "The result is whole, with what was baked so far"
+            with_less_memory = "Bake again after closing other programs."
+            return _run(folder, Task(work, False, BAKE, left, "bake again", with_less_memory), parent_pipe, terminal)
+
+
+def _run(folder: LiftFolder, task: Task, parent_pipe: int | None, terminal: TextIO) -> ExitCode:
     events = EventWriter(folder.events_path)
     try:
-        events.hello(threads=_threads(), resumed=resume and folder.checkpoints.exists)
+        events.hello(threads=_threads(), resumed=task.resumed, task=task.name)
+        _remember(folder)
         stop = StopSignal(folder.cancel_path)
         with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
-            code = _lift(folder, events, stop, resume, lift, terminal)
+            code = _do(folder, events, stop, task, terminal)
         with suppress(OSError):  # a full disk; the manifest and the exit code tell it as well
             if code is ExitCode.FINISHED:
                 events.done("finished")
             elif code in (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED):
                 events.done("cancelled")
+        _remember(folder)
         return code
     finally:
         events.close()
 
 
-def _lift(
-    folder: LiftFolder, events: EventWriter, stop: StopSignal, resume: bool, lift: Lift | None, terminal: TextIO
-) -> ExitCode:
+def _remember(folder: LiftFolder) -> None:
+    """In the list of recent lifts: where that cannot be written, the lift matters more."""
+    try:
+        remember_lift(folder.path)
+    except (OSError, JobError) as error:
+        log.warning("this lift is not in the list of recent ones: %s", error)
+
+
+def _do(folder: LiftFolder, events: EventWriter, stop: StopSignal, task: Task, terminal: TextIO) -> ExitCode:
     """Do the work; turn what it raises into an event, a line for people and an exit code."""
     try:
         stop.check()
-        (lift or _run_lift())(folder, events, stop, resume=resume)
+        task.work(events, stop)
         if folder.state_at_rest() is not LiftState.FINISHED:
             raise RuntimeError("the lift ended without a manifest")
         return ExitCode.FINISHED
     except Cancelled as error:
-        print(f"Stopped: {error}. The lift can be resumed: {folder.path}", file=terminal)
+        print(f"Stopped: {error}. {task.when_stopped}: {folder.path}", file=terminal)
         return stop.exit_code
     except (SceneError, JobError) as error:
         return _fail(events, terminal, error.what, error.where, error.fix, ExitCode.BAD_INPUT)
     except ModuleNotFoundError as error:
         traceback.print_exc()
-        fix = "Set the environment up anew with 'make set-up', then resume."
+        fix = f"Set the environment up anew with 'make set-up', then {task.again}."
         return _fail(events, terminal, str(error), sys.executable, fix, ExitCode.INTERNAL_ERROR)
     except MemoryError:
         traceback.print_exc()
-        fix = "Resume after closing other programs, or lift anew with a smaller --size."
-        return _fail(events, terminal, "memory ran out", folder.path, fix, ExitCode.INTERNAL_ERROR)
+        return _fail(
+            events, terminal, "memory ran out", folder.path, task.with_less_memory, ExitCode.INTERNAL_ERROR
+        )
     except Exception as error:  # the process's outermost frame: the traceback is kept, the user gets a line
         traceback.print_exc()
         if _is_of_a_full_disk(error):
-            fix = "Make room there, then resume."
+            fix = f"Make room there, then {task.again}."
             return _fail(events, terminal, "the disk is full", folder.path, fix, ExitCode.INTERNAL_ERROR)
         what = f"the engine failed ({type(error).__name__}: {_first_line(error)})"
-        fix = "The log has the details. When the cause is gone, resume."
+        fix = f"The log has the details. When the cause is gone, {task.again}."
         return _fail(events, terminal, what, folder.log_path, fix, ExitCode.INTERNAL_ERROR)
 
 

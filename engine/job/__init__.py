@@ -8,7 +8,7 @@ from .errors import Cancelled, JobError
 from .events import Event, EventReader, EventWriter, last_run
 from .exit_code import ExitCode
 from .folder import LiftFolder, LiftState
-from .manifest import Manifest, ResultFile, check_sizes, read_manifest, verify, write_manifest
+from .manifest import Manifest, ResultFile, add_files, check_sizes, read_manifest, verify, write_manifest
 from .request import BAKES, PRESETS, UPS, LiftRequest
 from .stop import StopSignal, Watchdog
 
@@ -31,6 +31,7 @@ __all__ = [
     "ResultFile",
     "StopSignal",
     "Watchdog",
+    "add_files",
     "check_sizes",
     "last_run",
     "read_manifest",

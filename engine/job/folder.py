@@ -170,6 +170,14 @@ class LiftFolder:
         self.manifest_path.unlink(missing_ok=True)
         remove_parts(self.path)
 
+    def prepare_bake(self) -> None:
+        """Clear away an earlier run's cancel file and torn files; the result stays.
+
+        Only for the engine that holds the lock.
+        """
+        self.cancel_path.unlink(missing_ok=True)
+        remove_parts(self.path)
+
     def discard(self) -> None:
         """Delete a lift that never got going, so that the same command can be given again.
 

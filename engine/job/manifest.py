@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from stat import S_ISREG
@@ -52,11 +52,7 @@ def write_manifest(
     types.
     """
     remove_parts(result)
-    files = [
-        {"path": path.relative_to(result).as_posix(), "bytes": path.stat().st_size, "sha256": sha256(path)}
-        for path in files_below(result)
-        if path != result / NAME
-    ]
+    files = [_entry(path, result) for path in files_below(result) if path != result / NAME]
     content = {
         "format": FORMAT,
         "engine_version": __version__,
@@ -67,6 +63,28 @@ def write_manifest(
         "files": files,
     }
     write_atomically(result / NAME, to_text(content))
+
+
+def add_files(result: Path, paths: Sequence[Path]) -> None:
+    """List more files, or changed ones, in the manifest of a finished lift; the rest of it stays as it is.
+
+    The result is whole before and after, and whenever a kill comes between. Raises JobError when there is no manifest,
+    OSError.
+    """
+    read_manifest(result)  # refuses what this version does not know
+    content = read_object(result / NAME, _FIX)
+    entries = {str(entry["path"]): entry for entry in _objects(content["files"])}
+    entries |= {str(entry["path"]): entry for entry in (_entry(path, result) for path in paths)}
+    content["files"] = [entries[path] for path in sorted(entries, key=PurePosixPath)]
+    write_atomically(result / NAME, to_text(content))
+
+
+def _entry(path: Path, result: Path) -> dict[str, Json]:
+    return {"path": path.relative_to(result).as_posix(), "bytes": path.stat().st_size, "sha256": sha256(path)}
+
+
+def _objects(value: Json) -> list[dict[str, Json]]:
+    return [each for each in value if isinstance(each, dict)] if isinstance(value, list) else []
 
 
 def read_manifest(result: Path) -> Manifest:

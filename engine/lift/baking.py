@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 
 from ..job import EventWriter, LiftFolder, write_atomically
 from ..metrics.report import LIFTED, PredictedView, Report, add_rivals
@@ -17,34 +18,48 @@ from ..passes import (
     chosen,
     colour_picture,
     decide,
+    preview_paths,
     write_contact_sheet,
     write_exr,
     write_previews,
 )
-from ..scene import Frame, Scene, distinct_colour
-from ..train.preparation import PreparedLift
+from ..scene import Frame, Scene
 from ..train.progress import StageReporter
-from .scene_files import instance_names
+from .scene_files import ShownInstances
 
 
 class FrameBaker:
     """Renders frames of a lifted scene and turns them into layers."""
 
-    def __init__(self, scene: Scene, prepared: PreparedLift, lifted: StructuredScene) -> None:
+    def __init__(self, scene: Scene, lifted: StructuredScene, instances: ShownInstances) -> None:
         self.scene, self.lifted, self.labels = scene, lifted, scene_labels(lifted)
-        self.names = instance_names(prepared.instances, scene.classes)
-        self.colours = {instance.id: distinct_colour(instance.id) for instance in prepared.instances}
-        self.class_of_instance = prepared.class_of_instance
+        self.instances, self.colours = instances, instances.colours
 
     def render(self, frame: Frame) -> tuple[PanopticRendering, PanopticLayers]:
         """The model seen from a frame's camera at the frame's own size: never anything of its mask."""
         rendering = render_view(self.lifted, frame.camera, self.labels)
-        return rendering, decide(rendering, self.scene.classes, self.class_of_instance)
+        return rendering, decide(rendering, self.scene.classes, self.instances.class_of)
 
-    def write(self, folder: LiftFolder, frame: Frame, rendering: PanopticRendering, layers: PanopticLayers) -> None:
-        """passes/<frame>.exr and the three previews."""
-        write_exr(folder.passes_path / f"{frame.name}.exr", layers, rendering, self.scene.classes, self.names)
+    def write(
+        self,
+        folder: LiftFolder,
+        frame: Frame,
+        rendering: PanopticRendering,
+        layers: PanopticLayers,
+        events: EventWriter,
+    ) -> None:
+        """passes/<frame>.exr and the three previews (`baked_files`), and tell of them."""
+        passes, _, semantic, _ = baked_files(folder, frame.name)
+        write_exr(passes, layers, rendering, self.scene.classes, self.instances.names)
         write_previews(folder.previews_path, frame.name, layers, self.scene.classes, self.colours)
+        events.artifact(passes, "pass")
+        events.preview(semantic)
+
+
+def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:
+    """The files of a baked frame: passes, and previews of colour, classes and instances."""
+    colour, semantic, instance = preview_paths(folder.previews_path, frame)
+    return folder.passes_path / f"{frame}.exr", colour, semantic, instance
 
 
 def bake_and_evaluate(
@@ -63,9 +78,7 @@ def bake_and_evaluate(
         for done, frame in enumerate(frames, start=1):
             rendering, layers = baker.render(frame)
             if frame.name in baked_names:
-                baker.write(folder, frame, rendering, layers)
-                events.artifact(folder.passes_path / f"{frame.name}.exr", "pass")
-                events.preview(folder.previews_path / f"{frame.name}_semantic.png")
+                baker.write(folder, frame, rendering, layers, events)
             if frame.held_out:
                 report.add(LIFTED, frame, PredictedView(layers.semantic, layers.instance, colour_picture(layers)))
             if frame.name in shown:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -16,6 +16,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from ..job import Cancelled, EventWriter, LiftFolder, StopSignal, write_manifest
+from ..model.structured import StructuredScene
 from ..raster.compiled import announce_compilation
 from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene, size_within
 from ..train.preparation import prepare
@@ -24,7 +25,8 @@ from ..train.progress import StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
-from .scene_files import write_scene_files
+from .live_previews import LivePreviews
+from .scene_files import shown_instances, write_scene_files
 
 log = logging.getLogger("plgs.lift")
 
@@ -69,12 +71,15 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     if checkpoint is not None:
         restore(trainer, load_file(checkpoint.path / "trainer.safetensors"), checkpoint.state)
         log.info("resuming after step %d", trainer.step_number)
-    train(trainer, folder, stages)
+    instances = shown_instances(prepared, scene.classes)
+    previews = LivePreviews(folder, scene, instances, events)
+    train(trainer, folder, stages, previews)
 
     with stages.stage("result"):
         write_scene_files(folder, scene, prepared, trainer.scene, events)
-    baker = FrameBaker(scene, prepared, trainer.scene)
+    baker = FrameBaker(scene, trainer.scene, instances)
     bake_and_evaluate(folder, baker, frames_to_bake(scene, request.bake), events, stages)
+    previews.clear_away()
     write_manifest(
         folder.result_path,
         versions=library_versions(),
@@ -99,8 +104,11 @@ def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
     return {"test": scene.test_frames, "all": scene.frames, "none": ()}[bake]
 
 
-def train(trainer: Trainer, folder: LiftFolder, stages: StageReporter) -> None:
-    """All steps that are left, with a checkpoint now and then, when stopped, and at the end.
+def train(
+    trainer: Trainer, folder: LiftFolder, stages: StageReporter, look: Callable[[StructuredScene], object]
+) -> None:
+    """All steps that are left, with a checkpoint now and then, when stopped, and at the end. ``look`` is shown the
+    model after each step.
 
     Not when a step fails: half a step's changes would be stored over the last whole state.
     """
@@ -113,6 +121,7 @@ def train(trainer: Trainer, folder: LiftFolder, stages: StageReporter) -> None:
                 report = trainer.step(stages.stop.check)
                 compiled()
                 progress(report.step, steps, report.loss)
+                look(trainer.scene)
                 if time.monotonic() - saved_at > CHECKPOINT_EVERY_S:
                     save_checkpoint(trainer, folder)
                     saved_at = time.monotonic()

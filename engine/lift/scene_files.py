@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
+from safetensors import safe_open
 from safetensors.torch import save
 
 from ..instances import GlobalInstance
-from ..job import EventWriter, LiftFolder, write_atomically
+from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
 from ..model.baking import bake
-from ..model.structured import StructuredScene, to_tensors
+from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..passes import InstanceRecord, SegmentLink, write_anchors, write_instances, write_ply, write_semantic_points
 from ..scene import ClassTable, Scene, distinct_colour
 from ..train.preparation import PreparedLift
@@ -49,6 +51,39 @@ def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
     contiguous: dict[str, torch.Tensor] = {name: tensor.contiguous() for name, tensor in tensors.items()}
     content = save(contiguous, metadata={"plgs": json.dumps(facts, sort_keys=True)})
     write_atomically(folder.result_path / "model.safetensors", content)
+
+
+def read_model(folder: LiftFolder) -> StructuredScene:
+    """What `write_model` wrote, bit for bit. Raises ValueError for a format that this version does not know."""
+    with safe_open(folder.result_path / "model.safetensors", "pt") as file:
+        facts = json.loads(file.metadata()["plgs"])
+        return from_tensors({name: file.get_tensor(name) for name in file.keys()}, facts)  # noqa: SIM118
+
+
+@dataclass(frozen=True)
+class ShownInstances:
+    """What pictures and passes need to know of the instances, by id. ``class_of``: the class that all of an instance is
+    shown with, or None when every pixel decides for itself."""
+
+    names: Mapping[int, str]
+    class_of: Mapping[int, int] | None
+
+    @property
+    def colours(self) -> dict[int, tuple[int, int, int]]:
+        return {instance: distinct_colour(instance) for instance in self.names}
+
+
+def shown_instances(prepared: PreparedLift, classes: ClassTable) -> ShownInstances:
+    """Of a lift that is going on."""
+    return ShownInstances(instance_names(prepared.instances, classes), prepared.class_of_instance)
+
+
+def read_shown_instances(folder: LiftFolder) -> ShownInstances:
+    """Of a finished lift. Raises JobError when its manifest cannot be read, OSError."""
+    listed = json.loads((folder.result_path / "instances.json").read_text(encoding="utf-8"))["instances"]
+    one_class = read_manifest(folder.result_path).settings["one_class_an_object"]
+    class_of = {one["id"]: one["class_id"] for one in listed} if one_class else None
+    return ShownInstances({one["id"]: one["name"] for one in listed}, class_of)
 
 
 def instance_names(instances: Sequence[GlobalInstance], classes: ClassTable) -> dict[int, str]:

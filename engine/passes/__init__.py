@@ -7,7 +7,15 @@ from .contact_sheet import SheetRow, chosen, write_contact_sheet
 from .exr import read_exr, write_exr
 from .layers import PanopticLayers, decide, encoded, linear
 from .ply import read_ply, write_ply
-from .previews import colour_picture, instance_picture, semantic_picture, write_previews
+from .previews import (
+    colour_picture,
+    instance_picture,
+    panoptic_picture,
+    png_bytes,
+    preview_paths,
+    semantic_picture,
+    write_previews,
+)
 from .result_files import InstanceRecord, SegmentLink, write_anchors, write_instances, write_semantic_points
 
 __all__ = [
@@ -21,6 +29,9 @@ __all__ = [
     "encoded",
     "instance_picture",
     "linear",
+    "panoptic_picture",
+    "png_bytes",
+    "preview_paths",
     "read_exr",
     "read_ply",
     "semantic_picture",

@@ -33,16 +33,20 @@ def write_previews(
 
     Raises OSError when a file cannot be written.
     """
-    pictures = {
-        "colour": colour_picture(layers),
-        "semantic": semantic_picture(layers.semantic, classes),
-        "instance": instance_picture(layers.instance, instance_colours),
-    }
-    paths = []
-    for kind, picture in pictures.items():
-        paths.append(folder / f"{frame}_{kind}.png")
-        write_atomically(paths[-1], png_bytes(picture))
-    return paths[0], paths[1], paths[2]
+    pictures = (
+        colour_picture(layers),
+        semantic_picture(layers.semantic, classes),
+        instance_picture(layers.instance, instance_colours),
+    )
+    paths = preview_paths(folder, frame)
+    for path, picture in zip(paths, pictures, strict=True):
+        write_atomically(path, png_bytes(picture))
+    return paths
+
+
+def preview_paths(folder: Path, frame: str) -> tuple[Path, Path, Path]:
+    """Where `write_previews` writes a frame's colour, classes and instances."""
+    return folder / f"{frame}_colour.png", folder / f"{frame}_semantic.png", folder / f"{frame}_instance.png"
 
 
 def colour_picture(layers: PanopticLayers) -> Picture:
@@ -64,6 +68,15 @@ def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] 
     given = colours or {}
     table = [STUFF if i == 0 else given.get(i, distinct_colour(i)) for i in ids.tolist()]
     return np.array(table, np.uint8)[index.reshape(instance.shape)]
+
+
+def panoptic_picture(layers: PanopticLayers, classes: ClassTable, instance_colours: Mapping[int, Colour]) -> Picture:
+    """Classes and instances in one picture: objects in their own colours, the rest in those of its classes, lit by what
+    was rendered. Nothing rendered: black."""
+    labels = semantic_picture(layers.semantic, classes)
+    owned = layers.instance > 0
+    labels[owned] = instance_picture(layers.instance, instance_colours)[owned]
+    return shaded(labels, colour_picture(layers))
 
 
 def shaded(labels: Picture, photo: Picture) -> Picture:

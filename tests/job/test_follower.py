@@ -320,3 +320,23 @@ def test_a_poll_is_quick_however_much_was_told(folder: LiftFolder) -> None:
     assert sorted(took)[len(took) // 2] < 0.005 and max(took) < 0.02
     watcher.poll()
     assert watcher.outcome is not None and watcher.status.label == "Training"
+
+
+@pytest.mark.parametrize(
+    ("state", "code"),
+    [("finished", ExitCode.FINISHED), ("cancelled", ExitCode.CANCELLED), (None, ExitCode.INTERNAL_ERROR)],
+)
+def test_how_a_bake_ended_is_not_how_the_lift_is(
+    folder: LiftFolder, start: Start, state: str | None, code: ExitCode
+) -> None:
+    follow(start("short"))
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=False, task="bake")
+    events.stage("bake", 1, 1, "Baking")
+    if state is not None:
+        events.done(state)
+    events.close()
+    watcher = LiftFollower(folder)
+    follow(watcher)
+    assert watcher.status.task == "bake" and code_of(watcher) is code
+    assert folder.state() is LiftState.FINISHED

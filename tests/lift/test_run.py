@@ -23,7 +23,7 @@ class Trainer:
     preset = type("Preset", (), {"steps": 5})
 
     def __init__(self, failure: Exception | None) -> None:
-        self.failure, self.step_number, self.stored = failure, 0, -1
+        self.failure, self.step_number, self.stored, self.scene = failure, 0, -1, None
 
     @property
     def finished(self) -> bool:
@@ -62,10 +62,10 @@ def test_only_whole_states_are_stored(
     monkeypatch.setattr(run, "save_checkpoint", lambda trainer, folder: setattr(trainer, "stored", trainer.step_number))
     trainer, folder = Trainer(failure), LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     if failure is None:
-        run.train(trainer, folder, stages)  # type: ignore[arg-type]
+        run.train(trainer, folder, stages, look=lambda scene: None)  # type: ignore[arg-type]
     else:
         with pytest.raises(type(failure)):
-            run.train(trainer, folder, stages)  # type: ignore[arg-type]
+            run.train(trainer, folder, stages, look=lambda scene: None)  # type: ignore[arg-type]
     assert trainer.stored == stored
 
 

@@ -1,0 +1,78 @@
+"""Which lifts there were lately: so that a new Blender finds those that run and those that are finished.
+
+The list lies in the user's cache folder. It is a convenience: nothing is lost with it, and a broken one is begun anew.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from .atomic import write_atomically
+from .errors import JobError
+from .folder import LiftFolder, LiftState
+from .json_file import Json, read_object, to_text
+from .lock import FileLock
+from .user_cache import user_cache_folder
+
+FORMAT = 1
+MOST = 50
+
+
+@dataclass(frozen=True)
+class RecentLift:
+    """A lift that an engine worked on. ``touched``: Unix seconds when one last began or ended."""
+
+    folder: LiftFolder
+    state: LiftState
+    touched: float
+
+
+def recent_lifts(cache: Path | None = None) -> list[RecentLift]:
+    """The lifts of the list that are still there, the newest first. States are those at a glance.
+
+    Takes some milliseconds, and never raises: what cannot be read is left out.
+    """
+    lifts = []
+    for path, touched in _entries(_list_path(cache)):
+        try:
+            folder = LiftFolder.open(Path(path))
+            lifts.append(RecentLift(folder, folder.state_at_a_glance(), touched))
+        except (JobError, OSError):  # deleted, on a disk that is not plugged in, or of another version
+            continue
+    return lifts
+
+
+def remember_lift(path: Path, cache: Path | None = None) -> None:
+    """Put a lift folder at the head of the list. Raises OSError or JobError when the list cannot be written."""
+    list_path = _list_path(cache)
+    list_path.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(list_path.with_suffix(".lock")):
+        lift = str(path.absolute())
+        others = [entry for entry in _entries(list_path) if entry[0] != lift]
+        entries = [(lift, round(time.time(), 3)), *others][:MOST]
+        lifts = [{"path": each, "touched": touched} for each, touched in entries]
+        write_atomically(list_path, to_text({"format": FORMAT, "lifts": lifts}))
+
+
+def _list_path(cache: Path | None) -> Path:
+    return (cache or user_cache_folder()) / "recent_lifts.json"
+
+
+def _entries(list_path: Path) -> list[tuple[str, float]]:
+    """Path and time of each entry; none when the list is missing, broken or of another version."""
+    try:
+        content = read_object(list_path, "Delete it.")
+    except JobError:
+        return []
+    lifts = content.get("lifts")
+    if content.get("format") != FORMAT or not isinstance(lifts, list):
+        return []
+    return [entry for lift in lifts if isinstance(lift, dict) and (entry := _entry(lift)) is not None]
+
+
+def _entry(lift: Mapping[str, Json]) -> tuple[str, float] | None:
+    path, touched = lift.get("path"), lift.get("touched")
+    return (path, float(touched)) if isinstance(path, str) and isinstance(touched, int | float) else None

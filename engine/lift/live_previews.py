@@ -1,0 +1,117 @@
+"""Pictures of the model while it is trained, from a camera that the watcher chooses.
+
+They cost a bounded share of the time and change nothing else: the model is drawn as it is, nothing random is drawn, and
+no sum that the training keeps is touched.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from ..job import EventWriter, JobError, LiftFolder, write_atomically
+from ..job.preview_request import PreviewCamera, PreviewRequest, read_preview_request
+from ..model.render import render_view
+from ..model.structured import StructuredScene
+from ..passes import decide, panoptic_picture, png_bytes
+from ..scene import Camera, Frame, Scene, size_within
+from .scene_files import ShownInstances
+
+log = logging.getLogger("plgs.lift")
+
+EVERY_S = 2.0
+"""Seconds from one preview to the next, when they cost little."""
+LARGEST_SHARE = 0.05
+"""Of the time, for previews: after each one there is none for so long that it took no more than this."""
+SIZE_WITHIN = (640, 640)
+"""Pixels: a watcher's larger picture is drawn smaller."""
+
+
+class LivePreviews:
+    """Writes result/previews/live.png now and then (``folder.live_preview_path``), by rename, and tells of it.
+
+    What is wrong with preview.json is told once, as a warning; a held-out frame is shown instead.
+    """
+
+    def __init__(
+        self,
+        folder: LiftFolder,
+        scene: Scene,
+        instances: ShownInstances,
+        events: EventWriter,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.folder, self.scene, self.instances, self.events = folder, scene, instances, events
+        self._clock, self._due = clock, clock() + EVERY_S
+        self._asked: tuple[int, int, int] | None = None  # what preview.json looked like when it was last read
+        self._camera = frame_to_show(scene).camera
+        self._has_warned = False
+
+    def __call__(self, lifted: StructuredScene) -> None:
+        """Draw the model if it is time to. Raises OSError when the disk is full."""
+        began = self._clock()
+        if began < self._due:
+            return
+        self._draw(lifted)
+        ended = self._clock()
+        self._due = ended + max(EVERY_S, (ended - began) * (1 - LARGEST_SHARE) / LARGEST_SHARE)
+
+    def clear_away(self) -> None:
+        """The picture is no part of the result."""
+        self.folder.live_preview_path.unlink(missing_ok=True)
+
+    def _draw(self, lifted: StructuredScene) -> None:
+        rendering = render_view(lifted, self._wanted_camera())
+        layers = decide(rendering, self.scene.classes, self.instances.class_of)
+        picture = panoptic_picture(layers, self.scene.classes, self.instances.colours)
+        write_atomically(self.folder.live_preview_path, png_bytes(picture))
+        self.events.preview(self.folder.live_preview_path)
+
+    def _wanted_camera(self) -> Camera:
+        path = self.folder.preview_request_path
+        look = _look_of(path)
+        if look != self._asked:
+            self._asked = look
+            self._camera = self._read_camera(path)
+        width, height = size_within((self._camera.width, self._camera.height), SIZE_WITHIN)
+        return self._camera.resized(width, height)
+
+    def _read_camera(self, path: Path) -> Camera:
+        default = frame_to_show(self.scene).camera
+        try:
+            wanted = read_preview_request(path)
+            return default if wanted is None else self._camera_of(wanted, path)
+        except JobError as error:
+            log.warning("%s", error)
+            if not self._has_warned:
+                self._has_warned = True
+                self.events.warning(f"the previews show another camera than the one asked for: {error}")
+            return default
+
+    def _camera_of(self, wanted: PreviewRequest, path: Path) -> Camera:
+        if isinstance(wanted, PreviewCamera):
+            (fx, _, cx), (_, fy, cy), _ = wanted.K
+            return Camera(wanted.width, wanted.height, fx, fy, cx, cy, np.array(wanted.camera_to_world))
+        for frame in self.scene.frames:
+            if frame.name == wanted:
+                return frame.camera
+        raise JobError(f"the scene has no frame {wanted!r}", path, "Choose another camera for the preview.")
+
+
+def frame_to_show(scene: Scene) -> Frame:
+    """The middle one of those held out, so that what is seen is not what was trained on; else of all."""
+    frames = scene.test_frames or scene.frames
+    return frames[len(frames) // 2]
+
+
+def _look_of(path: Path) -> tuple[int, int, int] | None:
+    """What tells a replaced file from the one before; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size, found.st_ino

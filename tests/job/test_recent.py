@@ -1,0 +1,78 @@
+"""The list of recent lifts: found again, in order, whatever became of them or of the list."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from engine.job import EventWriter, LiftState, StopSignal
+from engine.job.recent import MOST, recent_lifts, remember_lift
+from engine.job.user_cache import user_cache_folder
+from tests.job.lift_folders import new_lift, tiny_lift
+
+
+def test_the_newest_comes_first_and_once(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert recent_lifts(cache) == []
+    one, two = new_lift(tmp_path, "one"), new_lift(tmp_path, "two")
+    for folder in (one, two, one):
+        remember_lift(folder.path, cache)
+    lifts = recent_lifts(cache)
+    assert [lift.folder for lift in lifts] == [one, two]
+    assert lifts[0].touched >= lifts[1].touched > time.time() - 60
+    assert lifts[0].state is LiftState.NOT_STARTED
+
+
+def test_what_became_of_them(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    finished, running, gone, broken = (new_lift(tmp_path, name) for name in ("finished", "running", "gone", "broken"))
+    for folder in (finished, running, gone, broken):
+        remember_lift(folder.path, cache)
+    tiny_lift(finished, EventWriter(finished.events_path), StopSignal(finished.cancel_path), resume=False)
+    shutil.rmtree(gone.path)
+    (broken.path / "request.json").write_text("{")
+    with running.lock():
+        found = {lift.folder.path.name: lift.state for lift in recent_lifts(cache)}
+    assert found == {"running": LiftState.RUNNING, "finished": LiftState.FINISHED}
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"format": 2}', '{"format": 1, "lifts": [1, {"path": 2}, {}]}', "\0"])
+def test_a_broken_list_is_begun_anew(tmp_path: Path, content: str) -> None:
+    (tmp_path / "recent_lifts.json").write_text(content)
+    assert recent_lifts(tmp_path) == []
+    folder = new_lift(tmp_path)
+    remember_lift(folder.path, tmp_path)
+    assert [lift.folder for lift in recent_lifts(tmp_path)] == [folder]
+
+
+def test_the_list_does_not_grow_for_ever_and_is_quick(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    for number in range(MOST + 3):
+        remember_lift(new_lift(tmp_path, f"lift {number}").path, cache)
+    began = time.process_time()
+    lifts = recent_lifts(cache)
+    assert time.process_time() - began < 0.1
+    assert [lift.folder.path.name for lift in lifts] == [f"lift {number}" for number in range(MOST + 2, 2, -1)]
+
+
+def test_engines_that_end_together_lose_no_entry(tmp_path: Path, root: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from engine.job.recent import remember_lift\n"
+        "for path in sys.argv[2:]: remember_lift(Path(path), Path(sys.argv[1]))"
+    )
+    paths = [[new_lift(tmp_path, f"{each} {number}").path for number in range(8)] for each in range(3)]
+    processes = [subprocess.Popen([sys.executable, "-c", code, tmp_path, *each], cwd=root) for each in paths]
+    assert [process.wait() for process in processes] == [0, 0, 0]
+    assert {lift.folder.path for lift in recent_lifts(tmp_path)} == {path for each in paths for path in each}
+
+
+def test_where_the_cache_is(tmp_path: Path) -> None:
+    assert user_cache_folder({"PLGS_CACHE_DIR": str(tmp_path)}) == tmp_path
+    if sys.platform == "linux":
+        assert user_cache_folder({"XDG_CACHE_HOME": str(tmp_path)}) == tmp_path / "plgs"
+        assert user_cache_folder({}) == Path.home() / ".cache" / "plgs"
