@@ -7,8 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from .. import __version__
 from .json_file import to_line
 
+VERSION = __version__
+"""Of the engine that lies beside this extension."""
 FORMAT = 1
 """Of the answer. Another number: an extension and an engine that do not belong together."""
 TOO_OLD = "the engine needs Python 3.11 or newer"
