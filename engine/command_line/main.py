@@ -16,11 +16,15 @@ from ..job.options import add_lift_options, add_scene_options, readable
 def main(arguments: Sequence[str]) -> int:
     """Run a command and return its exit code. Bad arguments end with SystemExit(2), as argparse has it."""
     options = _parser().parse_args(readable(arguments))
-    from ..scene import SceneError  # numpy, which --help does not wait for
+    # The handshake tells of numpy when it is missing, and --help does not wait for it.
+    errors: tuple[type[Exception], ...] = (JobError,)
+    if options.run is not _handshake:
+        from ..scene import SceneError
 
+        errors = (JobError, SceneError)
     try:
         code: int = options.run(options)
-    except (JobError, SceneError) as error:
+    except errors as error:
         print(f"error: {error}", file=sys.stderr)
         return ExitCode.BAD_INPUT
     return code
@@ -36,6 +40,9 @@ def _parser() -> argparse.ArgumentParser:
     _add_bake(commands.add_parser("bake", help="render more frames of a finished lift as passes"))
     _add_evaluate(commands.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(commands.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
+    handshake = commands.add_parser("handshake", help="tell at once what this engine is and what it lacks")
+    handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to mend it."
+    handshake.set_defaults(run=_handshake)
     warm_up = commands.add_parser("warm-up", help="compile what a lift runs, so that the first one starts at once")
     warm_up.description = "Compile for this machine what a lift runs: half a minute, once. The set-up does it."
     warm_up.set_defaults(run=_warm_up)
@@ -119,6 +126,13 @@ def _inspect(options: argparse.Namespace) -> ExitCode:
     from .inspect_scene import inspect_scene
 
     return inspect_scene(options.scene, options.masks, options.up or "z", as_json=options.json)
+
+
+def _handshake(options: argparse.Namespace) -> ExitCode:
+    from .handshake import answer
+
+    sys.stdout.buffer.write(answer().to_line())  # UTF-8 on every system, as a path may need
+    return ExitCode.FINISHED
 
 
 def _warm_up(options: argparse.Namespace) -> ExitCode:

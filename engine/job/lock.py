@@ -41,6 +41,11 @@ class FileLock:
             time.sleep(0.05)
         return self
 
+    @property
+    def descriptor(self) -> int:
+        """Of the locked file. A POSIX child that inherits it holds the lock too, until it ends."""
+        return self._descriptor
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:

@@ -9,13 +9,19 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
+from typing import IO
 
+from .environment import made_environment, python_in
 from .errors import JobError
 
 ROOT = Path(__file__).resolve().parents[2]
 """The folder that holds ``engine``: the repository, or the installed extension."""
 
+_WORDS = 64_000
+"""Bytes of a program's words that are read: more is no message."""
 _ENGINE_MODULES = ("torch", "numpy")
 # What a parent Python, Blender's above all, may have set for itself and would break another Python with.
 _FOREIGN = (
@@ -31,29 +37,60 @@ _FOREIGN = (
 )
 
 
-def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ) -> Path:
-    """The Python to run the engine with: PLGS_ENGINE_PYTHON, else ``.venv`` beside the code, else this one.
+class Origin(StrEnum):
+    """Why a Python runs the engine, in the order in which they are looked at."""
 
-    Raises JobError when none of them has what the engine needs. Takes about 0.1 s.
+    VARIABLE = "the variable PLGS_ENGINE_PYTHON"
+    CHOSEN = "the preferences"
+    SET_UP = "Set up engine"
+    BESIDE = "the environment beside the code"
+    THIS = "this Python"
+
+
+@dataclass(frozen=True)
+class ChosenPython:
+    """The Python that runs the engine, who chose it, and what to do when it is unfit."""
+
+    python: Path
+    origin: Origin
+    fix: str
+
+
+def choose_python(
+    root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None
+) -> ChosenPython:
+    """The first there is: PLGS_ENGINE_PYTHON, the ``chosen`` one of the preferences, the environment that "Set up
+    engine" made, ``.venv`` beside the code, this Python where it has torch.
+
+    Whether it has what the engine needs is not looked at. Raises JobError when there is none. Takes milliseconds.
     """
-    chosen = environ.get("PLGS_ENGINE_PYTHON")
-    if chosen:
-        python = Path(chosen).absolute()  # not resolved: a venv's Python knows its venv by the link
-        _refuse_unfit(python, "Correct the variable PLGS_ENGINE_PYTHON, or unset it.")
-        return python
-    own = environment_python(root)
-    if own.exists():
-        _refuse_unfit(own, f"Run 'make set-up' in {root}.")
-        return own
+    variable = environ.get("PLGS_ENGINE_PYTHON")
+    if variable:  # not resolved: a venv's Python knows its venv by the link
+        fix = "Correct the variable PLGS_ENGINE_PYTHON, or unset it."
+        return ChosenPython(Path(variable).absolute(), Origin.VARIABLE, fix)
+    if chosen is not None:
+        fix = "Choose another Python for the engine in the preferences, or none."
+        return ChosenPython(chosen.absolute(), Origin.CHOSEN, fix)
+    made = made_environment(root, environ)
+    if made is not None:
+        return ChosenPython(python_in(made), Origin.SET_UP, "Press 'Set up engine' again.")
+    beside = python_in(root / ".venv")
+    if beside.exists():
+        return ChosenPython(beside, Origin.BESIDE, f"Run 'make set-up' in {root}.")
     if all(importlib.util.find_spec(name) for name in _ENGINE_MODULES):
-        return Path(sys.executable)
-    fix = f"Run 'make set-up' in {root}, or set PLGS_ENGINE_PYTHON to a Python that has torch."
-    raise JobError("no Python for the engine", own, fix)
+        return ChosenPython(Path(sys.executable), Origin.THIS, "Press 'Set up engine' in the preferences.")
+    make = f"run 'make set-up' in {root}" if (root / "Makefile").exists() else "press 'Set up engine' in Blender"
+    fix = f"Please {make}, or set PLGS_ENGINE_PYTHON to a Python that has torch."
+    raise JobError("no Python for the engine", beside, fix)
 
 
-def environment_python(root: Path = ROOT) -> Path:
-    """Where the Python of the environment lies that ``make`` sets up; it may be missing."""
-    return root / ".venv" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None) -> Path:
+    """The Python of `choose_python`, looked at. Raises JobError when it lacks what the engine needs, or when there is
+    none. Takes about 0.1 s.
+    """
+    choice = choose_python(root, environ, chosen)
+    _refuse_unfit(choice.python, choice.fix)
+    return choice.python
 
 
 def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
@@ -79,30 +116,37 @@ def clean_environment(root: Path | None = None) -> dict[str, str]:
     return environment
 
 
-class EngineProcess:
-    """A started engine. It ends by itself when this process does: it watches the pipe that `Popen.stdin` is."""
+class ChildProcess:
+    """A program without a window that writes into a file and can be ended together with its own children."""
 
-    def __init__(self, command: Sequence[str | Path], root: Path = ROOT) -> None:
-        """Start ``command``. Raises JobError when it cannot be started."""
-        # Before the engine opens its log, and when it fails to, it talks to a file without a name: nobody has to
-        # drain that, unlike a pipe, and no thread is needed.
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `close`
+    def __init__(
+        self,
+        command: Sequence[str | Path],
+        *,
+        cwd: Path,
+        environment: Mapping[str, str],
+        output: IO[bytes],
+        stdin: int = subprocess.DEVNULL,
+        keep_open: Sequence[int] = (),
+    ) -> None:
+        """Start ``command``; POSIX only: descriptors in ``keep_open`` stay open in it. Raises JobError when it cannot
+        be started.
+        """
         flags: int = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0) | getattr(subprocess, "CREATE_NO_WINDOW", 0)
         try:
             self._process = subprocess.Popen(
                 [str(part) for part in command],
-                cwd=root,
-                env=clean_environment(root),
-                stdin=subprocess.PIPE,
-                stdout=self._words,
-                stderr=self._words,
+                cwd=cwd,
+                env=dict(environment),
+                stdin=stdin,
+                stdout=output,
+                stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C in the terminal is for the parent, which then asks politely
                 creationflags=flags,
+                pass_fds=() if os.name == "nt" else keep_open,
             )
         except OSError as error:
-            self._words.close()
             raise JobError(f"cannot be run ({error.strerror})", command[0], "It has to be a Python.") from error
-        self._code: int | None = None
 
     @property
     def pid(self) -> int:
@@ -112,11 +156,6 @@ class EngineProcess:
         """None while it runs; negative: the signal that ended it."""
         return self._process.poll()
 
-    def words(self) -> str:
-        """What it said outside its log: nothing, or why it could not begin."""
-        self._words.seek(0)
-        return self._words.read().decode(errors="replace").strip()
-
     def kill(self) -> None:
         """End it and its children at once. Nothing happens when it is over already. Returns when it has ended."""
         if self._process.poll() is None:
@@ -125,6 +164,29 @@ class EngineProcess:
             else:
                 os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
+
+
+class EngineProcess(ChildProcess):
+    """A started engine. It ends by itself when this process does: it watches the pipe that `Popen.stdin` is."""
+
+    def __init__(self, command: Sequence[str | Path], root: Path = ROOT) -> None:
+        """Start ``command``. Raises JobError when it cannot be started."""
+        # Before the engine opens its log, and when it fails to, it talks to a file without a name: nobody has to
+        # drain that, unlike a pipe, and no thread is needed.
+        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `close`
+        try:
+            super().__init__(
+                command, cwd=root, environment=clean_environment(root), output=self._words, stdin=subprocess.PIPE
+            )
+        except JobError:
+            self._words.close()
+            raise
+
+    def words(self) -> str:
+        """The end of what it said outside its log: nothing, or why it could not begin."""
+        length = self._words.seek(0, os.SEEK_END)
+        self._words.seek(max(0, length - _WORDS))
+        return self._words.read().decode(errors="replace").strip()
 
     def close(self) -> None:
         """Let go of it; one that still runs takes that as the parent's end and stops."""

@@ -1,0 +1,56 @@
+"""What this engine is and what it lacks. Nothing heavy is imported: the answer takes a few tenths of a second."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import re
+import sys
+from pathlib import Path
+
+from .. import __version__
+from ..job.handshake import EngineAnswer
+from ..job.process import ROOT
+from ..job.requirements import module_of, needed_packages
+
+_CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)
+
+
+def answer(root: Path = ROOT) -> EngineAnswer:
+    """Look at this Python. Raises JobError when the requirements cannot be read."""
+    wanted = needed_packages(root, sys.version_info[:2])
+    return EngineAnswer(
+        version=__version__,
+        python=".".join(map(str, sys.version_info[:3])),
+        executable=Path(sys.executable),
+        packages={name: _version(name) for name in wanted},
+        wanted=wanted,
+        cpus=_usable_cpus(),
+        cuda=_cuda_of_torch(),
+    )
+
+
+def _version(package: str) -> str | None:
+    if importlib.util.find_spec(module_of(package)) is None:
+        return None
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:  # another package brought the module, such as opencv-python
+        return "unknown"
+
+
+def _cuda_of_torch() -> str | None:
+    """From the text of torch's version.py: importing torch takes a second."""
+    torch = importlib.util.find_spec("torch")
+    if torch is None or torch.origin is None:
+        return None
+    text = Path(torch.origin).with_name("version.py")
+    found = _CUDA.search(text.read_text(encoding="utf-8")) if text.is_file() else None
+    return found.group(1) if found else None
+
+
+def _usable_cpus() -> int:
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

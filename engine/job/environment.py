@@ -1,0 +1,58 @@
+"""Where the environments of "Set up engine" lie: in the user's cache, which an uninstalled extension leaves alone."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from .errors import JobError
+from .requirements import Version, digest, pinned_versions
+
+COMPLETE = "complete"
+"""The file in an environment's folder that says, written last, that nothing is missing."""
+
+
+def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
+    """The folder that this system keeps caches in; the engine's compiled kernels lie there too."""
+    if sys.platform == "win32":
+        base = environ.get("LOCALAPPDATA")
+        return Path(base) if base else Path.home() / "AppData" / "Local"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    base = environ.get("XDG_CACHE_HOME")
+    return Path(base) if base else Path.home() / ".cache"
+
+
+def environments_folder(environ: Mapping[str, str] = os.environ) -> Path:
+    """The folder that holds the environments, their log and their lock; it may be missing."""
+    return user_cache_folder(environ) / "plgs"
+
+
+def environment_name(root: Path, version: Version) -> str:
+    """Of the environment for these requirements and this Python. Raises JobError when requirements are missing."""
+    return f"engine-{version[0]}.{version[1]}-{digest(root, version)}"
+
+
+def python_in(environment: Path) -> Path:
+    """The Python of a virtual environment."""
+    return environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def is_complete(environment: Path) -> bool:
+    """Whether it was made to its end, and the Python that it was made from is still there."""
+    return (environment / COMPLETE).is_file() and python_in(environment).exists()
+
+
+def made_environment(root: Path, environ: Mapping[str, str] = os.environ) -> Path | None:
+    """The complete environment for these requirements, for this very Python if there are several."""
+    folder = environments_folder(environ)
+    if not folder.is_dir():
+        return None
+    versions = sorted(pinned_versions(root), key=lambda version: version != sys.version_info[:2])
+    try:
+        environments = [folder / environment_name(root, version) for version in versions]
+    except JobError:  # a requirements file is missing: then nothing was made from it
+        return None
+    return next((environment for environment in environments if is_complete(environment)), None)

@@ -1,0 +1,80 @@
+"""What the engine needs, as ``requirements/`` pins it: read by the set-up in Blender and by the engine's handshake."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+from pathlib import Path
+
+from .errors import JobError
+
+_FILES = ("torch.txt", "engine.txt")
+_SAMPLE_ONLY = {"open3d", "open3d-cpu"}
+"""Half a gigabyte with all that it brings, and no lift needs it: it drew the bundled sample."""
+_MODULES = {"opencv-contrib-python-headless": "cv2"}
+_MARKER = re.compile(r'(sys_platform|python_version) (==|!=|<|>=) "([^"]+)"')
+
+Version = tuple[int, int]
+"""A Python's, such as (3, 11)."""
+
+
+def module_of(package: str) -> str:
+    """The name under which a needed package is imported."""
+    return _MODULES.get(package, package)
+
+
+def pinned_versions(root: Path) -> tuple[Version, ...]:
+    """The Pythons that the packages are pinned for, the oldest first."""
+    names = (path.stem.partition("-")[2] for path in (root / "requirements").glob("constraints-*.txt"))
+    return tuple(sorted((int(major), int(minor)) for major, _, minor in (name.partition(".") for name in names)))
+
+
+def constraints_path(root: Path, version: Version) -> Path:
+    """The file that pins what the requirements bring with them; it may be missing."""
+    return root / "requirements" / f"constraints-{version[0]}.{version[1]}.txt"
+
+
+def needed_packages(root: Path, version: Version, platform: str = sys.platform) -> dict[str, str | None]:
+    """Package and pinned version, torch first; None where nothing pins it for this Python. Raises JobError."""
+    needed: dict[str, str | None] = {}
+    for name in _FILES:
+        needed |= _pins(root / "requirements" / name, version, platform)
+    constraints = constraints_path(root, version)
+    numpy = _pins(constraints, version, platform).get("numpy") if constraints.exists() else None
+    return {name: pin for name, pin in needed.items() if name not in _SAMPLE_ONLY} | {"numpy": numpy}
+
+
+def digest(root: Path, version: Version) -> str:
+    """Names what `needed_packages` and the constraints say: another text, another environment. Raises JobError."""
+    paths = [root / "requirements" / name for name in _FILES] + [constraints_path(root, version)]
+    return hashlib.sha256("\n".join(_text(path) for path in paths).encode()).hexdigest()[:12]
+
+
+def _pins(path: Path, version: Version, platform: str) -> dict[str, str]:
+    pins = {}
+    for line in _text(path).splitlines():
+        requirement, _, marker = line.partition(";")
+        name, _, pin = requirement.strip().partition("==")
+        if pin and (not marker or _holds(marker.strip(), version, platform, path)):
+            pins[name] = pin
+    return pins
+
+
+def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
+    """Those markers that our files have; pip knows more, but is not there to be asked."""
+    match = _MARKER.fullmatch(marker)
+    if match is None:
+        raise JobError(f"has a condition that is not understood ({marker})", path, "Write it as the other lines do.")
+    subject, operator, text = match.groups()
+    if subject == "sys_platform":
+        return (platform == text) is (operator == "==")
+    bound = tuple(int(part) for part in text.split("."))
+    return {"==": version == bound, "!=": version != bound, "<": version < bound, ">=": version >= bound}[operator]
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise JobError(f"cannot be read ({error.strerror})", path, "Install PLGS again: it belongs to it.") from error

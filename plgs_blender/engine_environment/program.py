@@ -1,0 +1,52 @@
+"""Run another program as a part of a state machine: its words go to a log that is read as it grows."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from pathlib import Path
+
+from ...engine.job import JobError
+from ...engine.job.process import ChildProcess
+
+_MOST_WORDS = 200_000
+"""Bytes of the log that one poll reads."""
+
+
+def run_program(
+    command: Sequence[str | Path],
+    log_path: Path,
+    environment: Mapping[str, str],
+    *,
+    cwd: Path,
+    read_line: Callable[[str], object] = lambda line: None,
+    keep_open: Sequence[int] = (),
+    limit_s: float | None = None,
+) -> Generator[None, None, tuple[str, int]]:
+    """One ``yield`` a poll; returns what the program said and its exit code. When the generator is closed, the program
+    ends with its children.
+
+    Raises JobError when it cannot be started, or when ``limit_s`` is over.
+    """
+    began = time.monotonic()
+    with log_path.open("ab") as log, log_path.open("rb") as reader:
+        log.write(f"\n$ {' '.join(map(str, command))}\n".encode())
+        log.flush()
+        reader.seek(log.tell())
+        process = ChildProcess(command, cwd=cwd, environment=environment, output=log, keep_open=keep_open)
+        words = line = ""
+        try:
+            while True:
+                code = process.exit_code()  # before the look at its words: so the last ones are among them
+                new = reader.read(_MOST_WORDS).decode(errors="replace")
+                words = (words + new)[-_MOST_WORDS:]
+                *whole, line = (line + new).split("\n")
+                for each in whole:
+                    read_line(each)
+                if code is not None and not new:
+                    return words, code
+                if limit_s is not None and time.monotonic() - began > limit_s:
+                    raise JobError("does not answer", command[0], "Choose another one.")
+                yield
+        finally:
+            process.kill()

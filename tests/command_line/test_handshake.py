@@ -1,0 +1,76 @@
+"""``python -m engine handshake``: at once, whatever is missing."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from engine import __version__
+from engine.command_line.handshake import answer
+from engine.job.handshake import TOO_OLD, EngineAnswer
+
+NO_SITE = [sys.executable, "-S", "-m", "engine", "handshake"]
+"""The same Python without its packages."""
+
+
+def test_the_engine_says_what_it_is(root: Path) -> None:
+    began = time.monotonic()
+    said = subprocess.run([sys.executable, "-m", "engine", "handshake"], cwd=root, capture_output=True, text=True)
+    assert time.monotonic() - began < 1.0  # 0.15 s; a heavy import takes longer
+    found = EngineAnswer.from_line(said.stdout)
+    assert found is not None and said.stdout.count("\n") == 1 and said.stderr == ""
+    assert found.version == __version__ and found.python == sys.version.split()[0] and found.cpus >= 1
+    assert found.packages["numpy"] and found.wanted["torch"]
+    assert bool(found.fix) is bool(found.missing)
+
+
+def test_nothing_heavy_is_imported(root: Path) -> None:
+    code = (
+        "import sys; from engine.command_line.main import main; main(['handshake'])\n"
+        "print('HEAVY', {'torch', 'numpy', 'cv2', 'numba', 'scipy', 'OpenEXR'} & set(sys.modules))"
+    )
+    said = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
+    assert said.stdout.splitlines()[-1] == "HEAVY set()"
+
+
+def test_what_is_missing_is_told_with_the_command_that_mends_it(root: Path) -> None:
+    said = subprocess.run(NO_SITE, cwd=root, capture_output=True, text=True, timeout=20)
+    assert said.returncode == 0
+    facts = json.loads(said.stdout)
+    assert {"torch", "numpy", "opencv-contrib-python-headless"} <= set(facts["missing"])
+    assert all(version is None for version in facts["packages"].values())
+    assert f"-m pip install torch=={facts['wanted']['torch']} " in facts["fix"]
+
+
+def test_the_cuda_build_and_other_versions_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, version in (("torch", "9.0+cu130"), ("safetensors", "0.0.1")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
+        info = tmp_path / f"{name}-{version}.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (tmp_path / "torch" / "version.py").write_text("from typing import Optional\ncuda: Optional[str] = '13.0'\n")
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    monkeypatch.delitem(sys.modules, "torch", raising=False)
+    monkeypatch.delitem(sys.modules, "safetensors", raising=False)
+    found = answer()
+    assert found.cuda == "13.0" and found.packages["torch"] == "9.0+cu130"
+    assert any(line.startswith("safetensors 0.0.1 instead of ") for line in found.others)
+
+
+def test_an_answer_comes_back_as_it_went() -> None:
+    sent = answer()
+    assert EngineAnswer.from_line(sent.to_line().decode()) == sent
+    for line in ("", "[]", "{}", "null", "hello", sent.to_line().decode().replace('"format": 1', '"format": 2')):
+        assert EngineAnswer.from_line(line) is None
+
+
+def test_a_python_that_is_too_old_is_told_as_the_extension_knows_it(root: Path) -> None:
+    code = "import runpy, sys; sys.version_info = (3, 9, 1); runpy.run_module('engine', run_name='__main__')"
+    said = subprocess.run([sys.executable, "-c", code, "handshake"], cwd=root, capture_output=True, text=True)
+    assert said.returncode != 0 and TOO_OLD in said.stderr and "Traceback" not in said.stderr

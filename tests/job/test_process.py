@@ -1,0 +1,128 @@
+"""Which Python runs the engine, and how a program is ended."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from engine.job import JobError
+from engine.job.environment import (
+    COMPLETE,
+    environment_name,
+    environments_folder,
+    is_complete,
+    made_environment,
+    python_in,
+    user_cache_folder,
+)
+from engine.job.process import ChildProcess, Origin, choose_python, clean_environment, engine_python
+
+
+def add_environment(folder: Path) -> Path:
+    python_in(folder).parent.mkdir(parents=True)
+    python_in(folder).symlink_to(sys.executable)
+    return python_in(folder)
+
+
+@pytest.fixture
+def code(root: Path, tmp_path: Path) -> Path:
+    """The code in a folder of its own, without an environment beside it."""
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code" / "requirements").symlink_to(root / "requirements")
+    return tmp_path / "code"
+
+
+@pytest.fixture
+def environ(tmp_path: Path) -> dict[str, str]:
+    cache = str(tmp_path / "cache")
+    return {"XDG_CACHE_HOME": cache, "LOCALAPPDATA": cache}
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="the cache folder cannot be chosen there")
+def test_the_order_in_which_pythons_are_chosen(
+    code: Path, environ: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(JobError, match="no Python for the engine"):
+        choose_python(code, environ)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: name)
+    found = [choose_python(code, environ)]
+    beside = add_environment(code / ".venv")
+    found.append(choose_python(code, environ))
+    folder = environments_folder(environ) / environment_name(code, (3, 13))
+    made = add_environment(folder)
+    assert choose_python(code, environ).origin is Origin.BESIDE  # it is not complete
+    (folder / COMPLETE).touch()
+    found.append(choose_python(code, environ))
+    found.append(choose_python(code, environ, tmp_path / "mine"))
+    found.append(choose_python(code, environ | {"PLGS_ENGINE_PYTHON": "/theirs"}, tmp_path / "mine"))
+    assert [choice.origin for choice in found] == list(Origin)[::-1]
+    pythons = [choice.python for choice in found]
+    assert pythons == [Path(sys.executable), beside, made, tmp_path / "mine", Path("/theirs").absolute()]
+
+
+def test_an_environment_of_other_requirements_is_none(code: Path, root: Path, environ: dict[str, str]) -> None:
+    folder = environments_folder(environ) / "engine-3.11-000000000000"
+    add_environment(folder)
+    (folder / COMPLETE).touch()
+    assert is_complete(folder) and made_environment(code, environ) is None
+    assert made_environment(code / "no code", environ) is None
+
+
+def test_an_environment_whose_python_is_gone_is_none(code: Path, environ: dict[str, str]) -> None:
+    folder = environments_folder(environ) / environment_name(code, (3, 11))
+    python = add_environment(folder)
+    (folder / COMPLETE).touch()
+    assert made_environment(code, environ) == folder
+    python.unlink()
+    python.symlink_to("/uninstalled/python3.11")
+    assert made_environment(code, environ) is None
+
+
+def test_kernels_and_environments_lie_in_one_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled = pytest.importorskip("engine.raster.compiled")
+    assert compiled._user_cache_folder() == user_cache_folder()
+
+
+def test_a_chosen_python_is_refused_when_it_lacks_something(code: Path, tmp_path: Path) -> None:
+    script = tmp_path / "python"
+    script.write_text("#!/bin/sh\necho torch\n")
+    script.chmod(0o755)
+    with pytest.raises(JobError, match="lacks torch") as refused:
+        engine_python(code, {}, script)
+    assert "preferences" in refused.value.fix
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX process groups")
+def test_a_program_ends_with_its_children(tmp_path: Path) -> None:
+    pid_file = tmp_path / "pid"
+    code = (
+        "import subprocess, sys, time\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        f"open({str(pid_file)!r}, 'w').write(str(child.pid)); time.sleep(60)"
+    )
+    with (tmp_path / "log").open("wb") as log:
+        process = ChildProcess([sys.executable, "-c", code], cwd=tmp_path, environment=clean_environment(), output=log)
+    give_up = time.monotonic() + 10
+    while not (pid_file.exists() and pid_file.read_text()):
+        assert time.monotonic() < give_up
+        time.sleep(0.02)
+    process.kill()
+    assert process.exit_code() == -9
+    child = int(pid_file.read_text())
+    while _lives(child):
+        assert time.monotonic() < give_up
+        time.sleep(0.02)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{pid}/stat")
+    return not state.exists() or state.read_text().rpartition(")")[2].split()[0] != "Z"

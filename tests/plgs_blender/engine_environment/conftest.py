@@ -1,0 +1,93 @@
+"""An index of tiny packages, a copy of the code whose engine is quick to warm up, and a folder for environments."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from plgs.engine.job.environment import python_in
+from plgs.engine.job.requirements import module_of, needed_packages
+from plgs.plgs_blender.engine_environment.notes import Notes
+from plgs.plgs_blender.engine_environment.set_up import SetUp, Wish
+
+if str(Path(__file__).parent) not in sys.path:
+    sys.path.insert(0, str(Path(__file__).parent))
+
+from following import follow  # noqa: E402  (beside this file)
+from package_index import PackageIndex  # noqa: E402
+
+# The engine as it is, but warming up only imports what was installed.
+MAIN = """
+import sys
+if sys.argv[1] == "warm-up":
+    import torch, numba
+    print("compiled for", torch.__version__)
+else:
+    from .command_line.main import main
+    sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture(scope="session")
+def code(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The code's folder, as far as a set-up looks at it."""
+    code = tmp_path_factory.mktemp("code")
+    shutil.copytree(root / "requirements", code / "requirements")
+    (code / "engine").mkdir()
+    for name in ("__init__.py", "job", "scene", "command_line"):
+        (code / "engine" / name).symlink_to(root / "engine" / name)
+    (code / "engine" / "__main__.py").write_text(MAIN)
+    return code
+
+
+@pytest.fixture
+def index(code: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[PackageIndex]:
+    needed = needed_packages(code, sys.version_info[:2])
+    index = PackageIndex({name: (pin or "1.0", module_of(name)) for name, pin in needed.items()})
+    for name in ("PIP_FIND_LINKS", "PIP_EXTRA_INDEX_URL", "PIP_INDEX_URL", "PIP_NO_INDEX"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
+    monkeypatch.setenv("PIP_CACHE_DIR", str(tmp_path / "pip-cache"))
+    monkeypatch.setenv("PIP_RETRIES", "0")
+    monkeypatch.setenv("NO_PROXY", "*")
+    yield index
+    index.close()
+
+
+@pytest.fixture(scope="session")
+def empty_environment(code: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the set-up's second step made: a real environment with a real pip, cancelled there."""
+    folder = tmp_path_factory.mktemp("empty")
+    set_up = SetUp(Wish(base_python=Path(sys.executable), index_url="http://127.0.0.1:9"), code, folder)
+    follow(set_up, until=lambda: any(Notes.read(each) for each in folder.glob("engine-*")))
+    set_up.cancel()
+    return next(folder.glob("engine-*"))
+
+
+@pytest.fixture
+def folder(empty_environment: Path, tmp_path: Path) -> Path:
+    """A folder for environments, in which the set-up's first steps are done."""
+    folder = tmp_path / "cache" / "plgs"
+    shutil.copytree(empty_environment, folder / empty_environment.name, symlinks=True)
+    assert python_in(folder / empty_environment.name).exists()
+    return folder
+
+
+Begin = Callable[..., SetUp]
+
+
+@pytest.fixture
+def begin(code: Path, folder: Path, index: PackageIndex) -> Iterator[Begin]:
+    """Begins a set-up from the index."""
+    begun: list[SetUp] = []
+
+    def begin_one(base: str = sys.executable, build: str = "cpu") -> SetUp:
+        begun.append(SetUp(Wish(Path(base), build, index.url), code, folder))
+        return begun[-1]
+
+    yield begin_one
+    for set_up in begun:
+        set_up.cancel()
