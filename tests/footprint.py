@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from types import FunctionType
 
@@ -23,6 +24,16 @@ def footprint() -> dict[str, list[str]]:
         "keymap items": sorted(_keymap_items()),
         "menu entries": sorted(_menu_entries()),
     }
+
+
+def difference(before: dict[str, list[str]], after: dict[str, list[str]]) -> list[str]:
+    """What came ("+ handlers: ...") and what went ("- ..."), also of things that are there more than once."""
+    lost, won = Counter(_lines(before)), Counter(_lines(after))
+    return [f"+ {line}" for line in (won - lost).elements()] + [f"- {line}" for line in (lost - won).elements()]
+
+
+def _lines(found: dict[str, list[str]]) -> list[str]:
+    return [f"{kind}: {each}" for kind, group in found.items() for each in group]
 
 
 def running_timers(package: str) -> list[str]:

@@ -22,21 +22,20 @@ def test_the_sidebar_has_the_tab_and_its_buttons(window: Window) -> None:
 
 
 def test_switching_off_and_on_and_reloading_leaves_nothing_behind(window: Window) -> None:
+    """By name, for add-ons of Blender's own do leave something; tests/test_register.py looks at everything."""
     window.open_sidebar()
     window.run(FOOTPRINT)
-    window.run("switched_on = footprint()")
-    window.run("bpy.ops.preferences.addon_disable(module=EXTENSION)")
-    window.run("switched_off = footprint()")
-    assert window.ask("[each for kind in switched_off.values() for each in kind if 'plgs' in each.lower()]") == []
+    window.run("def ours(): return [each for each in _lines(footprint()) if 'plgs' in each.lower()]")
+    switched_on = window.ask("ours()")
+    assert any("Scene.plgs" in each for each in switched_on) and any("PLGS_PT_" in each for each in switched_on)
     for _ in range(3):
-        window.run("bpy.ops.preferences.addon_enable(module=EXTENSION)")
-        window.settle()
-        assert window.ask("footprint() == switched_on")
         window.run("bpy.ops.script.reload()")
         window.settle()
-        assert window.ask("footprint() == switched_on")
+        assert window.ask("ours()") == switched_on
         window.run("bpy.ops.preferences.addon_disable(module=EXTENSION)")
         window.settle()
-        assert window.ask("footprint() == switched_off")
+        assert window.ask("ours()") == []
         assert window.ask("running_timers(EXTENSION)") == []
-    window.run("bpy.ops.preferences.addon_enable(module=EXTENSION)")
+        window.run("bpy.ops.preferences.addon_enable(module=EXTENSION)")
+        window.settle()
+        assert window.ask("ours()") == switched_on
