@@ -40,6 +40,18 @@ class Window:
         self._start_screen()
         install = ["blender", "--command", "extension", "install-file", "-r", "user_default", "-e", str(package)]
         tree.run(*install)
+        self._compile_kernels()
+
+    def _compile_kernels(self) -> None:
+        """Let the installed engine compile its kernels while other tests run: a lift would wait for that (a minute)."""
+        engine = self.folder / "resources" / "extensions" / "user_default" / "plgs"
+        python = self._tree.environment["PLGS_ENGINE_PYTHON"]
+        command = f"cd {engine} && exec nice {python} -m engine warm-up"
+        self._warm_up = self._tree.start("sh", "-c", command, log=self._log.fileno())
+
+    def wait_for_kernels(self) -> None:
+        """Wait until a lift can begin at once."""
+        assert self._warm_up.wait(timeout=300) == 0, self.log_tail()
 
     def _start_screen(self) -> None:
         reading, writing = os.pipe()
@@ -266,7 +278,7 @@ class Window:
 
     def close(self) -> None:
         """End Blender and the screen."""
-        for process in (self._blender, self._screen):
+        for process in (self._blender, self._screen, self._warm_up):
             if process is not None:
                 process.kill()
                 process.wait()
