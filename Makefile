@@ -1,7 +1,8 @@
 # PLGS for Blender. `make demo` and `make test` set up what they need; README.md says the rest.
 #
 #   make demo [SCENE=folder] [OUT=folder] [PRESET=preview|standard|paper]
-#   make test, make test-slow, make lint, make clean
+#   make extension
+#   make test, make test-slow, make test-window, make test-blender-next, make lint, make clean
 #
 # TORCH_INDEX=<url> names an index of CPU builds of torch for the set-up, where pip does not know one already.
 
@@ -14,9 +15,10 @@ PYTEST := -m pytest --durations=5
 # What mypy reads, as far as it is there.
 TYPED := $(addprefix -p plgs.,$(wildcard engine plgs_blender operators ui)) $(if $(wildcard run_plgs.py),-m plgs.run_plgs)
 # What runs on the next Blender: all that lives in Blender's own Python.
-NEXT_TESTS := $(wildcard tests/scene tests/job tests/plgs_blender)
+NEXT_TESTS := $(wildcard tests/scene tests/job tests/plgs_blender tests/operators tests/ui tests/test_register.py \
+	tests/test_extension.py)
 
-.PHONY: demo test test-slow lint set-up set-up-next clean
+.PHONY: demo extension test test-slow test-window test-blender-next lint set-up set-up-next clean
 .NOTPARALLEL:
 
 # A demo that was cut off goes on where it was; a finished one says so and is left as it is.
@@ -30,6 +32,19 @@ test: lint set-up-next
 test-slow: set-up-next
 	$(PYTHON) $(PYTEST)
 	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(NEXT_TESTS); fi
+
+# The extension's zip, built and validated by Blender's own tool.
+extension: set-up
+	@$(PYTHON) set_up/extension.py build
+
+# The zip in a real Blender's window, under a virtual screen, with real mouse and keys: in Debian's Blender 4.3, and in 5.2.
+test-window: extension
+	@$(PYTHON) set_up/blender_window.py trixie
+	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) tests/window
+
+test-blender-next: extension
+	@$(PYTHON) set_up/blender_window.py sid
+	PLGS_WINDOW_TREE=build/blender-sid $(PYTHON) $(PYTEST) tests/window
 
 # mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve.
 lint: set-up

@@ -18,6 +18,8 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -192,6 +194,20 @@ def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", 
     say(f"{failure} (exit code {code}); going on without")
 
 
+@contextmanager
+def alone() -> Iterator[None]:
+    """Hold this folder's set-up lock; wait for it where another set-up is running."""
+    (ROOT / "build").mkdir(exist_ok=True)
+    with (ROOT / "build" / "set-up.lock").open("w") as lock:
+        os.set_inheritable(lock.fileno(), True)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say("another set-up of this folder is running: waiting for it")
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 def say(message: str) -> None:
     print(f"set-up: {message}", flush=True)
 
@@ -208,14 +224,7 @@ def main(arguments: list[str]) -> int:
     requirements = ROOT / "requirements"
     if verb == "check":
         return 0 if is_complete(folder, sys.version_info[:2], requirements) else 1
-    (ROOT / "build").mkdir(exist_ok=True)
-    with (ROOT / "build" / "set-up.lock").open("w") as lock:
-        os.set_inheritable(lock.fileno(), True)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            say("another set-up of this folder is running: waiting for it")
-            fcntl.flock(lock, fcntl.LOCK_EX)
+    with alone():
         if not is_complete(folder, sys.version_info[:2], requirements):
             make(folder)
     return 0

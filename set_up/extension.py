@@ -1,0 +1,59 @@
+"""Build and validate the extension's zip with Blender's own tool. Standard library only.
+
+    python set_up/extension.py FOLDER           # makes FOLDER/plgs-<version>.zip
+
+The tool is that of the `blender` on PATH; where there is none, the bpy module of the Python that runs this has the same.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def tool() -> list[str]:
+    """The command of Blender's extension tool; SystemExit where there is neither a Blender nor its module."""
+    blender = shutil.which("blender")
+    if blender:
+        return [blender, "--command", "extension"]
+    # Found, not imported: that takes a second, and the tool is a plain script.
+    module = importlib.util.find_spec("bpy")
+    if module is None or module.origin is None:
+        raise SystemExit("extension: no blender on PATH, and this Python has no bpy module: run make set-up")
+    scripts = sorted(Path(module.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
+    return [sys.executable, str(scripts[-1])]
+
+
+def build(folder: Path) -> Path:
+    """Build the zip into `folder` and let the tool judge it; returns its path. SystemExit when the tool refuses."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("plgs-*.zip"):
+        old.unlink()
+    ask([*tool(), "build", "--source-dir", str(ROOT), "--output-dir", str(folder)])
+    (path,) = folder.glob("plgs-*.zip")
+    ask([*tool(), "validate", str(path)])
+    return path
+
+
+def ask(command: list[str]) -> None:
+    """Run the tool; when it fails, show what it says and stop."""
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    if process.returncode != 0:
+        raise SystemExit(f"extension: {' '.join(command)}\n{process.stdout}{process.stderr}")
+
+
+def main(arguments: list[str]) -> int:
+    if len(arguments) != 1:
+        raise SystemExit("usage: extension.py FOLDER")
+    path = build(Path(arguments[0]).resolve())
+    print(f"extension: {path.name}, {path.stat().st_size / 1000:.0f} kB, valid")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

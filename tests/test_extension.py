@@ -1,0 +1,72 @@
+"""The extension as users get it: the zip that Blender's own tool builds, installed in a Blender without settings."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+INSIDE = """
+import sys
+import bpy
+
+bpy.ops.extensions.package_install_files(
+    filepath=sys.argv[1], repo="user_default", enable_on_install=True, overwrite=True
+)
+name = "bl_ext.user_default.plgs"
+assert name in bpy.context.preferences.addons, "not switched on"
+module = sys.modules[name]
+assert module.__file__.startswith(bpy.utils.user_resource("EXTENSIONS")), module.__file__
+assert hasattr(bpy.types.Scene, "plgs"), "registered nothing"
+outside = sorted(each for each in sys.modules if each.split(".")[0] in ("engine", "plgs_blender", "torch", "cv2"))
+assert outside == [], outside
+bpy.ops.preferences.addon_disable(module=name)
+assert not hasattr(bpy.types.Scene, "plgs"), "still registered"
+print("all is well")
+"""
+
+
+@pytest.fixture(scope="module")
+def package(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The zip, built and judged by Blender's own tool."""
+    folder = tmp_path_factory.mktemp("extension")
+    # Without a blender on PATH, so that the tool is that of the Blender which runs this test.
+    command = [sys.executable, str(root / "set_up" / "extension.py"), str(folder)]
+    process = subprocess.run(command, env=os.environ | {"PATH": "/nonexistent"}, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    (path,) = folder.glob("*.zip")
+    return path
+
+
+def test_the_zip_holds_what_runs_and_what_the_engine_is_set_up_from(root: Path, package: Path) -> None:
+    with zipfile.ZipFile(package) as zipped:
+        names = set(zipped.namelist())
+    parts = ("engine", "operators", "plgs_blender", "ui")
+    assert {path.relative_to(root).as_posix() for part in parts for path in (root / part).rglob("*.py")} <= names
+    needed = {"torch.txt", "engine.txt", "constraints-3.11.txt", "constraints-3.13.txt"}
+    assert {f"requirements/{name}" for name in needed} <= names
+    tops = {name.partition("/")[0] for name in names}
+    files = {"blender_manifest.toml", "__init__.py", "run_plgs.py", "LICENSE", "README.md", "CHANGELOG.md"}
+    assert tops == files | {*parts, "requirements"}
+
+
+def test_one_zip_serves_every_platform(package: Path) -> None:
+    with zipfile.ZipFile(package) as zipped:
+        manifest = tomllib.loads(zipped.read("blender_manifest.toml").decode())
+        endings = {Path(name).suffix for name in zipped.namelist()}
+    assert manifest["id"] == "plgs" and manifest["blender_version_min"] == "4.2.0"
+    assert not {"wheels", "platforms", "blender_version_max"} & set(manifest)
+    assert endings <= {".py", ".txt", ".toml", ".md", ""}
+
+
+def test_the_zip_installs_and_registers_and_goes(package: Path, tmp_path: Path) -> None:
+    environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "resources")}
+    process = subprocess.run(
+        [sys.executable, "-c", INSIDE, str(package)], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert process.returncode == 0 and "all is well" in process.stdout, process.stdout + process.stderr

@@ -1,0 +1,73 @@
+"""The extension itself: on, off, and without Blender."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+import pytest
+
+if str(Path(__file__).parent) not in sys.path:
+    sys.path.insert(0, str(Path(__file__).parent))
+
+from footprint import difference, footprint, running_timers  # noqa: E402  (beside this file)
+
+
+@pytest.fixture
+def draw_handlers(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """The handles of draw handlers that were added and not removed. Blender has no list of them: so the calls are noted."""
+    added: list[object] = []
+    for name in ("SpaceView3D", "SpaceImageEditor", "SpaceNodeEditor", "SpaceProperties", "SpaceOutliner"):
+        space = getattr(bpy.types, name)
+        monkeypatch.setattr(space, "draw_handler_add", noting(space.draw_handler_add, added.append))
+        monkeypatch.setattr(space, "draw_handler_remove", noting(space.draw_handler_remove, None, added.remove))
+    return added
+
+
+def noting(
+    call: Callable[..., object],
+    result: Callable[[object], None] | None,
+    handle: Callable[[object], None] | None = None,
+) -> Callable[..., object]:
+    """`call`, which also hands its result, or its first argument, on."""
+
+    def noted(*arguments: object) -> object:
+        answer = call(*arguments)
+        if result is not None:
+            result(answer)
+        if handle is not None:
+            handle(arguments[0])
+        return answer
+
+    return noted
+
+
+def test_a_draw_handler_is_noted(draw_handlers: list[object]) -> None:
+    handle = bpy.types.SpaceView3D.draw_handler_add(print, (), "WINDOW", "POST_VIEW")
+    assert draw_handlers == [handle]
+    bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
+    assert draw_handlers == []
+
+
+def test_switching_on_and_off_leaves_nothing_behind(plgs: ModuleType, draw_handlers: list[object]) -> None:
+    before = footprint()
+    for _ in range(3):
+        plgs.register()
+        assert "Scene.plgs" in footprint()["properties"]
+        plgs.unregister()
+        assert difference(before, footprint()) == []
+        assert running_timers("plgs") == []
+        assert draw_handlers == []
+
+
+def test_the_root_imports_without_blender(root: Path) -> None:
+    code = (
+        "import importlib.util, sys; sys.modules['bpy'] = None; "
+        f"spec = importlib.util.spec_from_file_location('plgs', {str(root / '__init__.py')!r}); "
+        "module = importlib.util.module_from_spec(spec); spec.loader.exec_module(module); print(module.__doc__)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

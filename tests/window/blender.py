@@ -1,0 +1,292 @@
+"""Blender in a window on a virtual screen: real mouse and keys go in, pictures and answers come out."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from tree import ROOT, Tree, wait_until
+
+SIZE = (1280, 1000)
+"""Of the screen and of Blender's window on it, in pixels: a sidebar with all panels fits."""
+ROW_STEP = 8
+"""Less than half of the height of a button, so that no button is missed when a column is searched."""
+_MOVED_S, _PRESSED_S = 0.04, 0.06
+
+
+class Window:
+    """One Blender with the installed extension, which can be quit and started again."""
+
+    def __init__(self, tree: Tree, folder: Path, package: Path) -> None:
+        """Start a virtual screen and install the extension. `folder` is seen from inside the tree too."""
+        self.folder, self._tree, self._blender = folder, tree, None
+        self._log = (folder / "blender.log").open("ab")
+        self._number = 0
+        for name in ("home", "screen", "shaders", "kernels"):
+            (folder / name).mkdir(exist_ok=True)
+        tree.environment |= {
+            "HOME": str(folder / "home"),
+            "BLENDER_USER_RESOURCES": str(folder / "resources"),
+            "LIBGL_ALWAYS_SOFTWARE": "1",
+            "NUMBA_CACHE_DIR": str(folder / "kernels"),
+            "PLGS_ENGINE_PYTHON": str(ROOT / ".venv" / "bin" / "python"),
+        }
+        self._start_screen()
+        install = ["blender", "--command", "extension", "install-file", "-r", "user_default", "-e", str(package)]
+        tree.run(*install)
+        self._compile_kernels()
+
+    def _compile_kernels(self) -> None:
+        """Let the installed engine compile its kernels while other tests run: a lift would wait for that (a minute)."""
+        engine = self.folder / "resources" / "extensions" / "user_default" / "plgs"
+        python = self._tree.environment["PLGS_ENGINE_PYTHON"]
+        command = f"cd {engine} && exec nice {python} -m engine warm-up"
+        self._warm_up = self._tree.start("sh", "-c", command, log=self._log.fileno())
+
+    def wait_for_kernels(self) -> None:
+        """Wait until a lift can begin at once."""
+        assert self._warm_up.wait(timeout=300) == 0, self.log_tail()
+
+    def _start_screen(self) -> None:
+        reading, writing = os.pipe()
+        self._screen = self._tree.start(
+            "Xvfb", "-displayfd", str(writing), "-screen", "0", f"{SIZE[0]}x{SIZE[1]}x24", "-nolisten", "tcp",
+            "-fbdir", str(self.folder / "screen"), "+extension", "GLX", log=self._log.fileno(), pass_fds=[writing],
+        )  # fmt: skip
+        os.close(writing)
+        with os.fdopen(reading) as pipe:
+            number = pipe.readline().strip()
+        assert number, f"the virtual screen did not start: {self.log_tail()}"
+        self._tree.environment["DISPLAY"] = f":{number}"
+
+    # Blender's life
+
+    def start(self) -> None:
+        """Start Blender with its usual startup file, and wait until it answers and has drawn."""
+        questions = self.folder / f"questions-{time.monotonic_ns()}"
+        questions.mkdir()
+        self._questions, self._number = questions, 0
+        self._blender = self._tree.start(
+            "blender", "--window-geometry", "0", "0", str(SIZE[0]), str(SIZE[1]),
+            "--python", str(Path(__file__).parent / "inside.py"),
+            log=self._log.fileno(), environment={"PLGS_WINDOW_QUESTIONS": str(questions)},
+        )  # fmt: skip
+        self.ask("bpy.app.version_string", timeout=120)
+        self.settle(timeout=120)
+
+    def quit(self) -> None:
+        """Close Blender as File > Quit does; what it had to say about unsaved changes is not asked."""
+        assert self._blender is not None
+        self._send("bpy.ops.wm.quit_blender()")
+        self._blender.wait(timeout=60)
+        self._blender = None
+
+    def kill(self) -> None:
+        """End Blender as the kernel does when memory runs out."""
+        assert self._blender is not None
+        self._blender.kill()  # and with that process the one in the tree
+        self._blender.wait(timeout=60)
+        self._blender = None
+
+    @property
+    def is_running(self) -> bool:
+        return self._blender is not None and self._blender.poll() is None
+
+    def new_file(self) -> None:
+        """File > New, and what was measured is forgotten."""
+        if not self.is_running:
+            self.start()
+        self.run("bpy.ops.wm.read_homefile(use_splash=False)")
+        self.run("watch.begin(); gaps.begin()")
+        self.move(SIZE[0] // 2, SIZE[1] // 2)
+
+    # Questions and answers
+
+    def ask(self, expression: str, timeout: float = 60) -> Any:
+        """The value of a Python expression inside Blender, as JSON brings it. RuntimeError with Blender's traceback."""
+        answer = self._answer_to(self._send(expression), timeout)
+        if "error" in answer:
+            raise RuntimeError(f"in Blender:\n{answer['error']}")
+        return answer["value"]
+
+    def run(self, statements: str, timeout: float = 60) -> Any:
+        """Run Python statements inside Blender; what they leave in `answer`."""
+        return self.ask(f"{statements}\n", timeout) if "\n" in statements else self.ask(f"{statements};", timeout)
+
+    def _send(self, question: str) -> Path:
+        self._number += 1
+        unfinished = self._questions / f"{self._number}.new"
+        unfinished.write_text(question)
+        unfinished.replace(self._questions / f"{self._number}.py")
+        return self._questions / f"{self._number}.json"
+
+    def _answer_to(self, path: Path, timeout: float) -> dict[str, Any]:
+        wait_until(lambda: path.exists() or not self.is_running, f"an answer of Blender ({path.stem})", timeout, 0.005)
+        if not path.exists():
+            raise RuntimeError(f"Blender has ended:\n{self.log_tail()}")
+        answer: dict[str, Any] = json.loads(path.read_text())
+        return answer
+
+    def wait_for(self, expression: str, timeout: float = 60) -> None:
+        """Wait until the expression is true inside Blender."""
+        wait_until(lambda: self.ask(expression), expression, timeout, 0.1)
+
+    # Mouse and keys
+
+    def move(self, x: int, y: int) -> None:
+        """Move the mouse there; y counts downwards from the top of the screen. Twice: Blender wants to see it arrive."""
+        self._input("mousemove", str(x - 2), str(y), "sleep", str(_MOVED_S), "mousemove", str(x), str(y))
+
+    def click(self, x: int, y: int, button: int = 1) -> None:
+        """Move there and click; 1 is the left button, 4 and 5 the wheel."""
+        self.move(x, y)
+        self._input("sleep", str(_PRESSED_S), "click", str(button))
+        self._wait_for_events()
+
+    def key(self, *keys: str) -> None:
+        """Press keys one after the other where the mouse is: `Escape`, `n`, `ctrl+z`."""
+        self._input("key", "--delay", "30", *keys)
+        self._wait_for_events()
+
+    def type(self, text: str) -> None:
+        """Type into the field that is being edited."""
+        self._input("type", "--delay", "10", text)
+        self._wait_for_events()
+
+    def _input(self, *arguments: str) -> None:
+        self._tree.run("xdotool", *arguments)
+
+    def _wait_for_events(self) -> None:
+        """Blender handles what has arrived before it calls timers again; two rounds, for what that brought about."""
+        for _ in range(2):
+            if self.is_running:
+                self.ask("None")
+
+    # The sidebar
+
+    def open_sidebar(self, tab: str = "PLGS") -> None:
+        """Open the 3D view's sidebar with the key N, and its tab."""
+        self.move(*self._middle("WINDOW"))
+        if not self._region("UI")[2] > 1:
+            self.key("n")
+        # Tabs are known once the sidebar has been drawn.
+        self.settle()
+        self.run(_IN_SIDEBAR + f"region.active_panel_category = {tab!r}; region.tag_redraw()")
+        self.settle()
+
+    def find_button(self, operator: str, contains: str = "") -> tuple[int, int]:
+        """Where in the sidebar the button of an operator is, such as "plgs.lift_scene"; greyed-out ones too.
+
+        Found as a user can find out: the mouse stands on a button, Ctrl+C copies its Python command. `contains` tells
+        apart buttons of one operator by their arguments. LookupError when there is none to be seen.
+        """
+        return self._find(f"bpy.ops.{operator}(", contains, "ctrl+c")
+
+    def find_field(self, path: str) -> tuple[int, int]:
+        """Where in the sidebar a property's field is, such as "plgs.preset", by its full data path (Ctrl+Shift+Alt+C)."""
+        return self._find(".", f"].{path}", "ctrl+shift+alt+c")
+
+    def press(self, operator: str, contains: str = "") -> None:
+        """Find an operator's button in the sidebar and click it."""
+        self.click(*self.find_button(operator, contains))
+
+    def _find(self, begin: str, contains: str, keys: str) -> tuple[int, int]:
+        left, top, width, height = self._region("UI")
+        self.run("bpy.context.window_manager.clipboard = ''")
+        # Buttons share rows: the middle hits most of them, the others stand at the sides. Tabs are at the right.
+        for share in (0.45, 0.8, 0.15):
+            x = left + int(width * share)
+            for y in range(top + 4, top + height, ROW_STEP):
+                self._input("mousemove", str(x), str(y), "sleep", str(_MOVED_S), "key", keys)
+                self._wait_for_events()
+                copied = self.ask("bpy.context.window_manager.clipboard")
+                if begin in copied and contains in copied:
+                    return x, y + 2
+        raise LookupError(f"no button of {begin} {contains} in the sidebar")
+
+    def _region(self, kind: str) -> tuple[int, int, int, int]:
+        """Left, top, width, height of the 3D view's region on the screen."""
+        x, y, width, height = self.run(
+            _IN_SIDEBAR.replace("'UI'", repr(kind)) + "answer = region.x, region.y, region.width, region.height"
+        )
+        return x, SIZE[1] - y - height, width, height
+
+    def _middle(self, kind: str) -> tuple[int, int]:
+        x, y, width, height = self._region(kind)
+        return x + width // 2, y + height // 2
+
+    # What is seen, and how long it takes
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The screen as it is now: uint8 [H, W, 3], red first. Read from the virtual screen's own memory."""
+        dump = (self.folder / "screen" / "Xvfb_screen0").read_bytes()
+        header = np.frombuffer(dump, ">u4", count=25)
+        begin = int(header[0]) + 12 * int(header[19])  # of an X window dump: the header, then the colour map
+        width, height, line = int(header[4]), int(header[5]), int(header[12])
+        pixels = np.frombuffer(dump, np.uint8, offset=begin, count=line * height).reshape(height, line // 4, 4)
+        return np.ascontiguousarray(pixels[:, :width, 2::-1])
+
+    def pixel(self, x: int, y: int) -> tuple[int, int, int]:
+        red, green, blue = self.picture()[y, x]
+        return int(red), int(green), int(blue)
+
+    def screenshot(self, name: str) -> Path:
+        """Keep the screen as a picture in build/window/screenshots."""
+        path = ROOT / "build" / "window" / "screenshots" / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), self.picture()[:, :, ::-1])
+        return path
+
+    def settle(self, timeout: float = 60, still_s: float = 0.4) -> None:
+        """Wait until the screen has not changed for a while."""
+        last, since, end = self.picture(), time.monotonic(), time.monotonic() + timeout
+        while time.monotonic() - since < still_s:
+            if time.monotonic() > end:
+                raise TimeoutError(f"the screen does not come to rest within {timeout:g} s")
+            self.ask("None", timeout)
+            time.sleep(0.05)
+            now = self.picture()
+            if not np.array_equal(now, last):
+                last, since = now, time.monotonic()
+
+    def waits(self) -> dict[str, float]:
+        """Seconds that Blender's window waited for each part of the extension at worst, since the file was new.
+
+        By what Blender called: a panel's `draw`, an operator, a timer. What a test asked for itself is not counted.
+        """
+        found: dict[str, float] = self.ask("watch.waits")
+        return found
+
+    def longest_wait(self) -> float:
+        """The largest of `waits`, in seconds."""
+        return max(self.waits().values(), default=0.0)
+
+    def longest_gap(self) -> float:
+        """Seconds between two calls of a fast timer at worst: what Blender's own drawing takes is in it."""
+        return float(self.ask("gaps.longest"))
+
+    def log_tail(self) -> str:
+        """The last lines of what Blender and the virtual screen wrote."""
+        self._log.flush()
+        return "\n".join((self.folder / "blender.log").read_text(errors="replace").splitlines()[-30:])
+
+    def close(self) -> None:
+        """End Blender and the screen."""
+        for process in (self._blender, self._screen, self._warm_up):
+            if process is not None:
+                process.kill()
+                process.wait()
+        self._log.close()
+
+
+_IN_SIDEBAR = """
+window = bpy.context.window_manager.windows[0]
+area = max((each for each in window.screen.areas if each.type == 'VIEW_3D'), key=lambda each: each.width * each.height)
+region = next(each for each in area.regions if each.type == 'UI')
+"""
