@@ -72,7 +72,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     train(trainer, folder, stages)
 
     with stages.stage("result"):
-        write_scene_files(folder, scene, prepared, trainer.scene, events)
+        write_scene_files(folder, scene, views, prepared, trainer.scene, events)
     baker = FrameBaker(scene, prepared, trainer.scene)
     bake_and_evaluate(folder, baker, frames_to_bake(scene, request.bake), events, stages)
     write_manifest(
