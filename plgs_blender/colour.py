@@ -10,12 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 UNKNOWN = (96, 96, 96)
 """sRGB colour of points without a class."""
 
+_BYTES = np.arange(256) / 255.0
+_LINEAR = np.where(_BYTES <= 0.04045, _BYTES / 12.92, ((_BYTES + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
 
 def linear_rgba(srgb: ArrayLike) -> NDArray[np.float32]:
     """sRGB bytes 0..255 [..., 3] as linear colours with alpha 1, float32 [..., 4] (IEC 61966-2-1)."""
-    value = np.asarray(srgb, np.float32) / 255.0
-    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return np.concatenate([linear, np.ones_like(linear[..., :1])], axis=-1).astype(np.float32)
+    value = np.asarray(srgb)
+    rgba = np.ones((*value.shape[:-1], 4), np.float32)
+    rgba[..., :3] = _LINEAR[value]
+    return rgba
 
 
 def object_colour(srgb: Sequence[int]) -> tuple[float, float, float, float]:

@@ -16,6 +16,8 @@ _CELL = 4.0
 """Side of a cell in point spacings: some sixteen points in each, enough for a plane."""
 _TOUCHING = 0.75
 """Radius in spacings with which neighbours touch: over a half, since points are not evenly spread."""
+_AT_ONCE = 8192
+"""Cells to measure distances from at once: what the processor keeps at hand."""
 _THICKNESS = 0.3
 """Where the second axis of a cell's points is not clearly longer than the third, there is no plane."""
 
@@ -117,11 +119,12 @@ def _cell_numbers(xyz: NDArray[np.floating], side: float) -> NDArray[np.int64]:
 
 def _towards_nearest(points: NDArray[np.float64], viewpoints: NDArray[np.floating]) -> NDArray[np.float64]:
     """Vectors [N, 3] from each point to its nearest viewpoint."""
-    nearest = np.full(len(points), np.inf)
-    towards = np.zeros_like(points)
-    for viewpoint in viewpoints:
-        offset = viewpoint - points
-        distance = np.einsum("ij,ij->i", offset, offset)
-        closer = distance < nearest
-        nearest[closer], towards[closer] = distance[closer], offset[closer]
-    return towards
+    middle = viewpoints.mean(axis=0)  # differences of squares lose digits far from the origin
+    views = viewpoints - middle
+    nearest = np.empty(len(points), np.int64)
+    for start in range(0, len(points), _AT_ONCE):
+        # |view - point|² less |point|², which is the same for all views.
+        part = slice(start, start + _AT_ONCE)
+        distance = np.einsum("ij,ij->i", views, views) - 2.0 * (points[part] - middle) @ views.T
+        nearest[part] = distance.argmin(axis=1)
+    return viewpoints[nearest] - points

@@ -51,14 +51,25 @@ class ViewPoints:
     pixels: NDArray[np.int32]
 
 
+@dataclass(frozen=True)
+class MemberMask:
+    """A mask of an object. ``consent``: of the times that a view judges this mask together with another one
+    of the object, the share in which it shows both inside one mask; None when no view judges such a pair.
+    """
+
+    frame: str
+    segment: Segment
+    consent: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class ObjectMasks:
-    """``object_of_point`` int32 [N], 0 = in no object, else 1.. ; ``masks`` the (frame, segment) of each
-    object, in the order of the views, object i at place i - 1.
+    """``object_of_point`` int32 [N], 0 = in no object, else 1.. ; ``masks`` those of each object, in the order
+    of the views, object i at place i - 1.
     """
 
     object_of_point: NDArray[np.int32]
-    masks: tuple[tuple[tuple[str, Segment], ...], ...]
+    masks: tuple[tuple[MemberMask, ...], ...]
 
 
 def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
@@ -119,10 +130,24 @@ def objects_of_masks(
     names = names[size >= options.min_masks]
     if not len(names):
         return ObjectMasks(np.zeros(points, np.int32), ())
-    members = [sound[cluster == name] for name in names]
-    votes = np.stack([np.asarray(holds[rows].sum(0)).reshape(-1) for rows in members])
+    members = [np.flatnonzero(cluster == name) for name in names]
+    votes = np.stack([np.asarray(holds[sound[rows]].sum(0)).reshape(-1) for rows in members])
     owner = np.where(votes.max(0) > 0, votes.argmax(0) + 1, 0).astype(np.int32)
-    return ObjectMasks(owner, tuple(tuple(masks[row] for row in rows) for rows in members))
+    found = []
+    for rows in members:
+        shares = consents(favour[np.ix_(rows, rows)], judging[np.ix_(rows, rows)])
+        chosen = (masks[row] for row in sound[rows])
+        found.append(tuple(MemberMask(frame, each, share) for (frame, each), share in zip(chosen, shares, strict=True)))
+    return ObjectMasks(owner, tuple(found))
+
+
+def consents(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:
+    """``MemberMask.consent`` of an object's m masks, from how many views judge each pair of them, and how many
+    of these are in favour, both [m, m]. A mask's judgement of itself does not count.
+    """
+    judged = judging.sum(1) - np.diag(judging)
+    agreed = favour.sum(1) - np.diag(favour)
+    return [float(yes) / float(all_) if all_ > 0 else None for yes, all_ in zip(agreed, judged, strict=True)]
 
 
 def join(weight: NDArray[np.floating]) -> NDArray[np.int64]:

@@ -41,7 +41,9 @@ class MatchingOptions:
 
 @dataclass(frozen=True)
 class Evidence:
-    """One segment that belongs to an instance; ``cost`` O of the match, None for the segment that founded it."""
+    """One segment that belongs to an instance; ``pixels``: how many it has with depth. ``cost`` O of the match, None
+    for the segment that founded it. ``consent`` where the views' consent joined it instead: ``MemberMask.consent``.
+    """
 
     frame: str
     segment_id: int
@@ -49,6 +51,7 @@ class Evidence:
     score: float
     pixels: int
     cost: float | None
+    consent: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

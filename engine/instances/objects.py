@@ -42,8 +42,16 @@ def object_instances(
         if not own.any():
             continue
         evidence = tuple(
-            Evidence(frame, segment.id, segment.class_id, segment.score, pixels.get((frame, segment.id), 0), None)
-            for frame, segment in masks
+            Evidence(
+                one.frame,
+                one.segment.id,
+                one.segment.class_id,
+                one.segment.score,
+                pixels.get((one.frame, one.segment.id), 0),
+                cost=None,
+                consent=one.consent,
+            )
+            for one in masks
         )
         points = np.asarray(xyz[own], np.float64)
         box = fit_box(points, min_thickness)

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import find_objects
 
-from ..scene import Segment, View
+from ..scene import PanopticMask, Segment, View
 from .oriented_box import OrientedBox, fit_box
 
 
@@ -44,6 +45,31 @@ class LocalInstance:
     points: NDArray[np.float64]
     box: OrientedBox
     pixels: int
+
+
+@dataclass(frozen=True)
+class MaskExtent:
+    """Where a segment lies in its picture: ``share`` of the picture's pixels, and the ``rectangle`` around it, left,
+    top, right, bottom as shares of the picture's width and height.
+    """
+
+    share: float
+    rectangle: tuple[float, float, float, float]
+
+
+def mask_extents(mask: PanopticMask) -> dict[int, MaskExtent]:
+    """The extent of each segment of a mask that has pixels, by segment id."""
+    height, width = mask.ids.shape
+    present, number, count = np.unique(mask.ids, return_inverse=True, return_counts=True)
+    places = find_objects(number.reshape(mask.ids.shape) + 1)
+    return {
+        int(segment): MaskExtent(
+            float(pixels) / mask.ids.size,
+            (across.start / width, down.start / height, across.stop / width, down.stop / height),
+        )
+        for segment, pixels, (down, across) in zip(present, count, places, strict=True)
+        if segment > 0
+    }
 
 
 def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptions) -> list[LocalInstance]:

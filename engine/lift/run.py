@@ -76,7 +76,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     train(trainer, folder, stages, previews)
 
     with stages.stage("result"):
-        write_scene_files(folder, scene, prepared, trainer.scene, events)
+        write_scene_files(folder, scene, views, prepared, trainer.scene, events)
     baker = FrameBaker(scene, trainer.scene, instances)
     bake_and_evaluate(folder, baker, frames_to_bake(scene, request.bake), events, stages)
     previews.clear_away()

@@ -11,19 +11,26 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save
 
-from ..instances import GlobalInstance
+from ..instances import Evidence, GlobalInstance, MaskExtent, mask_extents
 from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
 from ..model.baking import bake
 from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..passes import InstanceRecord, SegmentLink, write_anchors, write_instances, write_ply, write_semantic_points
-from ..scene import ClassTable, Scene, distinct_colour
+from ..scene import ClassTable, Scene, View, distinct_colour
 from ..train.preparation import PreparedLift
 
 
 def write_scene_files(
-    folder: LiftFolder, scene: Scene, prepared: PreparedLift, lifted: StructuredScene, events: EventWriter
+    folder: LiftFolder,
+    scene: Scene,
+    views: Sequence[View],
+    prepared: PreparedLift,
+    lifted: StructuredScene,
+    events: EventWriter,
 ) -> None:
-    """Write everything of the result that needs no rendering. Raises OSError when the disk is full."""
+    """Write everything of the result that needs no rendering; ``views`` are those it was lifted from. Raises OSError
+    when the disk is full.
+    """
     result = folder.result_path
     cloud = prepared.cloud
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
@@ -36,7 +43,7 @@ def write_scene_files(
         instance_id=prepared.instance_of_point,
         confidence=cloud.confidence,
     )
-    records = instance_records(prepared, scene.classes)
+    records = instance_records(views, prepared, scene.classes)
     write_instances(result / "instances.json", scene.classes, records)
     write_anchors(result / "anchors.npz", **vars(anchors))
     write_ply(result / "gaussians.ply", gaussians)
@@ -96,8 +103,11 @@ def instance_names(instances: Sequence[GlobalInstance], classes: ClassTable) -> 
     return names
 
 
-def instance_records(prepared: PreparedLift, classes: ClassTable) -> list[InstanceRecord]:
-    """The matched objects as instances.json lists them."""
+def instance_records(
+    views: Sequence[View], prepared: PreparedLift, classes: ClassTable
+) -> list[InstanceRecord]:
+    """The matched objects as instances.json lists them, with the masks that made them."""
+    extents = {view.name: mask_extents(view.mask) for view in views}
     names = instance_names(prepared.instances, classes)
     points = np.bincount(prepared.instance_of_point, minlength=max(names, default=0) + 1)
     records = []
@@ -119,9 +129,23 @@ def instance_records(prepared: PreparedLift, classes: ClassTable) -> list[Instan
                 score=instance.score,
                 points=int(points[instance.id]),
                 segments=tuple(
-                    SegmentLink(item.frame, item.segment_id, item.class_id, item.score, item.cost)
-                    for item in instance.evidence
+                    segment_link(item, extents[item.frame][item.segment_id]) for item in instance.evidence
                 ),
             )
         )
     return records
+
+
+def segment_link(item: Evidence, extent: MaskExtent) -> SegmentLink:
+    """What the result tells of one mask of an instance."""
+    return SegmentLink(
+        frame=item.frame,
+        segment_id=item.segment_id,
+        class_id=item.class_id,
+        score=item.score,
+        cost=item.cost,
+        consent=item.consent,
+        pixels=item.pixels,
+        share=extent.share,
+        rectangle=extent.rectangle,
+    )

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.instances import ConsensusOptions, find_objects, object_instances, without_strays
-from engine.instances.consensus import join, shown_classes, view_points
+from engine.instances.consensus import consents, join, shown_classes, view_points
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
 
@@ -57,7 +57,17 @@ def test_merging_splitting_and_misnaming_views_are_outvoted() -> None:
     groups = [np.unique(owner[part]) for part in (LEFT, RIGHT, BACK)]
     assert [len(group) for group in groups] == [1, 1, 1] and len(np.unique(np.concatenate(groups))) == 3
     left = objects.masks[int(groups[0][0]) - 1]
-    assert {frame for frame, _ in left} == {"a", "c", "d", "e", "f"}
+    assert {mask.frame for mask in left} == {"a", "c", "d", "e", "f"}
+
+
+def test_consent_says_how_many_views_put_a_mask_to_its_object() -> None:
+    # Of the six views all but d, which splits the left chair, show any two of its masks inside one mask.
+    views = [good("a"), merged("b"), good("c"), split("d"), good("e"), good("f")]
+    objects, _ = find_objects(views, seen, POINTS, OPTIONS)
+    left = objects.masks[int(objects.object_of_point[7]) - 1]
+    assert [(mask.frame, mask.consent) for mask in left] == [(frame, 5 / 6) for frame in "acddef"]
+    assert consents(np.array([[9.0, 4.0], [4.0, 9.0]]), np.array([[9.0, 5.0], [5.0, 9.0]])) == [0.8, 0.8]
+    assert consents(np.ones((1, 1)), np.ones((1, 1))) == [None]
 
 
 def test_a_view_that_missed_an_object_says_nothing_about_it() -> None:

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.instances.segments import SegmentOptions, edge_distance, local_instances, thin
+from engine.instances.segments import MaskExtent, SegmentOptions, edge_distance, local_instances, mask_extents, thin
+from engine.scene import PanopticMask
 from tests.instances.two_chairs import THINGS, WALL, look, view_of
 
 CHAIR_BOX = ((-0.3, -0.3, 0.0), (0.3, 0.3, 0.8))
@@ -36,3 +37,13 @@ def test_distance_to_other_segments_ignores_the_pictures_border() -> None:
 def test_thinning_keeps_one_mean_a_voxel() -> None:
     points = np.array([[0.01, 0.0, 0.0], [0.03, 0.0, 0.0], [-0.01, 0.0, 0.0], [0.0, 0.0, 7.0]])
     np.testing.assert_allclose(thin(points, 0.05), [[-0.01, 0, 0], [0.02, 0, 0], [0.0, 0.0, 7.0]])
+
+
+def test_extents_tell_where_masks_lie_in_the_picture() -> None:
+    ids = np.zeros((10, 20), np.int32)
+    ids[2:4, 5:10], ids[9, 0], ids[0, 19] = 7, 900_000, 900_000
+    assert mask_extents(PanopticMask(ids, ())) == {
+        7: MaskExtent(10 / 200, (0.25, 0.2, 0.5, 0.4)),
+        900_000: MaskExtent(2 / 200, (0.0, 0.0, 1.0, 1.0)),
+    }
+    assert mask_extents(PanopticMask(np.zeros((4, 4), np.int32), ())) == {}

@@ -127,6 +127,12 @@ def test_instances(lifts: Lifts) -> None:
         assert one["id"] >= 1 and one["views"] >= 5 and 0 <= one["score"] <= 1 and one["points"] > 0
         assert len(one["centre"]) == len(one["size"]) == len(one["colour"]) == 3 and len(one["rotation"]) == 4
         assert not {segment["frame"] for segment in one["segments"]} & set(HELD_OUT)
+        assert len(one["segments"]) >= one["views"]
+        for segment in one["segments"]:
+            assert segment["cost"] is None and 0 < segment["consent"] <= 1, "matched by consent, not by boxes"
+            assert segment["pixels"] > 0 and 0 < segment["share"] < 1
+            left, top, right, bottom = segment["rectangle"]
+            assert 0 <= left < right <= 1 and 0 <= top < bottom <= 1
 
 
 def test_the_model_can_be_read_again(lifts: Lifts) -> None:

@@ -125,7 +125,7 @@ def _record(number: int) -> InstanceRecord:
         views=3,
         score=0.9,
         points=100,
-        segments=(SegmentLink("0001", 17, 5, 0.8, None),),
+        segments=(SegmentLink("0001", 17, 5, 0.8, None, 0.75, 1200, 0.25, (0.0, 0.1, 0.5, 0.6)),),
     )
 
 
@@ -133,7 +133,9 @@ def test_instances(tmp_path: Path) -> None:
     write_instances(tmp_path / "instances.json", CLASSES, [_record(2), _record(1)])
     content = json.loads((tmp_path / "instances.json").read_text(encoding="utf-8"))
     assert [instance["id"] for instance in content["instances"]] == [1, 2]
-    assert content["instances"][0]["segments"][0]["cost"] is None
+    link = content["instances"][0]["segments"][0]
+    assert (link["cost"], link["consent"], link["pixels"]) == (None, 0.75, 1200)
+    assert (link["share"], link["rectangle"]) == (0.25, [0.0, 0.1, 0.5, 0.6])
     assert content["classes"][1] == {"id": 5, "name": "chair", "is_thing": True, "colour": [210, 70, 60]}
     with pytest.raises(ValueError, match="unique"):
         write_instances(tmp_path / "instances.json", CLASSES, [_record(1), _record(1)])
