@@ -6,13 +6,13 @@ for, and the picture shown behind (half transparent before) that camera. Only ca
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
 
-from ...engine.job import LiftFolder, write_atomically
+from ...engine.job import LiftFolder
+from ...engine.job.preview_request import write_preview_request
 from ..owned import KEY, LIFT, tag
 from ..paths import absolute
 
@@ -29,7 +29,7 @@ def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
         camera = scene.camera
         if camera is not None and LIFT in camera and _FRAME in camera and _asked.get(lift.path) != camera[_FRAME]:
             _asked[lift.path] = camera[_FRAME]
-            write_atomically(lift.preview_request_path, json.dumps({"frame": camera[_FRAME]}))
+            write_preview_request(lift.preview_request_path, camera[_FRAME])
         return
 
 
