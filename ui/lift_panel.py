@@ -5,13 +5,13 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender import engine_environment
-from ..plgs_blender.running import lifts
+from ..plgs_blender.running import lifts, live_preview
 from ..plgs_blender.running.lifts import Watch
 from ..plgs_blender.settings import chosen_lift
-from .sidebar import Sidebar, duration, tell
+from .sidebar import Sidebar, Step, duration, tell
 
 
-class PLGS_PT_lift(Sidebar, bpy.types.Panel):
+class PLGS_PT_lift(Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order = "PLGS_PT_lift", "2  Lift", 2
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -79,6 +79,8 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, follo
     row.scale_y = 1.4
     row.operator("plgs.cancel_lift", icon="CANCEL").lift_folder = str(followed.folder.path)
     layout.prop(context.scene.plgs, "live_preview")
+    if context.scene.plgs.live_preview and not live_preview.can_be_seen(context.scene):
+        tell(layout, context, "To see it grow, look through one of the lift's own cameras", "INFO")
 
 
 def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Watch) -> None:

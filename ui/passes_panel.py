@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from .sidebar import Sidebar
+from .sidebar import Step
 
 
-class PLGS_PT_passes(Sidebar, bpy.types.Panel):
+class PLGS_PT_passes(Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order = "PLGS_PT_passes", "4  Passes", 4
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -6,12 +6,12 @@ import bpy
 
 from ..plgs_blender.scene_survey import Survey, survey_of
 from ..plgs_blender.settings import place_of
-from .sidebar import Sidebar, tell
+from .sidebar import Sidebar, Step, tell
 
 _MOST_WARNINGS = 4
 
 
-class PLGS_PT_scene(Sidebar, bpy.types.Panel):
+class PLGS_PT_scene(Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order = "PLGS_PT_scene", "1  Scene", 1
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -1,4 +1,4 @@
-"""The tab PLGS in the 3D view's sidebar: what its panels share."""
+"""The panel Lift Panoptic Masks in the tab PLGS of the 3D view's sidebar, and what its parts share."""
 
 from __future__ import annotations
 
@@ -14,6 +14,19 @@ class Sidebar:
     """Where a panel of ours lies."""
 
     bl_space_type, bl_region_type, bl_category = "VIEW_3D", "UI", "PLGS"
+
+
+class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_lift_panoptic_masks", "Lift Panoptic Masks"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Nothing: the steps below it are panels of their own."""
+
+
+class Step(Sidebar):
+    """One step of the work, in order: set `bl_order`."""
+
+    bl_parent_id = PLGS_PT_lift_panoptic_masks.bl_idname
 
 
 def tell(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
@@ -33,3 +46,6 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+CLASSES = (PLGS_PT_lift_panoptic_masks,)

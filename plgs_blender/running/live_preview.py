@@ -7,6 +7,7 @@ for, and the picture shown behind (half transparent before) that camera. Only ca
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -23,26 +24,32 @@ _asked: dict[Path, str] = {}
 """The frame last asked for, by lift folder: so a file is written only when the camera changes."""
 
 
+def can_be_seen(scene: bpy.types.Scene) -> bool:
+    """Whether the scene's active camera is one of ours: only those show the preview."""
+    camera = scene.camera
+    return camera is not None and LIFT in camera and _FRAME in camera
+
+
 def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
     """Ask the engine for the view of the active camera of the scene that shows this lift, when it is one of ours."""
     for scene in _scenes_of(lift, scenes):
-        camera = scene.camera
-        if camera is not None and LIFT in camera and _FRAME in camera and _asked.get(lift.path) != camera[_FRAME]:
-            _asked[lift.path] = camera[_FRAME]
-            write_preview_request(lift.preview_request_path, camera[_FRAME])
+        if can_be_seen(scene) and _asked.get(lift.path) != scene.camera[_FRAME]:
+            _asked[lift.path] = scene.camera[_FRAME]
+            with suppress(OSError):  # somebody else's lift that we may only read: it shows what its owner asks for
+                write_preview_request(lift.preview_request_path, scene.camera[_FRAME])
         return
 
 
 def show(lift: LiftFolder, picture: Path, scenes: Iterable[bpy.types.Scene]) -> None:
     """Let the scene's active camera, if it is ours, show the engine's newest picture."""
     for scene in _scenes_of(lift, scenes):
-        camera = scene.camera
-        if camera is None or LIFT not in camera or _FRAME not in camera or not picture.is_file():
+        if not can_be_seen(scene) or not picture.is_file():
             return
-        image = _image_of(camera[LIFT]) or _new_image(camera[LIFT], picture)
+        owner = scene.camera[LIFT]
+        image = _image_of(owner) or _new_image(owner, picture)
         image.filepath = str(picture)
         image.reload()
-        _dress(camera.data, image)
+        _dress(scene.camera.data, image)
 
 
 def remove(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:

@@ -41,7 +41,9 @@ def start_lift(settings: PLGS_PG_settings) -> Watch:
         raise JobError("no scene is chosen", "Scene", "Choose a folder with color, depth, pose and intrinsic.")
     python = engine_environment.usable_python()
     request = request_of(settings)
-    open_scene(request.scene, request.masks, request.up)
+    known = survey_of(place_of(settings))
+    if known is None or known.error is not None:  # else the panel has looked already, and a button answers at once
+        open_scene(request.scene, request.masks, request.up)
     folder = chosen_lift(settings)
     if folder is None or (folder / "request.json").exists():
         folder = free_lift_folder(request.scene)
