@@ -1,5 +1,5 @@
-"""The plain numbers of the presets: how much work each asks for. The engine trains by them, and a prediction reads them
-where there is no torch."""
+"""The plain numbers of the presets, in their one home: the engine trains by them, and a prediction reads them where
+there is no torch."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Effort:
-    """``size_within`` (width, height): pictures are brought into this box, never enlarged; ``voxel_size`` metres between
-    anchors; ``most_points`` and ``most_anchors`` cap cloud and model; ``self_training_every``: share of the steps."""
+    """How much work a preset asks for.
+
+    ``size_within`` (width, height): pictures are brought into this box, never enlarged; ``voxel_size`` metres between
+    anchors; ``most_points`` and ``most_anchors`` cap cloud and model; ``self_training_every`` is a share of the steps.
+    """
 
     name: str
     steps: int

@@ -24,8 +24,6 @@ SURFACE = 400.0
 """Square metres that the sample's frames see: what anchors lie on."""
 MOST_ANCHORS_PER_POINT = 0.8
 REMEMBERED = 5
-LEAST_STEPS, LEAST_SECONDS = 100, 10.0
-"""Shorter trainings say more about the first compilation than about the machine."""
 MB = 1_000_000
 
 
@@ -58,7 +56,7 @@ def predict(
     trained_on = _megapixels_within(frame_size, effort.size_within)
     seen = train_frames * trained_on
     baked = {"test": test_frames, "all": frames, "none": 0}[bake]
-    step = step_seconds(trained_on, effort)
+    step = step_seconds(trained_on, _millions_of_gaussians(effort))
     rounds = max(0, min(round(1 / effort.self_training_every), effort.steps) - 1)
     stages = {
         "start": 4.0,
@@ -68,22 +66,17 @@ def predict(
         "match": 1.1 + 0.7 * seen,
         "prepare": 10.0 + 2.3 * seen,
         "train": effort.steps * step + rounds * train_frames * 0.42 * step,
-        "result": 0.5 + 11.0 * millions_of_anchors(effort),
+        "result": 0.5 + 2.75 * _millions_of_gaussians(effort),
         "bake": baked * (0.2 + 10.0 * own),
         "evaluate": 0.2 + 0.65 * frames * own,
     }
     return Prediction({name: slowness * seconds for name, seconds in stages.items()}, _peak_bytes(seen, own, effort))
 
 
-def step_seconds(megapixels: float, effort: Effort) -> float:
-    """A training step on the machine that the constants were measured on, on a picture of that size."""
-    return 0.03 + 0.55 * megapixels + 1.45 * millions_of_anchors(effort) * effort.gaussians_per_anchor / 4
-
-
-def millions_of_anchors(effort: Effort) -> float:
-    """About as many as the sample gives."""
-    most = min(effort.most_anchors, MOST_ANCHORS_PER_POINT * effort.most_points)
-    return min(SURFACE / effort.voxel_size**2, most) / 1e6
+def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
+    """A training step on the machine that the constants were measured on: for a picture of that size, of a model with
+    so many Gaussians in all."""
+    return 0.03 + 0.55 * megapixels + 0.3625 * millions_of_gaussians
 
 
 def machine_slowness(cache: Path | None = None) -> float:
@@ -92,22 +85,24 @@ def machine_slowness(cache: Path | None = None) -> float:
     return median(measured) if measured else 1.0
 
 
-def learn_slowness(
-    steps: int, seconds: float, megapixels: float, effort: Effort, cache: Path | None = None
-) -> None:
-    """Remember that ``steps`` of a lift took ``seconds``, pseudo labels left out. Raises OSError, JobError."""
-    if steps < LEAST_STEPS or seconds < LEAST_SECONDS:
-        return
+def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: float, cache: Path | None = None) -> None:
+    """Remember that a step of a finished lift took so long here. Raises OSError, JobError."""
     path = _speed_path(cache)
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock")):
-        measured = [*_measured(path), seconds / (steps * step_seconds(megapixels, effort))][-REMEMBERED:]
-        write_atomically(path, to_text({"format": FORMAT, "slowness": measured}))
+        measured = [*_measured(path), seconds / step_seconds(megapixels, millions_of_gaussians)]
+        write_atomically(path, to_text({"format": FORMAT, "slowness": measured[-REMEMBERED:]}))
 
 
 def _peak_bytes(seen: float, own: float, effort: Effort) -> int:
-    gaussians = millions_of_anchors(effort) * effort.gaussians_per_anchor
-    return round((650 + 60 * seen + 300 * own + 400 * gaussians) * MB)
+    """``seen``: megapixels of all training pictures; ``own``: of one frame, which is baked at its own size."""
+    return round((650 + 60 * seen + 300 * own + 400 * _millions_of_gaussians(effort)) * MB)
+
+
+def _millions_of_gaussians(effort: Effort) -> float:
+    """About as many as the sample gives."""
+    most = min(effort.most_anchors, MOST_ANCHORS_PER_POINT * effort.most_points)
+    return effort.gaussians_per_anchor * min(SURFACE / effort.voxel_size**2, most) / 1e6
 
 
 def _megapixels_within(size: tuple[int, int], box: tuple[int, int]) -> float:
