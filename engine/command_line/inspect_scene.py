@@ -8,11 +8,16 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..job import ExitCode
+from ..job.effort import chosen_effort
+from ..job.prediction import machine_slowness, predict
 from ..scene import SceneReport, Size, UpAxis, describe, open_scene
 
 
-def inspect_scene(folder: Path, masks: Path | None, up: UpAxis, *, as_json: bool = False) -> ExitCode:
-    """Decode every frame and print what is there, for people or as one line of JSON.
+def inspect_scene(
+    folder: Path, masks: Path | None, up: UpAxis, *, as_json: bool = False, preset: str | None = None
+) -> ExitCode:
+    """Decode every frame and print what is there, for people or as one line of JSON. For people also what a lift with
+    ``preset`` would take.
 
     Raises SceneError for the first thing that is wrong.
     """
@@ -21,6 +26,8 @@ def inspect_scene(folder: Path, masks: Path | None, up: UpAxis, *, as_json: bool
         print(json.dumps(asdict(report), default=str))
     else:
         print(*_lines(report), sep="\n")
+        if preset is not None:
+            print(_prediction(report, preset))
     return ExitCode.FINISHED
 
 
@@ -39,6 +46,15 @@ def _lines(report: SceneReport) -> Iterator[str]:
         yield f"  {entry.id:4d}  {entry.name:<24} {'thing' if entry.is_thing else 'stuff'} {entry.share:7.1%}"
     for warning in report.warnings:
         yield f"warning: {warning}"
+
+
+def _prediction(report: SceneReport, preset: str) -> str:
+    """Such as "preview   about 3 min and 1.0 GB of memory"."""
+    size, effort, slowness = report.colour_sizes[0][0], chosen_effort(preset), machine_slowness()
+    lift = predict(report.train_frames, report.test_frames, size, effort, slowness=slowness)
+    minutes = lift.seconds / 60
+    time = f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"
+    return f"{preset:<9} about {time} and {lift.peak_bytes / 1e9:.1f} GB of memory"
 
 
 def _sizes(sizes: tuple[tuple[Size, int], ...]) -> str:

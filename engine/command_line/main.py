@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .. import __version__
-from ..job import ExitCode, JobError
+from ..job import PRESETS, ExitCode, JobError
 from ..job.options import add_lift_options, add_scene_options, readable
 
 
@@ -88,6 +88,7 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder")
     add_scene_options(parser)
     parser.add_argument("--json", action="store_true", help="one line of JSON, for programs")
+    parser.add_argument("--preset", choices=PRESETS, help="also predict what a lift with this preset would take")
     parser.set_defaults(run=_inspect)
 
 
@@ -125,7 +126,7 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 def _inspect(options: argparse.Namespace) -> ExitCode:
     from .inspect_scene import inspect_scene
 
-    return inspect_scene(options.scene, options.masks, options.up or "z", as_json=options.json)
+    return inspect_scene(options.scene, options.masks, options.up or "z", as_json=options.json, preset=options.preset)
 
 
 def _handshake(options: argparse.Namespace) -> ExitCode:

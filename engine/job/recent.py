@@ -15,7 +15,7 @@ from .errors import JobError
 from .folder import LiftFolder, LiftState
 from .json_file import Json, read_object, to_text
 from .lock import FileLock
-from .user_cache import user_cache_folder
+from .user_cache import notes_folder
 
 FORMAT = 1
 MOST = 50
@@ -58,7 +58,7 @@ def remember_lift(path: Path, cache: Path | None = None) -> None:
 
 
 def _list_path(cache: Path | None) -> Path:
-    return (cache or user_cache_folder()) / "recent_lifts.json"
+    return (cache or notes_folder()) / "recent_lifts.json"
 
 
 def _entries(list_path: Path) -> list[tuple[str, float]]:

@@ -27,7 +27,7 @@ EVERY_S = 2.0
 """Seconds from one preview to the next, when they cost little."""
 LARGEST_SHARE = 0.05
 """Of the time, for previews: after each one there is none for so long that it took no more than this."""
-SIZE_WITHIN = (640, 640)
+SIZE_WITHIN = (480, 480)
 """Pixels: a watcher's larger picture is drawn smaller."""
 
 

@@ -10,12 +10,14 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from statistics import median
 
 import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
 
-from ..job import Cancelled, EventWriter, LiftFolder, StopSignal, write_manifest
+from ..job import Cancelled, EventWriter, JobError, LiftFolder, StopSignal, write_manifest
+from ..job.prediction import learn_slowness
 from ..model.structured import StructuredScene
 from ..raster.compiled import announce_compilation
 from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene, size_within
@@ -42,6 +44,8 @@ STAGES = {
 }
 CHECKPOINT_EVERY_S = 20.0
 """A kill loses at most this much work. Checkpoints do not change what is computed."""
+LEAST_STEPS = 100
+"""Fewer say more about the first compilation than about the machine."""
 
 
 def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
@@ -73,7 +77,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
         log.info("resuming after step %d", trainer.step_number)
     instances = shown_instances(prepared, scene.classes)
     previews = LivePreviews(folder, scene, instances, events)
-    train(trainer, folder, stages, previews)
+    paces = train(trainer, folder, stages, previews)
 
     with stages.stage("result"):
         write_scene_files(folder, scene, views, prepared, trainer.scene, events)
@@ -87,6 +91,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
         settings=asdict(preset),
         timings=stages.timings,
     )
+    remember_pace(paces, trainer)
 
 
 def refuse_empty(views: Sequence[View], scene: Scene) -> None:
@@ -106,19 +111,21 @@ def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
 
 def train(
     trainer: Trainer, folder: LiftFolder, stages: StageReporter, look: Callable[[StructuredScene], object]
-) -> None:
-    """All steps that are left, with a checkpoint now and then, when stopped, and at the end. ``look`` is shown the
-    model after each step.
+) -> list[float]:
+    """All steps that are left, with a checkpoint now and then, when stopped, and at the end; returns the seconds of
+    each. ``look`` is shown the model after each step.
 
     Not when a step fails: half a step's changes would be stored over the last whole state.
     """
-    steps = trainer.preset.steps
+    steps, paces = trainer.preset.steps, []
     with stages.stage("train") as progress:
         saved_at = time.monotonic()
         compiled = announce_compilation("the kernels of a training step", "half a minute")
         try:
             while not trainer.finished:
+                began = time.monotonic()
                 report = trainer.step(stages.stop.check)
+                paces.append(time.monotonic() - began)
                 compiled()
                 progress(report.step, steps, report.loss)
                 look(trainer.scene)
@@ -129,6 +136,19 @@ def train(
             save_checkpoint(trainer, folder)
             raise
         save_checkpoint(trainer, folder)
+    return paces
+
+
+def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
+    """For the next prediction on this machine: the middle step, which neither compiled nor made pseudo labels."""
+    if len(paces) < LEAST_STEPS:
+        return
+    megapixels = np.mean([view.camera.width * view.camera.height for view in trainer.views]) / 1e6
+    anchors = trainer.scene.anchors
+    try:
+        learn_slowness(median(paces), float(megapixels), len(anchors) * anchors.gaussians_per_anchor / 1e6)
+    except (OSError, JobError) as error:  # it is about the next lift, not about this one
+        log.warning("how fast this machine is was not remembered: %s", error)
 
 
 def save_checkpoint(trainer: Trainer, folder: LiftFolder) -> None:

@@ -19,6 +19,7 @@ Colour = tuple[int, int, int]
 STUFF = (52, 54, 58)
 """Where there is no instance: dark, so that objects stand out."""
 NOTHING = (0, 0, 0)
+LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 def write_previews(
@@ -71,17 +72,19 @@ def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] 
 
 
 def panoptic_picture(layers: PanopticLayers, classes: ClassTable, instance_colours: Mapping[int, Colour]) -> Picture:
-    """Classes and instances in one picture: objects in their own colours, the rest in those of its classes, lit by what
-    was rendered. Nothing rendered: black."""
+    """Classes and instances laid over what was rendered: objects in their own colours, the rest in those of its
+    classes. Nothing rendered: black."""
     labels = semantic_picture(layers.semantic, classes)
     owned = layers.instance > 0
     labels[owned] = instance_picture(layers.instance, instance_colours)[owned]
-    return shaded(labels, colour_picture(layers))
+    photo = colour_picture(layers).astype(np.float32)
+    light = 0.35 + 0.9 * (photo @ LUMA)[..., None] / 255
+    return np.clip(0.55 * light * labels + 0.45 * photo, 0, 255).astype(np.uint8)
 
 
 def shaded(labels: Picture, photo: Picture) -> Picture:
     """A label picture that lets the photo's light and edges through, with thin dark lines between labels."""
-    luma = photo.astype(np.float32) @ np.array([0.2126, 0.7152, 0.0722], np.float32) / 255
+    luma = photo.astype(np.float32) @ LUMA / 255
     lit = labels * (0.6 + 0.4 * luma[..., None])
     edge = np.zeros(labels.shape[:2], bool)
     edge[:, 1:] |= (labels[:, 1:] != labels[:, :-1]).any(axis=-1)

@@ -7,8 +7,9 @@ paper's 30 000 (paper, "Implementation Details").
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
+from ..job.effort import EFFORTS, Effort
 from ..model.growing import GrowthRules
 
 
@@ -19,7 +20,7 @@ class Schedule:
     500/30000; in short lifts no more often than ``grow_every_at_least_steps``, since a round judges by how often it
     has seen an anchor."""
 
-    self_training_every: float = 1 / 6
+    self_training_every: float = Effort.self_training_every
     statistics_from: float = 500 / 30000
     grow_from: float = 1500 / 30000
     grow_until: float = 0.5
@@ -84,7 +85,7 @@ class Preset:
     gaussians_per_anchor: int
     features: int = 32
     instance_slots: int = 25
-    most_anchors: int = 400_000
+    most_anchors: int = Effort.most_anchors
     distance_input: bool = False
     label_view_input: bool = False
     neighbours: int = 0
@@ -94,7 +95,7 @@ class Preset:
     objects: Literal["boxes", "consent"] = "consent"
     most_instances: int = 200
     one_class_an_object: bool = True
-    most_points: int = 200_000
+    most_points: int = Effort.most_points
     seeded_features: bool = True
     warm_start: WarmStart | None = WarmStart()
     tau_new: float = -0.1
@@ -104,24 +105,32 @@ class Preset:
     growth: GrowthRules = GrowthRules()
 
 
+def _of_effort(effort: Effort, **others: Any) -> Preset:
+    return Preset(
+        effort.name,
+        steps=effort.steps,
+        size_within=effort.size_within,
+        voxel_size=effort.voxel_size,
+        gaussians_per_anchor=effort.gaussians_per_anchor,
+        most_points=effort.most_points,
+        most_anchors=effort.most_anchors,
+        schedule=Schedule(self_training_every=effort.self_training_every),
+        **others,
+    )
+
+
 PRESETS = {
     preset.name: preset
     for preset in (
-        Preset("preview", steps=500, size_within=(200, 200), voxel_size=0.06, gaussians_per_anchor=4),
-        Preset("standard", steps=1500, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=4),
-        Preset(
-            "paper",
-            steps=30_000,
-            size_within=(640, 640),
-            voxel_size=0.02,
-            gaussians_per_anchor=10,
-            most_anchors=2_000_000,
+        _of_effort(EFFORTS["preview"]),
+        _of_effort(EFFORTS["standard"]),
+        _of_effort(
+            EFFORTS["paper"],
             distance_input=True,
             label_view_input=True,
             neighbours=4,
             objects="boxes",
             one_class_an_object=False,
-            most_points=2_000_000,
             ballot="pixels",
             majority=0.5,
             seeded_features=False,

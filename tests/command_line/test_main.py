@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -96,6 +97,12 @@ def test_inspect_for_programs(capsys: pytest.CaptureFixture[str], tmp_path: Path
     assert code_of("inspect", scene, "--json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["train_frames"] + answer["test_frames"] == 9 and len(answer["depth_range"]) == 3
+
+
+def test_inspect_predicts_what_a_lift_would_take(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path / "scene", frames=9)
+    assert code_of("inspect", scene, "--preset", "standard") == 0
+    assert re.search(r"\nstandard  about \d+ min and \d+\.\d GB of memory\n$", capsys.readouterr().out)
 
 
 METRICS = """{"format": 1, "test_frames": ["0000"], "tables": [

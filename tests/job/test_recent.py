@@ -12,7 +12,7 @@ import pytest
 
 from engine.job import EventWriter, LiftState, StopSignal
 from engine.job.recent import MOST, recent_lifts, remember_lift
-from engine.job.user_cache import user_cache_folder
+from engine.job.user_cache import notes_folder
 from tests.job.lift_folders import new_lift, tiny_lift
 
 
@@ -72,7 +72,7 @@ def test_engines_that_end_together_lose_no_entry(tmp_path: Path, root: Path) -> 
 
 
 def test_where_the_cache_is(tmp_path: Path) -> None:
-    assert user_cache_folder({"PLGS_CACHE_DIR": str(tmp_path)}) == tmp_path
+    assert notes_folder({"PLGS_CACHE_DIR": str(tmp_path)}) == tmp_path
     if sys.platform == "linux":
-        assert user_cache_folder({"XDG_CACHE_HOME": str(tmp_path)}) == tmp_path / "plgs"
-        assert user_cache_folder({}) == Path.home() / ".cache" / "plgs"
+        assert notes_folder({"XDG_CACHE_HOME": str(tmp_path)}) == tmp_path / "plgs"
+        assert notes_folder({}) == Path.home() / ".cache" / "plgs"

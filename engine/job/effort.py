@@ -1,0 +1,50 @@
+"""The plain numbers of the presets, in their one home: the engine trains by them, and a prediction reads them where
+there is no torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much work a preset asks for.
+
+    ``size_within`` (width, height): pictures are brought into this box, never enlarged; ``voxel_size`` metres between
+    anchors; ``most_points`` and ``most_anchors`` cap cloud and model; ``self_training_every`` is a share of the steps.
+    """
+
+    name: str
+    steps: int
+    size_within: tuple[int, int]
+    voxel_size: float
+    gaussians_per_anchor: int
+    most_points: int = 200_000
+    most_anchors: int = 400_000
+    self_training_every: float = 1 / 6
+
+
+EFFORTS = {
+    effort.name: effort
+    for effort in (
+        Effort("preview", steps=500, size_within=(200, 200), voxel_size=0.06, gaussians_per_anchor=4),
+        Effort("standard", steps=1500, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=4),
+        Effort(
+            "paper",
+            steps=30_000,
+            size_within=(640, 640),
+            voxel_size=0.02,
+            gaussians_per_anchor=10,
+            most_points=2_000_000,
+            most_anchors=2_000_000,
+        ),
+    )
+}
+
+
+def chosen_effort(name: str, steps: int | None = None, size: tuple[int, int] | None = None) -> Effort:
+    """The preset's effort with the user's steps and size. Raises KeyError for a name that is none."""
+    effort = EFFORTS[name]
+    if steps is not None:
+        effort = replace(effort, steps=steps)
+    return effort if size is None else replace(effort, size_within=size)

@@ -1,0 +1,70 @@
+"""Predicted time and memory: near what lifts took, and nearer once this machine is known."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from engine.job.effort import EFFORTS, chosen_effort
+from engine.job.prediction import learn_slowness, machine_slowness, predict, step_seconds
+
+SAMPLE = {"train_frames": 63, "test_frames": 9, "frame_size": (320, 240)}
+MEASURED = {"preview": 168.0, "standard": 491.0}
+"""Seconds of lifts of the sample on the machine of the constants, without what they compiled the first time."""
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_near_what_lifts_of_the_sample_took(name: str) -> None:
+    prediction = predict(**SAMPLE, effort=EFFORTS[name])  # type: ignore[arg-type]
+    assert 1 / 1.25 < prediction.seconds / MEASURED[name] < 1.25
+
+
+def test_more_work_takes_longer_and_more_memory() -> None:
+    least = predict(**SAMPLE, effort=EFFORTS["preview"])  # type: ignore[arg-type]
+    for name in ("standard", "paper"):
+        more = predict(**SAMPLE, effort=EFFORTS[name])  # type: ignore[arg-type]
+        assert more.seconds > 2 * least.seconds and more.peak_bytes > least.peak_bytes
+        least = more
+    standard = EFFORTS["standard"]
+    base = predict(**SAMPLE, effort=standard)  # type: ignore[arg-type]
+    for changed in (replace(standard, steps=3000), replace(standard, size_within=(640, 640))):
+        assert predict(200, 20, (1280, 960), changed).seconds > base.seconds
+    assert predict(**SAMPLE, effort=standard, bake="all").stages["bake"] > base.stages["bake"]  # type: ignore[arg-type]
+    assert predict(**SAMPLE, effort=standard, bake="none").stages["bake"] == 0  # type: ignore[arg-type]
+    assert predict(**SAMPLE, effort=standard, slowness=2.0).seconds == pytest.approx(2 * base.seconds)  # type: ignore[arg-type]
+    assert predict(1, 0, (64, 48), replace(standard, steps=1)).seconds > 0
+
+
+def test_the_machine_is_learnt_from_its_lifts(tmp_path: Path) -> None:
+    assert machine_slowness(tmp_path) == 1.0
+    usual = step_seconds(0.0768, 0.6)
+    for factor in (2.0, 2.2, 9.0):
+        learn_slowness(usual * factor, 0.0768, 0.6, tmp_path)
+    assert machine_slowness(tmp_path) == pytest.approx(2.2)
+    for _ in range(5):
+        learn_slowness(usual * 0.5, 0.0768, 0.6, tmp_path)
+    assert machine_slowness(tmp_path) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"format": 1}', '{"format": 1, "slowness": ["x", -1, 0, 1e99]}', "\0"])
+def test_a_broken_file_is_passed_over(tmp_path: Path, content: str) -> None:
+    (tmp_path / "speed.json").write_text(content)
+    assert machine_slowness(tmp_path) == 1.0
+    learn_slowness(0.8, 0.0768, 0.6, tmp_path)
+    assert machine_slowness(tmp_path) != 1.0
+
+
+def test_efforts() -> None:
+    assert chosen_effort("preview") is EFFORTS["preview"]
+    assert chosen_effort("standard", steps=7, size=(100, 50)) == replace(
+        EFFORTS["standard"], steps=7, size_within=(100, 50)
+    )
+
+
+def test_needs_neither_torch_nor_numpy(root: Path) -> None:
+    code = "import engine.job.prediction, sys; assert not {'torch', 'numpy'} & set(sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=root).returncode == 0

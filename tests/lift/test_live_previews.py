@@ -1,0 +1,129 @@
+"""Live previews: what they show, what they cost, and that they change nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from engine.job import Cancelled, EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.job.preview_request import PreviewCamera, write_preview_request
+from engine.lift import live_previews, run_lift
+from engine.lift.live_previews import LivePreviews
+from engine.lift.scene_files import ShownInstances
+from engine.scene import Scene, open_scene
+from engine.train.presets import PRESETS
+from engine.train.trainer import Trainer
+from tests.lift.test_lift import files_of
+from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import TINY, trainer_of, views_of
+
+FROM_ABOVE = PreviewCamera(
+    ((1.0, 0.0, 0.0, 2.0), (0.0, -1.0, 0.0, 1.5), (0.0, 0.0, -1.0, 2.4), (0.0, 0.0, 0.0, 1.0)),
+    ((600.0, 0.0, 600.0), (0.0, 600.0, 400.0), (0.0, 0.0, 1.0)),
+    1200,
+    800,
+)
+
+
+@pytest.fixture(scope="module")
+def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    preview = PRESETS["preview"]
+    PRESETS["preview"] = TINY
+    try:
+        yield write_tiny_scene(tmp_path_factory.mktemp("live") / "scene", frames=6, noise=0.1)
+    finally:
+        PRESETS["preview"] = preview
+        torch.use_deterministic_algorithms(False)
+
+
+def lift(folder: LiftFolder, *, resume: bool = False) -> None:
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=resume)
+    try:
+        run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume)
+    finally:
+        events.close()
+
+
+def told(folder: LiftFolder, kind: str) -> list[str]:
+    events = last_run(folder.events_path)
+    return [str(event.data.get("path", event.data.get("message"))) for event in events if event.kind == kind]
+
+
+def test_the_model_is_the_same_whatever_is_watched(
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_previews, "EVERY_S", 1e9)
+    unwatched = LiftFolder.create(tmp_path / "unwatched", LiftRequest(scene=scene_folder))
+    lift(unwatched)
+    assert "result/previews/live.png" not in told(unwatched, "preview")
+
+    monkeypatch.setattr(live_previews, "EVERY_S", -1.0)
+    monkeypatch.setattr(live_previews, "LARGEST_SHARE", 1.0)
+    watched = LiftFolder.create(tmp_path / "watched", LiftRequest(scene=scene_folder))
+    wanted = iter(["0001", "{", FROM_ABOVE, "no such frame", "0000", FROM_ABOVE] * 2)
+    step, sizes = Trainer.step, []
+
+    def step_and_turn(trainer: Trainer, *arguments: object) -> object:
+        if watched.live_preview_path.exists():
+            sizes.append(cv2.imread(str(watched.live_preview_path)).shape[:2])
+        if trainer.step_number == 7 and not watched.checkpoints.exists:
+            raise Cancelled("asked to")
+        camera = next(wanted)
+        if camera == "{":
+            watched.preview_request_path.write_text(camera)
+        else:
+            write_preview_request(watched.preview_request_path, camera)
+        return step(trainer, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Trainer, "step", step_and_turn)
+    with pytest.raises(Cancelled):
+        lift(watched)
+    assert told(watched, "preview") == ["result/previews/live.png"] * 7
+    assert len(told(watched, "warning")) == len(told(unwatched, "warning")) + 1  # of two broken ones the first
+    lift(watched, resume=True)
+    assert files_of(watched) == files_of(unwatched) and not watched.live_preview_path.exists()
+    assert {(48, 64), (320, 480)} <= set(sizes)
+
+
+def test_the_picture_shows_what_is_there(scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_previews, "EVERY_S", -1.0)
+    scene, trainer, previews, folder = a_watched_model(scene_folder, tmp_path)
+    previews(trainer.scene)
+    shown = cv2.imread(str(folder.live_preview_path))[..., ::-1]
+    assert shown.shape == (48, 64, 3) and shown.any(axis=2).mean() > 0.9
+    found = {tuple(np.argsort(pixel)) for pixel in shown.reshape(-1, 3)}
+    assert len(found) > 1  # more than one hue
+
+
+def test_previews_cost_a_twentieth_at_most(scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, trainer, _, folder = a_watched_model(scene_folder, tmp_path)
+    for cost, expected in ((0.02, 2.0), (0.5, 9.5)):
+        now, drawn = [0.0], []
+        previews = LivePreviews(folder, scene, ShownInstances({}, None), EventWriter(tmp_path / "e"), lambda: now[0])  # noqa: B023
+
+        def draw(_: object, now: list[float] = now, drawn: list[float] = drawn, cost: float = cost) -> None:
+            drawn.append(now[0])
+            now[0] += cost
+
+        monkeypatch.setattr(previews, "_draw", draw)
+        while now[0] < 300:
+            now[0] += 0.1
+            previews(trainer.scene)
+        gaps = np.diff(drawn) - cost
+        assert gaps.min() >= expected - 1e-9 and gaps.max() < expected + 0.2
+        assert cost * len(drawn) <= 0.05 * now[0] + cost
+
+
+def a_watched_model(scene_folder: Path, tmp_path: Path) -> tuple[Scene, Trainer, LivePreviews, LiftFolder]:
+    views, classes = views_of(tmp_path / "scene")
+    trainer = trainer_of(views, classes, TINY, tmp_path)
+    scene = open_scene(scene_folder, None, "z")
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene_folder))
+    previews = LivePreviews(folder, scene, ShownInstances({}, None), EventWriter(folder.events_path))
+    return scene, trainer, previews, folder
