@@ -83,7 +83,9 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
 def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     engine = session.status()
     tell(layout, context, engine.message, _ICONS[engine.state])
-    for text in (engine.fix, engine.note):
+    # Why its button is grey, where it is wanted.
+    obstacle = session.why_no_set_up() if not engine.is_usable and session.progress() is None else None
+    for text in (engine.fix, engine.note, obstacle):
         if text:
             tell(layout, context, text, "INFO")
     if engine.python is not None:
@@ -93,7 +95,7 @@ def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     progress = session.progress()
     assert progress is not None
-    row = layout.row()
+    row = layout.split(factor=0.8)
     text = f"{progress.step}/{progress.steps}  {progress.label}"
     row.progress(factor=progress.fraction, type="BAR", text=text)
     row.operator("plgs.cancel_engine_set_up", icon="CANCEL", text="Cancel")
@@ -107,7 +109,7 @@ def _draw_error(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if error is None:
         return
     box = layout.box()
-    tell(box, context, f"The set-up failed: {error}", "ERROR")
+    tell(box, context, f"The set-up stopped: {error.what}. {error.fix}", "ERROR")
     _draw_log(box)
     box.operator("plgs.open_set_up_log", icon="TEXT")
 

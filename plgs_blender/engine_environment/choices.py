@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from .set_up import Wish
+from .progress import Wish
 
 EXTENSION = __package__.rsplit(".", 2)[0]
 """The name under which Blender knows the extension: its preferences go by it."""

@@ -20,10 +20,11 @@ from ...engine.job.environment import environments_folder
 from ...engine.job.lock import is_locked
 from ...engine.job.log_tail import last_lines
 from ...engine.job.process import ROOT, ChildProcess, ChosenPython, choose_python, clean_environment
-from .choices import chosen_python
+from .choices import choose, chosen_python
 from .engine_status import UNKNOWN, EngineStatus, checking, status_of, without_python
 from .handshake import Handshake
-from .set_up import LOCK, LOG, Progress, SetUp, Wish
+from .progress import Progress, Wish
+from .set_up import LOCK, LOG, SetUp
 from .trash import delete_command, throw_away, thrown_away
 
 TICK_S = 0.1
@@ -212,6 +213,8 @@ def _pump_set_up() -> None:
         _now.log_lines, _now.log_seen_at = last_lines(set_up.log_path, _LOG_LINES), time.monotonic()
     if set_up.outcome is not None:
         _now.set_up, _now.error = None, set_up.outcome.error or _now.error
+        if set_up.outcome.python is not None:
+            choose(None)  # who sets the engine up wants that one
         check()
 
 

@@ -10,7 +10,7 @@ import shutil
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from ...engine.job import JobError
@@ -25,6 +25,7 @@ from .disk_meter import DiskMeter
 from .handshake import Handshake, NoAnswer
 from .notes import Notes
 from .program import run_program
+from .progress import Outcome, Progress, Share, Wish
 from .trash import delete_command, throw_away, thrown_away
 
 LOG, LOCK = "set-up.log", "set-up.lock"
@@ -36,58 +37,6 @@ NEEDED_BYTES = {"cpu": 4 * _GIGABYTE, "cuda": 14 * _GIGABYTE}
 _TORCH_BYTES = {"cpu": 0.75 * _GIGABYTE, "cuda": 1.5 * _GIGABYTE}
 _OTHER_BYTES = {"cpu": 0.55 * _GIGABYTE, "cuda": 5.0 * _GIGABYTE}
 _COMPILING_S = 40.0
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What to make. ``base_python`` None: the first that can. ``torch_build``: "cpu" or "cuda". ``index_url`` empty:
-    packages come from where pip is configured to look.
-    """
-
-    base_python: Path | None = None
-    torch_build: str = "cpu"
-    index_url: str = ""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far it is: ``step`` counts from 1; ``fraction`` of the whole is a guess from what lies on the disk."""
-
-    step: int = 1
-    steps: int = 6
-    label: str = "Starting"
-    detail: str = ""
-    fraction: float = 0.0
-    bytes_on_disk: int = 0
-    elapsed_s: float = 0.0
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How it ended: the environment's Python, or an error, or neither when it was cancelled."""
-
-    python: Path | None = None
-    error: JobError | None = None
-
-
-@dataclass(frozen=True)
-class _Share:
-    """The part of the whole that a step takes, and how its own progress is guessed: by bytes, or by time."""
-
-    start: float
-    end: float
-    bytes_at_start: int = 0
-    bytes_expected: float = 0.0
-    began: float = 0.0
-    seconds_expected: float = 0.0
-
-    def fraction(self, bytes_on_disk: int, now: float) -> float:
-        share = 0.0
-        if self.bytes_expected:
-            share = (bytes_on_disk - self.bytes_at_start) / self.bytes_expected
-        elif self.seconds_expected:
-            share = (now - self.began) / self.seconds_expected
-        return self.start + (self.end - self.start) * min(1.0, max(0.0, share))
 
 
 class SetUp:
@@ -107,7 +56,7 @@ class SetUp:
         self.progress = Progress()
         self.outcome: Outcome | None = None
         self._clock, self._began = clock, clock()
-        self._share = _Share(0.0, 0.02)
+        self._share = Share(0.0, 0.02)
         self._lock: FileLock | None = None
         self._meter: DiskMeter | None = None
         self._work = self._all()
@@ -317,7 +266,7 @@ class SetUp:
 
     def _begin(self, start: float, end: float, *, expected_bytes: float = 0.0, expected_s: float = 0.0) -> None:
         now = self._meter.bytes if self._meter else 0
-        self._share = _Share(start, end, now, expected_bytes, self._clock(), expected_s)
+        self._share = Share(start, end, now, expected_bytes, self._clock(), expected_s)
 
     def _measure(self) -> None:
         if self._meter is not None:

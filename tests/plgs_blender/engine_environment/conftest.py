@@ -11,7 +11,8 @@ import pytest
 from plgs.engine.job.environment import python_in
 from plgs.engine.job.requirements import module_of, needed_packages
 from plgs.plgs_blender.engine_environment.notes import Notes
-from plgs.plgs_blender.engine_environment.set_up import SetUp, Wish
+from plgs.plgs_blender.engine_environment.progress import Wish
+from plgs.plgs_blender.engine_environment.set_up import SetUp
 
 if str(Path(__file__).parent) not in sys.path:
     sys.path.insert(0, str(Path(__file__).parent))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from plgs.plgs_blender.engine_environment.set_up import Outcome, SetUp
+from plgs.plgs_blender.engine_environment.progress import Outcome
+from plgs.plgs_blender.engine_environment.set_up import SetUp
 
 
 def follow(set_up: SetUp, until: Callable[[], bool] = lambda: False, patience_s: float = 60.0) -> Outcome | None:

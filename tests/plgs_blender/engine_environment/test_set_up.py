@@ -17,7 +17,8 @@ from package_index import PackageIndex
 from plgs.engine.job.environment import is_complete, python_in
 from plgs.plgs_blender.engine_environment import set_up as steps
 from plgs.plgs_blender.engine_environment.notes import Notes
-from plgs.plgs_blender.engine_environment.set_up import Outcome, SetUp, Wish
+from plgs.plgs_blender.engine_environment.progress import Outcome, Wish
+from plgs.plgs_blender.engine_environment.set_up import SetUp
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and links")
 Begin = Callable[..., SetUp]
@@ -118,7 +119,8 @@ def test_after_a_kill_the_next_one_waits_for_the_pip_that_is_left(
 import sys; sys.path.insert(0, {str(root / "tests")!r})
 import conftest, time
 from pathlib import Path
-from plgs.plgs_blender.engine_environment.set_up import SetUp, Wish
+from plgs.plgs_blender.engine_environment.progress import Wish
+from plgs.plgs_blender.engine_environment.set_up import SetUp
 set_up = SetUp(Wish(Path(sys.executable), "cpu", {index.url!r}), Path({str(code)!r}), Path({str(folder)!r}))
 while True:
     set_up.poll(); time.sleep(0.02)

@@ -1,0 +1,59 @@
+"""The engine in a window: it is asked by itself, the preferences tell, and a set-up never keeps the window waiting."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+import pytest
+from blender import Window
+
+PREFERENCES = """
+area = next(each for each in bpy.context.window_manager.windows[0].screen.areas if each.type == 'VIEW_3D')
+area.ui_type = 'PREFERENCES'
+bpy.context.preferences.active_section = 'ADDONS'
+bpy.context.window_manager.addon_search = 'PLGS'
+bpy.ops.preferences.addon_expand(module=EXTENSION)
+answer = None
+"""
+
+
+@pytest.fixture
+def preferences(window: Window) -> Iterator[Window]:
+    """With the add-on's preferences in the place of the 3D view, and the extension's state at hand."""
+    window.run("import sys; session = sys.modules[EXTENSION + '.plgs_blender.engine_environment.session']")
+    window.run(PREFERENCES)
+    window.settle()
+    yield window
+    window.run("bpy.context.preferences.system.use_online_access = False")
+    window.run("bpy.ops.preferences.addon_expand(module=EXTENSION)")
+
+
+def test_the_engine_is_asked_by_itself(preferences: Window) -> None:
+    preferences.wait_for("session.status().state.value == 'ready'", timeout=30)
+    preferences.settle()
+    preferences.screenshot("preferences")
+    assert preferences.ask("bpy.app.timers.is_registered(session.tick)") is False
+
+
+def test_a_set_up_is_followed_and_cancelled(preferences: Window) -> None:
+    assert preferences.ask("bpy.ops.plgs.set_up_engine.poll()") is False
+    preferences.run("bpy.context.preferences.system.use_online_access = True")
+    base = f"{sys.base_prefix}/bin/python{sys.version_info[0]}.{sys.version_info[1]}"
+    arguments = f"'INVOKE_DEFAULT', base_python={base!r}, index_url='http://127.0.0.1:9/simple'"
+    assert preferences.run(f"answer = list(bpy.ops.plgs.set_up_engine({arguments}))\n") == ["FINISHED"]
+    preferences.wait_for("session.progress() is None or session.progress().step == 3", timeout=60)
+    preferences.settle()
+    preferences.screenshot("preferences-set-up")
+    preferences.run("bpy.ops.plgs.cancel_engine_set_up()")
+    assert preferences.ask("session.progress() is None and session.set_up_error() is None")
+    assert max(preferences.waits().values()) < 0.05, preferences.waits()
+
+
+def test_a_failed_set_up_says_why(preferences: Window) -> None:
+    preferences.run("bpy.context.preferences.system.use_online_access = True")
+    preferences.run("bpy.ops.plgs.set_up_engine('INVOKE_DEFAULT', base_python='/nowhere/python')")
+    preferences.wait_for("session.progress() is None", timeout=30)
+    assert "/nowhere/python" in preferences.ask("str(session.set_up_error())")
+    preferences.settle()
+    preferences.screenshot("preferences-failed")
