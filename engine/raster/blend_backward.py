@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from .blend_forward import ALPHA_LEAST, ONE
-from .compiled import Array, compiled, contracted
+from .compiled import Array, compiled, contracted_part, part
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import (
     BLUE,
@@ -34,7 +34,7 @@ from .records import (
 ZERO = F(0.0)
 
 
-@compiled
+@part
 def load_tile(
     left: int,
     top: int,
@@ -74,7 +74,7 @@ def load_tile(
     return far
 
 
-@compiled
+@part
 def load_tile_labels(left: int, top: int, d_labels: Array, tile_labels: Array) -> None:
     height, width, channels = d_labels.shape
     for r in range(TILE):
@@ -84,7 +84,7 @@ def load_tile_labels(left: int, top: int, d_labels: Array, tile_labels: Array) -
                 tile_labels[r * TILE + x, c] = d_labels[top + r, left + x, c] if inside else ZERO
 
 
-@compiled
+@part
 def unblend_row(
     place: int,
     raw: Array,
@@ -118,7 +118,7 @@ def unblend_row(
         d_log_alpha[x] = alpha * slope if raw[x] <= ALPHA_CAP else ZERO
 
 
-@contracted
+@contracted_part
 def add_moments(
     d_log_alpha: Array, weight: Array, s1: Array, s2: float, d_planes: Array, r: int, sums: Array
 ) -> None:
@@ -136,7 +136,7 @@ def add_moments(
             sums[D_BLUE - 2 + c, x] += weight[x] * d_planes[c, r, x]
 
 
-@compiled
+@part
 def add_label_gradients(
     counts: Array,
     weights: Array,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled
+from .compiled import Array, compiled, part
 from .conventions import ALPHA_MIN, TRANSMITTANCE_END
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import BLUE, CHUNK, DEPTH, GREEN, L11, OPACITY, RECORD, RED, TILE
@@ -16,7 +16,7 @@ ALPHA_LEAST = F(ALPHA_MIN)
 ENDED = F(TRANSMITTANCE_END)
 
 
-@compiled
+@part
 def start_tile(width: int, height: int, left: int, top: int, through: Array, last: Array) -> None:
     """Transmittance one inside the image, minus one (ended) outside; nothing blended yet."""
     for r in range(TILE):
@@ -26,7 +26,7 @@ def start_tile(width: int, height: int, left: int, top: int, through: Array, las
             last[r, x] = -1
 
 
-@compiled
+@part
 def blend_row(alpha: Array, through: Array, weight: Array) -> None:
     """Weights [16] of one Gaussian on one row. The transmittance of an ended pixel is kept negative."""
     for x in range(TILE):
@@ -39,7 +39,7 @@ def blend_row(alpha: Array, through: Array, weight: Array) -> None:
         through[x] = after if seen and goes_on else ended
 
 
-@compiled
+@part
 def add_colour_row(weight: Array, record: Array, planes: Array, row: int) -> None:
     for x in range(TILE):
         planes[0, row, x] += weight[x] * record[RED]
@@ -51,7 +51,7 @@ def add_colour_row(weight: Array, record: Array, planes: Array, row: int) -> Non
         planes[3, row, x] += weight[x] * record[DEPTH]
 
 
-@compiled
+@part
 def add_label_rows(
     counts: Array,
     weights: Array,
@@ -86,7 +86,7 @@ def add_label_rows(
         counts[r] = 0
 
 
-@compiled
+@part
 def any_alive(through: Array) -> Any:
     rows = 0
     for r in range(TILE):
@@ -97,7 +97,7 @@ def any_alive(through: Array) -> Any:
     return rows
 
 
-@compiled
+@part
 def write_tile(
     left: int,
     top: int,

@@ -19,6 +19,7 @@ from typing import Any
 
 import numba
 from numba.core.registry import cpu_target
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
@@ -85,12 +86,32 @@ def machine_target() -> tuple[str, str, str]:
 def announce_compilation(what: str, how_long: str) -> Callable[[], None]:
     """Say so when kernels have yet to be compiled on this machine; call what is returned when they have
     been."""
-    target = hashlib.sha256(repr(machine_target()).encode()).hexdigest()[:16]
-    stamp = CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{target}"
-    if stamp.exists():
+    if is_compiled(what):
         return lambda: None
+    say_that_it_compiles(what, how_long)
+    return lambda: note_compiled(what)
+
+
+def is_compiled(what: str) -> bool:
+    """Whether ``note_compiled`` was ever called for these kernels on this machine."""
+    return _stamp(what).exists()
+
+
+def say_that_it_compiles(what: str, how_long: str) -> None:
     log.info("compiling %s for this machine, about %s, once", what, how_long)
-    return stamp.touch
+
+
+def note_compiled(what: str) -> None:
+    _stamp(what).touch()
+
+
+def _stamp(what: str) -> Path:
+    target = hashlib.sha256(repr(machine_target()).encode()).hexdigest()[:16]
+    return CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{target}"
+
+
+_KERNEL = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_PART = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
 
 
 def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -100,7 +121,7 @@ def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         theirs = settings.CACHE_DIR
         settings.CACHE_DIR = str(CACHE_FOLDER)
         try:
-            return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+            return numba.njit(cache=True, **_KERNEL, **options)(function)
         finally:
             settings.CACHE_DIR = theirs
 
@@ -108,10 +129,18 @@ def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 compiled = _compiler()
-"""No fused multiply-add and no reassociation: the two passes must agree on every weight, bit for bit."""
+"""A kernel, called from Python. No fused multiply-add and no reassociation: the two passes must agree on every weight,
+bit for bit."""
 
 contracted = _compiler(fastmath={"contract"})
-"""For sums of products that only one pass makes: multiply-add may be fused."""
+"""A kernel of sums of products that only one pass makes: multiply-add may be fused."""
+
+part: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART)
+"""A function that kernels call, compiled as ``compiled`` is, but for them only, which takes far less time: it has no
+entry from Python (where it stays a plain function) and no place in the cache. It cannot make arrays."""
+
+contracted_part: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART, fastmath={"contract"})
+"""As ``part``, compiled as ``contracted`` is."""
 
 inlined = _compiler(inline="always")
 """For pieces of one or two kernels: compiled as part of those and never by themselves, which takes less time."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from .blend_forward import any_alive, blend_row, start_tile
-from .compiled import Array, compiled
+from .compiled import Array, compiled, part
 from .footprint import F, alpha_row, whiten_rows
 from .records import L11, OPACITY, TILE
 
 
-@compiled
+@part
 def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -> None:
     """Put one contributor into a pixel's lists, largest first; of two equal ones the front one stays
     first."""

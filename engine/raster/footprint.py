@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled, contracted
+from .compiled import Array, contracted_part, part
 from .conventions import ALPHA_MAX
 from .records import (
     CENTRE_X,
@@ -36,7 +36,7 @@ E0, E1, E2, E3 = F(1.0), F(0.6931471824645996), F(0.24022650718688965), F(0.0555
 E4, E5, E6 = F(0.009618056938052177), F(0.0013400427997112274), F(0.00015461444854736328)
 
 
-@compiled
+@part
 def whiten_rows(record: Array, left: int, top: int, s1_left: Array, s2: Array) -> Any:
     """s1 at the first pixel and s2 of each of the tile's rows; returns the mask of the rows that the
     footprint touches."""
@@ -59,7 +59,7 @@ def whiten_rows(record: Array, left: int, top: int, s1_left: Array, s2: Array) -
     return rows
 
 
-@compiled
+@part
 def alpha_row(
     s1_left: float, slope: float, s2: float, opacity: float, s1: Array, raw: Array, bits: Array
 ) -> None:
@@ -82,7 +82,7 @@ def alpha_row(
         raw[x] = raw[x] * opacity
 
 
-@contracted
+@contracted_part
 def add_products(
     out: Array,
     out_rows: Array,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled
+from .compiled import Array, compiled, part
 from .projection import (
     LOG2_E,
     axes_on_image,
@@ -42,7 +42,7 @@ from .records import (
 F = np.float32
 
 
-@compiled
+@part
 def gradient_on_image(record: Array, total: Array) -> Any:
     """dL/d(centre x, y) and dL/d(covariance xx, xy = yx, yy) from the moments of the whitened offsets.
 
@@ -62,12 +62,12 @@ def gradient_on_image(record: Array, total: Array) -> Any:
     return d_x, d_y, d_xx, d_xy, d_yy
 
 
-@compiled
+@part
 def through_clamp(value: float, low: float, high: float, d_clamped: float) -> Any:
     return d_clamped if low <= value <= high else 0.0
 
 
-@compiled
+@part
 def chain_to_scene(
     i: int,
     total: Array,
@@ -160,7 +160,7 @@ def chain_to_scene(
     d_means[i, 2] = camera[2] * d_x + camera[5] * d_y + camera[8] * d_z
 
 
-@compiled
+@part
 def clear(
     i: int,
     d_means: Array,
@@ -193,6 +193,7 @@ def gather(
     scales: Array,
     quats: Array,
     camera: Array,
+    sums: Array,
     d_means: Array,
     d_scales: Array,
     d_quats: Array,
@@ -200,9 +201,10 @@ def gather(
     d_colours: Array,
     d_means2d: Array,
 ) -> None:
-    """A worker's share of the gradients of all N Gaussians but for their labels, zeros included."""
+    """A worker's share of the gradients of all N Gaussians but for their labels, zeros included; ``sums`` float64
+    [workers, 16] is room to work in."""
     count = means.shape[0]
-    total = np.empty(GRADIENT, np.float64)
+    total = sums[worker]
     for i in range(count * worker // workers, count * (worker + 1) // workers):
         hit = False
         for c in range(GRADIENT):

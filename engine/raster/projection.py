@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled
+from .compiled import Array, compiled, part
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM
 from .records import (
     BLUE,
@@ -44,7 +44,7 @@ CAMERA_SLOPES = 17  # x low, x high, y low, y high
 CAMERA = 21
 
 
-@compiled
+@part
 def camera_point(camera: Array, x: float, y: float, z: float) -> Any:
     """World to camera coordinates, metres."""
     x -= camera[9]
@@ -57,7 +57,7 @@ def camera_point(camera: Array, x: float, y: float, z: float) -> Any:
     )
 
 
-@compiled
+@part
 def unit_quaternion(w: float, x: float, y: float, z: float) -> Any:
     """The normalised quaternion, and one over its norm."""
     norm = max(math.sqrt(w * w + x * x + y * y + z * z), TINY_NORM)
@@ -65,7 +65,7 @@ def unit_quaternion(w: float, x: float, y: float, z: float) -> Any:
     return w * over, x * over, y * over, z * over, over
 
 
-@compiled
+@part
 def rotation_of(w: float, x: float, y: float, z: float) -> Any:
     """The nine entries, row by row, of a unit quaternion's matrix."""
     return (
@@ -81,12 +81,12 @@ def rotation_of(w: float, x: float, y: float, z: float) -> Any:
     )
 
 
-@compiled
+@part
 def clamped(value: float, low: float, high: float) -> Any:
     return min(max(value, low), high)
 
 
-@compiled
+@part
 def image_jacobian(camera: Array, x: float, y: float, z: float) -> Any:
     """The 2x3 matrix J R from world offsets to pixels at camera point (x, y, z), and the clamped slopes x/z
     and y/z."""
@@ -107,7 +107,7 @@ def image_jacobian(camera: Array, x: float, y: float, z: float) -> Any:
     )
 
 
-@compiled
+@part
 def axes_on_image(
     jacobian: tuple[float, ...], rotation: tuple[float, ...], sx: float, sy: float, sz: float
 ) -> Any:
@@ -124,7 +124,7 @@ def axes_on_image(
     )
 
 
-@compiled
+@part
 def project_range(
     first: int,
     last: int,

@@ -29,6 +29,7 @@ def list_visible(
     workers: int,
     boxes: Array,
     records: Array,
+    bits: Array,
     places: Array,
     slot_starts: Array,
     keys: Array,
@@ -40,10 +41,10 @@ def list_visible(
     """keys uint32 [V], ids int32 [V] of the visible in index order; slots int64 [N + 1], running sum of
     touched tiles.
 
-    Also fills ``visible`` bool [N] and ``centres`` [N, 2] (pixels, zero where not visible).
+    ``bits`` uint32 [N, RECORD] are those of the records. Also fills ``visible`` bool [N] and
+    ``centres`` [N, 2] (pixels, zero where not visible).
     """
     count = boxes.shape[0]
-    bits = records.view(np.uint32)
     place = places[worker]
     slot = slot_starts[worker]
     for i in range(count * worker // workers, count * (worker + 1) // workers):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled, inlined
+from .compiled import Array, compiled, inlined, part
 from .products import (
     BLOCK,
     ROWS,
@@ -89,7 +89,7 @@ def scratch_size(channels: int) -> int:
     return floats
 
 
-@compiled
+@part
 def start_worker(scratch: Array, counts: Array) -> None:
     """Make NO_ROW, and lists of no members."""
     for at in range(ROW_STATE):
@@ -102,7 +102,7 @@ def start_worker(scratch: Array, counts: Array) -> None:
         put(counts, r, 0)
 
 
-@compiled
+@part
 def load_tile(
     left: int,
     top: int,
@@ -139,7 +139,7 @@ def load_tile(
     return far
 
 
-@compiled
+@part
 def load_colours(source: int, floats: int, row: int, d_image: Array, scratch: Array) -> None:
     """d_image[source : source + floats], pixel after pixel, to a row's planes."""
     red, green, blue = planes_of(
@@ -152,7 +152,7 @@ def load_colours(source: int, floats: int, row: int, d_image: Array, scratch: Ar
     store(scratch, D_PLANES + 2 * TILE + row, blue)
 
 
-@compiled
+@part
 def whiten_tile(records: Array, at: int, left: int, top: int, scratch: Array) -> Any:
     """Fill S1_LEFT, S2, S2_SQUARED and EXPONENTS, bit for bit what the forward pass made of each row; returns the
     mask of the rows that are touched."""
@@ -196,7 +196,7 @@ def keep_alpha(r: int, raw: Any, scratch: Array) -> None:
     store(scratch, OVERS + r * TILE, reciprocal(spread(ONE) - minimum(raw, spread(ALPHA_CAP))))
 
 
-@compiled
+@part
 def fill_alphas(slope: float, place: float, rows: int, scratch: Array) -> None:
     """RAW_ALPHAS and OVERS on the rows of a mask, bit for bit the forward pass's; four rows at a time, so that one
     does not wait for the other."""
@@ -221,7 +221,7 @@ def fill_alphas(slope: float, place: float, rows: int, scratch: Array) -> None:
         keep_alpha(r3, raw3, scratch)
 
 
-@compiled
+@part
 def unblend_gaussian(
     records: Array,
     at: int,
@@ -280,7 +280,7 @@ def unblend_gaussian(
     store_past_cache(gradients, slot * GRADIENT_WIDTH, totals(sums))
 
 
-@compiled
+@part
 def add_row_gradients(
     r: int, count: int, source: Array, at: int, stride: int, scratch: Array, members: Array, padded: int
 ) -> None:
@@ -315,7 +315,7 @@ def add_row_gradients(
             unblend_four_1(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
 
 
-@compiled
+@part
 def add_label_gradients(
     left: int,
     top: int,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled
+from .compiled import Array, part
 from .records import (
     BLUE,
     CENTRE_X,
@@ -57,7 +57,7 @@ of its other fields is of no consequence, but must be a number where it is multi
 ROW_FIELDS = 2 * CHUNK + TILE
 
 
-@compiled
+@part
 def origin_of(records: Array, at: int, left: int, top: int) -> Any:
     """s at the centre of a tile's first pixel: in double, once a tile; everything after is within a few standard
     deviations."""
@@ -69,7 +69,7 @@ def origin_of(records: Array, at: int, left: int, top: int) -> Any:
     return F(l11 * dx + l12 * dy), F(l22 * dy)
 
 
-@compiled
+@part
 def load_chunk(
     tile_ids: Array, first: int, count: int, place: int, records: Array, left: int, top: int, fields: Array, base: int
 ) -> None:
@@ -94,7 +94,7 @@ def load_chunk(
         put(fields, base + LOG_OPACITIES + m, NEVER)
 
 
-@compiled
+@part
 def whiten_row(r: int, count: int, fields: Array, base: int, row_base: int) -> Any:
     """Fill the fields of row ``r`` from those of a chunk; returns the mask of the members that touch the row."""
     touching = 0
@@ -115,7 +115,7 @@ def whiten_row(r: int, count: int, fields: Array, base: int, row_base: int) -> A
     return touching
 
 
-@compiled
+@part
 def padded_channels(channels: int) -> int:
     """Channels in whole vectors."""
     return (channels + TILE - 1) // TILE * TILE

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled, inlined
+from .compiled import Array, compiled, inlined, part
 from .conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
 from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
 from .records import CHUNK, TILE
@@ -78,7 +78,7 @@ LINES_AT_ONCE = 12
 """Cache lines that a core can have under way to memory: with more of them it waits."""
 
 
-@compiled
+@part
 def chunk_floats(channels: int) -> int:
     return CHUNK_FIELDS + CHUNK * padded_channels(channels)
 
@@ -89,7 +89,7 @@ def scratch_size(channels: int, longest: int) -> int:
     return floats
 
 
-@compiled
+@part
 def start_row(left: int, width: int, padded: int, row_labels: int, scratch: Array) -> None:
     """Nothing blended yet; no transmittance outside the image."""
     inside = lane_numbers() < spread(F(width - left))
@@ -102,7 +102,7 @@ def start_row(left: int, width: int, padded: int, row_labels: int, scratch: Arra
         store(scratch, at, spread(ZERO))
 
 
-@compiled
+@part
 def fetch_row(
     pixel: int, image: Array, alpha: Array, depth: Array, rest_out: Array, last_out: Array
 ) -> None:
@@ -115,7 +115,7 @@ def fetch_row(
         fetch_to_write(image, 3 * pixel + line * TILE)
 
 
-@compiled
+@part
 def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at: int) -> None:
     """One Gaussian's labels, padded with zeros to whole vectors."""
     source = gaussian * channels
@@ -162,7 +162,7 @@ def blend_member(m: int, alpha: Any, state: Any, count: int, scratch: Array, fie
     return (after, rest, last, red, green, blue, depth), count + int(bits_of(blended) != 0)
 
 
-@compiled
+@part
 def blend_row(touching: int, scratch: Array, fields: int, members: Array) -> Any:
     """Blend the members of a mask on the row, four at a time, so that one does not wait for the other's alpha.
 
@@ -211,7 +211,7 @@ def blend_row(touching: int, scratch: Array, fields: int, members: Array) -> Any
     return count, sees
 
 
-@compiled
+@part
 def add_row_labels(count: int, row_labels: int, scratch: Array, labels: int, members: Array, padded: int) -> None:
     """The labels of the row's pixels += its weights times a chunk's labels, a few pixels times three vectors at a
     time."""
@@ -228,7 +228,7 @@ def add_row_labels(count: int, row_labels: int, scratch: Array, labels: int, mem
             blend_1(scratch, out + c, scratch, labels + c, members, 0, scratch, weights, count, padded)
 
 
-@compiled
+@part
 def fetch_labels(first: int, count: int, tile_ids: Array, labels: Array, channels: int) -> None:
     """Have the labels of a chunk brought: they lie anywhere in memory, and will be needed soon."""
     for m in range(count):
@@ -238,7 +238,7 @@ def fetch_labels(first: int, count: int, tile_ids: Array, labels: Array, channel
         fetch(labels, source + channels - 1)
 
 
-@compiled
+@part
 def copy_touching(
     touching: int,
     first: int,
@@ -260,7 +260,7 @@ def copy_touching(
         copy_labels(gaussian, labels, channels, scratch, at + m * padded_channels(channels))
 
 
-@compiled
+@part
 def write_colours(target: int, floats: int, scratch: Array, image: Array) -> None:
     """The row's colours, pixel after pixel, to image[target : target + floats]."""
     first, second, third = interleaved(
@@ -271,7 +271,7 @@ def write_colours(target: int, floats: int, scratch: Array, image: Array) -> Non
     store_some(image, target + 2 * TILE, third, lane_numbers() < spread(F(floats - 2 * TILE)))
 
 
-@compiled
+@part
 def write_row(
     pixel: int,
     pixels: int,
@@ -292,7 +292,7 @@ def write_row(
     write_colours(3 * pixel, 3 * pixels, scratch, image)
 
 
-@compiled
+@part
 def pack_labels(target: int, pixels: int, channels: int, row_labels: int, scratch: Array, labels_out: Array) -> Any:
     """Take the padding out of a row's labels, which belong to labels_out[target:], and write those that fill no cache
     line. Returns how many lines are left for ``flush_lines``."""

@@ -1,0 +1,114 @@
+"""The second process that compiles: whatever becomes of it, the first one goes on."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.raster import companion, compile_backward, warm_up
+from engine.raster.kernels import choose_kernels
+from engine.raster.warm_up import WarmUp
+
+
+@pytest.fixture
+def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder whose modules a companion can run."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def test_runs_a_module_and_waits_for_it(modules: Path) -> None:
+    (modules / "leaves_a_mark.py").write_text(f"open({str(modules / 'mark')!r}, 'w').close()")
+    companion.Companion("leaves_a_mark").wait()
+    assert (modules / "mark").exists()
+
+
+def test_finds_the_engine_wherever_it_is_called_from(
+    modules: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (modules / "imports_the_engine.py").write_text("import engine.raster.compiled")
+    monkeypatch.chdir(modules)
+    companion.Companion("imports_the_engine").wait()
+    assert not caplog.records
+
+
+def test_says_what_went_wrong(modules: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (modules / "breaks.py").write_text("raise RuntimeError('no more memory')")
+    companion.Companion("breaks").wait()
+    assert "RuntimeError: no more memory" in caplog.text
+
+
+def test_does_not_wait_for_one_that_hangs(
+    modules: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(companion, "LEAST_PATIENCE", 0.2)
+    (modules / "hangs.py").write_text("import time; time.sleep(60)")
+    start = time.monotonic()
+    companion.Companion("hangs").wait()
+    assert time.monotonic() - start < 20
+    assert "took too long" in caplog.text
+
+
+def test_one_that_cannot_be_started_is_done_without(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(companion.sys, "executable", "/nowhere/python")
+    companion.Companion("engine").wait()
+    assert "compiling alone" in caplog.text
+
+
+def steps(monkeypatch: pytest.MonkeyPatch, compiled: set[str], backward_follows: bool) -> list[str]:
+    """What a warm-up does where these passes have been compiled before."""
+    done: list[str] = []
+
+    class Recorded:
+        def __init__(self, module: str) -> None:
+            done.append(f"start {module}")
+
+        def wait(self) -> None:
+            done.append("wait")
+
+    monkeypatch.setattr(warm_up, "Companion", Recorded)
+    monkeypatch.setattr(warm_up, "has_room_for_two", lambda: True)
+    monkeypatch.setattr(warm_up, "is_compiled", lambda what: what.split()[1] in compiled)
+    monkeypatch.setattr(warm_up, "note_compiled", lambda what: None)
+    own = WarmUp("test", lambda: done.append("forward"), lambda: done.append("backward"), "apart")
+    for _ in range(2):
+        own.forward(backward_follows)
+    for _ in range(2 if backward_follows else 0):
+        own.backward()
+    return done
+
+
+def test_two_processes_share_a_cold_start(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    assert steps(monkeypatch, set(), True) == ["start apart", "forward", "wait", "backward"]
+    assert len(caplog.records) == 1
+
+
+@pytest.mark.parametrize("compiled", [{"forward"}, {"backward"}, {"forward", "backward"}])
+def test_one_process_does_the_rest(compiled: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert steps(monkeypatch, compiled, True) == ["forward", "backward"]
+
+
+def test_who_only_draws_compiles_only_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert steps(monkeypatch, set(), False) == ["forward"]
+
+
+@pytest.mark.parametrize("name", ["vector", "plain"])
+def test_compiles_what_a_pass_calls(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another version of a kernel, for arrays of another type, would be compiled in the midst of a pass."""
+    from scenes import random_scene, render
+
+    monkeypatch.setenv("PLGS_RASTER_KERNELS", name)
+    kernels = choose_kernels()
+    compile_backward.compile_backward(kernels)
+    scene = random_scene(0, 30, 4, 20, 16)
+    render(scene, "numba")
+    for kernel in (kernels.unblend, kernels.gather_labels, compile_backward.gather):
+        assert len(kernel.signatures) == 1  # type: ignore[attr-defined]
+    assert np.isfinite(render(scene, "numba")[0].image.detach().numpy()).all()
