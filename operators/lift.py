@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from ..plgs_blender.running import lifts, start, watch
+from ..plgs_blender.running import lifts, recents, start, watch
 from ..plgs_blender.running.lifts import Watch
 from ..plgs_blender.settings import LiftOptions, chosen_lift
 from .answers import CANCELLED, FINISHED, PASSED_ON, RUNNING, reporting, reporting_events
@@ -139,6 +139,16 @@ class PLGS_OT_cancel_lift(bpy.types.Operator):
         return FINISHED
 
 
+class PLGS_OT_refresh_lifts(bpy.types.Operator):
+    """Look anew which lifts are running or have ended, of this Blender and others"""
+
+    bl_idname, bl_label, bl_options = "plgs.refresh_lifts", "Look Again", {"INTERNAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        recents.refresh()
+        return FINISHED
+
+
 class PLGS_OT_place_lift(bpy.types.Operator):
     """Put a finished lift into the scene: cameras, points, anchors, boxes and passes"""
 
@@ -174,6 +184,7 @@ CLASSES = (
     PLGS_OT_resume_lift,
     PLGS_OT_watch_lift,
     PLGS_OT_cancel_lift,
+    PLGS_OT_refresh_lifts,
     PLGS_OT_place_lift,
     PLGS_OT_open_log,
 )

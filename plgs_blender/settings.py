@@ -10,7 +10,6 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, 
 from ..engine.job import LiftRequest
 from ..engine.job.request import LARGEST_SIDE, SMALLEST_SIDE
 from .paths import absolute
-from .running import watch
 from .scene_survey import Place
 
 _PRESETS = [
@@ -31,11 +30,15 @@ _BAKES = [
 
 
 def _look_at_scene(settings: LiftOptions, context: bpy.types.Context) -> None:
+    from .running import watch  # late: it reads these settings
+
     if isinstance(settings, PLGS_PG_settings):
         watch.look_at_scene(place_of(settings))
 
 
 def _look_at_lift(settings: LiftOptions, context: bpy.types.Context) -> None:
+    from .running import watch
+
     if isinstance(settings, PLGS_PG_settings) and settings.lift_folder:
         watch.look_at_lift(absolute(settings.lift_folder))
 
@@ -111,15 +114,21 @@ def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
     return absolute(settings.lift_folder) if settings.lift_folder else None
 
 
+def size_of(settings: PLGS_PG_settings) -> tuple[int, int] | None:
+    """The box (width, height) in pixels that frames are brought into; None leaves it to the preset. 0 is no limit."""
+    if not settings.width and not settings.height:
+        return None
+    return settings.width or LARGEST_SIDE, settings.height or LARGEST_SIDE
+
+
 def request_of(settings: PLGS_PG_settings) -> LiftRequest:
     """What the settings ask for. Raises JobError when a value is out of range."""
-    size = (settings.width, settings.height) if settings.width or settings.height else None
     return LiftRequest(
         scene=absolute(settings.scene_folder),
         masks=absolute(settings.masks) if settings.masks else None,
         preset=settings.preset,
         steps=settings.steps or None,
-        size=size,
+        size=size_of(settings),
         seed=settings.seed,
         up=settings.up,
         bake=settings.bake,

@@ -5,10 +5,14 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender import engine_environment
-from ..plgs_blender.running import lifts, live_preview
-from ..plgs_blender.running.lifts import Watch
+from ..plgs_blender.running import lifts, live_preview, recents
+from ..plgs_blender.running.estimate import estimate_of
+from ..plgs_blender.running.lifts import LiftState, Watch
 from ..plgs_blender.settings import chosen_lift
 from .sidebar import Sidebar, Step, duration, tell
+
+_MOST_RECENT = 8
+_ICONS = {LiftState.RUNNING: "RENDER_ANIMATION", LiftState.FINISHED: "CHECKMARK", LiftState.FAILED: "ERROR"}
 
 
 class PLGS_PT_lift(Step, bpy.types.Panel):
@@ -22,6 +26,10 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
             _draw_progress(layout, context, followed)
             return
         layout.prop(settings, "preset", expand=True)
+        estimate = estimate_of(settings)
+        if estimate is not None:
+            memory = f"{estimate.peak_bytes / 1e9:.1f} GB of memory"
+            layout.label(text=f"About {duration(estimate.seconds)}, {memory}", icon="TIME")
         _draw_engine(layout, context)
         row = layout.row()
         row.scale_y = 1.4
@@ -30,10 +38,6 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
             _draw_ending(layout, context, followed)
         elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
             tell(layout, context, str(refusal), "ERROR")
-        for other in lifts.running():
-            row = layout.row()
-            row.label(text=f"Running: {other.folder.path.name}", icon="RENDER_ANIMATION")
-            row.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
 
 
 class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
@@ -51,6 +55,22 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         column = layout.column(heading="While it lifts")
         for name in ("live_preview", "place_when_done", "keep_running"):
             column.prop(settings, name)
+
+
+class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_recent_lifts", "Recent lifts"
+    bl_parent_id, bl_options = "PLGS_PT_lift", {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        lately = recents.recent()[:_MOST_RECENT]
+        for lift in lately:
+            row = layout.row(align=True)
+            row.label(text=f"{lift.folder.path.name}: {lift.state.value}", icon=_ICONS.get(lift.state, "FILE_FOLDER"))
+            row.operator("plgs.watch_lift", text="", icon="VIEWZOOM").lift_folder = str(lift.folder.path)
+        if not lately:
+            layout.label(text="None yet", icon="INFO")
+        layout.operator("plgs.refresh_lifts", icon="FILE_REFRESH")
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -104,4 +124,4 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
         row.operator("plgs.open_log", icon="TEXT").lift_folder = path
 
 
-CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options)
+CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_recent_lifts)

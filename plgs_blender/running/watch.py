@@ -15,7 +15,7 @@ from .. import scene_survey
 from ..engine_environment import engine_python
 from ..paths import absolute
 from ..scene_survey import Place
-from . import lifts, live_preview
+from . import estimate, lifts, live_preview, recents
 from .lifts import Watch
 
 TICK_S = 0.1
@@ -47,6 +47,7 @@ def tick() -> float | None:
 
 def look_at_scene(place: Place) -> None:
     """See what is in a scene's folder; `scene_survey.survey_of` knows it then, the rest a moment later."""
+    estimate.learn_machine()
     scene_survey.look(place, engine_python())
     begin()
 
@@ -73,12 +74,14 @@ def redraw_panels() -> None:
 def _show(watch: Watch) -> None:
     if not watch.is_running:
         live_preview.remove(watch.folder, bpy.data.scenes)
+        recents.refresh()
     elif watch.status.live_preview is not None:
         live_preview.show(watch.folder, watch.status.live_preview, bpy.data.scenes)
 
 
 def look_at_all_scenes() -> None:
-    """Find the lifts again that the scenes of the open file were working on."""
+    """Find the lifts again that the scenes of the open file were working on, and see which others there are."""
+    recents.refresh()
     for scene in bpy.data.scenes:
         if scene.plgs.lift_folder:
             look_at_lift(absolute(scene.plgs.lift_folder))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import bpy
 import pytest
+from plgs.plgs_blender.running.estimate import estimate_of
 from plgs.plgs_blender.scene_survey import survey_of
 from plgs.plgs_blender.settings import place_of
 
@@ -44,6 +45,20 @@ def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
     survey = survey_of(place_of(settings))
     assert survey is not None and survey.error is None
     assert (survey.frames, survey.sizes) == (8, (((64, 48), 8),))
+
+
+def test_the_panel_predicts_what_a_lift_takes(room: Path) -> None:
+    settings = bpy.context.scene.plgs
+    assert estimate_of(settings) is None
+    settings.scene_folder = str(room)
+    short, long = estimate_of(settings), None
+    settings.preset = "standard"
+    long = estimate_of(settings)
+    assert short is not None and long is not None
+    assert 0 < short.seconds < long.seconds and short.peak_bytes > 1e8
+    settings.steps = 1
+    fewer = estimate_of(settings)
+    assert fewer is not None and fewer.seconds < long.seconds
 
 
 def test_a_bad_folder_is_said_and_greys_the_button(tmp_path: Path) -> None:
