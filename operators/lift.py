@@ -24,6 +24,7 @@ _GLANCE_S = 0.25
 class Following:
     """An operator that begins or joins a lift (`begin`) and ends with it."""
 
+    bl_label: str
     report: Callable[[set[str], str], None]
     _folder: Path
     _timer: bpy.types.Timer | None = None
@@ -36,8 +37,11 @@ class Following:
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self._folder = self.begin(context).folder.path
         watch.begin()
-        self._timer = context.window_manager.event_timer_add(_GLANCE_S, window=context.window)
-        context.window_manager.modal_handler_add(self)
+        # Now, not when the lift ends: undoing what the user does meanwhile shall not take the lift out of the panel.
+        bpy.ops.ed.undo_push(message=self.bl_label)
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(_GLANCE_S, window=context.window or manager.windows[0])
+        manager.modal_handler_add(self)
         return RUNNING
 
     @reporting_events

@@ -22,6 +22,9 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
         layout, settings = self.layout, context.scene.plgs
         folder = chosen_lift(settings)
         followed = lifts.watch_of(folder) if folder is not None else None
+        for other in lifts.running():
+            if other is not followed:
+                _draw_other(layout, other)
         if followed is not None and followed.is_running:
             _draw_progress(layout, context, followed)
             return
@@ -71,6 +74,13 @@ class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
         if not lately:
             layout.label(text="None yet", icon="INFO")
         layout.operator("plgs.refresh_lifts", icon="FILE_REFRESH")
+
+
+def _draw_other(layout: bpy.types.UILayout, other: Watch) -> None:
+    """A lift that goes on while the panel is set to another, or to none after an undo."""
+    row = layout.row()
+    row.label(text=f"{other.folder.path.name}: {other.status.label}", icon="RENDER_ANIMATION")
+    row.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
