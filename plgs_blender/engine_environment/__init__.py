@@ -1,13 +1,15 @@
 """The engine's Python: which one, whether an engine answers in it, and how one is made.
 
 `status` is what is known, for panels; `usable_python` is for whoever starts an engine. `session` follows what goes on,
-`set_up` makes the environment, `handshake` asks. Only `session` and `choices` know Blender.
+`set_up` makes the environment, `handshake` asks. Of these only `session` knows Blender.
 """
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+
+import bpy
 
 from ...engine.job import JobError
 from ...engine.job.process import ROOT, choose_python
@@ -20,22 +22,30 @@ __all__ = ["EngineState", "EngineStatus", "engine_python", "status", "usable_pyt
 
 
 def usable_python() -> Path:
-    """The Python to run the engine with. Raises JobError when there is none that has what it needs.
+    """The Python to run the engine with. Raises JobError when it is known, or found, that none has what it needs.
 
-    At once when an engine answered already; otherwise it looks, which takes 0.1 s.
+    In a window at once, by what the engine answered; a script without one waits 0.1 s for a look at it.
     """
     known = status()
     if known.state is EngineState.READY and known.python is not None:
         return known.python
-    return find_engine_python(ROOT, os.environ, chosen_python())
+    if bpy.app.background:
+        return find_engine_python(ROOT, os.environ, chosen_python())
+    if not known.is_usable:
+        raise JobError(known.message, known.python or "the engine", known.fix)
+    return _python_to_be_asked()
 
 
 def engine_python() -> Path | None:
-    """The same without looking twice: None when it is known, or is found now, that no engine can be used."""
+    """The same, or None when no engine can be used; `status` then says why."""
     known = status()
     try:
         if known.state is EngineState.CHECKING:  # the answer comes in a moment; who needs it now may try
-            return choose_python(ROOT, os.environ, chosen_python()).python
+            return _python_to_be_asked()
         return usable_python() if known.is_usable else None
     except JobError:
         return None
+
+
+def _python_to_be_asked() -> Path:
+    return choose_python(ROOT, os.environ, chosen_python()).python

@@ -50,10 +50,13 @@ def test_a_set_up_is_followed_and_cancelled(preferences: Window) -> None:
     assert max(preferences.waits().values()) < 0.05, preferences.waits()
 
 
-def test_a_failed_set_up_says_why(preferences: Window) -> None:
+def test_where_blenders_python_cannot_make_environments_says_why(preferences: Window) -> None:
+    """The tree has no python3-venv, or a Python that nothing is pinned for."""
     preferences.run("bpy.context.preferences.system.use_online_access = True")
-    preferences.run("bpy.ops.plgs.set_up_engine('INVOKE_DEFAULT', base_python='/nowhere/python')")
+    preferences.run("bpy.ops.plgs.set_up_engine('INVOKE_DEFAULT', index_url='http://127.0.0.1:9/simple')")
     preferences.wait_for("session.progress() is None", timeout=30)
-    assert "/nowhere/python" in preferences.ask("str(session.set_up_error())")
+    told = preferences.ask("str(session.set_up_error())")
+    assert "no Python can make the engine's environment (/usr/bin/python3" in told and "Install Python 3.11" in told
+    preferences.wait_for("session.status().state.value == 'ready'", timeout=30)
     preferences.settle()
     preferences.screenshot("preferences-failed")

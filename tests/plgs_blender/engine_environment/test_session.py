@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -66,6 +67,18 @@ def test_the_chosen_python_is_asked_without_waiting(python: Python) -> None:
     assert status.state is EngineState.READY and status.python == python()
     assert status.message == f"Engine {VERSION}, Python 3.11.9, torch 2.0 (CPU), 4 cores" and not status.fix
     assert engine_environment.usable_python() == python()
+
+
+def test_a_window_goes_by_what_is_known(python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It does not wait for a second look: the engine itself says what it lacks when it was asked too soon."""
+    monkeypatch.setattr(engine_environment, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+    choices.choose(python(torch=None))
+    assert engine_environment.usable_python() == python(torch=None)
+    session.check()
+    session.wait()
+    with pytest.raises(JobError, match="lacks torch") as refused:
+        engine_environment.usable_python()
+    assert "Set up engine" in refused.value.fix and engine_environment.engine_python() is None
 
 
 def test_what_is_wrong_comes_with_what_mends_it(python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
