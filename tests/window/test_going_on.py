@@ -1,0 +1,125 @@
+"""A lift goes on whatever happens to Blender's file and window, and what happens to the lift is seen in Blender."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+from blender import Window
+
+if str(Path(__file__).parent.parent) not in sys.path:
+    sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from tiny_scene import write_tiny_scene  # noqa: E402  (beside this folder)
+
+from engine.job import EventReader, LiftFolder  # noqa: E402
+
+MODULES = """
+import sys, pathlib
+lifts = sys.modules[EXTENSION + '.plgs_blender.running.lifts']
+recents = sys.modules[EXTENSION + '.plgs_blender.running.recents']
+settings = lambda: bpy.context.scene.plgs
+followed = lambda: lifts.watch_of(pathlib.Path(settings().lift_folder))
+"""
+
+
+@pytest.fixture
+def scene(work_folder: Path) -> Path:
+    folder = work_folder / "tiny"
+    return folder if folder.exists() else write_tiny_scene(folder)
+
+
+def begin(window: Window, scene: Path, name: str, **settings: object) -> LiftFolder:
+    """A lift of many steps, up to its first training steps, with the sidebar open."""
+    window.open_sidebar()
+    window.run(MODULES)
+    folder = scene.parent / name
+    wanted = {"scene_folder": str(scene), "lift_folder": str(folder), "steps": 20_000, **settings}
+    for key, value in wanted.items():
+        window.run(f"settings().{key} = {value!r}")
+    window.wait_for_kernels()
+    window.wait_for("bpy.ops.plgs.lift_scene.poll()")
+    window.run("bpy.ops.plgs.lift_scene('INVOKE_DEFAULT')")
+    window.wait_for("followed() is not None and followed().status.loss is not None", 120)
+    return LiftFolder.open(folder)
+
+
+def engine_of(lift: LiftFolder) -> int:
+    """The process that works on a lift."""
+    return int(str(next(event.data["pid"] for event in EventReader(lift.events_path).poll() if event.kind == "hello")))
+
+
+def end(window: Window) -> None:
+    window.run("bpy.ops.plgs.cancel_lift()")
+    window.wait_for("not lifts.running()", 10)
+
+
+def test_undo_and_another_file_leave_the_lift_in_the_panel(window: Window, scene: Path) -> None:
+    lift = begin(window, scene, "through undo")
+    window.run("bpy.ops.mesh.primitive_cube_add(); bpy.ops.ed.undo_push(message='cube')")
+    window.move(500, 500)
+    window.key("ctrl+z")
+    window.settle()
+    assert window.ask("followed().is_running")
+    saved = scene.parent / "with lift.blend"
+    window.run(f"bpy.ops.wm.save_as_mainfile(filepath={str(saved)!r})")
+    window.run("bpy.ops.wm.read_homefile(use_splash=False)")
+    assert lift.is_running and window.ask("len(lifts.running())") == 1
+    window.run(f"bpy.ops.wm.open_mainfile(filepath={str(saved)!r})")
+    window.wait_for("followed().is_running")
+    step = window.ask("followed().status.step")
+    window.wait_for(f"followed().status.step > {step}")
+    end(window)
+    assert window.ask("followed().can_be_resumed")
+
+
+def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> None:
+    """Each call of Blender's into the extension, panels and timers included, with live previews before a camera."""
+    window.open_sidebar()
+    window.run(f"bpy.context.scene.plgs.scene_folder = {str(scene)!r}")
+    window.run("bpy.ops.plgs.import_scene()")
+    window.run("bpy.context.scene.camera = next(each for each in bpy.data.objects if 'frame' in each)")
+    window.run("watch.begin()")
+    begin(window, scene, "without waits")
+    window.move(500, 500)
+    window.key("KP_0")
+    window.wait_for("followed().status.live_previews > 2", 60)
+    window.screenshot("live-preview")
+    waits = window.waits()
+    end(window)
+    assert waits and max(waits.values()) < 0.05, waits
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSEGV])
+def test_an_engine_that_dies_leaves_a_message_and_resume(window: Window, scene: Path, how: signal.Signals) -> None:
+    lift = begin(window, scene, f"killed by {how.name}")
+    os.kill(engine_of(lift), how)
+    window.wait_for("not lifts.running()", 10)
+    window.settle()
+    window.screenshot(f"engine-died-{how.name}")
+    assert f"signal {int(how)}" in window.ask("followed().outcome.error")
+    window.find_button("plgs.resume_lift")
+    window.find_button("plgs.open_log")
+
+
+def test_closing_blender_ends_the_lift_unless_it_shall_go_on(window: Window, scene: Path) -> None:
+    ending = begin(window, scene, "ends with Blender")
+    window.quit()
+    ended = engine_of(ending)
+    window.start()
+    assert not ending.is_running and not Path(f"/proc/{ended}").exists()
+
+    going_on = begin(window, scene, "goes on", keep_running=True)
+    window.kill()
+    assert going_on.is_running
+    window.start()
+    window.open_sidebar()
+    window.run(MODULES)
+    window.wait_for(f"any(str(each.folder.path) == {str(going_on.path)!r} for each in recents.recent())")
+    window.run(f"bpy.ops.plgs.watch_lift('INVOKE_DEFAULT', lift_folder={str(going_on.path)!r})")
+    window.wait_for("followed().is_running and followed().status.step > 0", 30)
+    end(window)
+    assert not going_on.is_running
