@@ -96,7 +96,7 @@ def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: flo
 
 def _peak_bytes(seen: float, own: float, effort: Effort) -> int:
     """``seen``: megapixels of all training pictures; ``own``: of one frame, which is baked at its own size."""
-    return round((650 + 60 * seen + 300 * own + 400 * _millions_of_gaussians(effort)) * MB)
+    return round((1000 + 125 * seen + 300 * own + 400 * _millions_of_gaussians(effort)) * MB)
 
 
 def _millions_of_gaussians(effort: Effort) -> float:

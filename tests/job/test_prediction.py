@@ -15,12 +15,15 @@ from engine.job.prediction import learn_slowness, machine_slowness, predict, ste
 SAMPLE = {"train_frames": 63, "test_frames": 9, "frame_size": (320, 240)}
 MEASURED = {"preview": 168.0, "standard": 491.0}
 """Seconds of lifts of the sample on the machine of the constants, without what they compiled the first time."""
+PEAK = {"preview": 1.43e9, "standard": 1.80e9}
+"""Bytes, the latter up to the training."""
 
 
 @pytest.mark.parametrize("name", MEASURED)
 def test_near_what_lifts_of_the_sample_took(name: str) -> None:
     prediction = predict(**SAMPLE, effort=EFFORTS[name])  # type: ignore[arg-type]
     assert 1 / 1.25 < prediction.seconds / MEASURED[name] < 1.25
+    assert 1 / 1.25 < prediction.peak_bytes / PEAK[name] < 1.25
 
 
 def test_more_work_takes_longer_and_more_memory() -> None:
