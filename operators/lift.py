@@ -13,7 +13,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..plgs_blender.running import lifts, recents, start, watch
-from ..plgs_blender.running.lifts import Watch
+from ..plgs_blender.running.lifts import ExitCode, Watch
 from ..plgs_blender.settings import LiftOptions, chosen_lift
 from .answers import CANCELLED, FINISHED, PASSED_ON, RUNNING, reporting, reporting_events
 
@@ -68,8 +68,8 @@ class Following:
         """Tell how it ended; show a finished lift if this scene is still set to it and wants to."""
         outcome = followed.outcome
         assert outcome is not None
-        self.report({"ERROR" if outcome.error else "INFO"}, lifts.words_for(outcome))
-        if not followed.is_finished:
+        self.report({"ERROR" if outcome.error else "INFO"}, lifts.words_for(followed))
+        if outcome.code is not ExitCode.FINISHED:
             return CANCELLED
         settings = context.scene.plgs
         if settings.place_when_done and chosen_lift(settings) == followed.folder.path:

@@ -120,7 +120,7 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
     path = str(followed.folder.path)
     box = layout.box()
     box.alert = outcome.error is not None
-    tell(box, context, lifts.words_for(outcome), "ERROR" if outcome.error else "INFO")
+    tell(box, context, lifts.words_for(followed), "ERROR" if outcome.error else "INFO")
     column = box.column(align=True)
     column.scale_y = 0.8
     for line in outcome.log_lines[-6:]:

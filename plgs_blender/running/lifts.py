@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...engine.job import ExitCode, JobError, LiftFolder, LiftState
+from ...engine.job.folder import BAKE
 from ...engine.job.follower import LiftFollower, LiftStatus, Outcome, bake_command
 from ...engine.job.process import engine_command
 
@@ -163,11 +164,18 @@ def let_go() -> None:
     _refusals.clear()
 
 
-def words_for(outcome: Outcome) -> str:
-    """One line for people about how it ended."""
+def words_for(watch: Watch) -> str:
+    """One line for people about how a lift, or the baking of its passes, ended."""
+    outcome = watch.outcome
+    if outcome is None:
+        return watch.status.label
     if outcome.error is not None:
         return outcome.error
-    return "The lift is finished" if outcome.code is ExitCode.FINISHED else "The lift was cancelled; it can be resumed"
+    if watch.status.task == BAKE:
+        return "The passes are baked" if outcome.code is ExitCode.FINISHED else "Baking was cancelled"
+    if watch.is_finished:
+        return "The lift is finished"
+    return "The lift was not started" if watch.state is LiftState.NOT_STARTED else "The lift was cancelled"
 
 
 def _refuse_running(lift: LiftFolder) -> None:

@@ -55,7 +55,7 @@ def test_a_lift_from_start_to_end(behaves: Behaves, lift: LiftFolder) -> None:
     assert watch.is_running and lifts.running() == [watch] and lifts.watch_of(lift.path) is watch
     assert lifts.wait_for(watch).code is ExitCode.FINISHED
     assert watch.is_finished and not watch.can_be_resumed and lifts.running() == []
-    assert lifts.words_for(lifts.wait_for(watch)) == "The lift is finished"
+    assert lifts.words_for(watch) == "The lift is finished"
 
 
 def test_cancelled_and_resumed(behaves: Behaves, lift: LiftFolder) -> None:
