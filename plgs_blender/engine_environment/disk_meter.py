@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-BUDGET_S = 0.004
+BUDGET_S = 0.002
 """What a look takes: some folders of torch have thousands of files."""
 
 

@@ -28,6 +28,7 @@ def run_program(
 
     Raises JobError when it cannot be started, or when ``limit_s`` is over.
     """
+    yield  # starting a program takes milliseconds: a poll of its own
     began = time.monotonic()
     with log_path.open("ab") as log, log_path.open("rb") as reader:
         log.write(f"\n$ {' '.join(map(str, command))}\n".encode())
