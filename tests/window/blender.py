@@ -15,8 +15,8 @@ from tree import ROOT, Tree, wait_until
 
 SIZE = (1280, 1000)
 """Of the screen and of Blender's window on it, in pixels: a sidebar with all panels fits."""
-ROW_STEP = 8
-"""Less than half of the height of a button, so that no button is missed when a column is searched."""
+ROW_STEP = 12
+"""Less than the height of a button, so that none is missed when a column is searched."""
 _MOVED_S, _PRESSED_S = 0.04, 0.06
 
 
@@ -180,34 +180,38 @@ class Window:
         self.run(_IN_SIDEBAR + f"region.active_panel_category = {tab!r}; region.tag_redraw()")
         self.settle()
 
-    def find_button(self, operator: str, contains: str = "") -> tuple[int, int]:
+    def find_button(self, operator: str, contains: str = "", near: int | None = None) -> tuple[int, int]:
         """Where in the sidebar the button of an operator is, such as "plgs.lift_scene"; greyed-out ones too.
 
         Found as a user can find out: the mouse stands on a button, Ctrl+C copies its Python command. `contains` tells
-        apart buttons of one operator by their arguments. LookupError when there is none to be seen.
+        apart buttons of one operator by their arguments. The search begins at the height `near`, or at the top: it takes
+        a while, for while a lift runs Blender draws much. LookupError when there is none to be seen.
         """
-        return self._find(f"bpy.ops.{operator}(", contains, "ctrl+c")
+        return self._find(f"bpy.ops.{operator}(", contains, "ctrl+c", near)
 
-    def find_field(self, path: str) -> tuple[int, int]:
+    def find_field(self, path: str, near: int | None = None) -> tuple[int, int]:
         """Where in the sidebar a property's field is, such as "plgs.preset", by its full data path (Ctrl+Shift+Alt+C)."""
-        return self._find(".", f"].{path}", "ctrl+shift+alt+c")
+        return self._find("bpy.data.", f"].{path}", "ctrl+shift+alt+c", near)
 
-    def press(self, operator: str, contains: str = "") -> None:
-        """Find an operator's button in the sidebar and click it."""
-        self.click(*self.find_button(operator, contains))
+    def press(self, operator: str, contains: str = "", near: int | None = None) -> tuple[int, int]:
+        """Find an operator's button in the sidebar and click it; where it was."""
+        x, y = self.find_button(operator, contains, near)
+        self.click(x, y)
+        return x, y
 
-    def _find(self, begin: str, contains: str, keys: str) -> tuple[int, int]:
+    def _find(self, begin: str, contains: str, keys: str, near: int | None) -> tuple[int, int]:
         left, top, width, height = self._region("UI")
         self.run("bpy.context.window_manager.clipboard = ''")
+        heights = sorted(range(top + 8, top + height, ROW_STEP), key=lambda y: abs(y - (near or 0)))
         # Buttons share rows: the middle hits most of them, the others stand at the sides. Tabs are at the right.
         for share in (0.45, 0.8, 0.15):
             x = left + int(width * share)
-            for y in range(top + 4, top + height, ROW_STEP):
+            for y in heights:
                 self._input("mousemove", str(x), str(y), "sleep", str(_MOVED_S), "key", keys)
                 self._wait_for_events()
                 copied = self.ask("bpy.context.window_manager.clipboard")
                 if begin in copied and contains in copied:
-                    return x, y + 2
+                    return x, y
         raise LookupError(f"no button of {begin} {contains} in the sidebar")
 
     def _region(self, kind: str) -> tuple[int, int, int, int]:
