@@ -15,12 +15,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..materials import point_material
-from ..owned import LIFT, Holdings
+from ..owned import LIFT, key_of, tag
 from .lookup import boxes_of, clouds_of, row_of
 
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
+_GROUP = "hidden instances"
 
 _waiting: list[str] = []
 """Lifts whose eyes are being set, one after the other: nothing is brought in line meanwhile."""
@@ -99,7 +99,7 @@ def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: ND
     layer.data.foreach_set("value", hidden)
     cloud.data.update_tag()
     if modifier is None:
-        cloud.modifiers.new(MODIFIER, "NODES").node_group = _node_group(root)
+        cloud.modifiers.new(MODIFIER, "NODES").node_group = _node_group(root[LIFT], next(iter(cloud.data.materials), None))
 
 
 def _ids(cloud: bpy.types.PointCloud, name: str) -> NDArray[np.int32]:
@@ -109,14 +109,17 @@ def _ids(cloud: bpy.types.PointCloud, name: str) -> NDArray[np.int32]:
     return values
 
 
-def _node_group(root: bpy.types.Collection) -> bpy.types.NodeTree:
-    """Delete the points whose attribute `plgs_hidden` is true."""
-    holdings = Holdings(root[LIFT], bpy.context.scene)
-    material = point_material(holdings)
-    return holdings.block("node_groups", "hidden instances", lambda: _new_group(material))
+def _node_group(lift: str, material: bpy.types.Material | None) -> bpy.types.NodeTree:
+    """The lift's node group that deletes the points whose attribute `plgs_hidden` is true."""
+    for tree in bpy.data.node_groups:
+        if key_of(tree, lift) == _GROUP:
+            return tree
+    tree = _new_group(material)
+    tag(tree, lift, _GROUP)
+    return tree
 
 
-def _new_group(material: bpy.types.Material) -> bpy.types.NodeTree:
+def _new_group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
     tree = bpy.data.node_groups.new("PLGS hidden instances", "GeometryNodeTree")
     for direction in ("INPUT", "OUTPUT"):
         tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
