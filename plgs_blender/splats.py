@@ -1,7 +1,7 @@
 """The lift's Gaussians as Blender's own splats, where the running Blender has them (from 5.3 on).
 
-Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT of any splat file, and its default axes (forward Y,
-up Z) are ours. This was read in Blender's source and in its API; no Blender 5.3 was at hand to run it.
+Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT of any splat file, and its default axes (forward
+Y, up Z) are ours. This was read in Blender's source and in its API; no Blender 5.3 was at hand to run it.
 """
 
 from __future__ import annotations

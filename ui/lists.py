@@ -66,7 +66,8 @@ class PLGS_UL_instances(Searchable, bpy.types.UIList):
         numbers.alignment = "RIGHT"
         numbers.label(text=f"{row.points}")
         numbers.label(text=f"{row.score:.2f}")
-        line.operator("plgs.select_instance", text="", icon="RESTRICT_SELECT_OFF", emboss=False).instance = row.instance_id
+        select = line.operator("plgs.select_instance", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
+        select.instance = row.instance_id
         line.prop(row, "visible", text="", icon="HIDE_OFF" if row.visible else "HIDE_ON", emboss=False)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 
 from ..plgs_blender.inspecting.lookup import active_lift
-from .sidebar import Sidebar, tell
+from .sidebar import Sidebar, Step, tell
 
 
 def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
@@ -23,7 +23,7 @@ def _chosen(root: bpy.types.Collection | None) -> Any | None:
     return root.plgs.instances[root.plgs.instance_index]
 
 
-class PLGS_PT_result(Sidebar, bpy.types.Panel):
+class PLGS_PT_result(Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order = "PLGS_PT_result", "3  Result", 3
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -42,8 +42,8 @@ class PLGS_PT_result(Sidebar, bpy.types.Panel):
         column.enabled = row is not None
         column.operator("plgs.frame_instance", icon="ZOOM_SELECTED")
         is_alone = row is not None and lists.isolated == row.instance_id
-        text = "Show What Was Shown" if is_alone else "Show Only It"
-        column.operator("plgs.isolate_instance", text=text, icon="SOLO_ON" if is_alone else "SOLO_OFF", depress=is_alone)
+        text, icon = ("Show What Was Shown", "SOLO_ON") if is_alone else ("Show Only It", "SOLO_OFF")
+        column.operator("plgs.isolate_instance", text=text, icon=icon, depress=is_alone)
         column.operator("plgs.go_to_best_view", icon="VIEW_CAMERA")
         layout.operator("plgs.show_all", icon="HIDE_OFF")
 
@@ -71,8 +71,8 @@ class PLGS_PT_masks(Sidebar, bpy.types.Panel):
             return
         if 0 <= row.mask_index < len(row.masks):
             mask = row.masks[row.mask_index]
-            column = layout.column(align=True)
-            column.label(text=f"Segment {mask.segment}, {mask.pixels} pixels, {100.0 * mask.share:.1f} % of the picture")
+            share = f"{100.0 * mask.share:.1f} % of the picture"
+            layout.label(text=f"Segment {mask.segment}, {mask.pixels} pixels, {share}")
 
 
 class PLGS_PT_classes(Sidebar, bpy.types.Panel):

@@ -1,7 +1,7 @@
 """One selection everywhere: the box that is active in the view and the row that is active in the list.
 
-The truth is Blender's own selection of boxes. `follow_active` brings the list after it, `select_row` brings it after the
-list; each does nothing when both agree, so they cannot chase each other. What glows in the view is read from the
+The truth is Blender's own selection of boxes. `follow_active` brings the list after it, `select_row` brings it after
+the list; each does nothing when both agree, so they cannot chase each other. What glows in the view is read from the
 selection while drawing.
 """
 
@@ -36,7 +36,8 @@ def select_instance(root: bpy.types.Collection, instance: int, layer: bpy.types.
 
 def select_class(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> int:
     """Select the boxes of a class and nothing else; gives how many there are to select."""
-    chosen = [box for box in boxes_of(root).values() if box["class_id"] == class_id and box.visible_get(view_layer=layer)]
+    of_class = [box for box in boxes_of(root).values() if box["class_id"] == class_id]
+    chosen = [box for box in of_class if box.visible_get(view_layer=layer)]
     _deselect_all(layer)
     for box in chosen:
         box.select_set(True, view_layer=layer)

@@ -77,7 +77,9 @@ def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: i
     return str(row.masks[chosen[0]].frame)
 
 
-def look_from_frame(root: bpy.types.Collection, frame: str, scene: bpy.types.Scene, view: Any = None) -> bpy.types.Object:
+def look_from_frame(
+    root: bpy.types.Collection, frame: str, scene: bpy.types.Scene, view: Any = None
+) -> bpy.types.Object:
     """Make a frame's camera the scene's, go to its place on the timeline, and let a 3D view (if any) look through it.
 
     Gives the camera. Raises JobError when it was deleted.

@@ -99,7 +99,8 @@ def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: ND
     layer.data.foreach_set("value", hidden)
     cloud.data.update_tag()
     if modifier is None:
-        cloud.modifiers.new(MODIFIER, "NODES").node_group = _node_group(root[LIFT], next(iter(cloud.data.materials), None))
+        material = next(iter(cloud.data.materials), None)
+        cloud.modifiers.new(MODIFIER, "NODES").node_group = _node_group(root[LIFT], material)
 
 
 def _ids(cloud: bpy.types.PointCloud, name: str) -> NDArray[np.int32]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import ModuleType
 
 import bpy
 import numpy as np
@@ -44,7 +45,7 @@ def test_they_tell_what_the_result_tells(root: bpy.types.Collection, lift: Path)
     assert root.plgs.instance_index == -1
 
 
-def test_they_stay_in_the_file_and_are_there_without_the_extension_when_placed(lift: Path, tmp_path: Path, plgs) -> None:
+def test_they_stay_in_the_file_even_if_a_script_placed_it(lift: Path, tmp_path: Path, plgs: ModuleType) -> None:
     assert not hasattr(bpy.types.Collection, "plgs")
     lift_scene.save_lift(lift, tmp_path / "lift.blend")
     assert not hasattr(bpy.types.Collection, "plgs"), "a script that places a lift switches nothing on"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mathutils import Matrix
+from mathutils import Matrix, Vector
 from plgs.plgs_blender.inspecting import glow
 from plgs.plgs_blender.inspecting.drawing import draw_glow, draw_plates, draw_rectangle
 from plgs.plgs_blender.inspecting.labels import stack_labels
@@ -82,7 +82,7 @@ def test_the_legend_has_the_classes_that_are_shown(root: bpy.types.Collection, s
 
 def test_points_behind_the_eye_are_nowhere(seen: Seen) -> None:
     camera = bpy.data.objects["Overview"]
-    assert seen.view.pixel_of(camera.matrix_world @ __import__("mathutils").Vector((0.0, 0.0, 3.0))) is None
+    assert seen.view.pixel_of(camera.matrix_world @ Vector((0.0, 0.0, 3.0))) is None
 
 
 def picture(draw: object) -> np.ndarray:
@@ -109,7 +109,8 @@ def picture(draw: object) -> np.ndarray:
 
 
 def in_pixels() -> None:
-    gpu.matrix.load_matrix(Matrix.Translation((-1.0, -1.0, 0.0)) @ Matrix.Diagonal((2.0 / WIDTH, 2.0 / HEIGHT, 1.0, 1.0)))
+    to_clip = Matrix.Diagonal((2.0 / WIDTH, 2.0 / HEIGHT, 1.0, 1.0))
+    gpu.matrix.load_matrix(Matrix.Translation((-1.0, -1.0, 0.0)) @ to_clip)
     gpu.matrix.load_projection_matrix(Matrix.Identity(4))
 
 
