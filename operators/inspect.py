@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
@@ -14,6 +17,9 @@ from .answers import CANCELLED, FINISHED, reporting
 
 class OnLift:
     """An operator on a lift of the scene. `lift` names it by its folder or its collection's name."""
+
+    if TYPE_CHECKING:
+        poll_message_set: Callable[[str], None]
 
     lift: StringProperty(  # type: ignore[valid-type]
         name="Lift", description="Folder or collection of the lift; empty: the active object's, else the scene's first"

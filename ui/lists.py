@@ -17,6 +17,10 @@ _SORTS = [
 class Searchable:
     """A list with a choice of orders. What is searched for stands in the lift's `<list>_search`."""
 
+    order: Any
+    bitflag_filter_item: int
+    """Blender's: what marks a row that is shown."""
+
     def draw_filter(self, _context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         row = layout.row(align=True)
         row.prop(self, "order", expand=True)

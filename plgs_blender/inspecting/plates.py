@@ -69,7 +69,9 @@ class Plate:
 def label_plates(rows: Any, boxes: Mapping[int, bpy.types.Object], active: int, view: View) -> list[Plate]:
     """A plate with its name above the box of each instance that is seen; the `active` one in its full colour."""
     size, padding = _TEXT * view.scale, _PADDING * view.scale
-    seen, anchors, widths = [], [], []
+    seen: list[Any] = []
+    anchors: list[tuple[float, float]] = []
+    widths: list[float] = []
     for row in rows:
         box = boxes.get(row.instance_id)
         at = None if box is None else view.pixel_of(_top(box))
