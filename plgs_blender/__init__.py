@@ -12,9 +12,10 @@ from types import ModuleType
 def _modules() -> tuple[ModuleType, ...]:
     """Those that Blender has to know, in order. Imported late: a script that only reads a result needs none of them."""
     from . import settings
+    from .inspecting import following, records
     from .running import watch
 
-    return settings, watch
+    return settings, records, following, watch
 
 
 def register() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
+import gpu
 import numpy as np
 from numpy.typing import NDArray
 
@@ -163,3 +164,11 @@ def find_layers_again(image: bpy.types.Image) -> None:
         image.source = "FILE"
         image.size[:]  # asking is what loads the file
         image.source = "SEQUENCE"
+
+
+def point_shader() -> Any:
+    """The shader that draws points ("pos") with a colour each ("color"). Before 4.5 the one for all shapes did it."""
+    try:
+        return gpu.shader.from_builtin("POINT_FLAT_COLOR")
+    except ValueError:
+        return gpu.shader.from_builtin("FLAT_COLOR")

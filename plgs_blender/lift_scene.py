@@ -19,6 +19,7 @@ from .boxes import place_boxes
 from .cameras import object_matrix
 from .clouds import place_anchors, place_semantic_points
 from .frames import mark_timeline, place_frames, set_lens
+from .inspecting.lists import fill_lists
 from .lift_collection import FOLDER, child_collection, is_same_place, lifts_in, overview_of, root_collection
 from .open_room import open_room
 from .overview import overview_camera
@@ -57,6 +58,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     if scene.camera is None:
         scene.camera = overview
     place_passes(holdings, result)
+    fill_lists(root, result)
     holdings.sweep()
     if bpy.data.filepath:
         relate_paths(root, Path(bpy.data.filepath).parent)

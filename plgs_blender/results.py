@@ -48,6 +48,25 @@ class Anchors:
 
 
 @dataclass(frozen=True)
+class Mask:
+    """A mask's segment that was matched to an instance, with the class and score it has itself. `share` of the
+    picture's pixels and `rectangle` (left, top, right, bottom, 0..1) tell where it lies, `pixels` how many it has
+    with depth. `cost` of the match by boxes, or `consent` of the views. Lifts of older versions have no more than
+    `cost`: then the rest is zero and None.
+    """
+
+    frame: str
+    segment_id: int
+    class_id: int
+    score: float
+    cost: float | None
+    consent: float | None
+    pixels: int
+    share: float
+    rectangle: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
 class Instance:
     """One object: its box (centre and size in metres, rotation w x y z), sRGB colour, and what speaks for
     it.
@@ -64,6 +83,7 @@ class Instance:
     views: int
     score: float
     points: int
+    masks: tuple[Mask, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +190,22 @@ def _instance(entry: dict[str, Any]) -> Instance:
         views=int(entry["views"]),
         score=float(entry["score"]),
         points=int(entry["points"]),
+        masks=tuple(_mask(each) for each in entry.get("segments", ())),
+    )
+
+
+def _mask(entry: dict[str, Any]) -> Mask:
+    cost, consent = (entry.get(name) for name in ("cost", "consent"))
+    return Mask(
+        frame=str(entry["frame"]),
+        segment_id=int(entry["segment_id"]),
+        class_id=int(entry["class_id"]),
+        score=float(entry["score"]),
+        cost=None if cost is None else float(cost),
+        consent=None if consent is None else float(consent),
+        pixels=int(entry.get("pixels", 0)),
+        share=float(entry.get("share", 0.0)),
+        rectangle=_floats(entry.get("rectangle", (0.0, 0.0, 0.0, 0.0)), 4),
     )
 
 

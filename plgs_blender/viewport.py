@@ -39,6 +39,28 @@ def show_object_colours(shading: Any) -> None:
     shading.show_cavity = shading.show_shadows = shading.show_object_outline = False
 
 
+def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
+    """Let a 3D view show the colours of classes and instances in Solid shading, and boxes in coloured lines."""
+    show_object_colours(view.shading)
+    view.shading.type = "SOLID"
+    view.shading.wireframe_color_type = "OBJECT"
+
+
+def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:
+    """The 3D view somebody works in, else the largest of the screen, and its width by its height; None when there is
+    none.
+    """
+    areas = [area for area in context.screen.areas if area.type == "VIEW_3D"] if context.screen is not None else []
+    if context.area is not None and context.area.type == "VIEW_3D":
+        areas = [context.area]
+    if not areas:
+        return None, 1.0
+    area = max(areas, key=lambda each: each.width * each.height)
+    region = next((region for region in area.regions if region.type == "WINDOW"), None)
+    aspect = region.width / region.height if region is not None and region.width and region.height else 1.0
+    return area.spaces.active, aspect
+
+
 def look_from(scene: bpy.types.Scene, camera: bpy.types.Object, target: Vector) -> None:
     """Let every 3D view of the file look at `target` from where the camera stands, in object colours."""
     rotation = camera.matrix_world.to_quaternion()
@@ -48,8 +70,7 @@ def look_from(scene: bpy.types.Scene, camera: bpy.types.Object, target: Vector) 
             for space in area.spaces:
                 if space.type != "VIEW_3D":
                     continue
-                show_object_colours(space.shading)
-                space.shading.wireframe_color_type = "OBJECT"
+                show_lift_colours(space)
                 space.overlay.show_relationship_lines = False
                 space.clip_start = 0.01
                 view = space.region_3d

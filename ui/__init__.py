@@ -6,9 +6,9 @@ Nothing here looks at the disk while it draws.
 from __future__ import annotations
 
 from ..plgs_blender.registration import register_modules, unregister_modules
-from . import lift_panel, passes_panel, preferences, scene_panel, sidebar
+from . import lift_panel, lists, overlay, passes_panel, preferences, result_panel, scene_panel, sidebar
 
-_MODULES = (preferences, sidebar, lift_panel, passes_panel, scene_panel)
+_MODULES = (preferences, sidebar, lists, lift_panel, passes_panel, scene_panel, result_panel, overlay)
 
 
 def register() -> None:

@@ -46,7 +46,7 @@ def write_tiny_lift(
     opened = open_scene(scene)
     lift.previews_path.mkdir(parents=True)
     _write_points(lift.result_path, opened, size)
-    _write_instances(lift.result_path / "instances.json", instances)
+    _write_instances(lift.result_path / "instances.json", instances, opened, size)
     if bake:
         lift.passes_path.mkdir()
         for frame in opened.test_frames:
@@ -110,7 +110,7 @@ def _write_points(result: Path, scene: Scene, size: tuple[int, int]) -> None:
     np.savez(result / "anchors.npz", **anchors, level=level, opacity=opacity)
 
 
-def _write_instances(path: Path, count: int) -> None:
+def _write_instances(path: Path, count: int, scene: Scene, size: tuple[int, int]) -> None:
     entries = []
     for number, name, class_id, (low, high) in _BOXES[:count]:
         category = next(each for each in CATEGORIES if each["id"] == class_id)
@@ -120,7 +120,7 @@ def _write_instances(path: Path, count: int) -> None:
                 "colour": [250, 180, 20] if number == 1 else [20, 190, 220],
                 "centre": ((low + high) / 2.0).tolist(), "size": (high - low).tolist(),
                 "yaw": 0.0, "rotation": [1.0, 0.0, 0.0, 0.0],
-                "views": 7, "score": 0.875, "points": 1234, "segments": [],
+                "views": 7, "score": 0.875, "points": 1234, "segments": _masks_of(number, class_id, scene, size),
             }
         )  # fmt: skip
     classes = [
@@ -128,6 +128,25 @@ def _write_instances(path: Path, count: int) -> None:
         for each in CATEGORIES
     ]
     path.write_text(json.dumps({"format": 1, "up": "z", "classes": classes, "instances": entries}))
+
+
+def _masks_of(number: int, class_id: int, scene: Scene, size: tuple[int, int]) -> list[dict[str, object]]:
+    """The exact masks of an instance in the frames that a lift learns from."""
+    masks: list[dict[str, object]] = []
+    width, height = size
+    for frame in scene.train_frames:
+        seen = trace_view(frame.camera.camera_to_world, tiny_intrinsics(size), size).instance == number
+        if seen.any():
+            rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+            masks.append(
+                {
+                    "frame": frame.name, "segment_id": 10 + number, "class_id": class_id, "score": 0.875,
+                    "cost": None, "consent": 0.75, "pixels": int(seen.sum()), "share": float(seen.mean()),
+                    "rectangle": [float(columns[0]) / width, float(rows[0]) / height,
+                                  float(columns[-1] + 1) / width, float(rows[-1] + 1) / height],
+                }
+            )  # fmt: skip
+    return masks
 
 
 def _float_hash(name: str) -> float:

@@ -1,0 +1,160 @@
+"""Putting it on the screen with Blender's GPU module. What is drawn, and where, is decided elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import blf
+import bpy
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+from mathutils import Matrix, Vector
+
+from ..compat import point_shader
+from .glow import Glow
+from .plates import Colour, Plate
+
+_DIMMING = (0.03, 0.033, 0.04, 0.55)
+_BEHIND = 0.22
+"""How much of a glowing point shows through what is before it."""
+_SMALLEST, _LARGEST = 2.5, 14.0
+"""Pixels of a glowing point."""
+_EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7)
+"""Of an object's `bound_box`."""
+
+
+def draw_glow(
+    view: bpy.types.RegionView3D,
+    size: tuple[int, int],
+    seen: Glow,
+    box: bpy.types.Object | None,
+    colour: Colour,
+    dim: bool,
+) -> None:
+    """Darken the view (of `size` in pixels) if `dim`, then draw the points, and the edges of the box, in a colour
+    (sRGB). Both lie a little nearer than they are: the view's own points and lines would else cover them.
+    """
+    light = _brightened(colour)
+    if dim:
+        _darken()
+    middle = Vector(seen.xyz.mean(axis=0).tolist()) if len(seen.xyz) else Vector()
+    if box is not None:
+        middle = box.matrix_world.translation
+    distance = max(-(view.view_matrix @ middle).z, 1e-3)
+    gpu.state.blend_set("ALPHA")
+    with gpu.matrix.push_pop():
+        gpu.matrix.load_matrix(_nearer(view, distance, 2.0 * seen.radius + 0.01) @ view.view_matrix)
+        if len(seen.xyz):
+            focal = view.window_matrix[0][0] * size[0] / 2.0
+            apart = distance if view.is_perspective else 1.0
+            _draw_points(seen.xyz, light, min(max(2.0 * seen.radius * focal / apart, _SMALLEST), _LARGEST))
+        if box is not None:
+            _draw_edges([box.matrix_world @ Vector(corner) for corner in box.bound_box], light)
+    gpu.state.depth_test_set("NONE")
+    gpu.state.blend_set("NONE")
+
+
+def draw_rectangle(corners: Sequence[tuple[float, float]], colour: Colour) -> None:
+    """The outline of four corners in pixels, white on dark with the colour inside."""
+    if len(corners) != 4:
+        return
+    gpu.state.blend_set("ALPHA")
+    for width, ink in ((5.0, (0.0, 0.0, 0.0, 0.5)), (2.5, (*_brightened(colour), 1.0))):
+        _draw_lines([Vector((x, y, 0.0)) for x, y in corners], (0, 1, 1, 2, 2, 3, 3, 0), ink, width)
+    gpu.state.blend_set("NONE")
+
+
+def draw_plates(plates: Sequence[Plate]) -> None:
+    """Plates first, then all texts on them."""
+    if not plates:
+        return
+    corners: list[tuple[float, float]] = []
+    colours: list[tuple[float, float, float, float]] = []
+    for plate in plates:
+        _add_rectangle(corners, colours, plate.x, plate.y, plate.width, plate.height, (*plate.ground, plate.opacity))
+        if plate.swatch is not None:
+            inset = 0.22 * plate.height
+            side = plate.height - 2.0 * inset
+            _add_rectangle(corners, colours, plate.x + 2 * inset, plate.y + inset, side, side, (*plate.swatch, 1.0))
+    shader = gpu.shader.from_builtin("FLAT_COLOR")
+    gpu.state.blend_set("ALPHA")
+    batch_for_shader(shader, "TRIS", {"pos": corners, "color": colours}).draw(shader)
+    for plate in plates:
+        _write(plate)
+    gpu.state.blend_set("NONE")
+
+
+def _write(plate: Plate) -> None:
+    blf.size(0, plate.size)
+    blf.color(0, *plate.ink, 1.0)
+    width = blf.dimensions(0, plate.text)[0]
+    indent = (plate.width - width) / 2.0 if plate.swatch is None else 1.15 * plate.height
+    blf.position(0, plate.x + indent, plate.y + (plate.height - 0.72 * plate.size) / 2.0, 0.0)
+    blf.draw(0, plate.text)
+
+
+def _add_rectangle(
+    corners: list[tuple[float, float]], colours: list[Any], x: float, y: float, width: float, height: float, colour: Any
+) -> None:
+    right, top = x + width, y + height
+    corners += [(x, y), (right, y), (right, top), (x, y), (right, top), (x, top)]
+    colours += [colour] * 6
+
+
+def _darken() -> None:
+    """One dark, half transparent rectangle over the whole region."""
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    gpu.state.blend_set("ALPHA")
+    gpu.state.depth_test_set("NONE")
+    with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+        gpu.matrix.load_matrix(Matrix.Identity(4))
+        gpu.matrix.load_projection_matrix(Matrix.Identity(4))
+        shader.bind()
+        shader.uniform_float("color", _DIMMING)
+        corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
+        batch_for_shader(shader, "TRIS", {"pos": corners}).draw(shader)
+
+
+def _nearer(view: bpy.types.RegionView3D, distance: float, by: float) -> Matrix:
+    """A change of view space that brings what lies at `distance` metres nearer `by` metres, without moving it on the
+    screen.
+    """
+    if view.is_perspective:
+        return Matrix.Diagonal([max(1.0 - by / distance, 0.5)] * 3).to_4x4()
+    return Matrix.Translation((0.0, 0.0, by))
+
+
+def _draw_points(xyz: np.ndarray, colour: Colour, pixels: float) -> None:
+    """All points faintly, whatever is before them, then those that nothing covers."""
+    shader = point_shader()
+    gpu.state.point_size_set(pixels)
+    for test, opacity in (("NONE", _BEHIND), ("LESS_EQUAL", 1.0)):
+        gpu.state.depth_test_set(test)
+        colours = np.tile(np.array([*colour, opacity], np.float32), (len(xyz), 1))
+        batch_for_shader(shader, "POINTS", {"pos": xyz, "color": colours}).draw(shader)
+
+
+def _draw_edges(corners: Sequence[Vector], colour: Colour) -> None:
+    for test, opacity in (("NONE", 0.35), ("LESS_EQUAL", 1.0)):
+        gpu.state.depth_test_set(test)
+        _draw_lines(corners, _EDGES, (*colour, opacity), 2.5)
+
+
+def _draw_lines(
+    corners: Sequence[Vector], edges: Sequence[int], colour: tuple[float, float, float, float], width: float
+) -> None:
+    shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
+    shader.bind()
+    shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
+    shader.uniform_float("lineWidth", width)
+    shader.uniform_float("color", colour)
+    batch_for_shader(shader, "LINES", {"pos": [tuple(corners[edge]) for edge in edges]}).draw(shader)
+
+
+def _brightened(colour: Colour) -> Colour:
+    """A colour that glows: half way to the brightest of its hue."""
+    strongest = max(*colour, 1e-3)
+    red, green, blue = (0.25 + 0.75 * channel / strongest for channel in colour)
+    return red, green, blue

@@ -1,0 +1,79 @@
+"""Finding a lift and what belongs to it, by our custom properties."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ...engine.job import JobError
+from ..lift_collection import FOLDER, is_same_place, lifts_in
+from ..owned import LIFT, key_of
+from ..paths import absolute
+
+
+def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object | None = None) -> bpy.types.Collection:
+    """The collection of the lift that `lift` names, by its folder or its collection's name; of the `active`
+    object's lift, or else the scene's first, when it is empty. Raises JobError when there is none.
+    """
+    roots = lifts_in(scene)
+    if lift:
+        named = [root for root in roots if lift == root.name or is_same_place(root[FOLDER], absolute(lift))]
+        if not named:
+            raise JobError("is not in this scene", lift, "Name a lift's folder or its collection.")
+        return named[0]
+    found = active_lift(scene, active)
+    if found is None:
+        raise JobError("has no lift in it", scene.name, "Lift a scene, or load the result of a lift first.")
+    return found
+
+
+def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Collection | None:
+    """The lift that an object belongs to, else the first of the scene, None when it has none."""
+    roots = lifts_in(scene)
+    own = None if active is None else active.get(LIFT)
+    return next((root for root in roots if root[LIFT] == own), roots[0] if roots else None)
+
+
+def objects_by_key(root: bpy.types.Collection) -> dict[str, bpy.types.Object]:
+    """The lift's objects by what they are there: "instance:3", "class:1", "frame:0012", "anchors"."""
+    keyed = ((key_of(ob, root[LIFT]), ob) for ob in root.all_objects)
+    return {key: ob for key, ob in keyed if key is not None}
+
+
+def boxes_of(root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
+    """The boxes by the id of their instance; those that the user deleted are missing."""
+    return {int(ob["instance_id"]): ob for ob in root.all_objects if is_box(ob) and ob.get(LIFT) == root[LIFT]}
+
+
+def is_box(ob: bpy.types.Object | None) -> bool:
+    """Whether an object is the box of some lift's instance."""
+    return ob is not None and LIFT in ob and "instance_id" in ob and ob.type == "MESH"
+
+
+def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
+    """The semantic points, one object a class, and the anchors."""
+    return [ob for ob in root.all_objects if ob.get(LIFT) == root[LIFT] and ob.type == "POINTCLOUD"]
+
+
+def row_of(root: bpy.types.Collection, instance: int) -> Any:
+    """The row of an instance; of the one that is active in the list when `instance` is 0. Raises JobError."""
+    lists = root.plgs
+    if instance == 0:
+        if 0 <= lists.instance_index < len(lists.instances):
+            return lists.instances[lists.instance_index]
+        raise JobError("has no instance selected", root.name, "Click a box, or a row of the list.")
+    row = next((row for row in lists.instances if row.instance_id == instance), None)
+    if row is None:
+        ids = ", ".join(str(row.instance_id) for row in lists.instances) or "none"
+        raise JobError(f"has no instance {instance}", root.name, f"Its instances are {ids}.")
+    return row
+
+
+def class_row_of(root: bpy.types.Collection, class_id: int) -> Any:
+    """The row of a class. Raises JobError."""
+    row = next((row for row in root.plgs.classes if row.class_id == class_id), None)
+    if row is None:
+        ids = ", ".join(str(row.class_id) for row in root.plgs.classes) or "none"
+        raise JobError(f"has no points of class {class_id}", root.name, f"Its classes are {ids}.")
+    return row

@@ -1,0 +1,83 @@
+"""One selection everywhere: the box that is active in the view and the row that is active in the list.
+
+The truth is Blender's own selection of boxes. `follow_active` brings the list after it, `select_row` brings it after
+the list; each does nothing when both agree, so they cannot chase each other. What glows in the view is read from the
+selection while drawing.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from ..lift_collection import lifts_in
+from ..owned import LIFT
+from .lookup import boxes_of, is_box, row_of
+
+
+def selected_instance(root: bpy.types.Collection, active: bpy.types.Object | None) -> int:
+    """The instance whose box is the active object and selected, 0 when none of this lift is."""
+    if active is None or not is_box(active) or active[LIFT] != root[LIFT] or not active.select_get():
+        return 0
+    return int(active["instance_id"])
+
+
+def select_instance(root: bpy.types.Collection, instance: int, layer: bpy.types.ViewLayer) -> None:
+    """Make an instance (0: the list's active one) the active row, and its box the only selected object.
+
+    Raises JobError when the lift has no such instance. A hidden or deleted box stays as it is.
+    """
+    row = row_of(root, instance)
+    for index, each in enumerate(root.plgs.instances):
+        if each.instance_id == row.instance_id and root.plgs.instance_index != index:
+            root.plgs.instance_index = index
+            break
+    _select_box(root, row.instance_id, layer)
+
+
+def select_class(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> int:
+    """Select the boxes of a class and nothing else; gives how many there are to select."""
+    of_class = [box for box in boxes_of(root).values() if box["class_id"] == class_id]
+    chosen = [box for box in of_class if box.visible_get(view_layer=layer)]
+    _deselect_all(layer)
+    for box in chosen:
+        box.select_set(True, view_layer=layer)
+    if chosen:
+        layer.objects.active = chosen[0]
+    return len(chosen)
+
+
+def select_row(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> None:
+    """Select the box of the list's active row, unless it is selected."""
+    lists = root.plgs
+    if not 0 <= lists.instance_index < len(lists.instances):
+        return
+    number = lists.instances[lists.instance_index].instance_id
+    if selected_instance(root, layer.objects.active) != number:
+        _select_box(root, number, layer)
+
+
+def follow_active(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
+    """Make the row of the active object active in its lift's list, where that is the box of an instance."""
+    active = layer.objects.active
+    if active is None or not is_box(active):
+        return
+    for root in lifts_in(scene):
+        number = selected_instance(root, active)
+        for index, row in enumerate(root.plgs.instances if number else ()):
+            if row.instance_id == number and root.plgs.instance_index != index:
+                root.plgs.instance_index = index
+
+
+def _select_box(root: bpy.types.Collection, number: int, layer: bpy.types.ViewLayer) -> None:
+    box = boxes_of(root).get(number)
+    if box is None or layer.objects.get(box.name) != box or not box.visible_get(view_layer=layer):
+        return
+    _deselect_all(layer)
+    box.select_set(True, view_layer=layer)
+    layer.objects.active = box
+
+
+def _deselect_all(layer: bpy.types.ViewLayer) -> None:
+    for ob in layer.objects:
+        if ob is not None and ob.select_get(view_layer=layer):  # removed objects leave holes until the next update
+            ob.select_set(False, view_layer=layer)

@@ -1,0 +1,123 @@
+"""Inspecting a lift from a script, with the same arguments as from the buttons."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import pytest
+from plgs.plgs_blender import splats
+from plgs.plgs_blender.inspecting.lookup import boxes_of
+from plgs.plgs_blender.lift_scene import place_lift
+from tiny_lift import CABINET_NAME, CHAIR_NAME
+from tiny_scene import CHAIR_ID
+
+NAMES = (
+    "select_instance", "select_class", "toggle_instance_visibility", "toggle_class_visibility", "isolate_instance",
+    "show_all", "colour_boxes", "frame_instance", "go_to_best_view", "go_to_mask", "toggle_overlay",
+)  # fmt: skip
+
+
+@pytest.fixture
+def root(lift: Path) -> bpy.types.Collection:
+    placed = place_lift(lift, bpy.context.scene)
+    bpy.context.view_layer.update()
+    return placed
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_a_lift_each_says_why_it_is_grey(name: str) -> None:
+    with pytest.raises(RuntimeError, match="no result of a lift yet"):
+        getattr(bpy.ops.plgs, name)()
+
+
+@pytest.mark.parametrize("argument", ["", "PLGS tiny room", "folder"])
+def test_the_lift_may_be_named(root: bpy.types.Collection, lift: Path, argument: str) -> None:
+    named = str(lift) if argument == "folder" else argument
+    assert bpy.ops.plgs.select_instance(instance=2, lift=named) == {"FINISHED"}
+    assert bpy.context.active_object.name == CABINET_NAME
+    with pytest.raises(RuntimeError, match="is not in this scene"):
+        bpy.ops.plgs.select_instance(instance=2, lift="another")
+
+
+def test_zero_is_the_one_selected_in_the_list(root: bpy.types.Collection) -> None:
+    with pytest.raises(RuntimeError, match="no instance selected"):
+        bpy.ops.plgs.isolate_instance()
+    bpy.ops.plgs.select_instance(instance=1)
+    bpy.ops.plgs.isolate_instance()
+    assert root.plgs.isolated == 1
+    bpy.ops.plgs.isolate_instance()
+    assert root.plgs.isolated == 0
+    with pytest.raises(RuntimeError, match="no instance 9"):
+        bpy.ops.plgs.isolate_instance(instance=9)
+
+
+def test_eyes(root: bpy.types.Collection) -> None:
+    bpy.ops.plgs.toggle_instance_visibility(instance=1)
+    bpy.ops.plgs.toggle_class_visibility(class_id=CHAIR_ID)
+    assert bpy.data.objects[CHAIR_NAME].hide_get() and bpy.data.objects["chair"].hide_get()
+    assert bpy.ops.plgs.select_instance(instance=1) == {"FINISHED"}, "the row is selected all the same"
+    bpy.ops.plgs.show_all()
+    assert not bpy.data.objects[CHAIR_NAME].hide_get() and not bpy.data.objects["chair"].hide_get()
+    assert bpy.ops.plgs.select_class(class_id=CHAIR_ID) == {"FINISHED"}
+    with pytest.raises(RuntimeError, match="no points of class 77"):
+        bpy.ops.plgs.toggle_class_visibility(class_id=77)
+
+
+def test_boxes_by_class_and_back(root: bpy.types.Collection) -> None:
+    chair, cloud = bpy.data.objects[CHAIR_NAME], bpy.data.objects["chair"]
+    own = tuple(chair.color)
+    bpy.ops.plgs.colour_boxes(by="CLASS")
+    assert tuple(chair.color) == pytest.approx(tuple(cloud.color)) != pytest.approx(own)
+    bpy.ops.plgs.colour_boxes()
+    assert tuple(chair.color) == pytest.approx(own)
+    root.plgs.instances[0].colour = (1.0, 0.0, 0.0)
+    assert tuple(chair.color) == pytest.approx((1.0, 0.0, 0.0, 1.0)), "a colour chosen in the list is the box's"
+
+
+def test_views_and_masks(root: bpy.types.Collection) -> None:
+    row = root.plgs.instances[0]
+    bpy.ops.plgs.go_to_best_view(instance=1)
+    best = row.masks[row.best_mask].frame
+    assert bpy.context.scene.camera["frame"] == best
+    other = next(mask for mask in row.masks if mask.frame != best)
+    bpy.ops.plgs.go_to_mask(instance=1, frame=other.frame, segment=other.segment)
+    assert bpy.context.scene.camera["frame"] == other.frame
+    with pytest.raises(RuntimeError, match="no mask in frame"):
+        bpy.ops.plgs.go_to_mask(instance=1, frame="nowhere")
+
+
+def test_overlays(root: bpy.types.Collection) -> None:
+    box = boxes_of(root)[1]
+    assert box.show_name, "Blender writes the names while we do not"
+    bpy.ops.plgs.toggle_overlay(part="LABELS")
+    assert root.plgs.show_labels and not box.show_name
+    bpy.ops.plgs.toggle_overlay(part="LEGEND")
+    bpy.ops.plgs.toggle_overlay(part="SELECTED")
+    assert root.plgs.show_legend and not root.plgs.show_selected
+    bpy.ops.plgs.toggle_overlay(part="LABELS")
+    assert box.show_name
+
+
+@pytest.mark.skipif(splats.has_native_splats(), reason="this Blender has splats")
+def test_gaussians_say_what_they_need() -> None:
+    with pytest.raises(RuntimeError, match="5.3 or newer has native splats"):
+        bpy.ops.plgs.place_gaussians()
+
+
+def test_gaussians_that_are_no_splats_leave_nothing(
+    root: bpy.types.Collection, lift: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As a Blender that claims splats but reads the file as a mesh would."""
+    monkeypatch.setattr(splats, "has_native_splats", lambda: True)
+    with pytest.raises(RuntimeError, match="gaussians.ply"):
+        bpy.ops.plgs.place_gaussians()
+    result = tmp_path / "lift" / "result"
+    result.mkdir(parents=True)
+    head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    (result / "gaussians.ply").write_text(head + "0 0 0\n")
+    root["plgs_lift_folder"] = str(tmp_path / "lift")
+    before = (len(bpy.data.objects), len(bpy.data.meshes))
+    with pytest.raises(RuntimeError, match="as a mesh, not as splats"):
+        bpy.ops.plgs.place_gaussians()
+    assert (len(bpy.data.objects), len(bpy.data.meshes)) == before

@@ -1,0 +1,26 @@
+"""A placed lift, with the extension switched on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+import pytest
+from plgs.plgs_blender import lift_scene
+
+
+@pytest.fixture
+def extension(plgs: ModuleType) -> Iterator[None]:
+    plgs.register()
+    yield
+    plgs.unregister()
+
+
+@pytest.fixture
+def root(extension: None, empty_file: None, lift: Path) -> bpy.types.Collection:
+    """The collection of the tiny lift in the open scene."""
+    placed = lift_scene.place_lift(lift, bpy.context.scene)
+    bpy.context.view_layer.update()
+    return placed

@@ -1,0 +1,109 @@
+"""The lists that a lift's collection carries."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+import numpy as np
+import pytest
+from plgs.engine.job import write_manifest
+from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.inspecting.lists import best_view
+from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.results import Mask
+from tiny_lift import CABINET_NAME, CHAIR_NAME
+from tiny_scene import CHAIR_ID
+
+
+def summary(root: bpy.types.Collection) -> list[tuple]:
+    lists = root.plgs
+    rows = [(row.instance_id, row.name, row.class_name, row.points, len(row.masks)) for row in lists.instances]
+    return [*rows, *((row.class_id, row.name, row.points, row.is_thing) for row in lists.classes)]
+
+
+def test_they_tell_what_the_result_tells(root: bpy.types.Collection, lift: Path) -> None:
+    told = json.loads((lift / "result" / "instances.json").read_text())["instances"]
+    for row, entry in zip(root.plgs.instances, told, strict=True):
+        assert (row.instance_id, row.name, row.class_id) == (entry["id"], entry["name"], entry["class_id"])
+        assert (row.points, row.views, row.score) == (entry["points"], entry["views"], pytest.approx(entry["score"]))
+        assert [round(255 * channel) for channel in row.colour] == entry["colour"]
+        assert [mask.frame for mask in row.masks] == [each["frame"] for each in entry["segments"]]
+        assert [mask.segment for mask in row.masks] == [each["segment_id"] for each in entry["segments"]]
+        first, stored = row.masks[0], entry["segments"][0]
+        assert (first.class_name, first.pixels, first.reason) == (entry["class_name"], stored["pixels"], "75 % consent")
+        assert list(first.rectangle) == pytest.approx(stored["rectangle"])
+    points = np.load(lift / "result" / "semantic_points.npz")["class_id"]
+    assert {row.class_id: row.points for row in root.plgs.classes} == {
+        int(each): int((points == each).sum()) for each in np.unique(points)
+    }
+    assert {row.name for row in root.plgs.classes if row.is_thing} == {"chair", "cabinet"}
+    assert all(row.visible for row in (*root.plgs.instances, *root.plgs.classes))
+    assert root.plgs.instance_index == -1
+
+
+def test_they_stay_in_the_file_even_if_a_script_placed_it(lift: Path, tmp_path: Path, plgs: ModuleType) -> None:
+    assert not hasattr(bpy.types.Collection, "plgs")
+    lift_scene.save_lift(lift, tmp_path / "lift.blend")
+    assert not hasattr(bpy.types.Collection, "plgs"), "a script that places a lift switches nothing on"
+    plgs.register()
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
+        (root,) = lifts_in(bpy.context.scene)
+        assert [row.name for row in root.plgs.instances] == [CHAIR_NAME, CABINET_NAME]
+        assert all(len(row.masks) for row in root.plgs.instances)
+    finally:
+        plgs.unregister()
+
+
+def test_they_are_filled_anew_by_another_lift(root: bpy.types.Collection, lift: Path) -> None:
+    before = summary(root)
+    root.plgs.instance_index, root.plgs.show_legend = 1, True
+    assert lift_scene.place_lift(lift, bpy.context.scene) == root
+    assert summary(root) == before
+    assert root.plgs.instance_index == -1 and root.plgs.show_legend, "what is shown is the user's choice"
+
+
+def test_undo_brings_them_back(root: bpy.types.Collection) -> None:
+    before = summary(root)
+    bpy.ops.ed.undo_push(message="placed")
+    root.plgs.instances.clear()
+    root.plgs.classes[0].visible = False
+    bpy.ops.ed.undo_push(message="cleared")
+    bpy.ops.ed.undo()
+    (again,) = lifts_in(bpy.context.scene)
+    assert summary(again) == before and again.plgs.classes[0].visible
+
+
+@pytest.mark.parametrize("has_masks", [True, False])
+def test_lifts_of_older_versions_know_less(extension: None, lift: Path, tmp_path: Path, has_masks: bool) -> None:
+    shutil.copytree(lift, tmp_path / "old")
+    path = tmp_path / "old" / "result" / "instances.json"
+    content = json.loads(path.read_text())
+    for entry in content["instances"]:
+        for mask in entry["segments"]:
+            for name in ("consent", "pixels", "share", "rectangle"):
+                del mask[name]
+        if not has_masks:
+            del entry["segments"]
+    path.write_text(json.dumps(content))
+    (tmp_path / "old" / "result" / "manifest.json").unlink()
+    write_manifest(tmp_path / "old" / "result", versions={}, seed=0, settings={}, timings={})
+    root = lift_scene.place_lift(tmp_path / "old", bpy.context.scene)
+    row = root.plgs.instances[0]
+    assert bool(len(row.masks)) == has_masks and row.best_mask == -1
+    assert {(mask.class_id, mask.pixels, mask.reason) for mask in row.masks} <= {(CHAIR_ID, 0, "")}
+
+
+def mask(share: float, *rectangle: float) -> Mask:
+    return Mask("0001", 1, CHAIR_ID, 0.9, None, 0.5, 100, share, rectangle)  # type: ignore[arg-type]
+
+
+def test_the_best_view_sees_much_and_all_of_it() -> None:
+    small, large, cut = mask(0.05, 0.4, 0.4, 0.6, 0.6), mask(0.2, 0.2, 0.2, 0.8, 0.8), mask(0.3, 0.0, 0.2, 0.7, 0.9)
+    assert best_view([small, large, cut]) == 1
+    assert best_view([small, cut]) == 1, "half of what is cut off is still more"
+    assert best_view([]) == best_view([mask(0.0, 0.0, 0.0, 0.0, 0.0)]) == -1

@@ -1,0 +1,149 @@
+"""Labels, the legend and what glows: where they stand, and that they are seen."""
+
+from __future__ import annotations
+
+import os
+
+import bpy
+import gpu
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mathutils import Matrix, Vector
+from plgs.plgs_blender.inspecting import glow
+from plgs.plgs_blender.inspecting.drawing import draw_glow, draw_plates, draw_rectangle
+from plgs.plgs_blender.inspecting.labels import stack_labels
+from plgs.plgs_blender.inspecting.lookup import boxes_of
+from plgs.plgs_blender.inspecting.plates import View, label_plates, legend_plates
+
+WIDTH, HEIGHT = 480, 300
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 500), st.floats(10, 200)), max_size=25))
+def test_labels_cover_no_other(labels: list[tuple[float, float, float]]) -> None:
+    anchors, widths = [(x, y) for x, y, _ in labels], [width for _, _, width in labels]
+    placed = stack_labels(anchors, widths, 18.0, (640.0, 480.0))
+    inside = {i for i, (x, y) in enumerate(anchors) if 0 <= x <= 640 and 0 <= y <= 480}
+    assert {label.index for label in placed} == inside
+    for one in placed:
+        assert 0.0 <= one.x and one.y >= anchors[one.index][1]
+        for other in placed:
+            apart = one.x >= other.x + other.width or other.x >= one.x + one.width or abs(one.y - other.y) >= 18.0
+            assert one is other or apart
+
+
+class Seen:
+    """A view from a camera, as a RegionView3D has it."""
+
+    is_perspective = True
+
+    def __init__(self, camera: bpy.types.Object) -> None:
+        graph = bpy.context.evaluated_depsgraph_get()
+        self.view_matrix = camera.matrix_world.inverted()
+        self.window_matrix = camera.calc_matrix_camera(graph, x=WIDTH, y=HEIGHT)
+
+    @property
+    def view(self) -> View:
+        return View(WIDTH, HEIGHT, 0, self.window_matrix @ self.view_matrix, 1.0)
+
+
+@pytest.fixture
+def seen(root: bpy.types.Collection) -> Seen:
+    return Seen(bpy.data.objects["Overview"])
+
+
+def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> None:
+    plates = label_plates(root.plgs.instances, boxes_of(root), 1, seen.view)
+    assert {plate.text for plate in plates} == {"chair 1", "cabinet 1"}
+    for plate in plates:
+        box = bpy.data.objects[plate.text]
+        at = seen.view.pixel_of(box.matrix_world.translation)
+        assert at is not None and plate.x < at[0] < plate.x + plate.width and plate.y > at[1]
+    chair, cabinet = sorted(plates, key=lambda plate: plate.text, reverse=True)
+    assert max(chair.ground) > max(cabinet.ground), "the selected one in its full colour"
+    bpy.data.objects.remove(bpy.data.objects["chair 1"])
+    assert [plate.text for plate in label_plates(root.plgs.instances, boxes_of(root), 1, seen.view)] == ["cabinet 1"]
+
+
+def test_the_legend_has_the_classes_that_are_shown(root: bpy.types.Collection, seen: Seen) -> None:
+    rows = root.plgs.classes
+    plates = legend_plates(rows, seen.view)
+    assert {plate.text for plate in plates} == {row.name for row in rows}
+    order = [plate.text for plate in sorted(plates, key=lambda plate: -plate.y)]
+    points = {row.name: row.points for row in rows}
+    assert [points[name] for name in order] == sorted(points.values(), reverse=True)
+    rows[0].visible = False
+    assert len(legend_plates(rows, seen.view)) == len(rows) - 1
+    low = View(WIDTH, 70, 0, Matrix.Identity(4), 1.0)
+    assert len(legend_plates(rows, low)) == 2 and legend_plates(rows, low)[-1].text.startswith("and ")
+
+
+def test_points_behind_the_eye_are_nowhere(seen: Seen) -> None:
+    camera = bpy.data.objects["Overview"]
+    assert seen.view.pixel_of(camera.matrix_world @ Vector((0.0, 0.0, 3.0))) is None
+
+
+def picture(draw: object) -> np.ndarray:
+    """What a function draws over grey, uint8 [H, W, 4], row 0 at the top."""
+    if hasattr(gpu, "init"):
+        gpu.init()
+    else:  # before 5.2 a render makes the context
+        scene = bpy.data.scenes.new("gpu")
+        scene.render.engine = "BLENDER_WORKBENCH"
+        scene.render.resolution_x = scene.render.resolution_y = 4
+        scene.camera = bpy.data.objects["Overview"]
+        bpy.ops.render.render(scene=scene.name)
+        bpy.data.scenes.remove(scene)
+    screen = gpu.types.GPUOffScreen(WIDTH, HEIGHT)
+    with screen.bind():
+        buffer = gpu.state.active_framebuffer_get()
+        buffer.clear(color=(0.5, 0.5, 0.5, 1.0), depth=1.0)
+        draw()  # type: ignore[operator]
+        pixels = buffer.read_color(0, 0, WIDTH, HEIGHT, 4, 0, "UBYTE")
+        pixels.dimensions = WIDTH * HEIGHT * 4
+        result = np.array(pixels, np.uint8).reshape(HEIGHT, WIDTH, 4)[::-1]
+    screen.free()
+    return result
+
+
+def in_pixels() -> None:
+    to_clip = Matrix.Diagonal((2.0 / WIDTH, 2.0 / HEIGHT, 1.0, 1.0))
+    gpu.matrix.load_matrix(Matrix.Translation((-1.0, -1.0, 0.0)) @ to_clip)
+    gpu.matrix.load_projection_matrix(Matrix.Identity(4))
+
+
+@pytest.mark.skipif(bool(os.environ.get("PLGS_NO_EGL")), reason="this machine has no EGL")
+def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
+    box, colour = boxes_of(root)[1], (0.9, 0.2, 0.1)
+    points = glow.glow_of(root, 1, lambda cloud: True)
+
+    def draw() -> None:
+        gpu.matrix.load_projection_matrix(seen.window_matrix)
+        draw_glow(seen, (WIDTH, HEIGHT), points, box, colour, dim=True)  # type: ignore[arg-type]
+        in_pixels()
+        draw_plates(label_plates(root.plgs.instances, boxes_of(root), 1, seen.view))
+        draw_plates(legend_plates(root.plgs.classes, seen.view))
+        draw_rectangle([(300, 20), (400, 20), (400, 90), (300, 90)], (0.2, 0.9, 0.3))
+
+    drawn = picture(draw)[..., :3].astype(int)
+    if "PLGS_PICTURES" in os.environ:
+        save(drawn, os.path.join(os.environ["PLGS_PICTURES"], f"overlay_{bpy.app.version[0]}.png"))
+    assert (drawn[2, 2] < 90).all(), "the rest is darker than the ground of 128"
+    at = seen.view.pixel_of(box.matrix_world.translation)
+    assert at is not None
+    around = drawn[HEIGHT - int(at[1]) - 12 : HEIGHT - int(at[1]) + 12, int(at[0]) - 12 : int(at[0]) + 12]
+    assert ((around[..., 0] > 200) & (around[..., 1] < 160)).mean() > 0.5, "the chair's points glow"
+    green = (drawn[..., 1] > 200) & (drawn[..., 0] < 160) & (drawn[..., 2] < 180)
+    assert green[205:285, 295:405].sum() > 400, "the rectangle of the mask"
+    assert (drawn.min(axis=-1) > 230)[: HEIGHT].sum() > 100, "white letters"
+
+
+def save(pixels: np.ndarray, path: str) -> None:
+    image = bpy.data.images.new("picture", WIDTH, HEIGHT)
+    rgba = np.ones((HEIGHT, WIDTH, 4), np.float32)
+    rgba[..., :3] = pixels[::-1] / 255.0
+    image.pixels.foreach_set(rgba.ravel())
+    image.filepath_raw, image.file_format = path, "PNG"
+    image.save()

@@ -1,0 +1,104 @@
+"""A box, its row and its points are selected together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from plgs.engine.job import JobError
+from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.inspecting import following, glow, selection
+from plgs.plgs_blender.inspecting.lookup import active_lift, boxes_of, find_lift
+from plgs.plgs_blender.lift_collection import lifts_in
+from tiny_lift import write_tiny_lift
+
+
+def pick(ob: bpy.types.Object) -> None:
+    """What a click in the view does: this object alone is selected and active."""
+    for other in bpy.context.view_layer.objects:
+        other.select_set(other == ob)
+    bpy.context.view_layer.objects.active = ob
+
+
+def selected() -> list[str]:
+    return [ob.name for ob in bpy.context.view_layer.objects if ob.select_get()]
+
+
+def test_a_picked_box_is_found_in_the_list(root: bpy.types.Collection) -> None:
+    boxes = boxes_of(root)
+    for number in (2, 1):
+        pick(boxes[number])
+        following.follow()
+        assert root.plgs.instances[root.plgs.instance_index].instance_id == number
+        assert selected() == [boxes[number].name], "following changes no selection"
+    pick(bpy.data.objects["Overview"])
+    following.follow()
+    assert root.plgs.instances[root.plgs.instance_index].instance_id == 1, "other objects leave the list as it is"
+
+
+def test_a_row_selects_its_box_and_nothing_else(root: bpy.types.Collection) -> None:
+    pick(bpy.data.objects["Overview"])
+    root.plgs.instance_index = 1
+    box = boxes_of(root)[root.plgs.instances[1].instance_id]
+    assert selected() == [box.name] and bpy.context.view_layer.objects.active == box
+    selection.select_instance(root, 1, bpy.context.view_layer)
+    assert selected() == [boxes_of(root)[1].name] and root.plgs.instance_index == 0
+
+
+def test_what_is_hidden_or_gone_is_only_a_row(root: bpy.types.Collection) -> None:
+    boxes = boxes_of(root)
+    pick(bpy.data.objects["Overview"])
+    boxes[1].hide_set(True)
+    root.plgs.instance_index = 0
+    bpy.data.objects.remove(boxes[2])
+    root.plgs.instance_index = 1
+    assert selected() == ["Overview"]
+    following.follow()
+    with pytest.raises(JobError, match="no instance 7"):
+        selection.select_instance(root, 7, bpy.context.view_layer)
+
+
+def test_found_whatever_it_is_called_and_after_undo(root: bpy.types.Collection) -> None:
+    bpy.ops.ed.undo_push(message="placed")
+    pick(boxes_of(root)[2])
+    bpy.ops.ed.undo_push(message="picked")
+    boxes_of(root)[2].name = "my cupboard"
+    bpy.ops.ed.undo_push(message="renamed")
+    bpy.ops.ed.undo()
+    (again,) = lifts_in(bpy.context.scene)
+    following.follow()
+    assert again.plgs.instances[again.plgs.instance_index].instance_id == 2
+    assert selection.selected_instance(again, bpy.context.view_layer.objects.active) == 2
+
+
+def test_two_lifts_keep_to_themselves(root: bpy.types.Collection, tmp_path: Path) -> None:
+    other = lift_scene.place_lift(write_tiny_lift(tmp_path / "lift", frames=4, bake=False).path, bpy.context.scene)
+    scene = bpy.context.scene
+    pick(boxes_of(other)[2])
+    following.follow()
+    assert (root.plgs.instance_index, other.plgs.instance_index) == (-1, 1)
+    assert find_lift(scene, active=boxes_of(other)[1]) == other and find_lift(scene) == root
+    assert find_lift(scene, other.name) == other and find_lift(scene, str(tmp_path / "lift")) == other
+    assert active_lift(scene, None) == root
+    with pytest.raises(JobError, match="not in this scene"):
+        find_lift(scene, str(tmp_path))
+
+
+def test_the_points_of_the_selected_instance_glow(root: bpy.types.Collection, lift: Path) -> None:
+    stored = np.load(lift / "result" / "semantic_points.npz")
+    anchors = np.load(lift / "result" / "anchors.npz")
+    mine = glow.glow_of(root, 1, lambda cloud: cloud.name != "Anchors")
+    assert len(mine.xyz) == (stored["instance_id"] == 1).sum() and mine.radius > 0.0
+    assert np.allclose(np.sort(mine.xyz, axis=0), np.sort(stored["xyz"][stored["instance_id"] == 1], axis=0))
+    assert glow.glow_of(root, 1, lambda cloud: cloud.name != "Anchors") is mine, "read once"
+    both = glow.glow_of(root, 1, lambda cloud: True)
+    assert len(both.xyz) == len(mine.xyz) + (anchors["instance_id"] == 1).sum()
+    assert len(glow.glow_of(root, 99, lambda cloud: True).xyz) == 0
+
+
+def test_a_class_selects_its_boxes(root: bpy.types.Collection) -> None:
+    box = boxes_of(root)[1]
+    assert selection.select_class(root, box["class_id"], bpy.context.view_layer) == 1
+    assert selected() == [box.name]

@@ -1,0 +1,94 @@
+"""What is drawn over the 3D views: the selected instance's points, the rectangle of a mask, labels and a legend.
+
+Each view is drawn many times a second, so everything is read from Blender's data: nothing from disk, nothing written.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..plgs_blender.inspecting import glow
+from ..plgs_blender.inspecting.drawing import draw_glow, draw_plates, draw_rectangle
+from ..plgs_blender.inspecting.lookup import boxes_of, objects_by_key
+from ..plgs_blender.inspecting.plates import View, label_plates, legend_plates
+from ..plgs_blender.inspecting.selection import selected_instance
+from ..plgs_blender.lift_collection import lifts_in
+
+_handles: list[Any] = []
+
+
+def _lifts(context: bpy.types.Context) -> list[bpy.types.Collection]:
+    """The lifts to draw for; none while the view's overlays are off."""
+    view = context.space_data
+    if view is None or view.type != "VIEW_3D" or not view.overlay.show_overlays:
+        return []
+    return lifts_in(context.scene)
+
+
+def _draw_in_space() -> None:
+    """POST_VIEW: in the scene's space, behind what is nearer."""
+    context = bpy.context
+    for root in _lifts(context):
+        lists = root.plgs
+        number = selected_instance(root, context.view_layer.objects.active)
+        row = next((row for row in lists.instances if row.instance_id == number), None)
+        if row is None or not lists.show_selected:
+            continue
+        seen = glow.glow_of(root, number, lambda cloud: cloud.visible_in_viewport_get(context.space_data))
+        box = boxes_of(root).get(number)
+        draw_glow(context.region_data, _size(context), seen, box, tuple(row.colour), lists.dim_others)
+
+
+def _draw_on_top() -> None:
+    """POST_PIXEL: in pixels of the region, over everything."""
+    context = bpy.context
+    for root in _lifts(context):
+        lists = root.plgs
+        view = View.of(context)
+        _draw_mask(context, root, view)
+        if lists.show_legend:
+            draw_plates(legend_plates(lists.classes, view))
+        if lists.show_labels:
+            boxes = {
+                number: box
+                for number, box in boxes_of(root).items()
+                if box.visible_in_viewport_get(context.space_data)
+            }
+            active = selected_instance(root, context.view_layer.objects.active)
+            draw_plates(label_plates(lists.instances, boxes, active, view))
+
+
+def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, view: View) -> None:
+    """The rectangle of the chosen mask, while one looks through the camera of its frame."""
+    lists, camera = root.plgs, context.scene.camera
+    if context.region_data.view_perspective != "CAMERA" or not 0 <= lists.instance_index < len(lists.instances):
+        return
+    row = lists.instances[lists.instance_index]
+    if not 0 <= row.mask_index < len(row.masks):
+        return
+    mask = row.masks[row.mask_index]
+    if camera is None or objects_by_key(root).get(f"frame:{mask.frame}") != camera or mask.rectangle[2] <= 0.0:
+        return
+    corners = [view.pixel_of(corner) for corner in glow.rectangle_in_space(camera, tuple(mask.rectangle))]
+    draw_rectangle([corner for corner in corners if corner is not None], tuple(row.colour))
+
+
+def _size(context: bpy.types.Context) -> tuple[int, int]:
+    return context.region.width, context.region.height
+
+
+CLASSES = ()
+
+
+def register() -> None:
+    add = bpy.types.SpaceView3D.draw_handler_add
+    _handles.append(add(_draw_in_space, (), "WINDOW", "POST_VIEW"))
+    _handles.append(add(_draw_on_top, (), "WINDOW", "POST_PIXEL"))
+
+
+def unregister() -> None:
+    while _handles:
+        bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
+    glow.forget()

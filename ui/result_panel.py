@@ -1,0 +1,119 @@
+"""3 Result: the instances and classes of a lift, what made them, and how they are shown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..plgs_blender.inspecting.lookup import active_lift
+from .sidebar import Sidebar, Step, tell
+
+
+def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
+    """The lift that the panels tell of, None when nothing was lifted yet."""
+    root = active_lift(context.scene, context.active_object)
+    return root if root is not None and len(root.plgs.classes) else None
+
+
+def _chosen(root: bpy.types.Collection | None) -> Any | None:
+    """The row of the instance that is active in the list."""
+    if root is None or not 0 <= root.plgs.instance_index < len(root.plgs.instances):
+        return None
+    return root.plgs.instances[root.plgs.instance_index]
+
+
+class PLGS_PT_result(Step, bpy.types.Panel):
+    bl_idname, bl_label, bl_order = "PLGS_PT_result", "3  Result", 3
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, root = self.layout, _lift(context)
+        if root is None:
+            tell(layout, context, "Nothing is lifted yet. Start a lift above, or open a finished one.", "INFO")
+            return
+        lists, row = root.plgs, _chosen(root)
+        layout.label(text=root.name, icon="OUTLINER_COLLECTION")
+        layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
+        layout.template_list("PLGS_UL_instances", "", lists, "instances", lists, "instance_index", rows=6)
+        if not len(lists.instances):
+            layout.label(text="No instances were found", icon="INFO")
+            return
+        column = layout.column(align=True)
+        column.enabled = row is not None
+        column.operator("plgs.frame_instance", icon="ZOOM_SELECTED")
+        is_alone = row is not None and lists.isolated == row.instance_id
+        text, icon = ("Show What Was Shown", "SOLO_ON") if is_alone else ("Show Only It", "SOLO_OFF")
+        column.operator("plgs.isolate_instance", text=text, icon=icon, depress=is_alone)
+        column.operator("plgs.go_to_best_view", icon="VIEW_CAMERA")
+        layout.operator("plgs.show_all", icon="HIDE_OFF")
+
+
+class PLGS_PT_masks(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_masks", "Which Masks Made It?"
+    bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _lift(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, row = self.layout, _chosen(_lift(context))
+        if row is None:
+            layout.label(text="Click a box, or a row of the list", icon="INFO")
+            return
+        if not len(row.masks):
+            tell(layout, context, "This lift did not record its masks: lift again to see them.", "INFO")
+            return
+        layout.label(text=f"{row.name}: {len(row.masks)} masks in {row.views} frames")
+        layout.template_list("PLGS_UL_masks", "", row, "masks", row, "mask_index", rows=5, maxrows=12)
+        if row.best_mask < 0:
+            tell(layout, context, "Lift again to see where they lie and how sure the match was.", "INFO")
+            return
+        if 0 <= row.mask_index < len(row.masks):
+            mask = row.masks[row.mask_index]
+            share = f"{100.0 * mask.share:.1f} % of the picture"
+            layout.label(text=f"Segment {mask.segment}, {mask.pixels} pixels, {share}")
+
+
+class PLGS_PT_classes(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_classes", "Classes"
+    bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _lift(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        root = _lift(context)
+        if root is not None:
+            lists = root.plgs
+            self.layout.prop(lists, "classes_search", text="", icon="VIEWZOOM")
+            self.layout.template_list("PLGS_UL_classes", "", lists, "classes", lists, "class_index", rows=6)
+
+
+class PLGS_PT_result_display(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_result_display", "Display"
+    bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _lift(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        root = _lift(context)
+        if root is None:
+            return
+        layout, lists = self.layout, root.plgs
+        layout.operator("plgs.show_colours", icon="SHADING_SOLID")
+        layout.use_property_split, layout.use_property_decorate = True, False
+        layout.row().prop(lists, "box_colours", expand=True)
+        column = layout.column(heading="Draw")
+        for name in ("show_labels", "show_legend", "show_selected"):
+            column.prop(lists, name)
+        dim = column.column()
+        dim.enabled = lists.show_selected
+        dim.prop(lists, "dim_others")
+        layout.operator("plgs.place_gaussians", icon="POINTCLOUD_DATA")
+
+
+CLASSES = (PLGS_PT_result, PLGS_PT_masks, PLGS_PT_classes, PLGS_PT_result_display)
