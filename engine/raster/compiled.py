@@ -110,8 +110,8 @@ def _stamp(what: str) -> Path:
     return CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{target}"
 
 
-_KERNEL = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-_PART = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
+_KERNEL: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_PART: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
 
 
 def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
