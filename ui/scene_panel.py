@@ -63,7 +63,7 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
 def _depth(survey: Survey) -> str:
     if survey.depth_range is not None:
         near, middle, far = survey.depth_range
-        return f"Depth {near:.2f} to {far:.2f} m, middle {middle:.2f} m"
+        return f"Depth {near:.1f} to {far:.1f} m, median {middle:.1f}"
     return "Depth: looking ..." if survey.is_looking else "Depth: known once an engine is set up"
 
 
