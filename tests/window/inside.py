@@ -21,12 +21,15 @@ import bpy
 FOLDER = Path(os.environ["PLGS_WINDOW_QUESTIONS"])
 EXTENSION = "bl_ext.user_default.plgs"
 PAUSE = 0.01
+SCHEDULING = Path("/proc/thread-self/schedstat")
+"""Of Linux: nanoseconds on a processor, and nanoseconds waiting for one."""
 
 
 class Watch:
     """How long Blender's window waits for the extension: each time that Blender calls it, from entry to return.
 
     The interpreter tells of entries and returns (`sys.monitoring`), so nothing of the extension is wrapped or changed.
+    What the kernel let Blender wait for a processor, when others had all of them, is left out: it is not our doing.
     """
 
     TOOL = sys.monitoring.PROFILER_ID
@@ -60,7 +63,7 @@ class Watch:
         if self.paused or not code.co_filename.startswith(self._ours):
             return
         if self._depth == 0:
-            self._since, self._entry = time.perf_counter(), f"{Path(code.co_filename).name}: {code.co_qualname}"
+            self._since, self._entry = self._clock(), f"{Path(code.co_filename).name}: {code.co_qualname}"
         self._depth += 1
 
     def _leave(self, code: CodeType, *_: object) -> None:
@@ -68,7 +71,12 @@ class Watch:
             return
         self._depth -= 1
         if self._depth == 0:
-            self.waits[self._entry] = max(self.waits.get(self._entry, 0.0), time.perf_counter() - self._since)
+            self.waits[self._entry] = max(self.waits.get(self._entry, 0.0), self._clock() - self._since)
+
+    @staticmethod
+    def _clock() -> float:
+        """Seconds, without those in which this thread was ready to run and had no processor."""
+        return time.perf_counter() - int(SCHEDULING.read_text().split()[1]) * 1e-9
 
 
 class Gaps:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import sysconfig
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -71,7 +71,7 @@ class Tree:
             self._keeper.wait()
 
 
-def wait_until(condition, what: str, timeout: float = 60, pause: float = 0.02) -> None:  # type: ignore[no-untyped-def]
+def wait_until(condition: Callable[[], object], what: str, timeout: float = 60, pause: float = 0.02) -> None:
     """Look again and again until `condition()` is true. TimeoutError naming `what` when it does not come true."""
     end = time.monotonic() + timeout
     while not condition():
