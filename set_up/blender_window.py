@@ -3,8 +3,8 @@
     python set_up/blender_window.py trixie      # Blender 4.3, in build/blender-trixie
     python set_up/blender_window.py sid         # Blender 5.2, in build/blender-sid
 
-Run as root on a Debian; packages come from where this machine's own come from. A tree counts as complete when its stamp,
-written last, names the very packages it was made with; any other one is made anew.
+Run as root on a Debian; packages come from where this machine's own come from. A tree counts as complete when its
+stamp, written last, names the very packages it was made with; any other one is made anew.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     python set_up/extension.py FOLDER           # makes FOLDER/plgs-<version>.zip
 
-The tool is that of the `blender` on PATH; where there is none, the bpy module of the Python that runs this has the same.
+The tool is that of the `blender` on PATH; where there is none, that of the bpy module of the Python that runs this.
 """
 
 from __future__ import annotations

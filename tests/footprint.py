@@ -1,4 +1,4 @@
-"""What an extension could leave behind in Blender. Runs in the tests' own Blender and, as text, in one with a window."""
+"""What an extension could leave behind in Blender. Runs in the tests' own Blender and, as text, in a window's."""
 
 from __future__ import annotations
 

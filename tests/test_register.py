@@ -19,7 +19,7 @@ from footprint import difference, footprint, running_timers  # noqa: E402  (besi
 
 @pytest.fixture
 def draw_handlers(monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """The handles of draw handlers that were added and not removed. Blender has no list of them: so the calls are noted."""
+    """Draw handlers that were added and not removed. Blender has no list of them: so the calls are noted."""
     added: list[object] = []
     for name in ("SpaceView3D", "SpaceImageEditor", "SpaceNodeEditor", "SpaceProperties", "SpaceOutliner"):
         space = getattr(bpy.types, name)

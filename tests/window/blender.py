@@ -140,7 +140,7 @@ class Window:
     # Mouse and keys
 
     def move(self, x: int, y: int) -> None:
-        """Move the mouse there; y counts downwards from the top of the screen. Twice: Blender wants to see it arrive."""
+        """Move the mouse there; y counts downwards from the top of the screen. In two moves, as Blender wants."""
         self._input("mousemove", str(x - 2), str(y), "sleep", str(_MOVED_S), "mousemove", str(x), str(y))
 
     def click(self, x: int, y: int, button: int = 1) -> None:
@@ -184,13 +184,13 @@ class Window:
         """Where in the sidebar the button of an operator is, such as "plgs.lift_scene"; greyed-out ones too.
 
         Found as a user can find out: the mouse stands on a button, Ctrl+C copies its Python command. `contains` tells
-        apart buttons of one operator by their arguments. The search begins at the height `near`, or at the top: it takes
-        a while, for while a lift runs Blender draws much. LookupError when there is none to be seen.
+        apart buttons of one operator by their arguments. The search begins at the height `near`, or at the top: it
+        takes a while, for while a lift runs Blender draws much. LookupError when there is none to be seen.
         """
         return self._find(f"bpy.ops.{operator}(", contains, "ctrl+c", near)
 
     def find_field(self, path: str, near: int | None = None) -> tuple[int, int]:
-        """Where in the sidebar a property's field is, such as "plgs.preset", by its full data path (Ctrl+Shift+Alt+C)."""
+        """Where in the sidebar a property's field is, such as "plgs.preset", by its data path (Ctrl+Shift+Alt+C)."""
         return self._find("bpy.data.", f"].{path}", "ctrl+shift+alt+c", near)
 
     def press(self, operator: str, contains: str = "", near: int | None = None) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Tests in a real Blender's window, with the built extension installed: `make test-window` and `make test-blender-next`.
+"""Tests in a real Blender's window, with the built zip installed: `make test-window` and `make test-blender-next`.
 
 Those make the Debian tree that PLGS_WINDOW_TREE names; without it there is nothing here to run.
 """

@@ -1,7 +1,7 @@
 """Runs in the Blender under test (`blender --python`): answers questions that tests put into a folder.
 
-A question is a file `<number>.py`, its answer a file `<number>.json`; both appear by rename. A question is an expression,
-whose value is the answer, or statements, which leave their answer in `answer`. They run one at a time in an application
+A question is a file `<number>.py`, its answer a file `<number>.json`; both appear by rename. A question is an
+expression, whose value is the answer, or statements, which leave their answer in `answer`. They run one at a time in an application
 timer, in a namespace that lasts. No threads, no sockets: as the extension itself.
 """
 
@@ -54,10 +54,8 @@ class Watch:
                 monitoring.register_callback(self.TOOL, event, self._enter)
             for event in (events.PY_RETURN, events.PY_YIELD, events.PY_UNWIND):
                 monitoring.register_callback(self.TOOL, event, self._leave)
-        monitoring.set_events(
-            self.TOOL,
-            events.PY_START | events.PY_RESUME | events.PY_THROW | events.PY_RETURN | events.PY_YIELD | events.PY_UNWIND,
-        )
+        entries = events.PY_START | events.PY_RESUME | events.PY_THROW
+        monitoring.set_events(self.TOOL, entries | events.PY_RETURN | events.PY_YIELD | events.PY_UNWIND)
 
     def _enter(self, code: CodeType, *_: object) -> None:
         if self.paused or not code.co_filename.startswith(self._ours):

@@ -1,4 +1,4 @@
-"""The Debian tree of `set_up/blender_window.py`, entered: commands run in it until the test session ends, however it ends."""
+"""The Debian tree of `set_up/blender_window.py`, entered: commands run in it until the tests end, however they end."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def paths_of_this_python() -> list[Path]:
 
 
 class Tree:
-    """Processes in the tree are children of one shell there, that ends when our end of its pipe does, and takes all along."""
+    """Processes in the tree live under one shell there, which ends when our end of its pipe does, and takes all along."""
 
     def __init__(self, folder: Path, visible: Sequence[Path]) -> None:
         """Enter the tree in `folder`, with the paths `visible` of this machine in it."""
