@@ -1,8 +1,8 @@
 """Runs in the Blender under test (`blender --python`): answers questions that tests put into a folder.
 
 A question is a file `<number>.py`, its answer a file `<number>.json`; both appear by rename. A question is an
-expression, whose value is the answer, or statements, which leave their answer in `answer`. They run one at a time in an application
-timer, in a namespace that lasts. No threads, no sockets: as the extension itself.
+expression, whose value is the answer, or statements, which leave their answer in `answer`. They run one at a time in an
+application timer, in a namespace that lasts. No threads, no sockets: as the extension itself.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def paths_of_this_python() -> list[Path]:
 
 
 class Tree:
-    """Processes in the tree live under one shell there, which ends when our end of its pipe does, and takes all along."""
+    """Processes in the tree live under one shell there, which ends with our end of its pipe and takes all along."""
 
     def __init__(self, folder: Path, visible: Sequence[Path]) -> None:
         """Enter the tree in `folder`, with the paths `visible` of this machine in it."""
