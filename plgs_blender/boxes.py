@@ -39,6 +39,7 @@ def _place(holdings: Holdings, parent: bpy.types.Collection, instance: Instance)
     ob.color = object_colour(instance.colour)
     # Lines are coloured by the object only on meshes with faces. Renders ignore the display type, hence the bars.
     ob.display_type, ob.show_name = "WIRE", True
+    ob.show_in_front = True  # seen, and picked, through the points that fill it
     # Outside the box, where its points do not cover them.
     bars = ob.modifiers.get("Bars") or ob.modifiers.new("Bars", "WIREFRAME")
     bars.thickness, bars.offset, bars.show_viewport, bars.show_render = _BAR, 1.0, False, True

@@ -49,7 +49,7 @@ def draw_glow(
         if len(seen.xyz):
             focal = view.window_matrix[0][0] * size[0] / 2.0
             apart = distance if view.is_perspective else 1.0
-            _draw_points(seen.xyz, light, min(max(2.0 * seen.radius * focal / apart, _SMALLEST), _LARGEST))
+            _draw_points(seen, light, min(max(2.0 * seen.radius * focal / apart, _SMALLEST), _LARGEST))
         if box is not None:
             _draw_edges([box.matrix_world @ Vector(corner) for corner in box.bound_box], light)
     gpu.state.depth_test_set("NONE")
@@ -126,14 +126,15 @@ def _nearer(view: bpy.types.RegionView3D, distance: float, by: float) -> Matrix:
     return Matrix.Translation((0.0, 0.0, by))
 
 
-def _draw_points(xyz: np.ndarray, colour: Colour, pixels: float) -> None:
+def _draw_points(seen: Glow, colour: Colour, pixels: float) -> None:
     """All points faintly, whatever is before them, then those that nothing covers."""
     shader = point_shader()
     gpu.state.point_size_set(pixels)
     for test, opacity in (("NONE", _BEHIND), ("LESS_EQUAL", 1.0)):
         gpu.state.depth_test_set(test)
-        colours = np.tile(np.array([*colour, opacity], np.float32), (len(xyz), 1))
-        batch_for_shader(shader, "POINTS", {"pos": xyz, "color": colours}).draw(shader)
+        colours = np.full((len(seen.xyz), 4), opacity, np.float32)
+        colours[:, :3] = seen.shade[:, None] * np.array(colour, np.float32)
+        batch_for_shader(shader, "POINTS", {"pos": seen.xyz, "color": colours}).draw(shader)
 
 
 def _draw_edges(corners: Sequence[Vector], colour: Colour) -> None:

@@ -18,12 +18,22 @@ from .lookup import clouds_of
 
 @dataclass(frozen=True, eq=False)
 class Glow:
-    """Points float32 [N, 3] in world metres; `radius` their mean in metres; what they belong to (`key`)."""
+    """Points float32 [N, 3] in world metres; `shade` float32 [N] how light each is, so that shapes are seen; `radius`
+    their mean in metres; what they belong to (`key`).
+    """
 
     key: tuple[Any, ...]
     xyz: NDArray[np.float32]
+    shade: NDArray[np.float32]
     radius: float
 
+
+_Points = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+"""World positions [n, 3], shades [n] and radii [n]."""
+
+_NOTHING: _Points = (np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.float32))
+_LIGHT = np.array([0.35, -0.25, 0.9], np.float32)
+_MIDDLE, _CONTRAST = 0.74, 0.3
 
 _last: list[Glow] = []
 
@@ -34,9 +44,8 @@ def glow_of(root: bpy.types.Collection, instance: int, visible: Any) -> Glow:
     key = (root.session_uid, instance, *((cloud.data.session_uid, len(cloud.data.points)) for cloud in clouds))
     if not _last or _last[0].key != key:
         parts = [_points_of(cloud, instance) for cloud in clouds]
-        xyz = np.concatenate([part for part, _ in parts]) if parts else np.zeros((0, 3), np.float32)
-        radii = np.concatenate([radius for _, radius in parts]) if parts else np.zeros(0, np.float32)
-        _last[:] = [Glow(key, xyz, float(radii.mean()) if len(radii) else 0.0)]
+        xyz, shade, radius = (np.concatenate(each) for each in zip(_NOTHING, *parts, strict=True))
+        _last[:] = [Glow(key, xyz, shade, float(radius.mean()) if len(radius) else 0.0)]
     return _last[0]
 
 
@@ -45,20 +54,25 @@ def forget() -> None:
     _last.clear()
 
 
-def _points_of(cloud: bpy.types.Object, instance: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """World positions and radii of a cloud's points of an instance."""
+def _points_of(cloud: bpy.types.Object, instance: int) -> _Points:
+    """A cloud's points of an instance, lighter where they face up; anchors have no normals and are all light."""
     attributes, count = cloud.data.attributes, len(cloud.data.points)
     ids = np.zeros(count, np.int32)
     if "instance_id" in attributes:
         attributes["instance_id"].data.foreach_get("value", ids)
     mine = ids == instance
     if not mine.any():
-        return np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+        return _NOTHING
     xyz, radius = np.empty(3 * count, np.float32), np.empty(count, np.float32)
     attributes["position"].data.foreach_get("vector", xyz)
     attributes["radius"].data.foreach_get("value", radius)
+    normal = np.zeros(3 * count, np.float32)
+    if "normal" in attributes:
+        attributes["normal"].data.foreach_get("vector", normal)
     world = np.array(cloud.matrix_world, np.float32)
-    return xyz.reshape(-1, 3)[mine] @ world[:3, :3].T + world[:3, 3], radius[mine]
+    lit = normal.reshape(-1, 3)[mine] @ world[:3, :3].T @ _LIGHT
+    shade = np.clip(_MIDDLE + _CONTRAST * lit, 0.0, 1.0) if "normal" in attributes else np.ones(len(lit), np.float32)
+    return xyz.reshape(-1, 3)[mine] @ world[:3, :3].T + world[:3, 3], shade.astype(np.float32), radius[mine]
 
 
 def rectangle_in_space(camera: bpy.types.Object, rectangle: tuple[float, float, float, float]) -> list[Vector]:
