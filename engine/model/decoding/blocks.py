@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from ...raster.compiled import Array, compiled
+from ...raster.compiled import Array, part
 from ...raster.vectors import FLOAT, INT, WIDE, call, element, intrinsic
 
 COLUMNS = 16 if WIDE else 8
@@ -84,7 +84,7 @@ def _block(vectors: int) -> Any:
 _block_3, _block_2, _block_1 = (_block(vectors) for vectors in (3, 2, 1))
 
 
-@compiled
+@part
 def add_product(
     out: Array,
     out_at: int,

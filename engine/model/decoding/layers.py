@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...raster.compiled import Array, compiled, inlined
+from ...raster.compiled import Array, inlined, part
 from ...raster.vectors import WIDTH, choose, load, maximum, spread, store
 from ..decoders import HIDDEN
 from .activations import copy
@@ -41,7 +41,7 @@ def fill(values: Array, at: int, count: int, value: Any) -> None:
         values[i] = value
 
 
-@compiled
+@part
 def list_anchors(start: int, end: int, k: int, opacities: Array, visible: Array, channels: Array, listed: Array) -> Any:
     """Lists the places in ``visible`` [V] from ``start`` to ``end`` that have work beyond their opacity.
 
@@ -71,7 +71,7 @@ def list_anchors(start: int, end: int, k: int, opacities: Array, visible: Array,
     return drawn, everyone
 
 
-@compiled
+@part
 def collect_inputs(
     listed: Array, count: int, visible: Array, feature: Array, position: Array, centre: Array, sizes: Any, mine: Array
 ) -> None:
@@ -95,7 +95,7 @@ def collect_inputs(
     fill(mine, count * sizes.inputs, (rounded_rows(count) - count) * sizes.inputs, ZERO)
 
 
-@compiled
+@part
 def run_first_layer(head: Any, rows: int, weights: Array, sizes: Any, mine: Array) -> None:
     """The hidden layer of ``rows`` anchors after ReLU."""
     at = sizes.hidden_at
@@ -107,7 +107,7 @@ def run_first_layer(head: Any, rows: int, weights: Array, sizes: Any, mine: Arra
         store(mine, c, maximum(load(mine, c), spread(ZERO)))
 
 
-@compiled
+@part
 def run_head(head: Any, rows: int, weights: Array, sizes: Any, mine: Array) -> None:
     """Hidden layer and outputs [rows, padded] of one decoder."""
     run_first_layer(head, rows, weights, sizes, mine)
@@ -142,7 +142,7 @@ def add_columns(out: Array, out_at: int, values: Array, at: int, stride: int, ro
         store(out, out_at + c, total)
 
 
-@compiled
+@part
 def run_head_back(head: Any, rows: int, weights: Array, sizes: Any, mine: Array, gradient: Array) -> None:
     """From the gradient of the outputs in their place, and the hidden layer in its, to the gradients of the weights
     (added to ``gradient``) and of the features (added to scratch)."""

@@ -8,7 +8,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from ...raster.compiled import Array, compiled, inlined
+from ...raster.compiled import Array, inlined, part
 from ...raster.vectors import (
     INTS_IR,
     LANES_IR,
@@ -60,7 +60,7 @@ def transpose(
     return types.void(source, i, i, out, i, i), emit
 
 
-@compiled
+@part
 def soften(values: Array, at: int, stride: int, rows: int, k: int, count: int, tall: int, sums: int) -> None:
     """In place, the softmax of each of the k runs of ``count`` values in every row; rows are ``stride`` (a multiple of
     16) floats apart and ``rows`` is rounded up to a multiple of 16.
