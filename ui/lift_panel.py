@@ -11,7 +11,7 @@ from ..plgs_blender.running.lifts import LiftState, Watch
 from ..plgs_blender.settings import chosen_lift
 from .sidebar import Sidebar, Step, duration, tell
 
-_MOST_RECENT = 8
+_MOST_RECENT, _LOG_LINES = 8, 8
 _ICONS = {LiftState.RUNNING: "RENDER_ANIMATION", LiftState.FINISHED: "CHECKMARK", LiftState.FAILED: "ERROR"}
 
 
@@ -36,7 +36,8 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
         _draw_engine(layout, context)
         row = layout.row()
         row.scale_y = 1.4
-        row.operator("plgs.lift_scene", icon="PLAY")
+        # A script may name the scene when it starts, so that button is never grey for want of one: this one says why.
+        row.operator("plgs.lift_scene" if settings.scene_folder else "plgs.look_at_scene", text="Start", icon="PLAY")
         if followed is not None:
             _draw_ending(layout, context, followed)
         elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
@@ -121,10 +122,6 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
     box = layout.box()
     box.alert = outcome.error is not None
     tell(box, context, lifts.words_for(followed), "ERROR" if outcome.error else "INFO")
-    column = box.column(align=True)
-    column.scale_y = 0.8
-    for line in outcome.log_lines[-6:]:
-        tell(column, context, line)
     row = layout.row(align=True)
     if followed.is_finished:
         row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path
@@ -132,6 +129,10 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
         row.operator("plgs.resume_lift", icon="FILE_REFRESH").lift_folder = path
     if outcome.error is not None:
         row.operator("plgs.open_log", icon="TEXT").lift_folder = path
+    column = layout.column(align=True)
+    column.scale_y = 0.7
+    for line in outcome.log_lines[-_LOG_LINES:]:
+        column.label(text=line)
 
 
 CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_recent_lifts)

@@ -26,7 +26,8 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
             layout.label(text="Not looked at yet", icon="QUESTION")
         else:
             _draw_survey(layout, context, survey)
-        layout.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
+        wanted = "plgs.import_scene" if settings.scene_folder else "plgs.look_at_scene"  # grey, and says why
+        layout.operator(wanted, text="Import Cameras and Images", icon="OUTLINER_OB_CAMERA")
 
 
 class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):

@@ -29,6 +29,7 @@ class Watch:
     follower: LiftFollower
     is_ours: bool
     state: LiftState = LiftState.RUNNING
+    _pictures_seen: int = 0
 
     @property
     def folder(self) -> LiftFolder:
@@ -55,6 +56,11 @@ class Watch:
     def can_be_resumed(self) -> bool:
         """Whether an engine could go on with it."""
         return self.state not in (LiftState.RUNNING, LiftState.FINISHED)
+
+    def new_picture(self) -> Path | None:
+        """The live preview, when it was replaced since the last time that this was asked."""
+        before, self._pictures_seen = self._pictures_seen, self.status.live_previews
+        return self.status.live_preview if before != self._pictures_seen else None
 
     def poll(self) -> bool:
         """Take in what happened; whether anything did."""

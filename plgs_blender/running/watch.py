@@ -33,14 +33,13 @@ def tick() -> float | None:
     global _longest_tick_s
     began = time.perf_counter()
     with_news = lifts.poll_all()
-    for watch in with_news:
-        _show(watch)
+    shown_anew = [_show(watch) for watch in with_news]
     for watch in lifts.running():
         live_preview.follow_camera(watch.folder, bpy.data.scenes)
     was_looking = scene_survey.is_looking()
     is_looking = scene_survey.poll()
     if with_news or was_looking != is_looking:
-        redraw_panels()
+        redraw_panels(views_too=any(shown_anew))
     _longest_tick_s = max(_longest_tick_s, time.perf_counter() - began)
     return TICK_S if lifts.running() or is_looking else None
 
@@ -63,20 +62,27 @@ def longest_tick_s() -> float:
     return _longest_tick_s
 
 
-def redraw_panels() -> None:
-    """Ask for the sidebars to be drawn anew."""
+def redraw_panels(*, views_too: bool = False) -> None:
+    """Ask for the sidebars to be drawn anew, and only if asked the views beside them: those take far longer."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type in {"VIEW_3D", "PREFERENCES"}:
-                area.tag_redraw()
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == "UI" or (views_too and region.type == "WINDOW"):
+                        region.tag_redraw()
 
 
-def _show(watch: Watch) -> None:
+def _show(watch: Watch) -> bool:
+    """Bring the camera's background up to date; whether that changes what a view shows."""
     if not watch.is_running:
         live_preview.remove(watch.folder, bpy.data.scenes)
         recents.refresh()
-    elif watch.status.live_preview is not None:
-        live_preview.show(watch.folder, watch.status.live_preview, bpy.data.scenes)
+        return True
+    picture = watch.new_picture()
+    if picture is not None:
+        live_preview.show(watch.folder, picture, bpy.data.scenes)
+        return True
+    return False
 
 
 def look_at_all_scenes() -> None:
