@@ -48,12 +48,11 @@ def compile_backward(kernels: Kernels) -> None:
         slot_labels,
         *scratch,
     )
-    kernels.gather_labels(0, 1, np.zeros(1, np.int64), places, untouched, slot_labels, 1, floats[1])
+    kernels.gather_labels(0, 1, places, untouched, slot_labels, 1, floats[1])
     scene = (one_of[3], one_of[3], one_of[4])
     gradients = (one_of[3], one_of[3], one_of[4], floats[1], one_of[3], one_of[2])
     sums = np.zeros((1, TILE), np.float64)
-    camera, next_lot = np.ones(CAMERA), np.zeros(1, np.int64)
-    gather(0, 1, next_lot, places, untouched, slot_gradients, one_of[RECORD], *scene, camera, sums, *gradients)
+    gather(0, 1, places, untouched, slot_gradients, one_of[RECORD], *scene, np.ones(CAMERA), sums, *gradients)
 
 
 if __name__ == "__main__":

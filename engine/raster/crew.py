@@ -19,9 +19,6 @@ import torch
 
 from .bell import LOOKS, listen, new_bell
 
-Call = tuple[Callable[..., None], tuple[Any, ...]]
-"""A kernel, and its arguments after ``worker`` and ``workers``."""
-
 
 class _Helper:
     """A thread and its inbox. ``called`` rings when something was put there, ``finished`` when a kernel is done."""
@@ -39,21 +36,16 @@ class _Helper:
         heard = 0
         while True:
             listen(self.called, heard, LOOKS)
-            calls, worker, workers, done = self.inbox.get()
+            kernel, worker, workers, arguments, done = self.inbox.get()
             heard += 1
             mistake: BaseException | None = None
             try:
-                _call(calls, worker, workers)
+                kernel(worker, workers, *arguments)
             except BaseException as error:  # handed to the caller, who raises it
                 mistake = error
-            del calls
+            del kernel, arguments
             done.put(mistake)
             self.finished[0] += 1
-
-
-def _call(calls: tuple[Call, ...], worker: int, workers: int) -> None:
-    for kernel, arguments in calls:
-        kernel(worker, workers, *arguments)
 
 
 _helpers: list[_Helper] = []
@@ -73,22 +65,16 @@ def share(workers: int, kernel: Callable[..., None], *arguments: Any) -> None:
 
     The first call of a kernel runs here alone, worker after worker: it compiles. Raises what a worker raised.
     """
-    share_all(workers, (kernel, arguments))
-
-
-def share_all(workers: int, *calls: Call) -> None:
-    """As ``share`` for kernels that do not wait for one another: every worker calls all of them, one after the other.
-    Handing work over takes as long as a small kernel does."""
     start = time.perf_counter()
-    _share(workers, calls)
+    _share(workers, kernel, arguments)
     if _stopwatch is not None:
-        name = calls[0][0].__name__
+        name = kernel.__name__
         _stopwatch[name] = _stopwatch.get(name, 0.0) + time.perf_counter() - start
 
 
 @contextmanager
 def timed() -> Iterator[dict[str, float]]:
-    """Within, the wall seconds of every kernel add up under its name (of those called together, the first one's)."""
+    """Within, the wall seconds of every kernel add up under its name."""
     global _stopwatch
     _stopwatch = {}
     try:
@@ -97,20 +83,20 @@ def timed() -> Iterator[dict[str, float]]:
         _stopwatch = None
 
 
-def _share(workers: int, calls: tuple[Call, ...]) -> None:
-    if workers == 1 or not all(getattr(kernel, "overloads", None) for kernel, _ in calls):
+def _share(workers: int, kernel: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    if workers == 1 or not getattr(kernel, "overloads", None):
         for worker in range(workers):
-            _call(calls, worker, workers)
+            kernel(worker, workers, *arguments)
         return
     _grow(workers - 1)
     helpers = _helpers[: workers - 1]
     heard = [int(helper.finished[0]) for helper in helpers]
     done: SimpleQueue[BaseException | None] = SimpleQueue()
     for worker, helper in enumerate(helpers, start=1):
-        helper.start((calls, worker, workers, done))
+        helper.start((kernel, worker, workers, arguments, done))
     mistakes: list[BaseException | None] = []
     try:
-        _call(calls, 0, workers)
+        kernel(0, workers, *arguments)
     finally:
         # the arrays must not go while others write to them
         for helper, rings in zip(helpers, heard, strict=True):

@@ -33,13 +33,11 @@ from .records import (
     L12_LOW,
     L22,
     L22_LOW,
-    LOT,
     OPACITY,
     TILE,
     WHITENING,
     G,
 )
-from .vectors import take_next
 
 F = np.float32
 
@@ -187,7 +185,6 @@ def clear(
 def gather(
     worker: int,
     workers: int,
-    next_lot: Array,
     slots: Array,
     touched: Array,
     slot_gradients: Array,
@@ -204,56 +201,41 @@ def gather(
     d_colours: Array,
     d_means2d: Array,
 ) -> None:
-    """Lot after lot until none is left: the gradients of all N Gaussians but for their labels, zeros included. ``sums``
-    float64 [workers, 16] is room to work in."""
+    """A worker's share of the gradients of all N Gaussians but for their labels, zeros included; ``sums`` float64
+    [workers, 16] is room to work in."""
     count = means.shape[0]
     total = sums[worker]
-    while True:
-        first = take_next(next_lot) * LOT
-        if first >= count:
-            break
-        for i in range(first, min(first + LOT, count)):
-            hit = False
-            for c in range(GRADIENT):
-                total[c] = 0.0
-            for slot in range(slots[i], slots[i + 1]):
-                if touched[slot] == 0:
-                    continue
-                for c in range(GRADIENT):
-                    total[c] += np.float64(slot_gradients[slot * GRADIENT_WIDTH + c])
-                hit = True
-            if not hit:
-                clear(i, d_means, d_scales, d_quats, d_opacities, d_colours, d_means2d)
+    for i in range(count * worker // workers, count * (worker + 1) // workers):
+        hit = False
+        for c in range(GRADIENT):
+            total[c] = 0.0
+        for slot in range(slots[i], slots[i + 1]):
+            if touched[slot] == 0:
                 continue
-            d_opacities[i] = total[G] / np.float64(records[i, OPACITY])
-            d_colours[i, 0] = total[D_RED]
-            d_colours[i, 1] = total[D_GREEN]
-            d_colours[i, 2] = total[D_BLUE]
-            chain_to_scene(i, total, records, means, scales, quats, camera, d_means, d_scales, d_quats, d_means2d)
+            for c in range(GRADIENT):
+                total[c] += np.float64(slot_gradients[slot * GRADIENT_WIDTH + c])
+            hit = True
+        if not hit:
+            clear(i, d_means, d_scales, d_quats, d_opacities, d_colours, d_means2d)
+            continue
+        d_opacities[i] = total[G] / np.float64(records[i, OPACITY])
+        d_colours[i, 0] = total[D_RED]
+        d_colours[i, 1] = total[D_GREEN]
+        d_colours[i, 2] = total[D_BLUE]
+        chain_to_scene(i, total, records, means, scales, quats, camera, d_means, d_scales, d_quats, d_means2d)
 
 
 @compiled
 def gather_labels(
-    worker: int,
-    workers: int,
-    next_lot: Array,
-    slots: Array,
-    touched: Array,
-    slot_labels: Array,
-    channels: int,
-    d_labels: Array,
+    worker: int, workers: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
 ) -> None:
-    """Lot after lot until none is left: the label gradients of all N Gaussians, zeros included, d_labels [N * C]."""
+    """A worker's share of the label gradients of all N Gaussians, zeros included: d_labels [N * C]."""
     count = slots.shape[0] - 1
     padded = (channels + TILE - 1) // TILE * TILE
-    while True:
-        first = take_next(next_lot) * LOT
-        if first >= count:
-            break
-        for i in range(first, min(first + LOT, count)):
-            own = d_labels[i * channels : (i + 1) * channels]
-            own[:] = F(0.0)
-            for slot in range(slots[i], slots[i + 1]):
-                if touched[slot] != 0:
-                    for c in range(channels):
-                        own[c] += slot_labels[slot * padded + c]
+    for i in range(count * worker // workers, count * (worker + 1) // workers):
+        own = d_labels[i * channels : (i + 1) * channels]
+        own[:] = F(0.0)
+        for slot in range(slots[i], slots[i + 1]):
+            if touched[slot] != 0:
+                for c in range(channels):
+                    own[c] += slot_labels[slot * padded + c]

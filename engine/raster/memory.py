@@ -24,7 +24,8 @@ KEPT_CALLS = 400
 class _Block:
     def __init__(self, size: int) -> None:
         self.bytes = np.empty(size + ALIGNMENT, np.uint8)
-        self.start = -self.bytes.ctypes.data % ALIGNMENT
+        start = -self.bytes.ctypes.data % ALIGNMENT
+        self.aligned = self.bytes[start : start + size]
         self.used = 0
 
     def is_free(self) -> bool:
@@ -56,7 +57,8 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         _calls += 1
         block = _free_block(_rounded(size))
         block.used = _calls
-        return np.ndarray(shape, kind, block.bytes, block.start)
+        view = block.aligned[:size]
+    return view.view(kind).reshape(shape)
 
 
 def _free_block(size: int) -> _Block:

@@ -15,7 +15,7 @@ from torch import Tensor
 from . import memory, tiles
 from .compile_backward import compile_backward
 from .conventions import NEAR, View
-from .crew import Call, share, share_all, worker_count
+from .crew import share, worker_count
 from .gather import gather
 from .kernels import Kernels, choose_kernels
 from .projection import project
@@ -135,14 +135,12 @@ def _list_tiles(
 ) -> _Lists:
     """``counts`` int64 [workers, 2] are those of ``project``; fills ``centres`` and ``visible``."""
     shown, touched = (int(total) for total in counts.sum(0))
-    sorters = workers if shown > tiles.SORTED_ALONE else 1
-    dealers = workers if touched > tiles.DEALT_ALONE else 1
     before = np.cumsum(counts, 0) - counts
     keys, ids = memory.empty(shown, np.uint32), memory.empty(shown, np.int32)
     slots = memory.empty(len(records) + 1, np.int64)
     places, slot_starts = np.ascontiguousarray(before[:, 0]), np.ascontiguousarray(before[:, 1])
     share(
-        sorters,
+        workers,
         tiles.list_visible,
         boxes,
         records,
@@ -155,8 +153,9 @@ def _list_tiles(
         centres,
         visible,
     )
+    sorters = workers if shown >= tiles.WORTH_SHARING else 1
     order = tiles.sort_by_depth(sorters, keys, ids)
-    return _Lists(slots, *tiles.deal(dealers, order, boxes, slots, touched, view.width, view.height))
+    return _Lists(slots, *tiles.deal(sorters, order, boxes, slots, touched, view.width, view.height))
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,15 +274,23 @@ def _gradients(
     gradients: list[Tensor | None] = [memory.empty_tensor(shape) for shape in shapes]
     arrays = [gradient.numpy() for gradient in gradients if gradient is not None]
     own_labels = arrays.pop(LABELS).reshape(-1)
-    sums = memory.empty((workers, TILE), np.float64)
-    slots, own = (lists.slots, touched), (slot_gradients, state.records, *scene, state.camera, sums, *arrays)
-    calls: list[Call] = [(gather, (np.zeros(1, np.int64), *slots, *own))]
     if d_labels is None:
         gradients[LABELS] = None
     else:
-        counter = np.zeros(1, np.int64)
-        calls.append((state.kernels.gather_labels, (counter, *slots, slot_labels, channels, own_labels)))
-    share_all(workers, *calls)
+        gather_labels = state.kernels.gather_labels
+        share(workers, gather_labels, lists.slots, touched, slot_labels, channels, own_labels)
+    share(
+        workers,
+        gather,
+        lists.slots,
+        touched,
+        slot_gradients,
+        state.records,
+        *scene,
+        state.camera,
+        memory.empty((workers, TILE), np.float64),
+        *arrays,
+    )
     return gradients
 
 

@@ -18,8 +18,6 @@ TILE = 16
 """Pixels: the side of a tile, and the length of the rows that the kernels work on."""
 CHUNK = 48
 """Gaussians of a tile that are handled together: whole vectors of them, and no more than a word has bits."""
-LOT = 128
-"""Gaussians that a worker takes at a time where their gradients are gathered."""
 assert CHUNK % TILE == 0 and CHUNK <= 64
 
 # columns of a record; the centre is the sum of two floats (a double's precision where it matters)

@@ -19,10 +19,8 @@ from .records import DEPTH, TILE
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
 DIGIT_PASSES = 3
-SORTED_ALONE = 20_000
-"""Up to so many Gaussians are listed and sorted by one worker: to hand the work over, time after time, takes longer."""
-DEALT_ALONE = 40_000
-"""Up to so many pairs of a Gaussian and a tile are dealt by one worker."""
+WORTH_SHARING = 2_500
+"""Fewer Gaussians than this are sorted by one worker: waking the others takes longer."""
 
 
 @compiled

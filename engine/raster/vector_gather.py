@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from .compiled import Array, compiled
-from .records import LOT, TILE
+from .records import TILE
 from .vector_chunk import padded_channels
-from .vectors import get, lane_numbers, load, spread, store, store_some, take_next
+from .vectors import get, lane_numbers, load, spread, store, store_some
 
 F = np.float32
 ZERO = F(0.0)
@@ -16,33 +16,22 @@ ZERO = F(0.0)
 
 @compiled
 def gather_labels(
-    worker: int,
-    workers: int,
-    next_lot: Array,
-    slots: Array,
-    touched: Array,
-    slot_labels: Array,
-    channels: int,
-    d_labels: Array,
+    worker: int, workers: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
 ) -> None:
-    """Lot after lot until none is left: the label gradients of all N Gaussians, zeros included, d_labels [N * C]."""
+    """A worker's share of the label gradients of all N Gaussians, zeros included: d_labels [N * C]."""
     count = slots.shape[0] - 1
     padded = padded_channels(channels)
+    end = count * (worker + 1) // workers
     in_tail = lane_numbers() < spread(F(channels - padded + TILE))
-    while True:
-        begin = take_next(next_lot) * LOT
-        if begin >= count:
-            break
-        end = min(begin + LOT, count)
-        for i in range(begin, end):
-            first, last = get(slots, i), get(slots, i + 1)
-            for c in range(0, padded, TILE):
-                total = spread(ZERO)
-                for slot in range(first, last):
-                    if get(touched, slot) != 0:
-                        total = total + load(slot_labels, slot * padded + c)
-                at = i * channels + c
-                if at + TILE <= end * channels:
-                    store(d_labels, at, total)  # what is too much, the next Gaussians write over
-                else:
-                    store_some(d_labels, at, total, in_tail)
+    for i in range(count * worker // workers, end):
+        first, last = get(slots, i), get(slots, i + 1)
+        for c in range(0, padded, TILE):
+            total = spread(ZERO)
+            for slot in range(first, last):
+                if get(touched, slot) != 0:
+                    total = total + load(slot_labels, slot * padded + c)
+            at = i * channels + c
+            if at + TILE <= end * channels:
+                store(d_labels, at, total)  # what is too much, the next Gaussians write over
+            else:
+                store_some(d_labels, at, total, in_tail)
