@@ -15,6 +15,7 @@ from bpy.props import StringProperty
 from ..plgs_blender.running import lifts, recents, start, watch
 from ..plgs_blender.running.lifts import ExitCode, Watch
 from ..plgs_blender.settings import LiftOptions, chosen_lift
+from ..plgs_blender.viewport import show_lift_colours_at_first
 from .answers import CANCELLED, FINISHED, PASSED_ON, RUNNING, reporting, reporting_events
 
 _GLANCE_S = 0.25
@@ -165,6 +166,8 @@ class PLGS_OT_place_lift(bpy.types.Operator):
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         root = start.show_lift(context.scene, self.lift_folder)
+        if context.space_data is not None and context.space_data.type == "VIEW_3D":
+            show_lift_colours_at_first(context.space_data)
         self.report({"INFO"}, f"{root.name} is placed")
         return FINISHED
 

@@ -46,6 +46,14 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
     view.shading.wireframe_color_type = "OBJECT"
 
 
+def show_lift_colours_at_first(view: bpy.types.SpaceView3D) -> None:
+    """The same in a view that is still as Blender starts it, where a lift would be nothing but grey; others keep their
+    looks.
+    """
+    if view.shading.type == "SOLID" and view.shading.color_type == "MATERIAL" and view.shading.light == "STUDIO":
+        show_lift_colours(view)
+
+
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:
     """The 3D view somebody works in, else the largest of the screen, and its width by its height; None when there is
     none.
