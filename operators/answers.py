@@ -17,6 +17,11 @@ Execute = Callable[[Any, bpy.types.Context], set[str]]
 Handle = Callable[[Any, bpy.types.Context, bpy.types.Event], set[str]]
 
 
+def panel_of(context: bpy.types.Context) -> Any | None:
+    """The settings of the panel that a button stands in, for `poll`; None for a script, whose arguments count."""
+    return getattr(context, "plgs_panel", None)
+
+
 def reporting(execute: Execute) -> Execute:
     """Decorates an operator's `execute`. Blender counts the arguments, hence the two of them."""
 

@@ -28,6 +28,7 @@ class Asking:
     """An operator that begins something which ends with the engine's answer."""
 
     report: Callable[[set[str], str], None]
+    sets_up = False
 
     def begin(self) -> None:
         """Begin; raises what `reporting` reports."""
@@ -42,8 +43,7 @@ class Asking:
     def execute(self, context: bpy.types.Context) -> set[str]:
         self.begin()
         session.wait(lambda line: print(f"Set up engine {line}", flush=True))
-        error = session.set_up_error()
-        if error is not None:
+        if self.sets_up and (error := session.set_up_error()) is not None:
             raise error
         engine = session.status()
         self.report({"INFO" if engine.is_usable else "ERROR"}, f"{engine.message}. {engine.fix}".rstrip())
@@ -54,6 +54,7 @@ class PLGS_OT_set_up_engine(Asking, bpy.types.Operator):
     """Download what the engine needs into an environment of its own, about 1.3 GB. What was begun is gone on with"""
 
     bl_idname, bl_label = "plgs.set_up_engine", "Set up engine"
+    sets_up = True
 
     base_python: StringProperty(  # type: ignore[valid-type]
         name="Base Python",

@@ -10,9 +10,10 @@ from bpy.props import EnumProperty, IntProperty, StringProperty
 
 from ..plgs_blender import splats
 from ..plgs_blender.inspecting import selection, visibility
-from ..plgs_blender.inspecting.lookup import active_lift, class_row_of, find_lift, row_of
+from ..plgs_blender.inspecting.lookup import chosen_row, class_row_of, find_lift, row_of
+from ..plgs_blender.lift_collection import lifts_in
 from ..plgs_blender.viewport import show_lift_colours
-from .answers import CANCELLED, FINISHED, reporting
+from .answers import CANCELLED, FINISHED, panel_of, reporting
 
 
 class OnLift:
@@ -22,13 +23,13 @@ class OnLift:
         poll_message_set: Callable[[str], None]
 
     lift: StringProperty(  # type: ignore[valid-type]
-        name="Lift", description="Folder or collection of the lift; empty: the active object's, else the scene's first"
-    )
+        name="Lift", options={"SKIP_SAVE"},
+        description="Folder or collection of the lift; empty: the active object's, else the scene's first",
+    )  # fmt: skip
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        root = active_lift(context.scene, context.active_object)
-        if root is None or not (len(root.plgs.instances) or len(root.plgs.classes)):
+        if not any(len(root.plgs.classes) for root in lifts_in(context.scene)):
             cls.poll_message_set("This scene has no result of a lift yet")
             return False
         return True
@@ -41,8 +42,15 @@ class OnLift:
 class OnInstance(OnLift):
     """An operator on one instance of a lift."""
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if panel_of(context) is not None and chosen_row(context.scene, context.active_object) is None:
+            cls.poll_message_set("Choose an instance: click its box in the view, or its row in the list")
+            return False
+        return super().poll(context)
+
     instance: IntProperty(  # type: ignore[valid-type]
-        name="Instance", min=0, description="Id of the instance; 0: the one selected in the list"
+        name="Instance", min=0, options={"SKIP_SAVE"}, description="Id of the instance; 0: the one selected in the list"
     )
 
 
@@ -66,7 +74,7 @@ class PLGS_OT_select_class(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.select_class", "Select Class", {"REGISTER", "UNDO"}
 
-    class_id: IntProperty(name="Class", min=0, description="Id of the class")  # type: ignore[valid-type]
+    class_id: IntProperty(name="Class", min=0, options={"SKIP_SAVE"}, description="Id of the class")  # type: ignore[valid-type]
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -95,7 +103,7 @@ class PLGS_OT_toggle_class_visibility(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.toggle_class_visibility", "Hide or Show Class", {"REGISTER", "UNDO"}
 
-    class_id: IntProperty(name="Class", min=0, description="Id of the class")  # type: ignore[valid-type]
+    class_id: IntProperty(name="Class", min=0, options={"SKIP_SAVE"}, description="Id of the class")  # type: ignore[valid-type]
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:

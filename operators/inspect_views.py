@@ -67,6 +67,7 @@ class PLGS_OT_toggle_overlay(OnLift, bpy.types.Operator):
 
     part: EnumProperty(  # type: ignore[valid-type]
         name="Part",
+        options={"SKIP_SAVE"},
         items=[
             ("LABELS", "Labels", "The instances' names at their boxes"),
             ("LEGEND", "Legend", "The classes and their colours"),

@@ -12,14 +12,27 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
+from ..plgs_blender.lift_scene import place_passes_anew
 from ..plgs_blender.running import lifts, recents, start, watch
-from ..plgs_blender.running.lifts import ExitCode, Watch
+from ..plgs_blender.running.lifts import Watch
 from ..plgs_blender.settings import LiftOptions, chosen_lift
 from ..plgs_blender.viewport import show_lift_colours_at_first
-from .answers import CANCELLED, FINISHED, PASSED_ON, RUNNING, reporting, reporting_events
+from .answers import CANCELLED, FINISHED, PASSED_ON, RUNNING, panel_of, reporting, reporting_events
 
 _GLANCE_S = 0.25
 """How often a waiting operator looks whether its lift has ended."""
+
+
+_waited_for: set[Path] = set()
+"""The lifts whose end some operator waits for: one is enough."""
+
+
+class OnLiftFolder:
+    """An operator on a lift that is named by its folder."""
+
+    lift_folder: StringProperty(  # type: ignore[valid-type]
+        name="Lift folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Empty: the one of the panel"
+    )
 
 
 class Following:
@@ -38,6 +51,9 @@ class Following:
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self._folder = self.begin(context).folder.path
         watch.begin()
+        if self._folder in _waited_for:  # by another operator, which will tell how it ends
+            return FINISHED
+        _waited_for.add(self._folder)
         # Now, not when the lift ends: undoing what the user does meanwhile shall not take the lift out of the panel.
         bpy.ops.ed.undo_push(message=self.bl_label)
         manager = context.window_manager
@@ -49,12 +65,14 @@ class Following:
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         followed = lifts.watch_of(self._folder)
         if event.type != "TIMER" or (followed is not None and followed.is_running):
+            watch.begin()  # should an error of ours ever have stopped the heart
             return PASSED_ON
         self.cancel(context)
         return CANCELLED if followed is None else self._end(context, followed)
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Another file was opened, or it is over. The lift itself goes on, followed by the module."""
+        _waited_for.discard(self._folder)
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
@@ -70,12 +88,25 @@ class Following:
         outcome = followed.outcome
         assert outcome is not None
         self.report({"ERROR" if outcome.error else "INFO"}, lifts.words_for(followed))
-        if outcome.code is not ExitCode.FINISHED:
+        if not followed.ended_well:
             return CANCELLED
-        settings = context.scene.plgs
-        if settings.place_when_done and chosen_lift(settings) == followed.folder.path:
-            bpy.ops.plgs.place_lift("EXEC_DEFAULT", True, lift_folder=str(followed.folder.path))
+        if followed.is_baking:
+            place_passes_anew(followed.folder.path, context.scene)
+        elif context.scene.plgs.place_when_done and chosen_lift(context.scene.plgs) == followed.folder.path:
+            show_result(context, str(followed.folder.path))
+        else:
+            return FINISHED
+        if not bpy.app.background:
+            bpy.ops.ed.undo_push(message="Show Result")
         return FINISHED
+
+
+def show_result(context: bpy.types.Context, lift_folder: str) -> bpy.types.Collection:
+    """Place a finished lift, in its colours where the view is as Blender starts it. Raises JobError, SceneError."""
+    root = start.show_lift(context.scene, lift_folder)
+    if context.space_data is not None and context.space_data.type == "VIEW_3D":
+        show_lift_colours_at_first(context.space_data)
+    return root
 
 
 class PLGS_OT_lift_scene(LiftOptions, Following, bpy.types.Operator):
@@ -85,7 +116,8 @@ class PLGS_OT_lift_scene(LiftOptions, Following, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        reason = start.why_not(context.scene.plgs)
+        panel = panel_of(context)
+        reason = start.why_no_engine() or (None if panel is None else start.why_no_lift(panel))
         if reason is not None:
             cls.poll_message_set(reason)
         return reason is None
@@ -95,48 +127,31 @@ class PLGS_OT_lift_scene(LiftOptions, Following, bpy.types.Operator):
         for name in LiftOptions.__annotations__:
             if self.properties.is_property_set(name):
                 setattr(settings, name, getattr(self, name))
-        return start.start_lift(settings)
+        return start.start_lift(settings, in_that_folder=self.properties.is_property_set("lift_folder"))
 
 
-class PLGS_OT_resume_lift(Following, bpy.types.Operator):
+class PLGS_OT_resume_lift(OnLiftFolder, Following, bpy.types.Operator):
     """Go on with a lift that was cancelled or broke off"""
 
     bl_idname, bl_label = "plgs.resume_lift", "Resume"
-
-    lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH", description="Empty: the one of the panel"
-    )
 
     def begin(self, context: bpy.types.Context) -> Watch:
         return start.resume_lift(context.scene.plgs, self.lift_folder)
 
 
-class PLGS_OT_watch_lift(Following, bpy.types.Operator):
+class PLGS_OT_watch_lift(OnLiftFolder, Following, bpy.types.Operator):
     """Follow a lift that another Blender or a command started, or look at one that has ended"""
 
     bl_idname, bl_label = "plgs.watch_lift", "Watch"
-
-    lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH", description="Empty: the one of the panel"
-    )
 
     def begin(self, context: bpy.types.Context) -> Watch:
         return start.join_lift(context.scene.plgs, self.lift_folder)
 
 
-class PLGS_OT_cancel_lift(bpy.types.Operator):
+class PLGS_OT_cancel_lift(OnLiftFolder, bpy.types.Operator):
     """Stop the lift at its next step, within a second; it can be resumed"""
 
     bl_idname, bl_label = "plgs.cancel_lift", "Cancel"
-
-    lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH", description="Empty: the one of the panel"
-    )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        cls.poll_message_set("No lift is running")
-        return bool(lifts.running())
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -154,35 +169,26 @@ class PLGS_OT_refresh_lifts(bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_place_lift(bpy.types.Operator):
+class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
     """Put a finished lift into the scene: cameras, points, anchors, boxes and passes"""
 
     bl_idname, bl_label, bl_options = "plgs.place_lift", "Show Result", {"UNDO"}
 
-    lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH", description="Empty: the one of the panel"
-    )
-
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        root = start.show_lift(context.scene, self.lift_folder)
-        if context.space_data is not None and context.space_data.type == "VIEW_3D":
-            show_lift_colours_at_first(context.space_data)
+        root = show_result(context, self.lift_folder)
         self.report({"INFO"}, f"{root.name} is placed")
         return FINISHED
 
 
-class PLGS_OT_open_log(bpy.types.Operator):
+class PLGS_OT_open_log(OnLiftFolder, bpy.types.Operator):
     """Show the engine's log in a text editor of the system"""
 
     bl_idname, bl_label, bl_options = "plgs.open_log", "Open Log", {"INTERNAL"}
 
-    lift_folder: StringProperty(name="Lift folder", subtype="DIR_PATH")  # type: ignore[valid-type]
-
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        log = start.lift_at(context.scene.plgs, self.lift_folder).log_path
-        bpy.ops.wm.path_open(filepath=str(log))
+        bpy.ops.wm.path_open(filepath=str(start.log_of(context.scene.plgs, self.lift_folder)))
         return FINISHED
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import EnumProperty
 
 from ..plgs_blender import passes_view
 from ..plgs_blender.running import start
 from ..plgs_blender.running.lifts import Watch
-from .answers import FINISHED, reporting
-from .lift import Following
+from .answers import FINISHED, panel_of, reporting
+from .lift import Following, OnLiftFolder
 
 _FRAMES = [
     ("all", "All frames", "Bake every frame that has no passes yet"),
@@ -18,19 +18,19 @@ _FRAMES = [
 ]
 
 
-class PLGS_OT_bake_passes(Following, bpy.types.Operator):
+class PLGS_OT_bake_passes(OnLiftFolder, Following, bpy.types.Operator):
     """Render colour, depth, class, instance, confidence and Cryptomatte layers of a finished lift, in the background"""
 
     bl_idname, bl_label = "plgs.bake_passes", "Bake Passes"
 
-    frames: EnumProperty(name="Frames", items=_FRAMES, default="all")  # type: ignore[valid-type]
-    lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH", description="Empty: the one of the panel"
+    frames: EnumProperty(  # type: ignore[valid-type]
+        name="Frames", items=_FRAMES, default="all", options={"SKIP_SAVE"}, description="Which frames to bake"
     )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        reason = start.why_no_bake(context.scene.plgs)
+        panel = panel_of(context)
+        reason = start.why_no_engine() or (None if panel is None else start.why_no_bake(panel))
         if reason is not None:
             cls.poll_message_set(reason)
         return reason is None

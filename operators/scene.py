@@ -10,10 +10,9 @@ from bpy.props import StringProperty
 from ..plgs_blender.dropping import lift_or_scene
 from ..plgs_blender.import_scene import place_scene
 from ..plgs_blender.paths import absolute
-from ..plgs_blender.running import watch
-from ..plgs_blender.scene_survey import survey_of
+from ..plgs_blender.running import start, watch
 from ..plgs_blender.settings import place_of
-from .answers import FINISHED, reporting
+from .answers import FINISHED, panel_of, reporting
 
 
 class PLGS_OT_import_scene(bpy.types.Operator):
@@ -22,16 +21,17 @@ class PLGS_OT_import_scene(bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.import_scene", "Import Cameras and Images", {"UNDO"}
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
-        name="Scene", subtype="DIR_PATH", description="The scene's folder; empty: the one of the panel"
-    )
+        name="Scene", subtype="DIR_PATH", options={"SKIP_SAVE"},
+        description="The scene's folder; empty: the one of the panel",
+    )  # fmt: skip
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        survey = survey_of(place_of(context.scene.plgs)) if context.scene.plgs.scene_folder else None
-        if survey is not None and survey.error is not None:
-            cls.poll_message_set(f"{survey.error}. {survey.fix}")
-            return False
-        return True
+        panel = panel_of(context)
+        reason = None if panel is None else start.why_no_scene(panel)
+        if reason is not None:
+            cls.poll_message_set(reason)
+        return reason is None
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -65,7 +65,7 @@ class PLGS_OT_open_dropped(bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.open_dropped", "Open in PLGS", {"UNDO"}
 
     filepath: StringProperty(  # type: ignore[valid-type]
-        name="File", subtype="FILE_PATH",
+        name="File", subtype="FILE_PATH", options={"SKIP_SAVE"},
         description="Any file out of a scene's or a lift's folder, or the folder itself",
     )  # fmt: skip
 

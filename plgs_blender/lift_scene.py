@@ -65,6 +65,19 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     return root
 
 
+def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
+    """After more frames were baked: refill the passes scene of a lift that is placed in ``scene``, and leave all else.
+
+    Raises JobError or SceneError when the lift cannot be read; JobError when it is not in the scene.
+    """
+    result = read_result(lift)
+    for root in lifts_in(scene):
+        if is_same_place(root.get(FOLDER, ""), result.folder):
+            place_passes(Holdings(root[LIFT], scene), result)
+            return
+    raise JobError("is not in this scene", lift, "Show the lift's result first.")
+
+
 def save_lift(lift: Path, blend: Path) -> None:
     """Put a finished lift into a .blend file: the file is opened and saved again, or made when it does not
     exist.

@@ -1,4 +1,4 @@
-"""What is in the scene's folder: the frames' headers at once, and what their pixels say from an engine, a moment later.
+"""What is in the scene's folder, as an engine finds out meanwhile; where there is none, what the headers say.
 
 The panel draws from here; nothing is read while it draws.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 from ..engine.job import ExitCode, JobError
 from ..engine.job.process import EngineProcess
 from ..engine.scene import Scene, SceneError, Size, UpAxis, open_scene
+from .paths import absolute
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,19 @@ class Place:
     masks: Path | None
     up: UpAxis
 
+    @classmethod
+    def of(cls, folder: str, masks: str, up: UpAxis) -> Place:
+        """From paths as users type them; no masks are an empty text."""
+        return cls(absolute(folder), absolute(masks) if masks else None, up)
+
 
 @dataclass(frozen=True)
 class Survey:
     """What is known of a scene. ``error`` and ``fix`` say why it cannot be lifted; None and empty when it can.
 
     ``sizes`` of the colour images with how many have each, the commonest first; ``depth_range`` the nearest, middle and
-    farthest depth in metres and ``class_shares`` the share of the pixels of each class, both None until an engine has
-    looked into the pixels (``is_looking``).
+    farthest depth in metres, None where no engine has looked into the pixels. While one does (``is_looking``), nothing
+    else is known.
     """
 
     place: Place
@@ -44,7 +49,6 @@ class Survey:
     error: str | None = None
     fix: str = ""
     depth_range: tuple[float, float, float] | None = None
-    class_shares: Mapping[str, float] | None = None
     is_looking: bool = False
 
     @property
@@ -62,19 +66,18 @@ def survey_of(place: Place) -> Survey | None:
 
 
 def look(place: Place, python: Path | None) -> Survey:
-    """Read the scene's headers now, and let an engine look into the pixels if there is a ``python`` for one.
+    """Let an engine look at the scene if there is a ``python`` for one; else read its headers now, 1 ms a frame.
 
     Never raises for a bad scene: the survey says what is wrong.
     """
     global _latest
     stop_looking()
-    try:
-        _latest = _from_headers(place, open_scene(place.folder, place.masks, place.up))
-    except SceneError as error:
-        _latest = Survey(place, error=f"{error.what}: {error.where}", fix=error.fix)
-        return _latest
-    if python is not None:
-        _begin_inspection(place, python)
+    _latest = Survey(place)
+    if python is None or not _begin_inspection(place, python):
+        try:
+            _latest = _from_headers(place, open_scene(place.folder, place.masks, place.up))
+        except SceneError as error:
+            _latest = Survey(place, error=f"{error.what}: {error.where}", fix=error.fix)
     return _latest
 
 
@@ -106,17 +109,17 @@ def stop_looking() -> None:
         _inspector = None
 
 
-def _begin_inspection(place: Place, python: Path) -> None:
+def _begin_inspection(place: Place, python: Path) -> bool:
+    """Whether an engine could be started."""
     global _latest, _inspector
-    assert _latest is not None
     masks: list[str | Path] = [] if place.masks is None else ["--masks", place.masks]
     command: list[str | Path] = [python, "-m", "engine", "inspect", place.folder, f"--up={place.up}", "--json", *masks]
     try:
         _inspector = EngineProcess(command)
-    except JobError as error:
-        _latest = replace(_latest, warnings=(*_latest.warnings, f"the pixels were not looked at: {error}"))
-    else:
-        _latest = replace(_latest, is_looking=True)
+    except JobError:  # what is wrong with that Python, its own status says
+        return False
+    _latest = Survey(place, is_looking=True)
+    return True
 
 
 def _from_headers(place: Place, scene: Scene) -> Survey:
@@ -139,9 +142,14 @@ def _with_answer(survey: Survey, code: int, words: str) -> Survey:
     try:
         answer: dict[str, Any] = json.loads(line)
         near, middle, far = (float(each) for each in answer["depth_range"])
-        shares = {str(each["name"]): float(each["share"]) for each in answer["classes"]}
-        warnings = tuple(str(each) for each in answer["warnings"])
+        return replace(
+            survey,
+            train_frames=int(answer["train_frames"]),
+            test_frames=int(answer["test_frames"]),
+            sizes=tuple(((int(width), int(height)), int(count)) for (width, height), count in answer["colour_sizes"]),
+            classes=tuple(str(each["name"]) for each in answer["classes"]),
+            warnings=tuple(str(each) for each in answer["warnings"]),
+            depth_range=(near, middle, far),
+        )
     except (ValueError, TypeError, KeyError) as error:
-        told = f"the engine could not look into the pixels ({error!r}): {line}"
-        return replace(survey, warnings=(*survey.warnings, told))
-    return replace(survey, depth_range=(near, middle, far), class_shares=shares, warnings=warnings)
+        return replace(survey, error=f"the engine could not look at it ({error!r}): {line}", fix="Look again.")

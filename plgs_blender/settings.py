@@ -28,11 +28,15 @@ _BAKES = [
     ("none", "None", "Bake no passes; they can be baked later"),
 ]
 
+_PATHS = ("lift_folder", "scene_folder", "masks")
+_OPTION = {"SKIP_SAVE"}
+"""So that an operator does not remember what a script once gave it."""
+
 
 def _look_at_scene(settings: LiftOptions, context: bpy.types.Context) -> None:
     from .running import watch  # late: it reads these settings
 
-    if isinstance(settings, PLGS_PG_settings):
+    if isinstance(settings, PLGS_PG_settings) and settings.scene_folder:
         watch.look_at_scene(place_of(settings))
 
 
@@ -50,43 +54,43 @@ class LiftOptions:
     """
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
-        name="Scene", subtype="DIR_PATH", update=_look_at_scene,
+        options=_OPTION, name="Scene", subtype="DIR_PATH", update=_look_at_scene,
         description="Folder with color, depth, pose, intrinsic and the masks",
     )  # fmt: skip
     masks: StringProperty(  # type: ignore[valid-type]
-        name="Masks", subtype="FILE_PATH", update=_look_at_scene,
+        options=_OPTION, name="Masks", subtype="FILE_PATH", update=_look_at_scene,
         description="Panoptic masks that lie elsewhere than in the scene's folder",
     )  # fmt: skip
     up: EnumProperty(  # type: ignore[valid-type]
-        name="Up", items=_UPS, default="z", update=_look_at_scene,
+        options=_OPTION, name="Up", items=_UPS, default="z", update=_look_at_scene,
         description="The axis of the poses that points up",
     )  # fmt: skip
     preset: EnumProperty(  # type: ignore[valid-type]
-        name="Preset", items=_PRESETS, default="preview", description="How much work to spend"
+        options=_OPTION, name="Preset", items=_PRESETS, default="preview", description="How much work to spend"
     )
     steps: IntProperty(  # type: ignore[valid-type]
-        name="Steps", min=0, max=10_000_000, description="Training steps; 0 takes the preset's"
+        options=_OPTION, name="Steps", min=0, max=10_000_000, description="Training steps; 0 takes the preset's"
     )
     width: IntProperty(  # type: ignore[valid-type]
-        name="Width", min=0, max=LARGEST_SIDE, subtype="PIXEL",
+        options=_OPTION, name="Width", min=0, max=LARGEST_SIDE, subtype="PIXEL",
         description=f"Frames are brought within this width, at least {SMALLEST_SIDE}; 0 takes the preset's",
     )  # fmt: skip
     height: IntProperty(  # type: ignore[valid-type]
-        name="Height", min=0, max=LARGEST_SIDE, subtype="PIXEL",
+        options=_OPTION, name="Height", min=0, max=LARGEST_SIDE, subtype="PIXEL",
         description=f"Frames are brought within this height, at least {SMALLEST_SIDE}; 0 takes the preset's",
     )  # fmt: skip
     seed: IntProperty(  # type: ignore[valid-type]
-        name="Seed", min=0, max=2**31 - 1, description="Start of all chance: same seed, same result"
+        options=_OPTION, name="Seed", min=0, max=2**31 - 1, description="Start of all chance: same seed, same result"
     )
     bake: EnumProperty(  # type: ignore[valid-type]
-        name="Bake", items=_BAKES, default="test", description="Which frames become compositor passes"
+        options=_OPTION, name="Bake", items=_BAKES, default="test", description="Which frames become compositor passes"
     )
     lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH", update=_look_at_lift,
+        options=_OPTION, name="Lift folder", subtype="DIR_PATH", update=_look_at_lift,
         description="Where the lift and its results go; empty: a new folder beside the scene's",
     )  # fmt: skip
     keep_running: BoolProperty(  # type: ignore[valid-type]
-        name="Go on without Blender",
+        options=_OPTION, name="Go on without Blender",
         description="Closing Blender does not stop the lift; the next Blender finds it again",
     )
 
@@ -105,8 +109,7 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
 
 def place_of(settings: PLGS_PG_settings) -> Place:
     """Which scene the settings name."""
-    masks = absolute(settings.masks) if settings.masks else None
-    return Place(absolute(settings.scene_folder), masks, settings.up)
+    return Place.of(settings.scene_folder, settings.masks, settings.up)
 
 
 def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
@@ -137,11 +140,24 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
 
 def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> None:
     """Let the settings say what the lift in `folder` was asked for."""
-    settings.lift_folder, settings.scene_folder = str(folder), str(request.scene)
-    settings.masks = "" if request.masks is None else str(request.masks)
-    settings.up, settings.preset, settings.bake = request.up, request.preset, request.bake
-    settings.steps, settings.seed = request.steps or 0, min(request.seed, 2**31 - 1)
-    settings.width, settings.height = request.size or (0, 0)
+    width, height = request.size or (0, 0)
+    asked: dict[str, str | int] = {
+        "lift_folder": str(folder),
+        "scene_folder": str(request.scene),
+        "masks": "" if request.masks is None else str(request.masks),
+        "up": request.up,
+        "preset": request.preset,
+        "steps": request.steps or 0,
+        "width": width,
+        "height": height,
+        "seed": min(request.seed, 2**31 - 1),
+        "bake": request.bake,
+    }
+    for name, value in asked.items():
+        now = getattr(settings, name)
+        is_same_path = name in _PATHS and now and value and absolute(now) == Path(str(value))
+        if now != value and not is_same_path:  # each assignment lets the folder be looked at anew
+            setattr(settings, name, value)
 
 
 CLASSES = (PLGS_PG_settings,)

@@ -9,9 +9,9 @@ from ..plgs_blender.running import lifts, live_preview, recents
 from ..plgs_blender.running.estimate import estimate_of
 from ..plgs_blender.running.lifts import LiftState, Watch
 from ..plgs_blender.settings import chosen_lift
-from .sidebar import Sidebar, Step, duration, tell
+from .sidebar import Sidebar, Step, duration, from_panel, tell
 
-_MOST_RECENT, _LOG_LINES = 8, 8
+_LOG_LINES = 8
 _ICONS = {LiftState.RUNNING: "RENDER_ANIMATION", LiftState.FINISHED: "CHECKMARK", LiftState.FAILED: "ERROR"}
 
 
@@ -34,10 +34,9 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
             memory = f"{estimate.peak_bytes / 1e9:.1f} GB of memory"
             layout.label(text=f"About {duration(estimate.seconds)}, {memory}", icon="TIME")
         _draw_engine(layout, context)
-        row = layout.row()
+        row = from_panel(layout.row(), context)
         row.scale_y = 1.4
-        # A script may name the scene when it starts, so that button is never grey for want of one: this one says why.
-        row.operator("plgs.lift_scene" if settings.scene_folder else "plgs.look_at_scene", text="Start", icon="PLAY")
+        row.operator("plgs.lift_scene", icon="PLAY")
         if followed is not None:
             _draw_ending(layout, context, followed)
         elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
@@ -67,7 +66,7 @@ class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        lately = recents.recent()[:_MOST_RECENT]
+        lately = recents.recent()
         for lift in lately:
             row = layout.row(align=True)
             row.label(text=f"{lift.folder.path.name}: {lift.state.value}", icon=_ICONS.get(lift.state, "FILE_FOLDER"))

@@ -92,9 +92,11 @@ class PLGS_UL_classes(Searchable, bpy.types.UIList):
         number = split.row()
         number.alignment = "RIGHT"
         number.label(text=f"{row.points}")
-        select = line.row()
-        select.enabled = row.is_thing
-        select.operator("plgs.select_class", text="", icon="RESTRICT_SELECT_OFF", emboss=False).class_id = row.class_id
+        if row.is_thing:
+            select = line.operator("plgs.select_class", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
+            select.class_id = row.class_id
+        else:  # stuff has no boxes
+            line.label(text="", icon="BLANK1")
         line.prop(row, "visible", text="", icon="HIDE_OFF" if row.visible else "HIDE_ON", emboss=False)
 
 

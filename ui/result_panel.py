@@ -6,8 +6,8 @@ from typing import Any
 
 import bpy
 
-from ..plgs_blender.inspecting.lookup import active_lift
-from .sidebar import Sidebar, Step, tell
+from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
+from .sidebar import Sidebar, Step, from_panel, tell
 
 
 def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
@@ -16,11 +16,9 @@ def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
     return root if root is not None and len(root.plgs.classes) else None
 
 
-def _chosen(root: bpy.types.Collection | None) -> Any | None:
+def _chosen(context: bpy.types.Context) -> Any | None:
     """The row of the instance that is active in the list."""
-    if root is None or not 0 <= root.plgs.instance_index < len(root.plgs.instances):
-        return None
-    return root.plgs.instances[root.plgs.instance_index]
+    return chosen_row(context.scene, context.active_object)
 
 
 class PLGS_PT_result(Step, bpy.types.Panel):
@@ -31,15 +29,14 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         if root is None:
             tell(layout, context, "Nothing is lifted yet. Start a lift above, or open a finished one.", "INFO")
             return
-        lists, row = root.plgs, _chosen(root)
+        lists, row = root.plgs, _chosen(context)
         layout.label(text=root.name, icon="OUTLINER_COLLECTION")
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
         layout.template_list("PLGS_UL_instances", "", lists, "instances", lists, "instance_index", rows=6)
         if not len(lists.instances):
             layout.label(text="No instances were found", icon="INFO")
             return
-        column = layout.column(align=True)
-        column.enabled = row is not None
+        column = from_panel(layout.column(align=True), context)
         column.operator("plgs.frame_instance", icon="ZOOM_SELECTED")
         is_alone = row is not None and lists.isolated == row.instance_id
         text, icon = ("Show What Was Shown", "SOLO_ON") if is_alone else ("Show Only It", "SOLO_OFF")
@@ -57,7 +54,7 @@ class PLGS_PT_masks(Sidebar, bpy.types.Panel):
         return _lift(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, row = self.layout, _chosen(_lift(context))
+        layout, row = self.layout, _chosen(context)
         if row is None:
             layout.label(text="Click a box, or a row of the list", icon="INFO")
             return

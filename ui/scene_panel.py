@@ -6,7 +6,7 @@ import bpy
 
 from ..plgs_blender.scene_survey import Survey, survey_of
 from ..plgs_blender.settings import place_of
-from .sidebar import Sidebar, Step, tell
+from .sidebar import Sidebar, Step, from_panel, tell
 
 _MOST_WARNINGS = 4
 
@@ -26,8 +26,7 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
             layout.label(text="Not looked at yet", icon="QUESTION")
         else:
             _draw_survey(layout, context, survey)
-        wanted = "plgs.import_scene" if settings.scene_folder else "plgs.look_at_scene"  # grey, and says why
-        layout.operator(wanted, text="Import Cameras and Images", icon="OUTLINER_OB_CAMERA")
+        from_panel(layout.row(), context).operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
 
 
 class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
@@ -48,6 +47,9 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
         tell(box, context, survey.error, "ERROR")
         tell(box, context, survey.fix)
         return
+    if survey.is_looking:
+        layout.label(text="Looking at the frames ...", icon="SORTTIME")
+        return
     column = layout.box().column(align=True)
     column.label(text=f"{survey.frames} frames, {survey.test_frames} of them held out", icon="CAMERA_DATA")
     sizes = [f"{width} x {height}" + (f" ({count})" if len(survey.sizes) > 1 else "")
@@ -65,7 +67,7 @@ def _depth(survey: Survey) -> str:
     if survey.depth_range is not None:
         near, middle, far = survey.depth_range
         return f"Depth {near:.1f} to {far:.1f} m, median {middle:.1f}"
-    return "Depth: looking ..." if survey.is_looking else "Depth: known once an engine is set up"
+    return "Depth: known once an engine is set up"
 
 
 CLASSES = (PLGS_PT_scene, PLGS_PT_scene_options)

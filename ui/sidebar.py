@@ -38,6 +38,12 @@ def tell(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
+def from_panel(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
+    """Let the buttons in a layout be grey for what the panel is set to; a script's arguments may say otherwise."""
+    layout.context_pointer_set("plgs_panel", context.scene.plgs)
+    return layout
+
+
 def duration(seconds: float) -> str:
     """Such as "2 min 40 s" or "1 h 05 min"."""
     whole = max(0, round(seconds))

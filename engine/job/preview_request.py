@@ -53,7 +53,7 @@ def write_preview_request(path: Path, wanted: PreviewRequest) -> None:
             "width": int(wanted.width),
             "height": int(wanted.height),
         }
-    part = path.with_name(PART + path.name)
+    part = path.with_name(f"{PART}{os.getpid()}-{path.name}")  # two Blenders may watch one lift
     part.write_text(json.dumps(content) + "\n", encoding="utf-8")
     os.replace(part, path)
 

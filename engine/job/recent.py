@@ -30,13 +30,13 @@ class RecentLift:
     touched: float
 
 
-def recent_lifts(cache: Path | None = None) -> list[RecentLift]:
+def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift]:
     """The lifts of the list that are still there, the newest first. States are those at a glance.
 
     Takes some milliseconds, and never raises: what cannot be read is left out.
     """
     lifts = []
-    for path, touched in _entries(_list_path(cache)):
+    for path, touched in _entries(_list_path(cache))[:most]:
         try:
             folder = LiftFolder.open(Path(path))
             lifts.append(RecentLift(folder, folder.state_at_a_glance(), touched))

@@ -61,15 +61,24 @@ class LivePreviews:
         self._due = ended + max(EVERY_S, (ended - began) * (1 - LARGEST_SHARE) / LARGEST_SHARE)
 
     def clear_away(self) -> None:
-        """The picture is no part of the result."""
+        """The picture is no part of the result. Raises PermissionError when somebody reads it for longer than 2 s."""
+        for pause_s in (0.1, 0.4, 1.5):
+            try:
+                return self.folder.live_preview_path.unlink(missing_ok=True)
+            except PermissionError:  # Windows, while Blender reads it
+                time.sleep(pause_s)
         self.folder.live_preview_path.unlink(missing_ok=True)
 
     def _draw(self, lifted: StructuredScene) -> None:
         rendering = render_view(lifted, self._wanted_camera())
         layers = decide(rendering, self.scene.classes, self.instances.class_of)
         picture = panoptic_picture(layers, self.scene.classes, self.instances.colours)
-        write_atomically(self.folder.live_preview_path, png_bytes(picture))
-        self.events.preview(self.folder.live_preview_path)
+        try:
+            write_atomically(self.folder.live_preview_path, png_bytes(picture))
+        except PermissionError as error:  # Windows, while somebody reads the last one: the next one will do
+            log.info("a live preview is left out: %s", error)
+        else:
+            self.events.preview(self.folder.live_preview_path)
 
     def _wanted_camera(self) -> Camera:
         path = self.folder.preview_request_path

@@ -20,6 +20,7 @@ from ...engine.job.environment import environments_folder
 from ...engine.job.lock import is_locked
 from ...engine.job.log_tail import last_lines
 from ...engine.job.process import ROOT, ChildProcess, ChosenPython, choose_python, clean_environment
+from ..redrawing import redraw_panels
 from .choices import choose, chosen_python
 from .engine_status import UNKNOWN, EngineStatus, checking, status_of, without_python
 from .handshake import Handshake
@@ -81,6 +82,7 @@ def check() -> None:
         _now.choice = choose_python(ROOT, os.environ, chosen_python())
     except JobError as error:
         _now.status = without_python(error)
+        redraw_panels()
         return
     _now.status = checking(_now.choice)
     _now.handshake = Handshake(_now.choice.python)
@@ -158,7 +160,7 @@ def tick() -> float | None:
     before = (_now.status, progress())
     goes_on = pump()
     if before != (_now.status, progress()):
-        _redraw()
+        redraw_panels()
     return TICK_S if goes_on else None
 
 
@@ -229,10 +231,3 @@ def _end_programs() -> None:
     _stop_asking()
     if _now.set_up is not None:
         _now.set_up.cancel()
-
-
-def _redraw() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in {"PREFERENCES", "VIEW_3D"}:
-                area.tag_redraw()

@@ -11,15 +11,14 @@ import numpy as np
 from ...engine.scene import VOID, ClassTable
 from ..colour import UNKNOWN
 from ..results import Instance, LiftResult, Mask
-from .colouring import apply_colours
+from . import colouring, visibility
 from .labels import let_boxes_show_names
 from .records import NO_CONSENT, NO_COST, registered
-from .visibility import apply_visibility
 
 
 def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
     """Let the lift's collection list the instances, with their masks, and the classes. All of them are shown then."""
-    with registered():
+    with registered(), colouring.at_once(root), visibility.at_once(root):
         lists = root.plgs
         lists.instances.clear()
         lists.classes.clear()
@@ -30,8 +29,6 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
         ids, counts = np.unique(result.points.class_id, return_counts=True)
         for class_id, count in zip(ids.tolist(), counts.tolist(), strict=True):
             _fill_class(lists.classes.add(), class_id, count, result.classes)
-        apply_visibility(root)
-        apply_colours(root)
         let_boxes_show_names(root, not lists.show_labels)
 
 

@@ -35,6 +35,14 @@ def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.
     return next((root for root in roots if root[LIFT] == own), roots[0] if roots else None)
 
 
+def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any | None:
+    """The row of the instance that is active in the list of the lift that the panels tell of; None when none is."""
+    root = active_lift(scene, active)
+    if root is None or not 0 <= root.plgs.instance_index < len(root.plgs.instances):
+        return None
+    return root.plgs.instances[root.plgs.instance_index]
+
+
 def objects_by_key(root: bpy.types.Collection) -> dict[str, bpy.types.Object]:
     """The lift's objects by what they are there: "instance:3", "class:1", "frame:0012", "anchors"."""
     keyed = ((key_of(ob, root[LIFT]), ob) for ob in root.all_objects)

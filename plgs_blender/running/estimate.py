@@ -19,7 +19,7 @@ def learn_machine() -> None:
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
     """Time and memory of the lift that the settings ask for, None while the scene is not known, or is bad."""
     survey = survey_of(place_of(settings)) if settings.scene_folder else None
-    if survey is None or survey.error is not None:
+    if survey is None or survey.error is not None or not survey.sizes:
         return None
     effort = chosen_effort(settings.preset, settings.steps or None, size_of(settings))
     (size, _), *_ = survey.sizes

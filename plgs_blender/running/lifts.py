@@ -21,13 +21,9 @@ _POLL_S = 0.05
 
 @dataclass
 class Watch:
-    """One followed lift. ``is_ours``: this Blender started the engine, which ends with it unless it was asked to go on.
-
-    ``state`` is how far the lift was when it was last looked at.
-    """
+    """One followed lift, started here or by somebody else. ``state`` is how far it was when it was last looked at."""
 
     follower: LiftFollower
-    is_ours: bool
     state: LiftState = LiftState.RUNNING
     _pictures_seen: int = 0
 
@@ -50,7 +46,17 @@ class Watch:
 
     @property
     def is_finished(self) -> bool:
+        """Whether the lift has a whole result; that may be so while more of its passes are baked."""
         return self.state is LiftState.FINISHED
+
+    @property
+    def is_baking(self) -> bool:
+        """Whether what is followed is not the lift itself, but a later bake of more frames."""
+        return self.status.task == BAKE
+
+    @property
+    def ended_well(self) -> bool:
+        return self.outcome is not None and self.outcome.code is ExitCode.FINISHED
 
     @property
     def can_be_resumed(self) -> bool:
@@ -69,7 +75,7 @@ class Watch:
         try:
             events = self.follower.poll()
             if self.outcome is not None:
-                self.state = self.folder.state_at_rest()
+                self.state = self.folder.state_at_a_glance()
         except (JobError, OSError) as error:  # its disk is gone, or the folder was deleted meanwhile
             self.follower.outcome = Outcome(ExitCode.INTERNAL_ERROR, f"the lift can no longer be read: {error}")
             self.state = LiftState.INTERRUPTED
@@ -77,7 +83,7 @@ class Watch:
 
 
 _watches: dict[Path, Watch] = {}
-_refusals: dict[Path, JobError] = {}
+_refusals: dict[Path, JobError | OSError] = {}
 
 
 def watch_of(folder: Path) -> Watch | None:
@@ -85,7 +91,7 @@ def watch_of(folder: Path) -> Watch | None:
     return _watches.get(folder)
 
 
-def refusal_of(folder: Path) -> JobError | None:
+def refusal_of(folder: Path) -> JobError | OSError | None:
     """Why the lift in this folder could not be looked at, None when it could."""
     return _refusals.get(folder)
 
@@ -104,14 +110,14 @@ def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running:
     _refuse_running(lift)
     command = engine_command(python, lift.path, resume=resume)
     follower = LiftFollower.start(lift, resume=resume, command=command, stays_with_parent=not keep_running)
-    return _follow(Watch(follower, is_ours=True))
+    return _follow(Watch(follower))
 
 
-def bake(lift: LiftFolder, python: Path, frames: Sequence[str]) -> Watch:
+def bake(lift: LiftFolder, python: Path, frames: Sequence[str], *, keep_running: bool = False) -> Watch:
     """Let an engine bake the passes of more frames of a finished lift: "test", "all", or names. Raises JobError."""
     _refuse_running(lift)
-    follower = LiftFollower.start_bake(lift, frames, command=bake_command(python, lift.path, frames))
-    return _follow(Watch(follower, is_ours=True))
+    command = bake_command(python, lift.path, frames)
+    return _follow(Watch(LiftFollower.start_bake(lift, frames, command=command, stays_with_parent=not keep_running)))
 
 
 def attach(folder: Path) -> Watch:
@@ -120,7 +126,7 @@ def attach(folder: Path) -> Watch:
     if known is not None and known.is_running:
         return known
     lift = LiftFolder.open(folder)
-    watch = Watch(LiftFollower(lift), is_ours=False, state=lift.state())
+    watch = Watch(LiftFollower(lift), state=lift.state())
     if watch.state is LiftState.NOT_STARTED:
         watch.follower.outcome = Outcome(ExitCode.CANCELLED)
     watch.poll()
@@ -133,20 +139,11 @@ def look_at(folder: Path) -> Watch | None:
     if known is not None:
         return known
     _refusals.pop(folder, None)
-    if not folder.exists():
-        return None
     try:
-        return attach(folder)
-    except JobError as error:
+        return attach(folder) if folder.exists() else None
+    except (JobError, OSError) as error:
         _refusals[folder] = error
         return None
-
-
-def forget(folder: Path) -> None:
-    """Follow this lift no longer. An engine of our own stops, unless it was asked to go on."""
-    watch = _watches.pop(folder, None)
-    if watch is not None:
-        watch.follower.close()
 
 
 def poll_all() -> list[Watch]:
@@ -177,7 +174,7 @@ def words_for(watch: Watch) -> str:
         return watch.status.label
     if outcome.error is not None:
         return outcome.error
-    if watch.status.task == BAKE:
+    if watch.is_baking:
         return "The passes are baked" if outcome.code is ExitCode.FINISHED else "Baking was cancelled"
     if watch.is_finished:
         return "The lift is finished"

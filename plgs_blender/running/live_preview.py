@@ -16,6 +16,7 @@ from ...engine.job import LiftFolder
 from ...engine.job.preview_request import write_preview_request
 from ..owned import KEY, LIFT, tag
 from ..paths import absolute
+from . import lifts
 
 _IMAGE = "live preview"
 _FRAME = "frame"
@@ -34,9 +35,9 @@ def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
     """Ask the engine for the view of the active camera of the scene that shows this lift, when it is one of ours."""
     for scene in _scenes_of(lift, scenes):
         if can_be_seen(scene) and _asked.get(lift.path) != scene.camera[_FRAME]:
-            _asked[lift.path] = scene.camera[_FRAME]
             with suppress(OSError):  # somebody else's lift that we may only read: it shows what its owner asks for
                 write_preview_request(lift.preview_request_path, scene.camera[_FRAME])
+                _asked[lift.path] = scene.camera[_FRAME]
         return
 
 
@@ -46,20 +47,28 @@ def show(lift: LiftFolder, picture: Path, scenes: Iterable[bpy.types.Scene]) -> 
         if not can_be_seen(scene) or not picture.is_file():
             return
         owner = scene.camera[LIFT]
-        image = _image_of(owner) or _new_image(owner, picture)
+        image = _image_of(owner) or _new_image(owner)
         image.filepath = str(picture)
         image.reload()
         _dress(scene.camera.data, image)
 
 
-def remove(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
-    """Take the preview away again; the photos come back."""
-    _asked.pop(lift.path, None)
-    for image in [image for image in bpy.data.images if image.get(KEY) == _IMAGE]:
-        if Path(bpy.path.abspath(image.filepath)).is_relative_to(lift.path):
+def remove(lift: Path) -> None:
+    """Take the preview of the lift in this folder away again; the photos come back."""
+    _asked.pop(lift, None)
+    for image in _previews():
+        if absolute(image.filepath).is_relative_to(lift):
             for data in bpy.data.cameras:
                 _undress(data, image)
             bpy.data.images.remove(image)
+
+
+def remove_left_over() -> None:
+    """Take away the previews of lifts that run no longer: of a file that was saved, or an undo step made, meanwhile."""
+    running = {followed.folder.path for followed in lifts.running()}
+    for path in [absolute(image.filepath) for image in _previews()]:
+        if not any(path.is_relative_to(lift) for lift in running):
+            remove(path.parent)
 
 
 def _scenes_of(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> list[bpy.types.Scene]:
@@ -68,31 +77,30 @@ def _scenes_of(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> list[bpy.
     return [scene for scene in chosen if absolute(scene.plgs.lift_folder) == lift.path]
 
 
+def _previews() -> list[bpy.types.Image]:
+    return [image for image in bpy.data.images if image.get(KEY) == _IMAGE and image.library is None]
+
+
 def _image_of(owner: str) -> bpy.types.Image | None:
-    return next((im for im in bpy.data.images if im.get(LIFT) == owner and im.get(KEY) == _IMAGE), None)
+    return next((image for image in _previews() if image.get(LIFT) == owner), None)
 
 
-def _new_image(owner: str, picture: Path) -> bpy.types.Image:
-    image = bpy.data.images.load(str(picture), check_existing=False)
-    image.name = "PLGS live preview"
+def _new_image(owner: str) -> bpy.types.Image:
+    """An image that reads a file: `images.load` would raise where the engine has just taken the file away."""
+    image = bpy.data.images.new("PLGS live preview", 1, 1)
+    image.source = "FILE"
     tag(image, owner, _IMAGE)
     return image
 
 
 def _dress(data: bpy.types.Camera, image: bpy.types.Image) -> None:
-    """Show the preview alone: the photo would shine through."""
-    backgrounds = data.background_images
-    mine = next((each for each in backgrounds if each.image == image), None)
-    if mine is None:
-        mine = backgrounds.new()
+    """Lay the preview, opaque, over the photo, which stays as it is."""
+    if all(each.image != image for each in data.background_images):
+        mine = data.background_images.new()
         mine.image, mine.display_depth, mine.alpha, mine.frame_method = image, "FRONT", 1.0, "STRETCH"
-    for each in backgrounds:
-        each.show_background_image = each == mine
+        mine.show_expanded = False
 
 
 def _undress(data: bpy.types.Camera, image: bpy.types.Image) -> None:
-    mine = next((each for each in data.background_images if each.image == image), None)
-    if mine is not None:
-        data.background_images.remove(mine)
-        for each in data.background_images:
-            each.show_background_image = True
+    for each in [each for each in data.background_images if each.image == image]:
+        data.background_images.remove(each)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from ...engine.job.recent import RecentLift, recent_lifts
 
+SHOWN = 8
+"""So many the panel lists."""
+
 _recent: tuple[RecentLift, ...] = ()
 
 
 def refresh() -> None:
     """Look at the user's list of lifts: takes some milliseconds."""
     global _recent
-    _recent = tuple(recent_lifts())
+    _recent = tuple(recent_lifts(most=SHOWN))
 
 
 def recent() -> tuple[RecentLift, ...]:

@@ -17,38 +17,51 @@ from . import lifts
 from .lifts import Watch
 
 
-def why_not(settings: PLGS_PG_settings) -> str | None:
-    """Why no lift can be started from the panel now; None when one can. Looks at no disk."""
+def why_no_engine() -> str | None:
+    """Why no engine can be started now; None when one can. Looks at no disk."""
+    engine = engine_environment.status()
+    return None if engine.is_usable else f"{engine.message}. {engine.fix}"
+
+
+def why_no_scene(settings: PLGS_PG_settings) -> str | None:
+    """Why the panel's scene cannot be used; None when it can, or nobody knows yet. Looks at no disk."""
+    if not settings.scene_folder:
+        return "Choose the scene's folder first"
+    survey = survey_of(place_of(settings))
+    return None if survey is None or survey.error is None else f"{survey.error}. {survey.fix}"
+
+
+def why_no_lift(settings: PLGS_PG_settings) -> str | None:
+    """Why the panel's lift cannot be started now; None when it can. Looks at no disk."""
     folder = chosen_lift(settings)
     followed = lifts.watch_of(folder) if folder is not None else None
     if followed is not None and followed.is_running:
         return "This lift is running already"
-    engine = engine_environment.status()
-    if not engine.is_usable:
-        return f"{engine.message}. {engine.fix}"
-    survey = survey_of(place_of(settings)) if settings.scene_folder else None
-    if survey is not None and survey.error is not None:
-        return f"{survey.error}. {survey.fix}"
-    return None
+    return why_no_scene(settings)
 
 
-def start_lift(settings: PLGS_PG_settings) -> Watch:
-    """Start the lift that the settings ask for: in their lift folder, or a new one where that holds a lift already.
+def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False) -> Watch:
+    """Start the lift that the settings ask for: in their lift folder or, where that holds a lift already, in a new one
+    beside the scene's; with ``in_that_folder`` such a folder is refused.
 
-    Raises JobError or SceneError before any folder is made.
+    Raises JobError or SceneError, and then leaves no folder behind.
     """
     if not settings.scene_folder:
         raise JobError("no scene is chosen", "Scene", "Choose a folder with color, depth, pose and intrinsic.")
     python = engine_environment.usable_python()
     request = request_of(settings)
     known = survey_of(place_of(settings))
-    if known is None or known.error is not None:  # else the panel has looked already, and a button answers at once
+    if known is None or known.error is not None:  # else the panel looks, or has looked, and a button answers at once
         open_scene(request.scene, request.masks, request.up)
     folder = chosen_lift(settings)
-    if folder is None or (folder / "request.json").exists():
+    if folder is None or (not in_that_folder and (folder / "request.json").exists()):
         folder = free_lift_folder(request.scene)
     lift = LiftFolder.create(folder, request)
-    followed = lifts.start(lift, python, keep_running=settings.keep_running)
+    try:
+        followed = lifts.start(lift, python, keep_running=settings.keep_running)
+    except JobError:
+        lift.discard()
+        raise
     settings.lift_folder = str(folder)
     return followed
 
@@ -76,9 +89,11 @@ def join_lift(settings: PLGS_PG_settings, folder: str = "") -> Watch:
 
 
 def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
-    """Ask a lift to stop. Raises JobError when it is not followed, or its folder cannot be written."""
+    """Ask a lift to stop. Raises JobError when it is not running, or its folder cannot be written."""
     lift = lift_at(settings, folder)
     followed = lifts.watch_of(lift.path) or lifts.attach(lift.path)
+    if not followed.is_running:
+        raise JobError(f"is not running: it is {followed.state.value}", lift.path, "There is nothing to cancel.")
     try:
         followed.follower.cancel()
     except OSError as error:
@@ -92,10 +107,7 @@ def why_no_bake(settings: PLGS_PG_settings) -> str | None:
     followed = lifts.watch_of(folder) if folder is not None else None
     if followed is None or not (followed.is_finished or followed.is_running):
         return "Passes are baked from a finished lift: lift the scene first, or choose the folder of a lift"
-    if followed.is_running:
-        return "The lift is still running"
-    engine = engine_environment.status()
-    return None if engine.is_usable else f"{engine.message}. {engine.fix}"
+    return "The lift is still running" if followed.is_running else None
 
 
 def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Watch:
@@ -109,7 +121,8 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Watch:
         if not names[0]:
             fix = "Choose one of the lift's cameras: select it and press Ctrl+Numpad 0."
             raise JobError("the active camera is no frame of the lift", scene.name, fix)
-    return lifts.bake(lift, engine_environment.usable_python(), names)
+    python = engine_environment.usable_python()
+    return lifts.bake(lift, python, names, keep_running=scene.plgs.keep_running)
 
 
 def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:
@@ -121,6 +134,14 @@ def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:
     root = place_lift(lift.path, scene)
     adopt(scene.plgs, lift.request, lift.path)
     return root
+
+
+def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
+    """The engine's log of the lift in `folder`, or in that of the settings. Raises JobError when there is none."""
+    log = lift_at(settings, folder).log_path
+    if not log.is_file():
+        raise JobError("is not there: the engine never began", log, "Start it anew.")
+    return log
 
 
 def lift_at(settings: PLGS_PG_settings, folder: str = "") -> LiftFolder:

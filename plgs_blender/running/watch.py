@@ -1,12 +1,11 @@
 """The heartbeat: a timer of Blender's that polls the followed lifts and shows what is new.
 
 It survives undo, the opening of another file and the end of the operator that started a lift. Blender runs it in its
-own main thread between redraws, so it may never wait: `longest_tick_s` tells how long it took at worst.
+own main thread between redraws, so it may never wait.
 """
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import bpy
@@ -14,12 +13,12 @@ import bpy
 from .. import scene_survey
 from ..engine_environment import engine_python
 from ..paths import absolute
+from ..redrawing import redraw_panels
 from ..scene_survey import Place
 from . import estimate, lifts, live_preview, recents
 from .lifts import Watch
 
 TICK_S = 0.1
-_longest_tick_s = 0.0
 
 
 def begin() -> None:
@@ -30,8 +29,6 @@ def begin() -> None:
 
 def tick() -> float | None:
     """One beat; the seconds until the next, None when there is nothing left to follow."""
-    global _longest_tick_s
-    began = time.perf_counter()
     with_news = lifts.poll_all()
     shown_anew = [_show(watch) for watch in with_news]
     for watch in lifts.running():
@@ -40,14 +37,14 @@ def tick() -> float | None:
     is_looking = scene_survey.poll()
     if with_news or was_looking != is_looking:
         redraw_panels(views_too=any(shown_anew))
-    _longest_tick_s = max(_longest_tick_s, time.perf_counter() - began)
     return TICK_S if lifts.running() or is_looking else None
 
 
 def look_at_scene(place: Place) -> None:
-    """See what is in a scene's folder; `scene_survey.survey_of` knows it then, the rest a moment later."""
+    """See what is in a scene's folder; `scene_survey.survey_of` knows it then: in a window a moment later."""
     estimate.learn_machine()
-    scene_survey.look(place, engine_python())
+    # Without a window nobody would hear what a process finds out, and nobody is kept waiting.
+    scene_survey.look(place, None if bpy.app.background else engine_python())
     begin()
 
 
@@ -57,25 +54,10 @@ def look_at_lift(folder: Path) -> None:
         begin()
 
 
-def longest_tick_s() -> float:
-    """The longest time, in seconds, that one beat has kept Blender's window waiting since the extension was loaded."""
-    return _longest_tick_s
-
-
-def redraw_panels(*, views_too: bool = False) -> None:
-    """Ask for the sidebars to be drawn anew, and only if asked the views beside them: those take far longer."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                for region in area.regions:
-                    if region.type == "UI" or (views_too and region.type == "WINDOW"):
-                        region.tag_redraw()
-
-
 def _show(watch: Watch) -> bool:
     """Bring the camera's background up to date; whether that changes what a view shows."""
     if not watch.is_running:
-        live_preview.remove(watch.folder, bpy.data.scenes)
+        live_preview.remove(watch.folder.path)
         recents.refresh()
         return True
     picture = watch.new_picture()
@@ -91,6 +73,10 @@ def look_at_all_scenes() -> None:
     for scene in bpy.data.scenes:
         if scene.plgs.lift_folder:
             look_at_lift(absolute(scene.plgs.lift_folder))
+    live_preview.remove_left_over()
+    settings = bpy.context.scene.plgs
+    if settings.scene_folder:
+        look_at_scene(Place.of(settings.scene_folder, settings.masks, settings.up))
 
 
 @bpy.app.handlers.persistent

@@ -101,5 +101,40 @@ def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None
     assert watch is not None and watch.is_finished
 
 
-def test_cancelling_nothing_says_so() -> None:
-    assert not bpy.ops.plgs.cancel_lift.poll()
+def test_cancelling_what_is_not_running_says_so(lift: Path) -> None:
+    with pytest.raises(RuntimeError, match="no lift is chosen"):
+        bpy.ops.plgs.cancel_lift()
+    with pytest.raises(RuntimeError, match="is not running: it is finished"):
+        bpy.ops.plgs.cancel_lift(lift_folder=str(lift))
+    assert not (lift / "cancel").exists()
+
+
+def test_a_folder_that_a_script_names_is_never_exchanged(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+    behaves("short")
+    bpy.context.scene.plgs.place_when_done = False
+    bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
+    with pytest.raises(RuntimeError, match="already holds a lift"):
+        bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / "lift"))
+
+
+def test_an_engine_that_cannot_be_started_leaves_no_folder(
+    behaves: Behaves, room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    behaves("short")
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: tmp_path / "no python")
+    with pytest.raises(RuntimeError, match="cannot be run"):
+        bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
+    assert not (tmp_path / "lift").exists()
+
+
+def test_a_log_that_is_not_there_is_said(lift: Path) -> None:
+    with pytest.raises(RuntimeError, match="the engine never began"):
+        bpy.ops.plgs.open_log(lift_folder=str(lift))
+
+
+def test_showing_a_lift_changes_no_setting_that_says_the_same(lift: Path) -> None:
+    settings = bpy.context.scene.plgs
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    settings.scene_folder += "/"
+    bpy.ops.plgs.place_lift()
+    assert settings.scene_folder.endswith("/")

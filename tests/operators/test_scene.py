@@ -66,10 +66,23 @@ def test_a_bad_folder_is_said_and_greys_the_button(tmp_path: Path) -> None:
     settings.scene_folder = str(tmp_path)
     survey = survey_of(place_of(settings))
     assert survey is not None and survey.error is not None and survey.fix
-    assert not bpy.ops.plgs.import_scene.poll()
-    with pytest.raises(RuntimeError):
+    with bpy.context.temp_override(plgs_panel=settings):
+        assert not bpy.ops.plgs.import_scene.poll() and not bpy.ops.plgs.lift_scene.poll()
+    with pytest.raises(RuntimeError, match=str(tmp_path)):
         bpy.ops.plgs.import_scene()
     assert len(bpy.data.objects) == 0
+
+
+def test_a_bad_scene_does_not_stop_a_script_from_the_next(room: Path, tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError):
+        bpy.ops.plgs.import_scene(scene_folder=str(tmp_path))
+    assert bpy.ops.plgs.import_scene(scene_folder=str(room)) == {"FINISHED"}
+
+
+def test_without_a_scene_the_panel_says_so() -> None:
+    with bpy.context.temp_override(plgs_panel=bpy.context.scene.plgs):
+        assert not bpy.ops.plgs.import_scene.poll() and not bpy.ops.plgs.lift_scene.poll()
+    assert bpy.ops.plgs.import_scene.poll(), "a script may name one"
 
 
 def test_a_dropped_file_opens_its_scene_or_its_lift(room: Path, lift: Path) -> None:

@@ -72,7 +72,9 @@ def test_no_points_are_no_clouds() -> None:
     assert place(many_points(0))[0] == []
 
 
-@pytest.mark.parametrize("count", [200_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
-def test_a_million_points_take_at_most_two_seconds(count: int) -> None:
-    seconds = min(place(many_points(count))[1] for _ in range(2))
-    assert seconds < 2.0 * count / 1_000_000 + 0.2
+@pytest.mark.parametrize(
+    ("count", "most_s"), [(200_000, 0.6), pytest.param(1_000_000, 2.0, marks=pytest.mark.slow)]
+)
+def test_a_million_points_take_at_most_two_seconds(count: int, most_s: float) -> None:
+    """A fifth of them take more than a fifth of the time: some is spent on each class and the room's grid."""
+    assert min(place(many_points(count))[1] for _ in range(2)) < most_s

@@ -101,7 +101,7 @@ def test_another_blender_watches_and_cancels(behaves: Behaves, lift: LiftFolder)
     poll_until(ours, lambda: ours.status.step > 3)
     lifts._watches.clear()  # as if this were another process
     theirs = lifts.attach(lift.path)
-    assert not theirs.is_ours and theirs.is_running
+    assert theirs is not ours and theirs.is_running
     poll_until(theirs, lambda: theirs.status.step > 3)
     theirs.follower.cancel()
     assert lifts.wait_for(theirs).code is ExitCode.CANCELLED

@@ -1,0 +1,83 @@
+"""Passes from a script: opening them in the compositor, and what cannot be baked."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import pytest
+from plgs.plgs_blender import engine_environment
+from plgs.plgs_blender.running import lifts
+
+PRETENCE = """
+import sys
+from pathlib import Path
+from engine.job import EventWriter
+
+events = EventWriter(Path(sys.argv[1]) / "events.jsonl")
+events.hello(threads=1, resumed=False, task="bake")
+events.done("finished")
+"""
+
+
+@pytest.fixture
+def baked_frames(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """The frames that an engine was asked to bake; the engine itself only pretends."""
+    asked: list[str] = []
+
+    def command(python: Path, lift: Path, frames: list[str]) -> list[str | Path]:
+        asked.extend(frames)
+        return [python, "-c", PRETENCE, lift]
+
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
+    monkeypatch.setattr(lifts, "bake_command", command)
+    yield asked
+    lifts.let_go()
+
+
+def test_passes_open_in_the_compositor_at_the_active_camera(lift: Path) -> None:
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    scene = bpy.context.scene
+    passes = next(each for each in bpy.data.scenes if each != scene)
+    baked = [marker.name for marker in passes.timeline_markers]
+    scene.camera = next(ob for ob in scene.objects if ob.get("frame") == baked[-1])
+    assert bpy.ops.plgs.show_passes() == {"FINISHED"}
+    assert {marker.name: marker.frame for marker in passes.timeline_markers}[baked[-1]] == passes.frame_current
+
+
+def test_without_passes_the_button_is_grey() -> None:
+    assert not bpy.ops.plgs.show_passes.poll()
+
+
+def test_the_frame_of_the_active_camera_is_baked(lift: Path, baked_frames: list[str], tmp_path: Path) -> None:
+    lift = shutil.copytree(lift, tmp_path / "lift")
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    scene = bpy.context.scene
+    scene.camera = next(ob for ob in scene.objects if "frame" in ob)
+    before = {ob.name: ob.as_pointer() for ob in scene.objects}
+    row = next(root for root in bpy.data.collections if root.plgs.instances).plgs.instances[0]
+    row.visible = False
+    assert bpy.ops.plgs.bake_passes(frames="active") == {"FINISHED"}
+    assert baked_frames == [scene.camera["frame"]]
+    assert {ob.name: ob.as_pointer() for ob in scene.objects} == before, "a bake leaves objects alone"
+    assert not row.visible, "and what was hidden"
+
+
+def test_a_camera_that_is_no_frame_cannot_be_baked(lift: Path, baked_frames: list[str]) -> None:
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    bpy.context.scene.camera = None
+    with pytest.raises(RuntimeError, match="no frame of the lift"):
+        bpy.ops.plgs.bake_passes(frames="active")
+    assert baked_frames == []
+
+
+def test_only_a_finished_lift_can_be_baked_from_the_panel(lift: Path) -> None:
+    settings = bpy.context.scene.plgs
+    with bpy.context.temp_override(plgs_panel=settings):
+        assert not bpy.ops.plgs.bake_passes.poll()
+        settings.lift_folder = str(lift)
+        assert bpy.ops.plgs.bake_passes.poll()
+
