@@ -46,11 +46,13 @@ class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.go_to_mask", "Go to Mask", {"REGISTER", "UNDO"}
 
     frame: StringProperty(  # type: ignore[valid-type]
-        name="Frame", description="Name of the frame; empty: that of the mask selected in the list"
-    )
+        name="Frame", options={"SKIP_SAVE"},
+        description="Name of the frame; empty: that of the mask selected in the list",
+    )  # fmt: skip
     segment: IntProperty(  # type: ignore[valid-type]
-        name="Segment", min=0, description="Id of the segment in the frame's mask; 0: the first that made the instance"
-    )
+        name="Segment", min=0, options={"SKIP_SAVE"},
+        description="Id of the segment in the frame's mask; 0: the first that made the instance",
+    )  # fmt: skip
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
