@@ -19,8 +19,7 @@ register, unregister = session.register, session.unregister
 
 _TORCH_BUILDS = [
     ("preferences", "As in the preferences", "What the add-on's preferences say"),
-    ("cpu", "CPU", "The small build, which is all that a lift uses"),
-    ("cuda", "CUDA", "Several GB more; a lift does not use a graphics card yet"),
+    *choices.TORCH_BUILDS,
 ]
 
 

@@ -6,7 +6,7 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 
 from ..plgs_blender.engine_environment import EngineState, session
-from ..plgs_blender.engine_environment.choices import EXTENSION
+from ..plgs_blender.engine_environment.choices import EXTENSION, TORCH_BUILDS
 from .sidebar import duration, tell
 
 _ICONS = {
@@ -16,10 +16,6 @@ _ICONS = {
     EngineState.MISSING: "ERROR",
     EngineState.FAILED: "CANCEL",
 }
-_TORCH_BUILDS = [
-    ("cpu", "CPU", "The small build, which is all that a lift uses"),
-    ("cuda", "CUDA", "Several GB more; a lift does not use a graphics card yet"),
-]
 _MEGABYTE = 10**6
 
 
@@ -44,7 +40,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
         description="The Python to make the engine's environment from. Empty: Blender's own, else the first that fits",
     )
     torch_build: EnumProperty(  # type: ignore[valid-type]
-        name="Torch", items=_TORCH_BUILDS, default="cpu", description="The build of torch to download"
+        name="Torch", items=TORCH_BUILDS, default="cpu", description="The build of torch to download"
     )
     index_url: StringProperty(  # type: ignore[valid-type]
         name="Package index",

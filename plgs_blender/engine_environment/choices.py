@@ -14,6 +14,11 @@ from .progress import Wish
 EXTENSION = __package__.rsplit(".", 2)[0]
 """The name under which Blender knows the extension: its preferences go by it."""
 
+TORCH_BUILDS = [
+    ("cpu", "CPU", "The small build, which is all that a lift uses"),
+    ("cuda", "CUDA", "Several GB more; a lift does not use a graphics card yet"),
+]
+
 
 @dataclass
 class _Session:

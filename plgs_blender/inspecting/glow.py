@@ -41,12 +41,17 @@ _last: list[Glow] = []
 def glow_of(root: bpy.types.Collection, instance: int, visible: Any) -> Glow:
     """The points of an instance in the clouds that `visible(object)` says are seen."""
     clouds = [cloud for cloud in clouds_of(root) if visible(cloud)]
-    key = (root.session_uid, instance, *((cloud.data.session_uid, len(cloud.data.points)) for cloud in clouds))
+    key = (root.session_uid, instance, *map(_state_of, clouds))
     if not _last or _last[0].key != key:
         parts = [_points_of(cloud, instance) for cloud in clouds]
         xyz, shade, radius = (np.concatenate(each) for each in zip(_NOTHING, *parts, strict=True))
         _last[:] = [Glow(key, xyz, shade, float(radius.mean()) if len(radius) else 0.0)]
     return _last[0]
+
+
+def _state_of(cloud: bpy.types.Object) -> tuple[Any, ...]:
+    """What tells that a cloud's points lie where they lay."""
+    return cloud.data.session_uid, len(cloud.data.points), tuple(value for row in cloud.matrix_world for value in row)
 
 
 def forget() -> None:

@@ -76,6 +76,7 @@ class Watch:
             events = self.follower.poll()
             if self.outcome is not None:
                 self.state = self.folder.state_at_a_glance()
+                self.follower.close()
         except (JobError, OSError) as error:  # its disk is gone, or the folder was deleted meanwhile
             self.follower.outcome = Outcome(ExitCode.INTERNAL_ERROR, f"the lift can no longer be read: {error}")
             self.state = LiftState.INTERRUPTED
