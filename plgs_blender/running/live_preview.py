@@ -47,7 +47,12 @@ def show(lift: LiftFolder, picture: Path, scenes: Iterable[bpy.types.Scene]) -> 
         if not can_be_seen(scene) or not picture.is_file():
             return
         owner = scene.camera[LIFT]
-        image = _image_of(owner) or _new_image(owner)
+        image = _image_of(owner)
+        if image is None:
+            try:
+                image = _new_image(owner, picture)
+            except RuntimeError:  # the engine has just taken it away: the next one will do
+                return
         image.filepath = str(picture)
         image.reload()
         _dress(scene.camera.data, image)
@@ -85,10 +90,10 @@ def _image_of(owner: str) -> bpy.types.Image | None:
     return next((image for image in _previews() if image.get(LIFT) == owner), None)
 
 
-def _new_image(owner: str) -> bpy.types.Image:
-    """An image that reads a file: `images.load` would raise where the engine has just taken the file away."""
-    image = bpy.data.images.new("PLGS live preview", 1, 1)
-    image.source = "FILE"
+def _new_image(owner: str, picture: Path) -> bpy.types.Image:
+    """Raises RuntimeError when there is no such file any more."""
+    image = bpy.data.images.load(str(picture), check_existing=False)
+    image.name = "PLGS live preview"
     tag(image, owner, _IMAGE)
     return image
 
