@@ -109,3 +109,4 @@ def _dress(data: bpy.types.Camera, image: bpy.types.Image) -> None:
 def _undress(data: bpy.types.Camera, image: bpy.types.Image) -> None:
     for each in [each for each in data.background_images if each.image == image]:
         data.background_images.remove(each)
+        data.update_tag()  # else the copy that Blender draws from keeps pointing at the image, and Blender crashes
