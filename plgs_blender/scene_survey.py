@@ -78,6 +78,8 @@ def look(place: Place, python: Path | None) -> Survey:
             _latest = _from_headers(place, open_scene(place.folder, place.masks, place.up))
         except SceneError as error:
             _latest = Survey(place, error=f"{error.what}: {error.where}", fix=error.fix)
+        except (OSError, ValueError) as error:  # a path that this system cannot even look at
+            _latest = Survey(place, error=f"the scene cannot be looked at ({error})", fix="Choose other folders.")
     return _latest
 
 

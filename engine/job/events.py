@@ -15,7 +15,18 @@ from .. import __version__
 from .json_file import Json, to_line
 
 _BINARY = getattr(os, "O_BINARY", 0)
-KINDS = frozenset({"hello", "stage", "progress", "metric", "preview", "artifact", "warning", "error", "done"})
+_KEYS: Mapping[str, frozenset[str]] = {
+    "hello": frozenset(),
+    "stage": frozenset({"name", "index", "count", "label"}),
+    "progress": frozenset({"step", "steps"}),
+    "metric": frozenset({"name", "values"}),
+    "preview": frozenset({"path"}),
+    "artifact": frozenset({"path", "kind"}),
+    "warning": frozenset({"message"}),
+    "error": frozenset({"what", "where", "fix"}),
+    "done": frozenset({"state"}),
+}
+"""The kinds of events, and what whoever reads one may count on."""
 TAIL_BYTES = 16384
 """The last lines of a run, and none of them is near as long."""
 MOST_BYTES = 1 << 17
@@ -139,7 +150,7 @@ class EventReader:
             self._offset = start + whole if whole or not start else path.read_bytes().rfind(b"\n") + 1
 
     def poll(self) -> list[Event]:
-        """The events since the last call; unknown kinds and lines that are no event are left out."""
+        """The events since the last call; unknown kinds, and lines that are no whole event, are left out."""
         self.is_behind = False
         try:
             with self._path.open("rb") as file:
@@ -156,7 +167,7 @@ class EventReader:
         lines = content[:whole].splitlines()
         if self._hurried:
             lines = _without_outdated(lines)
-        return [event for event in _parsed(lines) if event.kind in KINDS]
+        return _usable(_parsed(lines))
 
 
 def _without_outdated(lines: list[bytes]) -> list[bytes]:
@@ -183,7 +194,7 @@ def last_events(path: Path) -> list[Event]:
         start, tail = _tail(path, TAIL_BYTES)
     except FileNotFoundError:
         return []
-    events = [event for event in _parse(tail) if event.kind in KINDS]
+    events = _usable(_parse(tail))
     if start and not events:  # what a power cut left of the end
         return last_run(path)
     for index in range(len(events) - 1, -1, -1):
@@ -204,13 +215,18 @@ def _parse(content: bytes) -> list[Event]:
     return _parsed(content.splitlines())
 
 
+def _usable(events: Iterable[Event]) -> list[Event]:
+    """Those of kinds that are known, with all that belongs to them."""
+    return [event for event in events if event.kind in _KEYS and _KEYS[event.kind] <= event.data.keys()]
+
+
 def _parsed(lines: Iterable[bytes]) -> list[Event]:
     events = []
     for line in lines:
         try:
             fields = json.loads(line)
             event = Event(int(fields.pop("seq")), float(fields.pop("time")), str(fields.pop("event")), fields)
-        except (ValueError, TypeError, KeyError, AttributeError):
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
             continue  # what a power cut left of a line: the other lines still count
         events.append(event)
     return events

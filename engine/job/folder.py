@@ -57,13 +57,20 @@ class LiftFolder:
         except OSError as error:
             fix = "Choose a folder that you may write to, on a disk with space."
             raise JobError(f"cannot be written ({error.strerror})", path, fix) from error
+        except ValueError as error:
+            fix = "Choose another output folder."
+            raise JobError(f"cannot be the path of a folder ({error})", repr(str(path)), fix) from error
         return cls(path, request)
 
     @classmethod
     def open(cls, path: Path) -> LiftFolder:
         """An existing lift folder. Raises JobError when it is none, or its request cannot be read."""
         path = path.absolute()
-        if not path.is_dir():
+        try:
+            is_folder = path.is_dir()
+        except OSError as error:  # a name that is too long, a disk that does not answer
+            raise JobError(f"cannot be opened ({error.strerror})", path, "Give the folder of a lift.") from error
+        if not is_folder:
             raise JobError("is no folder", path, "Give the folder of a lift.")
         if not (path / "request.json").is_file():
             raise JobError("is no lift folder (it has no request.json)", path, "Give the folder of a lift.")

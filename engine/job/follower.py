@@ -18,6 +18,8 @@ from .process import EngineProcess, engine_command, engine_python
 
 LOG_LINES = 40
 """Of the log's end in an outcome: enough for a Python traceback, and for one that a crash in native code leaves."""
+_MOST = 1 << 62
+"""No count and no number of seconds is larger."""
 CANCEL_WAIT_S = 0.65
 """How long an engine may take to stop by itself before it is killed. Its own watchdog needs 0.6 s at most."""
 
@@ -217,6 +219,9 @@ class LiftFollower:
                 self._done = str(data["state"])
 
     def _outcome(self, code: int | None) -> Outcome:
+        if not self.folder.path.is_dir():  # what the engine said of that is not what happened
+            what = f"the lift's folder is gone: {self.folder.path}"
+            return Outcome(ExitCode.INTERNAL_ERROR, f"{what}. Bring it back, or lift the scene again.")
         if self._error is not None:
             data = self._error.data
             return self._failed(_exit_code(data.get("exit_code")), f"{data['what']}: {data['where']}. {data['fix']}")
@@ -255,11 +260,15 @@ def bake_command(python: Path, lift: Path, frames: Sequence[str]) -> list[str | 
 
 
 def _int(value: Json) -> int:
-    return value if isinstance(value, int) else 0
+    """0 for what counts nothing."""
+    return value if isinstance(value, int) and 0 <= value <= _MOST else 0
 
 
 def _float(value: Json) -> float | None:
-    return float(value) if isinstance(value, int | float) else None
+    """None for what is no number that could be meant: NaN, infinite, or beyond all bounds."""
+    if not isinstance(value, int | float) or not -_MOST <= value <= _MOST:
+        return None
+    return float(value)
 
 
 def _exit_code(value: Json) -> ExitCode:

@@ -50,6 +50,8 @@ def read_object(path: Path, fix: str) -> dict[str, Json]:
         value = json.loads(path.read_bytes())
     except OSError as error:
         raise JobError(f"cannot be read ({error.strerror})", path, fix) from error
+    except RecursionError as error:
+        raise JobError("is nested too deeply", path, fix) from error
     except ValueError as error:  # covers broken JSON and broken UTF-8
         raise JobError(f"is not JSON ({error})", path, fix) from error
     if not isinstance(value, dict):

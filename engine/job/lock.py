@@ -53,17 +53,28 @@ class FileLock:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process holds a FileLock on the file. Raises JobError when the file system knows no locks."""
+    """Whether a process holds a FileLock on the file. Raises JobError when that cannot be told: the file system
+    knows no locks, or a folder has the file's name.
+    """
     try:
-        descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        descriptor = _open_existing(path)
     except FileNotFoundError:
         return False
-    except PermissionError:  # somebody else's lift that we may only read: a shared lock still tells
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+    except OSError as error:
+        fix = "It has to be a file that you may read."
+        raise JobError(f"cannot be opened ({error.strerror})", path, fix) from error
     try:
         return not _try_lock(descriptor, path, shared=True)
     finally:
         os.close(descriptor)
+
+
+def _open_existing(path: Path) -> int:
+    binary = getattr(os, "O_BINARY", 0)
+    try:
+        return os.open(path, os.O_RDWR | binary)
+    except PermissionError:  # somebody else's lift that we may only read: a shared lock still tells
+        return os.open(path, os.O_RDONLY | binary)
 
 
 def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:

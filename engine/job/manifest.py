@@ -111,6 +111,8 @@ def check_sizes(result: Path) -> Manifest:
             found = path.stat()
         except OSError as error:
             raise JobError("is missing", path, _FIX) from error
+        except ValueError as error:
+            raise JobError(f"lists a file that cannot be ({error})", result / NAME, _FIX) from error
         if found.st_size != file.bytes or not S_ISREG(found.st_mode):
             raise JobError(f"has {found.st_size} bytes, {file.bytes} were written", path, _FIX)
     return manifest

@@ -22,6 +22,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 _WORDS = 64_000
 """Bytes of a program's words that are read: more is no message."""
+_ANSWER_S = 60.0
+"""A Python on a slow disk has answered by then."""
+_MISSING = "missing modules:"
 _ENGINE_MODULES = ("torch", "numpy")
 # What a parent Python, Blender's above all, may have set for itself and would break another Python with.
 _FOREIGN = (
@@ -94,17 +97,24 @@ def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, ch
 
 
 def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
-    """Which of the modules another Python cannot find. Nothing is imported. Raises JobError when it does not run."""
-    code = "import importlib.util, sys; print(*(n for n in sys.argv[1:] if not importlib.util.find_spec(n)))"
+    """Which of the modules another Python cannot find. Nothing is imported. Raises JobError when it does not run,
+    does not answer, or is no Python.
+    """
+    find = "(n for n in sys.argv[1:] if not importlib.util.find_spec(n))"
+    code = f"import importlib.util, sys; print({_MISSING!r}, *{find})"
     try:
         answer = subprocess.run(
-            [python, "-c", code, *names], env=clean_environment(), capture_output=True, text=True, timeout=60
+            [python, "-c", code, *names], env=clean_environment(), capture_output=True, timeout=_ANSWER_S
         )
+    except subprocess.TimeoutExpired as error:
+        raise JobError(f"does not answer within {_ANSWER_S:g} s", python, "Try it in a terminal.") from error
     except OSError as error:
         raise JobError(f"cannot be run ({error.strerror})", python, "It has to be a Python.") from error
-    if answer.returncode != 0:
+    # The last line: what a Python runs as it starts may say something, too.
+    *_, line = ["", *answer.stdout.decode(errors="replace").splitlines()]
+    if answer.returncode != 0 or not line.startswith(_MISSING):
         raise JobError("does not work as a Python", python, "Try it in a terminal.")
-    return answer.stdout.split()
+    return line.removeprefix(_MISSING).split()
 
 
 def clean_environment(root: Path | None = None) -> dict[str, str]:
@@ -147,6 +157,9 @@ class ChildProcess:
             )
         except OSError as error:
             raise JobError(f"cannot be run ({error.strerror})", command[0], "It has to be a Python.") from error
+        except ValueError as error:
+            fix = "Choose folders with other names."
+            raise JobError(f"cannot be told such a path ({error})", command[0], fix) from error
 
     @property
     def pid(self) -> int:

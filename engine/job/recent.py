@@ -19,6 +19,8 @@ from .user_cache import notes_folder
 
 FORMAT = 1
 MOST = 50
+_LATEST = 1 << 40
+"""Unix seconds far beyond any clock: what is later, or not a number, was not written by us."""
 
 
 @dataclass(frozen=True)
@@ -75,4 +77,6 @@ def _entries(list_path: Path) -> list[tuple[str, float]]:
 
 def _entry(lift: Mapping[str, Json]) -> tuple[str, float] | None:
     path, touched = lift.get("path"), lift.get("touched")
-    return (path, float(touched)) if isinstance(path, str) and isinstance(touched, int | float) else None
+    if not isinstance(path, str) or not isinstance(touched, int | float) or not 0 <= touched <= _LATEST:
+        return None
+    return path, float(touched)

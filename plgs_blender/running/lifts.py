@@ -72,6 +72,7 @@ class Watch:
         """Take in what happened; whether anything did."""
         if not self.is_running:
             return False
+        events = []
         try:
             events = self.follower.poll()
             if self.outcome is not None:
@@ -84,7 +85,8 @@ class Watch:
 
 
 _watches: dict[Path, Watch] = {}
-_refusals: dict[Path, JobError | OSError] = {}
+_Refusal = JobError | OSError | ValueError
+_refusals: dict[Path, _Refusal] = {}
 
 
 def watch_of(folder: Path) -> Watch | None:
@@ -92,7 +94,7 @@ def watch_of(folder: Path) -> Watch | None:
     return _watches.get(folder)
 
 
-def refusal_of(folder: Path) -> JobError | OSError | None:
+def refusal_of(folder: Path) -> _Refusal | None:
     """Why the lift in this folder could not be looked at, None when it could."""
     return _refusals.get(folder)
 
@@ -142,7 +144,7 @@ def look_at(folder: Path) -> Watch | None:
     _refusals.pop(folder, None)
     try:
         return attach(folder) if folder.exists() else None
-    except (JobError, OSError) as error:
+    except (JobError, OSError, ValueError) as error:  # ValueError: no path of this system can be so
         _refusals[folder] = error
         return None
 

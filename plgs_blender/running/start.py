@@ -74,7 +74,8 @@ def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Watch:
     lift = lift_at(settings, folder)
     known = lifts.attach(lift.path)
     if not known.can_be_resumed:
-        raise JobError(f"cannot be resumed: it is {known.state.value}", lift.path, "Lift into another folder.")
+        fix = "Watch it, or cancel it first." if known.is_running else "Lift into another folder."
+        raise JobError(f"cannot be resumed: it is {known.state.value}", lift.path, fix)
     followed = lifts.start(lift, engine_environment.usable_python(), resume=True, keep_running=settings.keep_running)
     adopt(settings, lift.request, lift.path)
     return followed
@@ -131,7 +132,12 @@ def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:
     Raises JobError or SceneError.
     """
     lift = lift_at(scene.plgs, folder)
-    root = place_lift(lift.path, scene)
+    try:
+        root = place_lift(lift.path, scene)
+    except JobError as error:
+        if not lift.is_running:
+            raise
+        raise JobError("cannot be shown yet: it is still running", lift.path, "Wait until it is finished.") from error
     adopt(scene.plgs, lift.request, lift.path)
     return root
 

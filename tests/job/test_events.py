@@ -170,3 +170,22 @@ def test_the_end_of_a_run_is_read_from_the_end(tmp_path: Path) -> None:
     reader = EventReader(path, from_end=True)
     EventWriter(path).warning("after the power came back")
     assert [event.data["message"] for event in reader.poll()] == ["after the power came back"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"seq": 1, "time": 0, "event": "stage", "name": "x"}',
+        '{"seq": 1, "time": 0, "event": "error"}',
+        '{"seq": 1e999, "time": 0, "event": "warning", "message": "x"}',
+        '{"seq": 1, "time": 1%s, "event": "warning", "message": "x"}' % ("0" * 400),
+        '{{"seq": 1, "time": 0, "event": "warning", "message": {}1{}}}'.format("[" * 100_000, "]" * 100_000),
+    ],
+    ids=["no label", "no words", "infinite", "huge", "deep"],
+)
+def test_bad_events_are_dropped(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_text(line + '\n{"seq": 2, "time": 0, "event": "warning", "message": "good"}\n')
+    assert [event.data["message"] for event in EventReader(path).poll()] == ["good"]
+    assert [event.seq for event in last_events(path)] == [2]
+    EventWriter(path).warning("goes on")

@@ -169,3 +169,19 @@ def test_the_lock_ends_with_its_process(tmp_path: Path, root: Path) -> None:
         holder.kill()
         holder.wait()
         assert not folder.is_running
+
+
+def test_paths_that_no_folder_can_have(tmp_path: Path) -> None:
+    request = LiftRequest(scene=tmp_path)
+    for name in ("a" * 300, "a\0b"):
+        with pytest.raises(JobError):
+            LiftFolder.open(tmp_path / name)
+        with pytest.raises(JobError):
+            LiftFolder.create(tmp_path / name, request)
+
+
+def test_a_folder_in_place_of_the_events_is_told(tmp_path: Path) -> None:
+    lift = new_lift(tmp_path)
+    lift.events_path.mkdir()
+    with pytest.raises(JobError, match=r"cannot be opened.*events\.jsonl"):
+        lift.state()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -340,3 +341,24 @@ def test_how_a_bake_ended_is_not_how_the_lift_is(
     follow(watcher)
     assert watcher.status.task == "bake" and code_of(watcher) is code
     assert folder.state() is LiftState.FINISHED
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400, '"x"', "null"])
+def test_numbers_that_are_none_are_passed_over(folder: LiftFolder, number: str) -> None:
+    line = f'{{"seq": 1, "time": 0, "event": "progress", "step": {number}, "steps": 9, "loss": 1, "eta_s": {number}}}'
+    folder.events_path.write_text(line + "\n")
+    watcher = LiftFollower(folder)
+    watcher.poll()
+    status = watcher.status
+    assert (status.step, status.steps, status.loss, status.eta_s) == (0, 9, 1.0, None)
+
+
+def test_a_folder_that_goes_during_the_lift_is_told(folder: LiftFolder, start: Start) -> None:
+    follower = start("patient")
+    follow(follower, step_reached(follower, 2))
+    follower.kill()
+    shutil.rmtree(folder.path)
+    follow(follower)
+    assert follower.outcome is not None and code_of(follower) is ExitCode.INTERNAL_ERROR
+    assert str(follower.outcome.error).startswith(f"the lift's folder is gone: {folder.path}. ")
+    assert "log" not in str(follower.outcome.error).replace(str(folder.path), "")

@@ -62,6 +62,13 @@ def test_refuses_a_damaged_manifest(result: Path) -> None:
         path.write_text(json.dumps(whole | change))
         with pytest.raises(JobError, match=r"manifest\.json"):
             read_manifest(result)
+    for name in ("a\0b", "a\ud800b"):
+        path.write_text(json.dumps(whole | {"files": [{"path": name, "bytes": 1, "sha256": ""}]}))
+        with pytest.raises(JobError, match=r"manifest\.json"):
+            check_sizes(result)
+    path.write_text('{"format": ' + "[" * 100_000)
+    with pytest.raises(JobError, match=r"nested too deeply.*manifest\.json"):
+        read_manifest(result)
     path.write_text("{")
     with pytest.raises(JobError, match=r"manifest\.json"):
         read_manifest(result)

@@ -53,7 +53,11 @@ def test_the_machine_is_learnt_from_its_lifts(tmp_path: Path) -> None:
     assert machine_slowness(tmp_path) == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"format": 1}', '{"format": 1, "slowness": ["x", -1, 0, 1e99]}', "\0"])
+@pytest.mark.parametrize(
+    "content",
+    ["{", "[]", '{"format": 1}', '{"format": 1, "slowness": ["x", -1, 0, 1e99]}', "\0", "[" * 100_000],
+    ids=range(6),
+)
 def test_a_broken_file_is_passed_over(tmp_path: Path, content: str) -> None:
     (tmp_path / "speed.json").write_text(content)
     assert machine_slowness(tmp_path) == 1.0

@@ -19,7 +19,7 @@ from engine.job.environment import (
     python_in,
     user_cache_folder,
 )
-from engine.job.process import ChildProcess, Origin, choose_python, clean_environment, engine_python
+from engine.job.process import ChildProcess, Origin, choose_python, clean_environment, engine_python, missing_modules
 
 
 def add_environment(folder: Path) -> Path:
@@ -90,7 +90,7 @@ def test_kernels_and_environments_lie_in_one_cache(monkeypatch: pytest.MonkeyPat
 
 def test_a_chosen_python_is_refused_when_it_lacks_something(code: Path, tmp_path: Path) -> None:
     script = tmp_path / "python"
-    script.write_text("#!/bin/sh\necho torch\n")
+    script.write_text(f'#!/bin/sh\nexec {sys.executable} -I -S "$@"\n')  # without its packages
     script.chmod(0o755)
     with pytest.raises(JobError, match="lacks torch") as refused:
         engine_python(code, {}, script)
@@ -126,3 +126,29 @@ def _lives(pid: int) -> bool:
         return False
     state = Path(f"/proc/{pid}/stat")
     return not state.exists() or state.read_text().rpartition(")")[2].split()[0] != "Z"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="shell scripts")
+@pytest.mark.parametrize(
+    ("body", "told"), [("true", "as a Python"), ('echo "$@"', "as a Python"), ("sleep 9", "answer")]
+)
+def test_what_is_no_python_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
+    script = tmp_path / "python"
+    script.write_text(f"#!/bin/sh\nexec {body}\n" if told == "answer" else f"#!/bin/sh\n{body}\n")
+    script.chmod(0o755)
+    if told == "answer":
+        monkeypatch.setattr("engine.job.process._ANSWER_S", 0.2)
+    with pytest.raises(JobError, match=told):
+        missing_modules(script, ["torch"])
+
+
+def test_what_another_python_says_as_it_starts_is_no_answer(tmp_path: Path) -> None:
+    script = tmp_path / "python"
+    script.write_text(f'#!/bin/sh\necho hello\nexec {sys.executable} "$@"\n')
+    script.chmod(0o755)
+    assert missing_modules(script, ["json", "no_such_module"]) == ["no_such_module"]
+
+
+def test_a_path_that_no_program_can_be_told(tmp_path: Path) -> None:
+    with (tmp_path / "log").open("wb") as log, pytest.raises(JobError, match="null byte"):
+        ChildProcess([sys.executable, "a\0b"], cwd=tmp_path, environment={}, output=log)

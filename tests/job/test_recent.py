@@ -41,7 +41,19 @@ def test_what_became_of_them(tmp_path: Path) -> None:
     assert found == {"running": LiftState.RUNNING, "finished": LiftState.FINISHED}
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"format": 2}', '{"format": 1, "lifts": [1, {"path": 2}, {}]}', "\0"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{",
+        "[]",
+        '{"format": 2}',
+        '{"format": 1, "lifts": [1, {"path": 2}, {}]}',
+        '{"format": 1, "lifts": [{"path": "/", "touched": 1%s}, {"path": "/", "touched": NaN}]}' % ("0" * 400),
+        "[" * 100_000,
+        "\0",
+    ],
+    ids=range(7),
+)
 def test_a_broken_list_is_begun_anew(tmp_path: Path, content: str) -> None:
     (tmp_path / "recent_lifts.json").write_text(content)
     assert recent_lifts(tmp_path) == []

@@ -155,3 +155,25 @@ def test_the_folder_is_deleted_while_it_lifts(behaves: Behaves, lift: LiftFolder
     shutil.rmtree(lift.path)
     outcome = lifts.wait_for(watch)
     assert outcome.code is ExitCode.INTERNAL_ERROR and outcome.error
+    assert "folder is gone" in lifts.words_for(watch)
+
+
+def test_a_lift_that_can_no_longer_be_read_ends(lift: LiftFolder) -> None:
+    with lift.lock():
+        watch = lifts.attach(lift.path)
+        assert watch.is_running
+    lift.events_path.unlink()
+    lift.events_path.mkdir()
+    assert watch.poll() and not watch.is_running
+    assert "can no longer be read" in lifts.words_for(watch)
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a\0b", "a\ud800b"])
+def test_looking_at_paths_that_cannot_be(tmp_path: Path, name: str) -> None:
+    assert lifts.look_at(tmp_path / name) is None
+
+
+def test_looking_at_a_lift_whose_events_are_a_folder(lift: LiftFolder) -> None:
+    lift.events_path.mkdir()
+    assert lifts.look_at(lift.path) is None
+    assert "events.jsonl" in str(lifts.refusal_of(lift.path))
