@@ -15,6 +15,8 @@ from .results import Instance
 
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+INSTANCE = "instance:"
+"""How the key of an instance's box begins; its id follows."""
 _BAR = 0.018
 """Thickness of a rendered bar, metres."""
 
@@ -27,7 +29,7 @@ def place_boxes(
 
 
 def _place(holdings: Holdings, parent: bpy.types.Collection, instance: Instance) -> bpy.types.Object:
-    key = f"instance:{instance.id}"
+    key = f"{INSTANCE}{instance.id}"
     mesh = holdings.data_of(key) or holdings.new_data(bpy.data.meshes.new(instance.name), key)
     mesh.clear_geometry()
     mesh.from_pydata((_CORNERS * instance.size).tolist(), [], _FACES)

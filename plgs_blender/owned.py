@@ -9,6 +9,7 @@ touched.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -40,33 +41,61 @@ def key_of(block: Any, lift: str) -> str | None:
     return block.get(KEY)
 
 
+def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.types.Object]:
+    """The lift's objects by what they are there. Of an object and its duplicates, which carry the same properties,
+    the one that was there first; the others are the user's.
+    """
+    found: dict[str, bpy.types.Object] = {}
+    for ob in objects:
+        if ob.get(LIFT) == lift and KEY in ob:
+            known = found.setdefault(ob[KEY], ob)
+            if known != ob and _age(ob) < _age(known):
+                found[ob[KEY]] = ob
+    return found
+
+
+def _age(ob: bpy.types.Object) -> tuple[bool, int, int, bool, int]:
+    """Smaller for an original than for its duplicates: Blender numbers the names of copies, and those of the meshes
+    and cameras that it copies with them, which people hardly ever rename.
+    """
+    is_astray = not any(LIFT in collection for collection in ob.users_collection)
+    data = _copy_number(ob.data.name) if ob.data is not None else 0
+    return ob.library is not None, data, _copy_number(ob.name), is_astray, ob.session_uid
+
+
+def _copy_number(name: str) -> int:
+    number = re.search(r"\.(\d{3,})$", name)
+    return int(number[1]) if number else 0
+
+
 class Holdings:
     """The blocks of one lift in one scene, during one placement."""
 
     def __init__(self, lift: str, scene: bpy.types.Scene) -> None:
         self.lift = lift
-        self._scene = scene
         self._kept: set[Any] = set()
         self._blocks: dict[str, dict[str, Any]] = {}
-        self._objects: dict[str, bpy.types.Object] = {}
-        for ob in self._own_objects():
-            key = key_of(ob, lift)
-            assert key is not None
-            if key in self._objects:  # the user duplicated one of ours: the copy is theirs
+        self._in_scene = set(scene.objects)
+        own = self._own_objects()
+        self._objects = originals(own, lift)
+        for ob in own:
+            if ob != self._objects[ob[KEY]]:  # the user duplicated one of ours: the copy is theirs
                 untag(ob)
-            else:
-                self._objects[key] = ob
 
     def object(
         self, key: str, name: str, data: bpy.types.ID, parent: bpy.types.Collection
     ) -> bpy.types.Object:
-        """Our object `key` with this name and data, in our collection `parent` if it is new."""
+        """Our object `key` with this name and data, in our collection `parent` if it is new or in no collection of
+        the scene. Where the user moved it to another, it stays there.
+        """
         ob = self._objects.get(key)
         if ob is None or ob.type != _object_type(data):
             ob = bpy.data.objects.new(name, data)
             tag(ob, self.lift, key)
-            parent.objects.link(ob)
             self._objects[key] = ob
+        if ob not in self._in_scene:
+            parent.objects.link(ob)
+            self._in_scene.add(ob)
         ob.name, ob.data = name, data
         self._kept.add(ob)
         return ob
@@ -122,12 +151,12 @@ class Holdings:
             self._blocks[kind] = {key: block for key, block in found.items() if key is not None}
         return self._blocks[kind]
 
-    def _own_objects(self) -> Iterable[bpy.types.Object]:
+    def _own_objects(self) -> list[bpy.types.Object]:
         """Ours in this scene or in none. A full copy of the scene keeps its copies of our objects."""
         return [
             ob
             for ob in bpy.data.objects
-            if key_of(ob, self.lift) is not None and (not ob.users_scene or self._scene in ob.users_scene)
+            if key_of(ob, self.lift) is not None and (ob in self._in_scene or not ob.users_scene)
         ]
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 import bpy
 
 from ...engine.job import JobError
+from ..boxes import INSTANCE
 from ..lift_collection import FOLDER, is_same_place, lifts_in
-from ..owned import LIFT, key_of
+from ..owned import KEY, LIFT, originals
 from ..paths import absolute
 
 
@@ -18,7 +20,7 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
     """
     roots = lifts_in(scene)
     if lift:
-        named = [root for root in roots if lift == root.name or is_same_place(root[FOLDER], absolute(lift))]
+        named = [root for root in roots if lift == root.name or is_same_place(root.get(FOLDER, ""), absolute(lift))]
         if not named:
             raise JobError("is not in this scene", lift, "Name a lift's folder or its collection.")
         return named[0]
@@ -29,10 +31,14 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
 
 
 def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Collection | None:
-    """The lift that an object belongs to, else the first of the scene, None when it has none."""
+    """The lift that an object belongs to, else the scene's first that has a result, else its first; None when it has
+    none.
+    """
     roots = lifts_in(scene)
     own = None if active is None else active.get(LIFT)
-    return next((root for root in roots if root[LIFT] == own), roots[0] if roots else None)
+    of_object = [root for root in roots if root[LIFT] == own]
+    with_result = [root for root in roots if len(root.plgs.classes)]
+    return next(iter((*of_object, *with_result, *roots)), None)
 
 
 def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any | None:
@@ -44,24 +50,31 @@ def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any |
 
 
 def objects_by_key(root: bpy.types.Collection) -> dict[str, bpy.types.Object]:
-    """The lift's objects by what they are there: "instance:3", "class:1", "frame:0012", "anchors"."""
-    keyed = ((key_of(ob, root[LIFT]), ob) for ob in root.all_objects)
-    return {key: ob for key, ob in keyed if key is not None}
+    """The lift's objects by what they are there: "instance:3", "class:1", "frame:0012", "anchors"; also where the
+    user moved them to another collection of the scene.
+    """
+    scenes = [scene for scene in bpy.data.scenes if root in scene.collection.children_recursive]
+    return originals(chain(root.all_objects, *(scene.objects for scene in scenes)), root[LIFT])
 
 
 def boxes_of(root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
     """The boxes by the id of their instance; those that the user deleted are missing."""
-    return {int(ob["instance_id"]): ob for ob in root.all_objects if is_box(ob) and ob.get(LIFT) == root[LIFT]}
+    return {instance_of(ob): ob for ob in objects_by_key(root).values() if is_box(ob)}
 
 
 def is_box(ob: bpy.types.Object | None) -> bool:
     """Whether an object is the box of some lift's instance."""
-    return ob is not None and LIFT in ob and "instance_id" in ob and ob.type == "MESH"
+    return ob is not None and LIFT in ob and str(ob.get(KEY, "")).startswith(INSTANCE)
+
+
+def instance_of(box: bpy.types.Object) -> int:
+    """The id of the instance that a box belongs to."""
+    return int(box[KEY].removeprefix(INSTANCE))
 
 
 def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
     """The semantic points, one object a class, and the anchors."""
-    return [ob for ob in root.all_objects if ob.get(LIFT) == root[LIFT] and ob.type == "POINTCLOUD"]
+    return [ob for ob in objects_by_key(root).values() if ob.type == "POINTCLOUD"]
 
 
 def row_of(root: bpy.types.Collection, instance: int) -> Any:

@@ -11,14 +11,14 @@ import bpy
 
 from ..lift_collection import lifts_in
 from ..owned import LIFT
-from .lookup import boxes_of, is_box, row_of
+from .lookup import boxes_of, instance_of, is_box, row_of
 
 
 def selected_instance(root: bpy.types.Collection, active: bpy.types.Object | None) -> int:
     """The instance whose box is the active object and selected, 0 when none of this lift is."""
     if active is None or not is_box(active) or active[LIFT] != root[LIFT] or not active.select_get():
         return 0
-    return int(active["instance_id"])
+    return instance_of(active)
 
 
 def select_instance(root: bpy.types.Collection, instance: int, layer: bpy.types.ViewLayer) -> None:
@@ -36,8 +36,9 @@ def select_instance(root: bpy.types.Collection, instance: int, layer: bpy.types.
 
 def select_class(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> int:
     """Select the boxes of a class and nothing else; gives how many there are to select."""
-    of_class = [box for box in boxes_of(root).values() if box["class_id"] == class_id]
-    chosen = [box for box in of_class if box.visible_get(view_layer=layer)]
+    boxes = boxes_of(root)
+    of_class = [boxes.get(row.instance_id) for row in root.plgs.instances if row.class_id == class_id]
+    chosen = [box for box in of_class if box is not None and box.visible_get(view_layer=layer)]
     _deselect_all(layer)
     for box in chosen:
         box.select_set(True, view_layer=layer)

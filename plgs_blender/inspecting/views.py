@@ -10,7 +10,6 @@ import numpy as np
 from mathutils import Vector
 
 from ...engine.job import JobError
-from ..lift_collection import SCENE
 from .lookup import boxes_of, objects_by_key, row_of
 
 _VIEW_SENSOR = 72.0
@@ -86,7 +85,7 @@ def look_from_frame(
     """
     camera = objects_by_key(root).get(f"frame:{frame}")
     if camera is None or camera.name not in scene.objects:
-        raise JobError(f"has no camera of frame {frame} any more", root[SCENE], "Load the result of the lift again.")
+        raise JobError(f"has no camera of frame {frame} any more", root.name, "Load the result of the lift again.")
     marker = next((marker for marker in scene.timeline_markers if marker.camera == camera), None)
     if marker is not None:
         scene.frame_set(marker.frame)

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...engine.scene import VOID
 from ..owned import LIFT, key_of, tag
 from .lookup import boxes_of, clouds_of, row_of
 
@@ -32,7 +33,8 @@ def apply_visibility(root: bpy.types.Collection) -> None:
         return
     lists = root.plgs
     boxes = boxes_of(root)
-    classes = np.array([box["class_id"] for box in boxes.values()], np.int32)
+    class_of = {row.instance_id: row.class_id for row in lists.instances}
+    classes = np.array([class_of.get(instance, VOID) for instance in boxes], np.int32)
     for box, hidden in zip(boxes.values(), _left_out(lists, np.array([*boxes], np.int32), classes), strict=True):
         _show_object(box, not hidden)
     eyes = {row.class_id: row.visible for row in lists.classes}
@@ -98,9 +100,9 @@ def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: ND
     layer = layer or attributes.new(HIDDEN, "BOOLEAN", "POINT")
     layer.data.foreach_set("value", hidden)
     cloud.data.update_tag()
-    if modifier is None:
-        material = next(iter(cloud.data.materials), None)
-        cloud.modifiers.new(MODIFIER, "NODES").node_group = _node_group(root[LIFT], material)
+    modifier = modifier or cloud.modifiers.new(MODIFIER, "NODES")
+    if modifier.node_group is None:
+        modifier.node_group = _node_group(root[LIFT], next(iter(cloud.data.materials), None))
 
 
 def _ids(cloud: bpy.types.PointCloud, name: str) -> NDArray[np.int32]:

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from plgs.engine.job import JobError
 from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.inspecting import following, glow, selection
-from plgs.plgs_blender.inspecting.lookup import active_lift, boxes_of, find_lift
+from plgs.plgs_blender.inspecting.lookup import active_lift, boxes_of, find_lift, objects_by_key
 from plgs.plgs_blender.lift_collection import lifts_in
 from tiny_lift import write_tiny_lift
+from tiny_scene import write_tiny_scene
 
 
 def pick(ob: bpy.types.Object) -> None:
@@ -102,3 +104,44 @@ def test_a_class_selects_its_boxes(root: bpy.types.Collection) -> None:
     box = boxes_of(root)[1]
     assert selection.select_class(root, box["class_id"], bpy.context.view_layer) == 1
     assert selected() == [box.name]
+
+
+def test_what_was_moved_to_another_collection_still_belongs(root: bpy.types.Collection) -> None:
+    mine = bpy.data.collections.new("mine")
+    bpy.context.scene.collection.children.link(mine)
+    for ob in (boxes_of(root)[1], bpy.data.objects["0003"], bpy.data.objects["wall"]):
+        for collection in ob.users_collection:
+            collection.objects.unlink(ob)
+        mine.objects.link(ob)
+    assert {"instance:1", "frame:0003"} <= set(objects_by_key(root))
+    selection.select_instance(root, 1, bpy.context.view_layer)
+    assert selected() == [boxes_of(root)[1].name]
+
+
+def test_a_duplicate_does_not_stand_for_its_original(root: bpy.types.Collection) -> None:
+    box = boxes_of(root)[1]
+    copy = box.copy()
+    box.users_collection[0].objects.link(copy)
+    box.name, copy.name = "zebra", "zebra.001"
+    assert boxes_of(root)[1] == box
+
+
+def test_boxes_without_their_properties_are_known(root: bpy.types.Collection) -> None:
+    box = boxes_of(root)[1]
+    number = box["class_id"]
+    del box["class_id"], box["instance_id"]
+    assert boxes_of(root)[1] == box
+    assert selection.select_class(root, number, bpy.context.view_layer) == 1
+    root.plgs.instances[1].visible = False
+    del root["plgs_lift_folder"]
+    with pytest.raises(JobError, match="not in this scene"):
+        find_lift(bpy.context.scene, "elsewhere")
+
+
+def test_a_lift_with_a_result_goes_before_an_imported_scene(extension: None, lift: Path, tmp_path: Path) -> None:
+    imported = place_scene(write_tiny_scene(tmp_path / "other", frames=4), bpy.context.scene)
+    placed = lift_scene.place_lift(lift, bpy.context.scene)
+    assert lifts_in(bpy.context.scene) == [imported, placed]
+    assert active_lift(bpy.context.scene, None) == placed
+    camera = next(ob for ob in imported.all_objects)
+    assert active_lift(bpy.context.scene, camera) == imported

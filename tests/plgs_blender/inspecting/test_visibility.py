@@ -92,3 +92,12 @@ def test_hidden_stays_hidden_in_the_file(root: bpy.types.Collection, tmp_path: P
     (again,) = [each for each in bpy.data.collections if each.name == "PLGS tiny room"]
     assert seen(again) == before
     assert not again.plgs.instances[0].visible
+
+
+def test_what_hides_points_is_made_again(root: bpy.types.Collection) -> None:
+    row_of(root, 1).visible = False
+    before = seen(root)
+    bpy.data.node_groups.remove(bpy.data.node_groups["PLGS hidden instances"])
+    assert seen(root) != before
+    visibility.apply_visibility(root)
+    assert seen(root) == before
