@@ -29,7 +29,8 @@ def node_of(tree: bpy.types.NodeTree, key: str) -> bpy.types.Node:
 def has_nodes(tree: bpy.types.NodeTree | None) -> bool:
     """Whether these nodes were built there before, and none that we fill is missing."""
     keys = {node.get(KEY) for node in tree.nodes} if tree is not None else set()
-    return {PASSES, INSTANCES, CLASSES, "Instance palette", "Class palette"} <= keys
+    filled = {f"{what} {part}" for what in ("Instance", "Class") for part in ("palette", "scale")}
+    return {PASSES, INSTANCES, CLASSES, *filled} <= keys
 
 
 def output_of(tree: bpy.types.NodeTree, name: str) -> Any:

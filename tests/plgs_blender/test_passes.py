@@ -12,7 +12,7 @@ from plgs.engine.job import write_manifest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, lift_scene, passes
 from plgs.plgs_blender.colour import linear_rgba
-from plgs.plgs_blender.pass_nodes import CLASSES, output_of
+from plgs.plgs_blender.pass_nodes import CLASSES, node_of, output_of
 from plgs.plgs_blender.sequence import numbered
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, write_passes, write_tiny_lift
 from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
@@ -133,6 +133,15 @@ def test_what_the_user_built_on_stays(lift: Path) -> None:
     tree = compat.compositor_tree(passes_scene())
     blur = next(node for node in tree.nodes if node.bl_idname == "CompositorNodeBlur")
     assert blur.inputs[0].is_linked and blur.inputs[0].links[0].from_socket.name == "Depth"
+
+
+@pytest.mark.parametrize("key", ["Instance scale", "Class scale", "Class palette"])
+def test_nodes_that_the_user_deleted_are_made_again(lift: Path, key: str) -> None:
+    lift_scene.place_lift(lift, bpy.context.scene)
+    tree = compat.compositor_tree(passes_scene())
+    tree.nodes.remove(node_of(tree, key))
+    lift_scene.place_lift(lift, bpy.context.scene)
+    assert node_of(compat.compositor_tree(passes_scene()), key)
 
 
 @pytest.mark.parametrize(
