@@ -49,7 +49,7 @@ def places_of(rows: Any, order: str) -> list[int]:
 
 def _by_name(row: Any) -> tuple[str, int]:
     head, _, number = row.name.rpartition(" ")
-    return (head.casefold(), int(number)) if number.isdigit() else (row.name.casefold(), 0)
+    return (head.casefold(), int(number)) if number.isdecimal() else (row.name.casefold(), 0)
 
 
 class PLGS_UL_instances(Searchable, bpy.types.UIList):
