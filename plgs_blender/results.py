@@ -18,6 +18,12 @@ from ..engine.scene import Category, ClassTable, Scene, open_scene
 
 _FORMAT = 1
 _FIX = "Resume the lift: it makes the result anew."
+_LARGEST = 2**31 - 1
+"""Of the integers that Blender keeps."""
+_FARTHEST = 1e6
+"""Metres. No room is that large; numbers near the largest float would spoil the sums that are made of them."""
+_BAD = (OSError, KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError)
+"""What reading content of the wrong form raises."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +160,10 @@ def _read_arrays(path: Path, kind: Any) -> Any:
                 if array.shape != (rows, *tail) or array.dtype != dtype:
                     raise ValueError(f"{name} is {array.dtype} {list(array.shape)}")
                 arrays[name] = array
-    except (OSError, KeyError, ValueError, TypeError, BadZipFile) as error:
+    except (*_BAD, BadZipFile) as error:
         raise JobError(f"cannot be read ({error})", path, _FIX) from error
-    if not np.isfinite(arrays["xyz"]).all():
-        raise JobError("holds positions that are no numbers", path, _FIX)
+    if not (np.abs(arrays["xyz"]) <= _FARTHEST).all():  # false for what is no number, too
+        raise JobError("holds positions that are no numbers, or absurdly far away", path, _FIX)
     return kind(**arrays)
 
 
@@ -168,28 +174,31 @@ def _read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
             fix = "Use the version of PLGS that wrote it, or lift into another folder."
             raise JobError(f"has format {content['format']!r}, this version reads {_FORMAT}", path, fix)
         categories = [
-            Category(int(each["id"]), str(each["name"]), bool(each["is_thing"]), _colour(each["colour"]))
+            Category(_whole(each["id"]), _text(each["name"]), bool(each["is_thing"]), _colour(each["colour"]))
             for each in content["classes"]
         ]
-        table = ClassTable(tuple(sorted(categories, key=lambda category: category.id)))
-        return table, tuple(_instance(each) for each in content["instances"])
-    except (OSError, KeyError, ValueError, TypeError) as error:
+        instances = tuple(_instance(each) for each in content["instances"])
+        for kind, rows in (("class", categories), ("instance", instances)):
+            if len({row.id for row in rows}) < len(rows):
+                raise ValueError(f"one {kind} id stands there twice")
+        return ClassTable(tuple(sorted(categories, key=lambda category: category.id))), instances
+    except _BAD as error:
         raise JobError(f"cannot be read ({error!r})", path, _FIX) from error
 
 
 def _instance(entry: dict[str, Any]) -> Instance:
     return Instance(
-        id=int(entry["id"]),
-        name=str(entry["name"]),
-        class_id=int(entry["class_id"]),
-        class_name=str(entry["class_name"]),
+        id=_whole(entry["id"]),
+        name=_text(entry["name"]),
+        class_id=_whole(entry["class_id"]),
+        class_name=_text(entry["class_name"]),
         colour=_colour(entry["colour"]),
         centre=_floats(entry["centre"], 3),
         size=_floats(entry["size"], 3),
         rotation=_floats(entry["rotation"], 4),
-        views=int(entry["views"]),
-        score=float(entry["score"]),
-        points=int(entry["points"]),
+        views=_whole(entry["views"]),
+        score=_number(entry["score"]),
+        points=_whole(entry["points"]),
         masks=tuple(_mask(each) for each in entry.get("segments", ())),
     )
 
@@ -197,25 +206,44 @@ def _instance(entry: dict[str, Any]) -> Instance:
 def _mask(entry: dict[str, Any]) -> Mask:
     cost, consent = (entry.get(name) for name in ("cost", "consent"))
     return Mask(
-        frame=str(entry["frame"]),
-        segment_id=int(entry["segment_id"]),
-        class_id=int(entry["class_id"]),
-        score=float(entry["score"]),
-        cost=None if cost is None else float(cost),
-        consent=None if consent is None else float(consent),
-        pixels=int(entry.get("pixels", 0)),
-        share=float(entry.get("share", 0.0)),
+        frame=_text(entry["frame"]),
+        segment_id=_whole(entry["segment_id"]),
+        class_id=_whole(entry["class_id"]),
+        score=_number(entry["score"]),
+        cost=None if cost is None else _number(cost),
+        consent=None if consent is None else _number(consent),
+        pixels=_whole(entry.get("pixels", 0)),
+        share=_number(entry.get("share", 0.0)),
         rectangle=_floats(entry.get("rectangle", (0.0, 0.0, 0.0, 0.0)), 4),
     )
 
 
 def _colour(value: Any) -> tuple[int, int, int]:
-    red, green, blue = (int(part) for part in value)
+    red, green, blue = (_whole(part) for part in value)
+    if max(red, green, blue) > 255:
+        raise ValueError(f"{value!r} is no colour")
     return red, green, blue
+
+
+def _whole(value: Any) -> int:
+    number = int(value)
+    if not 0 <= number <= _LARGEST:
+        raise ValueError(f"{value!r} is not from 0 to {_LARGEST}")
+    return number
+
+
+def _text(value: Any) -> str:
+    text = str(value)
+    text.encode()  # half of a surrogate pair is no text; UnicodeEncodeError is a ValueError
+    return text
+
+
+def _number(value: Any) -> float:
+    return float(_floats([value], 1)[0])
 
 
 def _floats(value: Any, count: int) -> Any:
     numbers = tuple(float(part) for part in value)
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ValueError(f"{value!r} is not {count} numbers")
+    if len(numbers) != count or not all(abs(number) <= _FARTHEST for number in numbers):
+        raise ValueError(f"{value!r} is not {count} numbers of a usual size")
     return numbers
