@@ -8,7 +8,7 @@ import bpy
 
 from ..engine.scene import UpAxis, open_scene
 from .frames import mark_timeline, place_frames
-from .lift_collection import child_collection, overview_of, root_collection
+from .lift_collection import child_collection, overview_of, root_collection, scene_to_fill
 from .owned import LIFT, Holdings
 
 
@@ -21,6 +21,7 @@ def place_scene(
     SceneError, before anything is changed.
     """
     opened = open_scene(folder, masks, up)
+    scene = scene_to_fill(scene)
     root = root_collection(opened.folder, None, scene)
     holdings = Holdings(root[LIFT], scene)
     cameras = place_frames(holdings, child_collection(root, "Cameras"), opened.frames)

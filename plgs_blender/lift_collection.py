@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from uuid import uuid4
 
 import bpy
 
+from ..engine.job import JobError
 from .owned import KEY, LIFT, key_of, tag
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
@@ -29,10 +31,16 @@ def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
 def root_collection(
     scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene
 ) -> bpy.types.Collection:
-    """The collection of this lift or of an earlier one of the same scene, or a new one."""
+    """The collection of this lift or of an earlier one of the same scene, or a new one.
+
+    Raises JobError, before anything is changed, when Blender cannot name one of the folders.
+    """
+    for folder in (scene_folder, *([lift_folder] if lift_folder is not None else [])):
+        _check_name(folder)
     for root in lifts_in(scene):
         is_same_lift = lift_folder is not None and is_same_place(root.get(FOLDER, ""), lift_folder)
-        if root.library is None and (is_same_lift or is_same_place(root.get(SCENE, ""), scene_folder)):
+        is_ours = root.library is None and root.override_library is None
+        if is_ours and (is_same_lift or is_same_place(root.get(SCENE, ""), scene_folder)):
             break
     else:
         root = bpy.data.collections.new("PLGS")
@@ -44,6 +52,28 @@ def root_collection(
     if lift_folder is not None:
         root[FOLDER] = str(lift_folder)
     return root
+
+
+def scene_to_fill(scene: bpy.types.Scene) -> bpy.types.Scene:
+    """The scene itself, or where it holds the passes of a lift, the scene with that lift. Raises JobError when there
+    is none.
+    """
+    if KEY not in scene:
+        return scene
+    for other in bpy.data.scenes:
+        if KEY not in other and any(root[LIFT] == scene.get(LIFT) for root in lifts_in(other)):
+            return other
+    raise JobError("is only for the passes of a lift", scene.name, "Switch to a scene of your own.")
+
+
+def _check_name(folder: Path) -> None:
+    """Raises JobError when Blender cannot keep the path: it knows UTF-8 only, and takes backslashes for slashes."""
+    path = str(folder.absolute())
+    is_text = path.isascii() or path.encode(errors="ignore") == os.fsencode(path)
+    if not is_text or (os.sep == "/" and "\\" in path):
+        what = "has a name that Blender cannot open"
+        shown = path.encode(errors="backslashreplace").decode()
+        raise JobError(what, shown, "Rename it: letters of any script, but no backslash and no broken characters.")
 
 
 def is_same_place(stored: str, folder: Path) -> bool:

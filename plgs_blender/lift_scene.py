@@ -18,9 +18,18 @@ from . import compat
 from .boxes import place_boxes
 from .cameras import object_matrix
 from .clouds import place_anchors, place_semantic_points
+from .exr_header import check_layers
 from .frames import mark_timeline, place_frames, set_lens
 from .inspecting.lists import fill_lists
-from .lift_collection import FOLDER, child_collection, is_same_place, lifts_in, overview_of, root_collection
+from .lift_collection import (
+    FOLDER,
+    child_collection,
+    is_same_place,
+    lifts_in,
+    overview_of,
+    root_collection,
+    scene_to_fill,
+)
 from .open_room import open_room
 from .overview import overview_camera
 from .owned import KEY, LIFT, Holdings, key_of
@@ -36,10 +45,13 @@ _VIEWPOINTS = 200
 def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     """Put a finished lift into a scene, or put it there anew, and return its collection.
 
-    Found again by the folder of the lift or of its scene. Raises JobError or SceneError, before anything is
-    changed, when the lift is not finished or cannot be read.
+    Found again by the folder of the lift or of its scene. A scene of passes is left to them: then the scene with
+    their lift takes it. Raises JobError or SceneError, before anything is changed, when the lift is not finished or
+    cannot be read.
     """
     result = read_result(lift)
+    check_layers(result.passes.values())
+    scene = scene_to_fill(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
     holdings = Holdings(root[LIFT], scene)
     frames = result.scene.frames
@@ -71,6 +83,8 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
     Raises JobError or SceneError when the lift cannot be read; JobError when it is not in the scene.
     """
     result = read_result(lift)
+    check_layers(result.passes.values())
+    scene = scene_to_fill(scene)
     for root in lifts_in(scene):
         if is_same_place(root.get(FOLDER, ""), result.folder):
             place_passes(Holdings(root[LIFT], scene), result)
@@ -121,7 +135,7 @@ def relate_paths(root: bpy.types.Collection, base: Path) -> None:
         if key_of(image, root[LIFT]) is not None and image.filepath:
             image.filepath = _relative(image.filepath, base)
             compat.find_layers_again(image)
-    root[FOLDER] = _relative(root[FOLDER], base)
+    root[FOLDER] = _relative(root.get(FOLDER, ""), base)
 
 
 def _relative(path: str, base: Path) -> str:

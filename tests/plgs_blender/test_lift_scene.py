@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from plgs.engine.scene import open_scene
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.cameras import object_matrix
 from plgs.plgs_blender.colour import linear_rgba
+from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.owned import LIFT
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, write_tiny_lift
 from tiny_scene import CHAIR, CHAIR_ID
@@ -291,3 +293,141 @@ def test_a_hidden_default_stays_as_the_user_set_it(lift: Path) -> None:
     child(root, "Anchors").hide_render = False
     lift_scene.place_lift(lift, scene)
     assert not child(root, "Anchors").hide_render
+
+
+def test_what_was_taken_out_of_the_scene_comes_back(lift: Path) -> None:
+    scene = bpy.context.scene
+    root = lift_scene.place_lift(lift, scene)
+    bpy.data.collections.remove(child(root, "Instances"))
+    child(root, "Cameras").objects.unlink(bpy.data.objects["0003"])
+    moved = bpy.data.objects["0004"]
+    child(root, "Cameras").objects.unlink(moved)
+    scene.collection.objects.link(moved)
+    lift_scene.place_lift(lift, scene)
+    assert [ob.name for ob in child(root, "Instances").objects] == [CHAIR_NAME, CABINET_NAME]
+    assert "0003" in child(root, "Cameras").objects
+    assert moved.users_collection == (scene.collection,)
+
+
+@pytest.mark.parametrize("copies_mesh", [True, False])
+def test_a_duplicate_never_takes_the_place_of_the_original(lift: Path, copies_mesh: bool) -> None:
+    scene = bpy.context.scene
+    root = lift_scene.place_lift(lift, scene)
+    box = bpy.data.objects[CHAIR_NAME]
+    copy = box.copy()
+    if copies_mesh:
+        copy.data = box.data.copy()
+        box.name, copy.name = "zebra", "aardvark"  # names are the user's
+    child(root, "Instances").objects.link(copy)
+    for _ in range(2):
+        lift_scene.place_lift(lift, scene)
+        assert box.name == CHAIR_NAME and LIFT in box and LIFT not in copy
+
+
+def test_the_scene_of_the_passes_is_left_to_them(lift: Path, tmp_path: Path) -> None:
+    scene = bpy.context.scene
+    root = lift_scene.place_lift(lift, scene)
+    passes = bpy.data.scenes["PLGS tiny room passes"]
+    before = counts()
+    assert lift_scene.place_lift(lift, passes) == root and counts() == before
+    assert place_scene(lift.parent / "tiny room", passes) == root
+    assert not lift_scene.lifts_in(passes) and not passes.objects
+    bpy.data.collections.remove(root)
+    with pytest.raises(JobError, match="a scene of your own"):
+        lift_scene.place_lift(lift, passes)
+
+
+@pytest.mark.parametrize("content", [b"\0", b"v/1\x01\2\0\0\0channels\0chlist"])
+def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
+    lift = write_tiny_lift(tmp_path / "lift", frames=10).path
+    path = next((lift / "result" / "passes").iterdir())
+    path.write_bytes(content.ljust(path.stat().st_size, b"\0"))
+    before = contents()
+    with pytest.raises(JobError, match=path.name):
+        lift_scene.place_lift(lift, bpy.context.scene)
+    assert contents() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("id", -1),
+        ("id", 2**31),
+        ("id", 2),
+        ("id", float("inf")),
+        ("points", 2**40),
+        ("colour", [256, 0, 0]),
+        ("score", float("nan")),
+        ("size", [1.0, 1.0, 3e38]),
+        ("name", "\ud800"),
+        ("segments", [7]),
+        ("segments", ["x"]),
+    ],
+)
+def test_absurd_instances_change_nothing(lift: Path, tmp_path: Path, name: str, value: object) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    path = tmp_path / "lift" / "result" / "instances.json"
+    content = json.loads(path.read_text())
+    content["instances"][0][name] = value
+    path.write_text(json.dumps(content))
+    refuses(tmp_path / "lift", "instances.json")
+
+
+def test_endless_brackets_change_nothing(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    (tmp_path / "lift" / "result" / "instances.json").write_text("[" * 100_000)
+    refuses(tmp_path / "lift", "instances.json")
+
+
+def test_absurd_positions_change_nothing(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    path = tmp_path / "lift" / "result" / "semantic_points.npz"
+    points = dict(np.load(path))
+    points["xyz"][0, 0] = 3e38
+    np.savez(path, **points)
+    refuses(tmp_path / "lift", "semantic_points.npz")
+
+
+def refuses(lift: Path, place: str) -> None:
+    mend_manifest(lift)
+    before = contents()
+    with pytest.raises(JobError, match=place):
+        lift_scene.place_lift(lift, bpy.context.scene)
+    assert contents() == before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="such names exist elsewhere only")
+@pytest.mark.parametrize("name", [b"r\xf6om", b"a\\room"])
+def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: Path, name: bytes) -> None:
+    folder = tmp_path / os.fsdecode(name)
+    try:
+        shutil.copytree(lift.parent / "tiny room", folder)
+    except OSError:
+        pytest.skip("this disk has no such names")
+    before = contents()
+    with pytest.raises(JobError, match="Rename it"):
+        place_scene(folder, bpy.context.scene)
+    assert contents() == before
+
+
+def test_an_override_of_a_linked_lift_is_passed_over(lift: Path, tmp_path: Path) -> None:
+    lift_scene.save_lift(lift, tmp_path / "lift.blend")
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "lift.blend"), link=True) as (there, here):
+        here.collections = [name for name in there.collections if name.startswith("PLGS")]
+    scene = bpy.context.scene
+    scene.collection.children.link(here.collections[0])
+    override = here.collections[0].override_hierarchy_create(scene, bpy.context.view_layer)
+    root = lift_scene.place_lift(lift, scene)
+    assert root.override_library is None and root != override and root.library is None
+    assert sorted(ob["instance_id"] for ob in root.all_objects if "instance_id" in ob) == [1, 2]
+
+
+def test_it_is_placed_again_without_the_properties_of_its_collection(lift: Path, tmp_path: Path) -> None:
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    root = lift_scene.lifts_in(bpy.context.scene)[0]
+    del root["plgs_lift_folder"]
+    assert lift_scene.place_lift(lift, bpy.context.scene) == root
+    del root["plgs_lift_folder"]
+    lift_scene.relate_paths(root, tmp_path)
