@@ -82,8 +82,11 @@ def _points_of(cloud: bpy.types.Object, instance: int) -> _Points:
 
 def rectangle_in_space(camera: bpy.types.Object, rectangle: tuple[float, float, float, float]) -> list[Vector]:
     """The corners of a rectangle (left, top, right, bottom, shares of the picture) of a frame's camera as world points
-    one metre before it: where they are drawn, the mask lies on the photo.
+    one metre before it: where they are drawn, the mask lies on the photo. Empty when the user removed what the
+    camera knows of its lens.
     """
+    if any(name not in camera for name in ("width", "height", "fx", "fy", "cx", "cy")):
+        return []
     left, top, right, bottom = rectangle
     corners = ((left, top), (right, top), (right, bottom), (left, bottom))
     # A Blender camera looks along -z with y up.

@@ -77,3 +77,9 @@ def test_a_rectangle_lies_on_the_photo(root: bpy.types.Collection) -> None:
     corners = [world_to_camera_view(scene, camera, corner) for corner in rectangle_in_space(camera, rectangle)]
     expected = [(0.25, 0.9), (0.75, 0.9), (0.75, 0.4), (0.25, 0.4)]
     assert np.allclose([(corner.x, corner.y) for corner in corners], expected, atol=1e-4)
+
+
+def test_a_camera_without_its_properties_has_no_rectangle(root: bpy.types.Collection) -> None:
+    camera = bpy.data.objects["0003"]
+    del camera["cx"]
+    assert rectangle_in_space(camera, (0.1, 0.1, 0.2, 0.2)) == []
