@@ -99,6 +99,8 @@ def test_an_engine_that_is_killed_leaves_a_message_and_resume(window: Window, sc
     window.wait_for("not lifts.running()", 10)
     window.settle()
     window.screenshot("engine-killed")
+    window.move(500, 700)  # off the message, which goes then
+    window.settle()
     assert f"signal {killed}" in window.ask("followed().outcome.error")
     window.find_button("plgs.resume_lift")
     window.find_button("plgs.open_log")
