@@ -52,6 +52,21 @@ def _by_name(row: Any) -> tuple[str, int]:
     return (head.casefold(), int(number)) if number.isdecimal() else (row.name.casefold(), 0)
 
 
+def _swatch_name_numbers(layout: Any, row: Any) -> Any:
+    """What rows of instances and of classes begin with; the layout for the rest."""
+    line = layout.row(align=True)
+    swatch = line.row()
+    swatch.ui_units_x = 0.9
+    swatch.prop(row, "colour", text="")
+    split = line.split(factor=0.5, align=True)
+    split.label(text=row.name)
+    numbers = split.row()
+    numbers.alignment = "RIGHT"
+    numbers.label(text=f"{row.points}")
+    numbers.label(text=f"{row.score:.2f}")
+    return line
+
+
 class PLGS_UL_instances(Searchable, bpy.types.UIList):
     """Instances: eye, colour, name, points, score, select."""
 
@@ -60,38 +75,21 @@ class PLGS_UL_instances(Searchable, bpy.types.UIList):
     def draw_item(
         self, _context: Any, layout: Any, _lists: Any, row: Any, _icon: int, _active: Any, _name: str
     ) -> None:
-        line = layout.row(align=True)
-        swatch = line.row()
-        swatch.ui_units_x = 0.9
-        swatch.prop(row, "colour", text="")
-        split = line.split(factor=0.5, align=True)
-        split.label(text=row.name)
-        numbers = split.row()
-        numbers.alignment = "RIGHT"
-        numbers.label(text=f"{row.points}")
-        numbers.label(text=f"{row.score:.2f}")
+        line = _swatch_name_numbers(layout, row)
         select = line.operator("plgs.select_instance", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
         select.instance = row.instance_id
         line.prop(row, "visible", text="", icon="HIDE_OFF" if row.visible else "HIDE_ON", emboss=False)
 
 
 class PLGS_UL_classes(Searchable, bpy.types.UIList):
-    """Classes: eye, colour, name, points, select."""
+    """Classes: eye, colour, name, points, score, select."""
 
-    order: EnumProperty(name="Order", items=_SORTS[:2], default="COUNT")  # type: ignore[valid-type]
+    order: EnumProperty(name="Order", items=_SORTS, default="COUNT")  # type: ignore[valid-type]
 
     def draw_item(
         self, _context: Any, layout: Any, _lists: Any, row: Any, _icon: int, _active: Any, _name: str
     ) -> None:
-        line = layout.row(align=True)
-        swatch = line.row()
-        swatch.ui_units_x = 0.9
-        swatch.prop(row, "colour", text="")
-        split = line.split(factor=0.6, align=True)
-        split.label(text=row.name)
-        number = split.row()
-        number.alignment = "RIGHT"
-        number.label(text=f"{row.points}")
+        line = _swatch_name_numbers(layout, row)
         if row.is_thing:
             select = line.operator("plgs.select_class", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
             select.class_id = row.class_id

@@ -26,9 +26,11 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
         lists.isolated = 0
         for instance in result.instances:
             _fill_instance(lists.instances.add(), instance, result.classes)
-        ids, counts = np.unique(result.points.class_id, return_counts=True)
-        for class_id, count in zip(ids.tolist(), counts.tolist(), strict=True):
-            _fill_class(lists.classes.add(), class_id, count, result.classes)
+        points = result.points
+        ids, rows, counts = np.unique(points.class_id, return_inverse=True, return_counts=True)
+        scores = np.bincount(rows, np.nan_to_num(points.confidence), len(ids)) / np.maximum(counts, 1)
+        for class_id, count, score in zip(ids.tolist(), counts.tolist(), scores.tolist(), strict=True):
+            _fill_class(lists.classes.add(), class_id, count, score, result.classes)
         let_boxes_show_names(root, not lists.show_labels)
 
 
@@ -70,9 +72,9 @@ def _fill_instance(row: Any, instance: Instance, classes: ClassTable) -> None:
         each.rectangle, each.reason = mask.rectangle, reason(mask)
 
 
-def _fill_class(row: Any, class_id: int, points: int, classes: ClassTable) -> None:
+def _fill_class(row: Any, class_id: int, points: int, score: float, classes: ClassTable) -> None:
     known = class_id != VOID and class_id in classes
-    row.class_id, row.points = class_id, points
+    row.class_id, row.points, row.score = class_id, points, score
     row.name = classes[class_id].name if known else "unknown"
     row.is_thing = known and classes[class_id].is_thing
     row.colour = [channel / 255.0 for channel in (classes[class_id].colour if known else UNKNOWN)]

@@ -102,6 +102,7 @@ class PLGS_PG_class(bpy.types.PropertyGroup):
         description="Colour of its points, and of its boxes when these are coloured by class",
     )  # fmt: skip
     points: IntProperty(name="Points")  # type: ignore[valid-type]
+    score: FloatProperty(name="Score", description="Mean confidence of its points, 0 to 1")  # type: ignore[valid-type]
     is_thing: BoolProperty(name="Thing", description="Comes in instances")  # type: ignore[valid-type]
     visible: BoolProperty(  # type: ignore[valid-type]
         name="Visible", default=True, update=_show, description="Show its points, anchors and boxes"

@@ -71,6 +71,7 @@ def test_undo_brings_them_back(root: bpy.types.Collection) -> None:
     before = summary(root)
     bpy.ops.ed.undo_push(message="placed")
     root.plgs.instances.clear()
+    assert all(0.0 < row.score <= 1.0 for row in root.plgs.classes)
     root.plgs.classes[0].visible = False
     bpy.ops.ed.undo_push(message="cleared")
     bpy.ops.ed.undo()
