@@ -103,7 +103,7 @@ class Window:
         if not self.is_running:
             self.start()
         self.run("bpy.ops.wm.read_homefile(use_splash=False)")
-        self.run("watch.begin(); gaps.begin()")
+        self.run("watch.begin()")
         self.move(SIZE[0] // 2, SIZE[1] // 2)
 
     # Questions and answers
@@ -236,10 +236,6 @@ class Window:
         pixels = np.frombuffer(dump, np.uint8, offset=begin, count=line * height).reshape(height, line // 4, 4)
         return np.ascontiguousarray(pixels[:, :width, 2::-1])
 
-    def pixel(self, x: int, y: int) -> tuple[int, int, int]:
-        red, green, blue = self.picture()[y, x]
-        return int(red), int(green), int(blue)
-
     def screenshot(self, name: str) -> Path:
         """Keep the screen as a picture in build/window/screenshots."""
         path = ROOT / "build" / "window" / "screenshots" / f"{name}.png"
@@ -266,14 +262,6 @@ class Window:
         """
         found: dict[str, float] = self.ask("watch.waits")
         return found
-
-    def longest_wait(self) -> float:
-        """The largest of `waits`, in seconds."""
-        return max(self.waits().values(), default=0.0)
-
-    def longest_gap(self) -> float:
-        """Seconds between two calls of a fast timer at worst: what Blender's own drawing takes is in it."""
-        return float(self.ask("gaps.longest"))
 
     def log_tail(self) -> str:
         """The last lines of what Blender and the virtual screen wrote."""

@@ -77,24 +77,8 @@ class Watch:
         return time.perf_counter() - int(SCHEDULING.read_text().split()[1]) * 1e-9
 
 
-class Gaps:
-    """The longest time between two calls of this script's own timer, which also counts Blender's drawing."""
-
-    def __init__(self) -> None:
-        self.longest = 0.0
-        self._last = time.perf_counter()
-
-    def begin(self) -> None:
-        self.longest, self._last = 0.0, time.perf_counter()
-
-    def tick(self) -> None:
-        now = time.perf_counter()
-        self.longest, self._last = max(self.longest, now - self._last), now
-
-
 watch = Watch()
-gaps = Gaps()
-namespace: dict[str, object] = {"bpy": bpy, "watch": watch, "gaps": gaps, "EXTENSION": EXTENSION}
+namespace: dict[str, object] = {"bpy": bpy, "watch": watch, "EXTENSION": EXTENSION}
 number = 1
 
 
@@ -124,7 +108,6 @@ def plain(value: object) -> object:
 
 def tick() -> float:
     global number
-    gaps.tick()
     path = FOLDER / f"{number}.py"
     if path.exists():
         watch.paused = True
