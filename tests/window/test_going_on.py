@@ -99,7 +99,7 @@ def test_an_engine_that_is_killed_leaves_a_message_and_resume(window: Window, sc
     window.wait_for("not lifts.running()", 10)
     window.settle()
     window.screenshot("engine-killed")
-    window.move(500, 700)  # off the message, which goes then
+    window.key("Escape")  # the message goes: in 4.3 by itself, in 5.2 it would take all keys
     window.settle()
     assert f"signal {killed}" in window.ask("followed().outcome.error")
     window.find_button("plgs.resume_lift")
