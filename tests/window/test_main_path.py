@@ -76,8 +76,6 @@ def test_a_lift_is_started_cancelled_and_resumed_and_its_box_picked(window: Wind
     window.settle()
     window.screenshot("finished")
     assert window.ask(f"{LIFTS}.watch_of({LIFT}).is_finished")
-    often = {name: seconds for name, seconds in window.waits().items() if name.endswith(("draw", ": tick"))}
-    assert len(often) > 3 and max(often.values()) < 0.05, often
 
     window.move(500, 500)
     window.key("Home")
