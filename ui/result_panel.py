@@ -45,13 +45,18 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         layout.operator("plgs.show_all", icon="HIDE_OFF")
 
 
-class PLGS_PT_masks(Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_masks", "Which Masks Made It?"
+class OfResult(Sidebar):
+    """A closed part of the result's panel, there once something was lifted."""
+
     bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return _lift(context) is not None
+
+
+class PLGS_PT_masks(OfResult, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_masks", "Which Masks Made It?"
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, row = self.layout, _chosen(context)
@@ -72,13 +77,8 @@ class PLGS_PT_masks(Sidebar, bpy.types.Panel):
             layout.label(text=f"Segment {mask.segment}, {mask.pixels} pixels, {share}")
 
 
-class PLGS_PT_classes(Sidebar, bpy.types.Panel):
+class PLGS_PT_classes(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_classes", "Classes"
-    bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _lift(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
         root = _lift(context)
@@ -88,13 +88,8 @@ class PLGS_PT_classes(Sidebar, bpy.types.Panel):
             self.layout.template_list("PLGS_UL_classes", "", lists, "classes", lists, "class_index", rows=6)
 
 
-class PLGS_PT_result_display(Sidebar, bpy.types.Panel):
+class PLGS_PT_result_display(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_result_display", "Display"
-    bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _lift(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
         root = _lift(context)
