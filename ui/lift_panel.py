@@ -8,6 +8,7 @@ from ..plgs_blender import engine_environment
 from ..plgs_blender.running import lifts, live_preview, recents
 from ..plgs_blender.running.estimate import estimate_of
 from ..plgs_blender.running.lifts import LiftState, Watch
+from ..plgs_blender.running.start import followed_lift
 from ..plgs_blender.settings import chosen_lift
 from .sidebar import Sidebar, Step, duration, from_panel, tell
 
@@ -21,7 +22,7 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
         folder = chosen_lift(settings)
-        followed = lifts.watch_of(folder) if folder is not None else None
+        followed = followed_lift(settings)
         for other in lifts.running():
             if other is not followed:
                 _draw_other(layout, other)

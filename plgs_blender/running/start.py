@@ -17,6 +17,12 @@ from . import lifts
 from .lifts import Watch
 
 
+def followed_lift(settings: PLGS_PG_settings) -> Watch | None:
+    """The lift that the panel is set to, when it is followed."""
+    folder = chosen_lift(settings)
+    return None if folder is None else lifts.watch_of(folder)
+
+
 def why_no_engine() -> str | None:
     """Why no engine can be started now; None when one can. Looks at no disk."""
     engine = engine_environment.status()
@@ -33,8 +39,7 @@ def why_no_scene(settings: PLGS_PG_settings) -> str | None:
 
 def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     """Why the panel's lift cannot be started now; None when it can. Looks at no disk."""
-    folder = chosen_lift(settings)
-    followed = lifts.watch_of(folder) if folder is not None else None
+    followed = followed_lift(settings)
     if followed is not None and followed.is_running:
         return "This lift is running already"
     return why_no_scene(settings)
@@ -104,8 +109,7 @@ def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
 
 def why_no_bake(settings: PLGS_PG_settings) -> str | None:
     """Why no passes can be baked from the panel now; None when they can. Looks at no disk."""
-    folder = chosen_lift(settings)
-    followed = lifts.watch_of(folder) if folder is not None else None
+    followed = followed_lift(settings)
     if followed is None or not (followed.is_finished or followed.is_running):
         return "Passes are baked from a finished lift: lift the scene first, or choose the folder of a lift"
     return "The lift is still running" if followed.is_running else None
