@@ -25,6 +25,7 @@ PACKAGES = (
     "python3-cattr",  # Blender 5.2 needs it for extensions; Debian's package does not say so
     "xvfb",
     "xdotool",
+    "python3-xlib",  # drops files on the window
     "libgl1-mesa-dri",
     *LIBRARIES.values(),  # the engine runs in the tree too, with this machine's environment
 )

@@ -159,6 +159,13 @@ class Window:
         self._input("type", "--delay", "10", text)
         self._wait_for_events()
 
+    def drop(self, x: int, y: int, *paths: Path) -> None:
+        """Drop files on the window there, as a file manager does."""
+        self.move(x, y)
+        source = Path(__file__).parent / "drag_source.py"
+        self._tree.run("python3", str(source), str(x), str(y), *map(str, paths))
+        self._wait_for_events()
+
     def _input(self, *arguments: str) -> None:
         self._tree.run("xdotool", *arguments)
 
