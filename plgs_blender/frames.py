@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
+import numpy as np
 from mathutils import Matrix
 
 from ..engine.scene import Camera, Frame
-from .cameras import SENSOR_WIDTH, lens_of, object_matrix
+from .cameras import SENSOR_WIDTH, Lens, camera_from, lens_of, object_matrix
 from .owned import Holdings, key_of
 
 FIRST_FRAME = "plgs_first_frame"
@@ -61,6 +62,27 @@ def look_through(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
     render.resolution_x, render.resolution_y, render.resolution_percentage = ob["width"], ob["height"], 100
     aspect = ob["fx"] / ob["fy"]
     render.pixel_aspect_x, render.pixel_aspect_y = (1.0, aspect) if aspect >= 1.0 else (1.0 / aspect, 1.0)
+
+
+def camera_seen(scene: bpy.types.Scene) -> Camera | None:
+    """What the scene's active camera sees, whoever made it, in a picture of the scene's size; None without one in
+    perspective.
+    """
+    ob, render = scene.camera, scene.render
+    if ob is None or ob.type != "CAMERA" or ob.data.type != "PERSP":
+        return None
+    width, height = (
+        max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y)
+    )
+    data, tall = ob.data, render.pixel_aspect_y / render.pixel_aspect_x
+    fits_width = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height * tall)
+    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
+    fitted = 1.0 if fits_width else height * tall / width  # in picture widths
+    lens = Lens(
+        data.lens * fitted * SENSOR_WIDTH / sensor, data.shift_x * fitted, data.shift_y * fitted, (1.0, tall)
+    )
+    at, turned, _ = ob.matrix_world.decompose()  # cameras see the same at any scale
+    return camera_from(lens, np.array(Matrix.LocRotScale(at, turned, None)), width, height)
 
 
 def mark_timeline(

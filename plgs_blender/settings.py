@@ -100,7 +100,7 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
 
     live_preview: BoolProperty(  # type: ignore[valid-type]
         name="Live preview", default=True,
-        description="While it lifts, show what the active camera sees in the model as that camera's background",
+        description="While it lifts, show what the scene's active camera sees in the model, when looking through it",
     )  # fmt: skip
     place_when_done: BoolProperty(  # type: ignore[valid-type]
         name="Show when done", default=True, description="Put the result into this scene as soon as it is there"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender import engine_environment
-from ..plgs_blender.running import lifts, live_preview, recents
+from ..plgs_blender.running import lifts, recents
 from ..plgs_blender.running.estimate import estimate_of
 from ..plgs_blender.running.lifts import LiftState, Watch
 from ..plgs_blender.running.start import followed_lift
@@ -110,8 +110,8 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, follo
     row.scale_y = 1.4
     row.operator("plgs.cancel_lift", icon="CANCEL").lift_folder = str(followed.folder.path)
     layout.prop(context.scene.plgs, "live_preview")
-    if context.scene.plgs.live_preview and not live_preview.can_be_seen(context.scene):
-        tell(layout, context, "To see it grow, look through one of the lift's own cameras", "INFO")
+    if context.scene.plgs.live_preview and context.space_data.region_3d.view_perspective != "CAMERA":
+        tell(layout, context, "To see it grow, look through the scene's camera (numpad 0)", "INFO")
 
 
 def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Watch) -> None:

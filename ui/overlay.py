@@ -1,4 +1,5 @@
-"""What is drawn over the 3D views: the selected instance's points, the rectangle of a mask, labels and a legend.
+"""What is drawn over the 3D views: the growing model before the camera, the selected instance's points, the rectangle
+of a mask, labels and a legend.
 
 Each view is drawn many times a second, so everything is read from Blender's data: nothing from disk, nothing written.
 """
@@ -10,21 +11,25 @@ from typing import Any
 import bpy
 
 from ..plgs_blender.inspecting import glow
-from ..plgs_blender.inspecting.drawing import draw_glow, draw_plates, draw_rectangle
+from ..plgs_blender.inspecting.drawing import draw_glow, draw_picture, draw_plates, draw_rectangle, forget_picture
 from ..plgs_blender.inspecting.lookup import boxes_of, objects_by_key
 from ..plgs_blender.inspecting.plates import View, label_plates, legend_plates
 from ..plgs_blender.inspecting.selection import selected_instance
 from ..plgs_blender.lift_collection import lifts_in
+from ..plgs_blender.running import live_preview
 
 _handles: list[Any] = []
 
 
-def _lifts(context: bpy.types.Context) -> list[bpy.types.Collection]:
-    """The lifts to draw for; none while the view's overlays are off."""
+def _is_wanted(context: bpy.types.Context) -> bool:
+    """Whether this is a 3D view with its overlays on."""
     view = context.space_data
-    if view is None or view.type != "VIEW_3D" or not view.overlay.show_overlays:
-        return []
-    return lifts_in(context.scene)
+    return view is not None and view.type == "VIEW_3D" and view.overlay.show_overlays
+
+
+def _lifts(context: bpy.types.Context) -> list[bpy.types.Collection]:
+    """The lifts to draw for."""
+    return lifts_in(context.scene) if _is_wanted(context) else []
 
 
 def _draw_in_space() -> None:
@@ -44,6 +49,8 @@ def _draw_in_space() -> None:
 def _draw_on_top() -> None:
     """POST_PIXEL: in pixels of the region, over everything."""
     context = bpy.context
+    if _is_wanted(context):
+        _draw_preview(context)
     for root in _lifts(context):
         lists = root.plgs
         view = View.of(context)
@@ -58,6 +65,19 @@ def _draw_on_top() -> None:
             }
             active = selected_instance(root, context.view_layer.objects.active)
             draw_plates(label_plates(lists.instances, boxes, active, view))
+
+
+def _draw_preview(context: bpy.types.Context) -> None:
+    """What the engine sees in the unfinished model, over the frame of the scene's camera while one looks through it."""
+    space, scene = context.space_data, context.scene
+    looks = space.camera if space.use_local_camera else scene.camera
+    if context.region_data.view_perspective != "CAMERA" or looks != scene.camera:
+        return
+    picture = live_preview.picture_for(scene)
+    if picture is not None:
+        at, turned, _ = looks.matrix_world.decompose()
+        frame = [at + turned @ corner for corner in looks.data.view_frame(scene=scene)]
+        draw_picture(picture, [View.of(context).pixel_of(corner) for corner in frame])
 
 
 def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, view: View) -> None:
@@ -92,3 +112,4 @@ def unregister() -> None:
     while _handles:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
     glow.forget()
+    forget_picture()

@@ -11,6 +11,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix, Vector
+from numpy.typing import NDArray
 
 from ..compat import point_shader
 from .glow import Glow
@@ -23,6 +24,9 @@ _SMALLEST, _LARGEST = 2.5, 14.0
 """Pixels of a glowing point."""
 _EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7)
 """Of an object's `bound_box`."""
+
+_uploaded: list[tuple[NDArray[np.float32], gpu.types.GPUTexture]] = []
+"""The picture drawn last, and what the graphics card has of it."""
 
 
 def draw_glow(
@@ -64,6 +68,36 @@ def draw_rectangle(corners: Sequence[tuple[float, float]], colour: Colour) -> No
     for width, ink in ((5.0, (0.0, 0.0, 0.0, 0.5)), (2.5, (*_brightened(colour), 1.0))):
         _draw_lines([Vector((x, y, 0.0)) for x, y in corners], (0, 1, 1, 2, 2, 3, 3, 0), ink, width)
     gpu.state.blend_set("NONE")
+
+
+def draw_picture(pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None]) -> None:
+    """A picture (float32 [H, W, 4], sRGB, lowest row first) over the upright rectangle of these corners, in pixels."""
+    seen = [corner for corner in corners if corner is not None]
+    if len(seen) != len(corners):
+        return
+    (left, right), (low, high) = ((min(each), max(each)) for each in zip(*seen, strict=True))
+    shader = gpu.shader.from_builtin("IMAGE")
+    shader.bind()
+    shader.uniform_sampler("image", _texture_of(pixels))
+    places = [(left, low), (right, low), (right, high), (left, high)]
+    coordinates = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
+    quad = batch_for_shader(shader, "TRIS", {"pos": places, "texCoord": coordinates}, indices=[(0, 1, 2), (0, 2, 3)])
+    gpu.state.blend_set("NONE")
+    quad.draw(shader)
+
+
+def forget_picture() -> None:
+    """Free what the graphics card holds of the picture drawn last."""
+    _uploaded.clear()
+
+
+def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
+    """Not Blender's own of an image: that one makes mipmaps, which takes ten times as long."""
+    if not _uploaded or _uploaded[0][0] is not pixels:
+        height, width, _ = pixels.shape
+        values = gpu.types.Buffer("FLOAT", pixels.size, pixels.ravel())
+        _uploaded[:] = [(pixels, gpu.types.GPUTexture((width, height), format="RGBA8", data=values))]
+    return _uploaded[0][1]
 
 
 def draw_plates(plates: Sequence[Plate]) -> None:

@@ -55,7 +55,7 @@ def look_at_lift(folder: Path) -> None:
 
 
 def _show(watch: Watch) -> bool:
-    """Bring the camera's background up to date; whether that changes what a view shows."""
+    """Bring the live preview up to date; whether that changes what a view shows."""
     if not watch.is_running:
         live_preview.remove(watch.folder.path)
         recents.refresh()
@@ -99,3 +99,4 @@ def unregister() -> None:
             bpy.app.timers.unregister(timer)
     scene_survey.stop_looking()
     lifts.let_go()
+    live_preview.remove_left_over()

@@ -9,7 +9,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 from plgs.engine.scene import Camera
 from plgs.plgs_blender.cameras import camera_from, lens_of, object_matrix
-from plgs.plgs_blender.frames import look_through, set_lens
+from plgs.plgs_blender.frames import camera_seen, look_through, set_lens
 
 INTRINSICS = {
     "plain": (640, 480, 500.0, 500.0, 320.0, 240.0),
@@ -70,6 +70,43 @@ def test_there_and_back(name: str) -> None:
     back = camera_from(lens_of(there), object_matrix(there), there.width, there.height)
     points = points_before(there)
     assert np.abs(back.project(points)[0] - there.project(points)[0]).max() < 1e-9
+
+
+@pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
+@pytest.mark.parametrize("size", [(640, 480), (480, 640)])
+@pytest.mark.parametrize("aspect", [(1.0, 1.0), (1.0, 2.5), (1.6, 1.0)])
+def test_what_any_camera_of_the_users_sees(
+    fit: str, size: tuple[int, int], aspect: tuple[float, float]
+) -> None:
+    scene = bpy.context.scene
+    scene.camera = ob = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
+    scene.collection.objects.link(ob)
+    ob.data.sensor_fit, ob.data.sensor_width, ob.data.sensor_height = fit, 30.0, 21.0
+    ob.data.lens, ob.data.shift_x, ob.data.shift_y = 40.0, 0.13, -0.21
+    ob.location, ob.rotation_euler, ob.scale = (1.0, 2.0, 3.0), (0.4, -0.5, 2.6), (2.0, 0.5, 3.0)
+    render = scene.render
+    render.resolution_x, render.resolution_y, render.resolution_percentage = 2 * size[0], 2 * size[1], 50
+    render.pixel_aspect_x, render.pixel_aspect_y = aspect
+    bpy.context.view_layer.update()
+
+    seen = camera_seen(scene)
+    assert seen is not None and (seen.width, seen.height) == size
+    points = points_before(seen)
+    theirs = [world_to_camera_view(scene, ob, Vector(point)) for point in points]
+    found = np.array([(at.x * size[0], (1.0 - at.y) * size[1]) for at in theirs])
+    assert np.abs(found - seen.project(points)[0]).max() < 2e-3
+
+
+def test_nothing_is_seen_without_a_camera_in_perspective() -> None:
+    scene = bpy.context.scene
+    scene.camera = None
+    assert camera_seen(scene) is None
+    scene.camera = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT"))
+    assert camera_seen(scene) is None
+    scene.camera = bpy.data.objects.new("flat", bpy.data.cameras.new("flat"))
+    assert camera_seen(scene) is not None
+    scene.camera.data.type = "ORTHO"
+    assert camera_seen(scene) is None
 
 
 def test_a_camera_looks_along_minus_z_with_y_up() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,12 +25,16 @@ else:
 
 
 @pytest.fixture(scope="session")
-def work_folder() -> Path:
-    """Seen by this machine and by the tree at the same path: put scenes and lifts of a test here."""
-    folder = ROOT / "build" / "window" / "work"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    return folder
+def work_folder() -> Iterator[Path]:
+    """Seen by this machine and by the tree at the same path: put scenes and lifts of a test here.
+
+    One for each run of the tests: two may run at once.
+    """
+    parent = ROOT / "build" / "window"
+    parent.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix="work-", dir=parent))
+    yield folder
+    shutil.rmtree(folder)
 
 
 @pytest.fixture(scope="session")

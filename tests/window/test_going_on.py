@@ -22,6 +22,7 @@ lifts = sys.modules[EXTENSION + '.plgs_blender.running.lifts']
 recents = sys.modules[EXTENSION + '.plgs_blender.running.recents']
 settings = lambda: bpy.context.scene.plgs
 followed = lambda: lifts.watch_of(pathlib.Path(settings().lift_folder))
+picture = lambda: sys.modules[EXTENSION + '.plgs_blender.running.live_preview'].picture_for(bpy.context.scene)
 """
 
 
@@ -76,20 +77,32 @@ def test_undo_and_another_file_leave_the_lift_in_the_panel(window: Window, scene
 
 
 def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> None:
-    """Each call of Blender's into the extension, panels and timers included, with live previews before a camera."""
+    """Each call of Blender's into the extension, panels, timers and drawing included, with live previews before two
+    cameras: one of a frame, then the user's own. Only the very first picture is drawn unwatched: there the processor,
+    which stands in for a graphics card, compiles a shader (0.3 s).
+    """
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.scene_folder = {str(scene)!r}")
     window.run("bpy.ops.plgs.import_scene()")
-    window.run("bpy.context.scene.camera = next(each for each in bpy.data.objects if 'frame' in each)")
+    frame = window.ask("next(each.name for each in bpy.data.objects if 'frame' in each)")
+    window.run(f"bpy.data.objects['Camera'].matrix_world = bpy.data.objects[{frame!r}].matrix_world")
+    window.run("bpy.data.objects['Camera'].location.z += 0.2")
     window.run("watch.begin()")
     begin(window, scene, "without waits")
+    waits = [window.waits()]
     window.move(500, 500)
     window.key("KP_0")
-    window.wait_for("followed().status.live_previews > 2", 60)
-    window.screenshot("live-preview")
-    waits = window.waits()
+    window.wait_for("picture() is not None")
+    window.run("bpy.ops.wm.redraw_timer(type='DRAW_WIN_SWAP', iterations=1)")
+    window.run("watch.begin()")
+    for camera, shot in ((frame, "of-a-frame"), ("Camera", "of-the-users")):
+        window.run(f"bpy.context.scene.camera = bpy.data.objects[{camera!r}]")
+        window.run("before = followed().status.live_previews")
+        window.wait_for("followed().status.live_previews > before + 1 and picture() is not None", 60)
+        window.screenshot(f"live-preview-{shot}")
+    waits.append(window.waits())
     end(window)
-    assert waits and max(waits.values()) < 0.05, waits
+    assert all(watched and max(watched.values()) < 0.05 for watched in waits), waits
 
 
 def test_an_engine_that_is_killed_leaves_a_message_and_resume(window: Window, scene: Path) -> None:

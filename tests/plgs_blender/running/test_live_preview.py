@@ -1,15 +1,18 @@
-"""The growing model before a camera of ours: asked for, shown, and taken away without a trace."""
+"""The growing model before the scene's camera: asked for, shown, and taken away without a trace."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import bpy
+import numpy as np
 import pytest
 from plgs.engine.job import LiftFolder
+from plgs.engine.job.preview_request import PreviewCamera, read_preview_request
+from plgs.engine.scene import Camera, open_scene
+from plgs.plgs_blender.frames import look_through
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.running import live_preview
 
@@ -28,6 +31,7 @@ def growing(plgs: ModuleType, lift: Path, tmp_path: Path) -> Iterator[LiftFolder
 
 def picture(folder: LiftFolder) -> Path:
     image = bpy.data.images.new("picture", 8, 6)
+    image.pixels = (1.0, 0.5, 0.25, 1.0) * 8 + (0.0, 0.0, 0.0, 1.0) * 40
     folder.live_preview_path.parent.mkdir(parents=True)
     image.filepath_raw, image.file_format = str(folder.live_preview_path), "PNG"
     image.save()
@@ -35,42 +39,70 @@ def picture(folder: LiftFolder) -> Path:
     return folder.live_preview_path
 
 
-def backgrounds() -> list[tuple[str, bool, float]]:
-    data = bpy.context.scene.camera.data
-    return [(each.image.name, each.show_background_image, each.alpha) for each in data.background_images]
+def seen_by_the_engine(folder: LiftFolder) -> Camera:
+    asked = read_preview_request(folder.preview_request_path)
+    assert isinstance(asked, PreviewCamera)
+    lens = asked.K
+    return Camera(
+        asked.width, asked.height, lens[0][0], lens[1][1], lens[0][2], lens[1][2], np.array(asked.camera_to_world)
+    )
 
 
 def test_the_active_camera_is_asked_for_once(growing: LiftFolder) -> None:
+    scene = bpy.context.scene
+    frame = next(each for each in open_scene(growing.request.scene).frames if each.name == scene.camera["frame"])
+    look_through(scene, scene.camera)
+    bpy.context.view_layer.update()
     live_preview.follow_camera(growing, bpy.data.scenes)
-    asked = json.loads(growing.preview_request_path.read_text())
-    assert asked == {"frame": bpy.context.scene.camera["frame"]}
+    asked = seen_by_the_engine(growing)
+    assert np.allclose(asked.camera_to_world, frame.camera.camera_to_world, atol=1e-5)
+    assert np.allclose(asked.K, frame.camera.K, rtol=1e-5)
     growing.preview_request_path.unlink()
     live_preview.follow_camera(growing, bpy.data.scenes)
     assert not growing.preview_request_path.exists()
 
 
-def test_the_preview_lies_over_the_photo_and_goes_again(growing: LiftFolder) -> None:
-    bpy.context.scene.camera.data.background_images[0].alpha = 0.3  # the user's own choice
-    before, images = backgrounds(), set(bpy.data.images)
+def test_the_preview_is_seen_while_the_camera_stays_and_goes_again(growing: LiftFolder) -> None:
+    scene, before = bpy.context.scene, set(bpy.data.images)
+    assert live_preview.picture_for(scene) is None
+    live_preview.follow_camera(growing, bpy.data.scenes)
+    shown = picture(growing)
     for _ in range(2):
-        live_preview.show(growing, picture(growing) if not growing.live_preview_path.exists()
-                          else growing.live_preview_path, bpy.data.scenes)  # fmt: skip
-    (shown,) = set(bpy.data.images) - images
-    assert len(backgrounds()) == 2 and backgrounds()[:1] == before and tuple(shown.size) == (8, 6)
+        live_preview.show(growing, shown, bpy.data.scenes)
+    (image,) = set(bpy.data.images) - before
+    pixels = live_preview.picture_for(scene)
+    assert pixels is not None and pixels.shape == (6, 8, 4) and image.users == 0
+    assert np.allclose(pixels[0, 0], (1.0, 0.5, 0.25, 1.0), atol=1e-2)  # as in the file, the lowest row first
+    at = scene.camera.location.copy()
+    scene.camera.location.x += 1.0
+    bpy.context.view_layer.update()
+    assert live_preview.picture_for(scene) is None
+    scene.camera.location = at
+    bpy.context.view_layer.update()
+    assert live_preview.picture_for(scene) is pixels
+    scene.plgs.live_preview = False
+    assert live_preview.picture_for(scene) is None
     live_preview.remove(growing.path)
-    assert backgrounds() == before and set(bpy.data.images) == images
+    assert set(bpy.data.images) == before
 
 
-def test_what_a_saved_file_kept_of_a_preview_is_taken_away(growing: LiftFolder) -> None:
-    before = backgrounds()
-    live_preview.show(growing, picture(growing), bpy.data.scenes)
-    live_preview.remove_left_over()
-    assert backgrounds() == before
-
-
-def test_a_camera_of_the_users_is_left_alone(growing: LiftFolder) -> None:
-    scene = bpy.context.scene
-    scene.camera = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
+def test_what_an_undo_brought_back_of_a_preview_is_taken_away(growing: LiftFolder) -> None:
+    before = set(bpy.data.images)
     live_preview.follow_camera(growing, bpy.data.scenes)
     live_preview.show(growing, picture(growing), bpy.data.scenes)
-    assert not growing.preview_request_path.exists() and not scene.camera.data.background_images
+    assert set(bpy.data.images) != before
+    live_preview.remove_left_over()
+    assert set(bpy.data.images) == before
+
+
+def test_a_camera_of_the_users_shows_it_too_and_is_left_alone(growing: LiftFolder) -> None:
+    scene = bpy.context.scene
+    scene.camera = mine = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
+    scene.collection.objects.link(mine)
+    mine.location = (1.0, 2.0, 3.0)
+    bpy.context.view_layer.update()
+    live_preview.follow_camera(growing, bpy.data.scenes)
+    live_preview.show(growing, picture(growing), bpy.data.scenes)
+    assert live_preview.picture_for(scene) is not None
+    assert seen_by_the_engine(growing).camera_to_world[:3, 3].tolist() == [1.0, 2.0, 3.0]
+    assert not mine.data.background_images and not mine.data.show_background_images
