@@ -1,5 +1,5 @@
 """The matrix product of both passes, as one block held in registers: a few rows times up to three vectors of
-channels."""
+channels. In a patch's weights, the pixels of its two rows alternate."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
+from .records import PATCH_HEIGHT
 from .vectors import FLOAT, INT, WIDE, WIDTH, call, element, intrinsic
 
 INDEX = ir.IntType(64)
@@ -28,10 +29,10 @@ def _splat(builder: ir.IRBuilder, scalar: ir.Value) -> ir.Value:
 
 
 def _emit_block(
-    context: Any, builder: ir.IRBuilder, pointers: dict[str, ir.Value], rows: int, vectors: int
+    context: Any, builder: ir.IRBuilder, pointers: dict[str, Any], rows: int, vectors: int
 ) -> None:
     """out[row a] += sum_b weight[a * across + b * along] * source[row b], b < count; a < rows; all in
-    registers.
+    registers. There may be several sources: then their rows b take turns, and so do their weights.
 
     ``out_rows`` and ``source_rows`` are int32 lists, or None where row a is simply a. ``stride`` and
     ``source_stride`` are the floats from one row to the next.
@@ -56,17 +57,20 @@ def _emit_block(
         for out in outs
     ]
     with cgutils.for_range(builder, pointers["count"]) as loop:
-        place = loop.index
-        source = builder.gep(pointers["source"], [builder.mul(row_of("source_rows", place), pointers["source_stride"])])
-        features = [builder.load(vector_at(source, v), align=4) for v in range(vectors)]
-        weights = builder.gep(pointers["weights"], [builder.mul(place, pointers["along"])])
-        for a in range(rows):
-            at = builder.gep(weights, [builder.mul(INDEX(a), pointers["across"])])
-            weight = _splat(builder, builder.load(at))
-            for v in range(vectors):
-                total = builder.load(sums[a][v])
-                total = call(builder, f"llvm.fmuladd.v{BLOCK}f32", BLOCK_IR, [weight, features[v], total])
-                builder.store(total, sums[a][v])
+        row = builder.mul(row_of("source_rows", loop.index), pointers["source_stride"])
+        sources = pointers["sources"]
+        for turn, base in enumerate(sources):
+            source = builder.gep(base, [row])
+            features = [builder.load(vector_at(source, v), align=4) for v in range(vectors)]
+            place = builder.add(builder.mul(loop.index, INDEX(len(sources))), INDEX(turn))
+            weights = builder.gep(pointers["weights"], [builder.mul(place, pointers["along"])])
+            for a in range(rows):
+                at = builder.gep(weights, [builder.mul(INDEX(a), pointers["across"])])
+                weight = _splat(builder, builder.load(at))
+                for v in range(vectors):
+                    total = builder.load(sums[a][v])
+                    total = call(builder, f"llvm.fmuladd.v{BLOCK}f32", BLOCK_IR, [weight, features[v], total])
+                    builder.store(total, sums[a][v])
     for a in range(rows):
         for v in range(vectors):
             builder.store(builder.load(sums[a][v]), vector_at(outs[a], v), align=4)
@@ -94,14 +98,14 @@ def _blend_block(rows: int, vectors: int) -> Any:
         def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             pointers = {
                 "out": _offset(context, builder, signature, arguments, 0),
-                "source": _offset(context, builder, signature, arguments, 2),
+                "sources": [_offset(context, builder, signature, arguments, 2)],
                 "source_rows": _offset(context, builder, signature, arguments, 4),
                 "weights": _offset(context, builder, signature, arguments, 6),
                 "out_rows": None,
                 "count": arguments[8],
                 "stride": arguments[9],
                 "source_stride": arguments[9],
-                "across": INDEX(1),
+                "across": INDEX(PATCH_HEIGHT),
                 "along": INDEX(WIDTH),
             }
             _emit_block(context, builder, pointers, rows, vectors)
@@ -122,7 +126,8 @@ def _unblend_block(rows: int, vectors: int) -> Any:
         members: Any,
         members_at: Any,
         source: Any,
-        source_at: Any,
+        upper_at: Any,
+        lower_at: Any,
         weights: Any,
         weights_at: Any,
         stride: Any,
@@ -132,12 +137,14 @@ def _unblend_block(rows: int, vectors: int) -> Any:
             pointers = {
                 "out": _offset(context, builder, signature, arguments, 0),
                 "out_rows": _offset(context, builder, signature, arguments, 2),
-                "source": _offset(context, builder, signature, arguments, 4),
-                "weights": _offset(context, builder, signature, arguments, 6),
+                "sources": [
+                    element(context, builder, signature.args[4], arguments[4], at) for at in arguments[5:7]
+                ],
+                "weights": _offset(context, builder, signature, arguments, 7),
                 "source_rows": None,
-                "count": INDEX(WIDTH),
-                "stride": arguments[8],
-                "source_stride": arguments[9],
+                "count": INDEX(WIDTH // PATCH_HEIGHT),
+                "stride": arguments[9],
+                "source_stride": arguments[10],
                 "across": INDEX(WIDTH),
                 "along": INDEX(1),
             }
@@ -145,7 +152,7 @@ def _unblend_block(rows: int, vectors: int) -> Any:
             return context.get_dummy_value()
 
         index = types.int64
-        return types.void(out, index, members, index, source, index, weights, index, index, index), emit
+        return types.void(out, index, members, index, source, index, index, weights, index, index, index), emit
 
     return block
 

@@ -15,7 +15,9 @@ import math
 import numpy as np
 
 TILE = 16
-"""Pixels: the side of a tile, and the length of the rows that the kernels work on."""
+"""Pixels: the side of a tile, and how many the vector kernels work on at once."""
+PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
+"""What those are: a patch, eight columns of two rows."""
 CHUNK = 48
 """Gaussians of a tile that are handled together: whole vectors of them, and no more than a word has bits."""
 assert CHUNK % TILE == 0 and CHUNK <= 64

@@ -1,8 +1,8 @@
-"""Back-to-front gradients, sixteen pixels at a time. The same steps as ``blend_backward``, its readable twin,
-where the equations stand.
+"""Back-to-front gradients, a patch of sixteen pixels at a time. The same steps as ``blend_backward``, its readable
+twin, where the equations stand.
 
-One Gaussian after the other takes all its rows of the tile, so that its own sums stay in registers; the rows' state
-lies in the first cache.
+One Gaussian after the other takes all its patches of the tile, so that its own sums stay in registers; the patches'
+state lies in the first cache.
 """
 
 from __future__ import annotations
@@ -32,18 +32,21 @@ from .records import (
     L12,
     L22,
     LOG_OPACITY,
+    PATCH_HEIGHT,
+    PATCH_WIDTH,
     REACH_OVER_LOG_OPACITY,
     RECORD,
     RED,
     TILE,
 )
-from .vector_chunk import AHEAD, LAST_LANE, NOBODY, origin_of, padded_channels
+from .vector_chunk import AHEAD, NOBODY, PATCHES, halves_touched, origin_of, padded_channels
 from .vector_forward import ALPHA_CAP, ALPHA_LEAST, LINES_AT_ONCE, ONE, ZERO, F, copy_labels
+from .vector_functions import exp2_of_four, reciprocal
+from .vector_shuffles import largest, planes_of, totals, zipped
 from .vectors import (
     bits_of,
     choose,
     everywhere,
-    exp2_of_four,
     fetch,
     fma,
     get,
@@ -52,35 +55,35 @@ from .vectors import (
     load,
     load_some,
     lowest_bit,
-    maximum,
     minimum,
-    planes_of,
+    pairs,
     put,
-    reciprocal,
     spread,
     store,
     store_past_cache,
     take_next,
-    totals,
 )
 
 # a worker's scratch, in floats
-S1_LEFT, S2, S2_SQUARED, EXPONENTS = 0, 2 * TILE, 4 * TILE, 6 * TILE  # of each row, for the Gaussian at hand
-LAST_OF_ROW = 8 * TILE
-RAW_ALPHAS = 9 * TILE  # [row or no row, pixel], before the cap, 0 where the Gaussian was not blended
-OVERS = RAW_ALPHAS + (TILE + 1) * TILE  # 1 / (1 - alpha) of each
-ROW_STATE = OVERS + (TILE + 1) * TILE  # [row or no row, field, pixel]; a row's fields lie together
-ROW_STRIDE = 8 * TILE
-THROUGH = ROW_STATE
+S1_LEFT, S2, S2_SQUARED, EXPONENTS = 0, 2 * TILE, 4 * TILE, 6 * TILE  # of each row, for one Gaussian
+WHITENED = 8 * TILE  # floats of the above: there is one for the Gaussian at hand, and one for the next
+LAST_OF_PATCH = 2 * WHITENED
+COLUMNS = LAST_OF_PATCH + TILE  # of a left patch's pixels, of a right one's
+RAW_ALPHAS = COLUMNS + 2 * TILE  # [patch or no patch, pixel], before the cap, 0 where the Gaussian was not blended
+OVERS = RAW_ALPHAS + (PATCHES + 1) * TILE  # 1 / (1 - alpha) of each
+PATCH_STATE = OVERS + (PATCHES + 1) * TILE  # [patch or no patch, field, pixel]; a patch's fields lie together
+PATCH_STRIDE = 8 * TILE
+THROUGH = PATCH_STATE
 LAST = THROUGH + TILE
 BEHIND = LAST + TILE
 D_PLANES = BEHIND + TILE  # gradients of red, green, blue, depth
-WEIGHTS = ROW_STATE + (TILE + 1) * ROW_STRIDE  # [row, member, pixel]
+WEIGHTS = PATCH_STATE + (PATCHES + 1) * PATCH_STRIDE  # [patch, member, pixel]
 CHUNK_LABELS = (
-    WEIGHTS + TILE * CHUNK * TILE
-)  # [member or nobody, padded], then a row's gradients [pixel, padded]
-NO_ROW = TILE
-"""Takes a row's place where there are not four; nothing was ever blended on it."""
+    WEIGHTS + PATCHES * CHUNK * TILE
+)  # [member or nobody, padded], then a patch's gradients [row, pixel, padded]
+EVEN = 0x5555
+NO_PATCH = PATCHES
+"""Takes a patch's place where there are not four; nothing was ever blended on it."""
 
 
 def scratch_size(channels: int) -> int:
@@ -91,15 +94,26 @@ def scratch_size(channels: int) -> int:
 
 @part
 def start_worker(scratch: Array, counts: Array) -> None:
-    """Make NO_ROW, and lists of no members."""
-    for at in range(ROW_STATE):
+    """Make NO_PATCH, and lists of no members."""
+    for at in range(PATCH_STATE):
         put(scratch, at, ZERO)
-    for at in range(ROW_STATE + NO_ROW * ROW_STRIDE, ROW_STATE + (NO_ROW + 1) * ROW_STRIDE):
+    left, right = zipped(lane_numbers(), lane_numbers())
+    store(scratch, COLUMNS, left)
+    store(scratch, COLUMNS + TILE, right)
+    for at in range(PATCH_STATE + NO_PATCH * PATCH_STRIDE, PATCH_STATE + (NO_PATCH + 1) * PATCH_STRIDE):
         put(scratch, at, ZERO)
-    store(scratch, LAST + NO_ROW * ROW_STRIDE, spread(-ONE))
-    store(scratch, THROUGH + NO_ROW * ROW_STRIDE, spread(ONE))
-    for r in range(TILE):
-        put(counts, r, 0)
+    store(scratch, LAST + NO_PATCH * PATCH_STRIDE, spread(-ONE))
+    store(scratch, THROUGH + NO_PATCH * PATCH_STRIDE, spread(ONE))
+    for patch in range(PATCHES):
+        put(counts, patch, 0)
+
+
+@inlined
+def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
+    """Two rows of a tile, as a field of the two patches that they are."""
+    left, right = zipped(upper, lower)
+    store(scratch, at, left)
+    store(scratch, at + PATCH_STRIDE, right)
 
 
 @part
@@ -117,108 +131,132 @@ def load_tile(
 ) -> Any:
     """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the
     tile."""
-    inside = lane_numbers() < spread(F(width - left))
     far = -1
-    for r in range(TILE):
-        row = r * ROW_STRIDE
-        own = -1
-        if top + r >= height:
-            store(scratch, LAST + row, spread(-ONE))
-        else:
-            pixel = (top + r) * width + left
-            through = choose(inside, load_some(rest, pixel, inside), spread(ONE))
-            store(scratch, THROUGH + row, through)
-            store(scratch, BEHIND + row, spread(ZERO) - load_some(d_alpha, pixel, inside))
-            store(scratch, LAST + row, choose(inside, load_some(last_in, pixel, inside), spread(-ONE)))
-            store(scratch, D_PLANES + 3 * TILE + row, load_some(d_depth, pixel, inside))
-            load_colours(3 * pixel, 3 * min(TILE, width - left), row, d_image, scratch)
-            for x in range(min(TILE, width - left)):
-                own = max(own, int(get(scratch, LAST + row + x)))
-        scratch[LAST_OF_ROW + r] = F(own)
-        far = max(far, own)
+    columns = min(TILE, width - left)
+    for patch in range(0, PATCHES, 2):
+        row = top + patch
+        at = patch * PATCH_STRIDE
+        pixel, below = row * width + left, (row + 1) * width + left
+        # outside there are no columns
+        upper_columns, lower_columns = columns if row < height else 0, columns if row + 1 < height else 0
+        upper, lower = lane_numbers() < spread(F(upper_columns)), lane_numbers() < spread(F(lower_columns))
+        store_strip(
+            choose(upper, load_some(rest, pixel, upper), spread(ONE)),
+            choose(lower, load_some(rest, below, lower), spread(ONE)),
+            THROUGH + at,
+            scratch,
+        )
+        store_strip(
+            spread(ZERO) - load_some(d_alpha, pixel, upper),
+            spread(ZERO) - load_some(d_alpha, below, lower),
+            BEHIND + at,
+            scratch,
+        )
+        store_strip(
+            choose(upper, load_some(last_in, pixel, upper), spread(-ONE)),
+            choose(lower, load_some(last_in, below, lower), spread(-ONE)),
+            LAST + at,
+            scratch,
+        )
+        upper_red, upper_green, upper_blue = colours_of(3 * pixel, 3 * upper_columns, d_image)
+        lower_red, lower_green, lower_blue = colours_of(3 * below, 3 * lower_columns, d_image)
+        store_strip(upper_red, lower_red, D_PLANES + at, scratch)
+        store_strip(upper_green, lower_green, D_PLANES + TILE + at, scratch)
+        store_strip(upper_blue, lower_blue, D_PLANES + 2 * TILE + at, scratch)
+        store_strip(
+            load_some(d_depth, pixel, upper), load_some(d_depth, below, lower), D_PLANES + 3 * TILE + at, scratch
+        )
+        for each in (patch, patch + 1):
+            own = largest(load(scratch, LAST + each * PATCH_STRIDE))
+            put(scratch, LAST_OF_PATCH + each, own)
+            far = max(far, int(own))
     return far
 
 
-@part
-def load_colours(source: int, floats: int, row: int, d_image: Array, scratch: Array) -> None:
-    """d_image[source : source + floats], pixel after pixel, to a row's planes."""
-    red, green, blue = planes_of(
+@inlined
+def colours_of(source: int, floats: int, d_image: Array) -> Any:
+    """d_image[source : source + floats], pixel after pixel, as planes."""
+    return planes_of(
         load_some(d_image, source, lane_numbers() < spread(F(floats))),
         load_some(d_image, source + TILE, lane_numbers() < spread(F(floats - TILE))),
         load_some(d_image, source + 2 * TILE, lane_numbers() < spread(F(floats - 2 * TILE))),
     )
-    store(scratch, D_PLANES + row, red)
-    store(scratch, D_PLANES + TILE + row, green)
-    store(scratch, D_PLANES + 2 * TILE + row, blue)
 
 
 @part
-def whiten_tile(records: Array, at: int, left: int, top: int, scratch: Array) -> Any:
-    """Fill S1_LEFT, S2, S2_SQUARED and EXPONENTS, bit for bit what the forward pass made of each row; returns the
-    mask of the rows that are touched."""
+def whiten_tile(records: Array, at: int, left: int, top: int, scratch: Array, own: int) -> Any:
+    """Fill S1_LEFT, S2, S2_SQUARED and EXPONENTS of scratch[own:], bit for bit what the forward pass made of each row;
+    returns the mask of the patches that are touched."""
     origin_s1, origin_s2 = origin_of(records, at, left, top)
     s1 = fma(everywhere(records, at + L12), lane_numbers(), spread(origin_s1))
     s2 = fma(everywhere(records, at + L22), lane_numbers(), spread(origin_s2))
     log_opacity = everywhere(records, at + LOG_OPACITY)
-    right = fma(everywhere(records, at + L11), spread(LAST_LANE), s1)
-    nearest = maximum(maximum(s1, spread(ZERO) - right), spread(ZERO))
     square = s2 * s2
-    store(scratch, S1_LEFT, s1)
-    store(scratch, S2, s2)
-    store(scratch, S2_SQUARED, square)
-    store(scratch, EXPONENTS, log_opacity - square)
-    return bits_of(fma(nearest, nearest, square) <= log_opacity + spread(REACH_OVER_LOG_OPACITY))
+    store(scratch, own + S1_LEFT, s1)
+    store(scratch, own + S2, s2)
+    store(scratch, own + S2_SQUARED, square)
+    store(scratch, own + EXPONENTS, log_opacity - square)
+    reach = log_opacity + spread(REACH_OVER_LOG_OPACITY)
+    on_left, on_right = halves_touched(s1, everywhere(records, at + L11), square, reach)
+    return strips_of(on_left) | (strips_of(on_right) << 1)
 
 
 @inlined
-def whitened(r: int, slope: Any, scratch: Array) -> Any:
-    """s1 on a row."""
-    return fma(slope, lane_numbers(), everywhere(scratch, S1_LEFT + r))
+def strips_of(rows: int) -> int:
+    """The even bits of a mask of rows, set where a strip has a row of it."""
+    return (rows | (rows >> 1)) & EVEN
 
 
 @inlined
-def exponent_of(r: int, slope: Any, scratch: Array) -> Any:
-    """log2 of the Gaussian's alpha on a row."""
-    s1 = whitened(r, slope, scratch)
-    return less_product(s1, s1, everywhere(scratch, EXPONENTS + r))
+def whitened(patch: int, slope: Any, scratch: Array, own: int) -> Any:
+    """s1 on a patch."""
+    rows, side = patch & -2, patch & 1
+    return fma(slope, load(scratch, COLUMNS + side * TILE), pairs(scratch, own + S1_LEFT + rows))
 
 
 @inlined
-def blended_alpha(r: int, raw: Any, here: Any, scratch: Array) -> Any:
+def exponent_of(patch: int, slope: Any, scratch: Array, own: int) -> Any:
+    """log2 of the Gaussian's alpha on a patch."""
+    s1 = whitened(patch, slope, scratch, own)
+    return less_product(s1, s1, pairs(scratch, own + EXPONENTS + (patch & -2)))
+
+
+@inlined
+def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
     """The alpha before the cap where the forward pass blended it, else 0."""
-    blended = (raw >= spread(ALPHA_LEAST)) & (load(scratch, LAST + r * ROW_STRIDE) >= here)
+    blended = (raw >= spread(ALPHA_LEAST)) & (load(scratch, LAST + patch * PATCH_STRIDE) >= here)
     return choose(blended, raw, spread(ZERO))
 
 
 @inlined
-def keep_alpha(r: int, raw: Any, scratch: Array) -> None:
-    store(scratch, RAW_ALPHAS + r * TILE, raw)
-    store(scratch, OVERS + r * TILE, reciprocal(spread(ONE) - minimum(raw, spread(ALPHA_CAP))))
+def keep_alpha(patch: int, raw: Any, scratch: Array) -> None:
+    store(scratch, RAW_ALPHAS + patch * TILE, raw)
+    store(scratch, OVERS + patch * TILE, reciprocal(spread(ONE) - minimum(raw, spread(ALPHA_CAP))))
 
 
 @part
-def fill_alphas(slope: float, place: float, rows: int, scratch: Array) -> None:
-    """RAW_ALPHAS and OVERS on the rows of a mask, bit for bit the forward pass's; four rows at a time, so that one
-    does not wait for the other."""
+def fill_alphas(slope: float, place: float, patches: int, scratch: Array, own: int) -> None:
+    """RAW_ALPHAS and OVERS on the patches of a mask, bit for bit the forward pass's; four at a time, so that one does
+    not wait for the other."""
     slopes, here = spread(slope), spread(place)
-    while rows != 0:
-        r0 = lowest_bit(rows)
-        rows &= rows - 1
-        r1 = min(lowest_bit(rows), NO_ROW)
-        rows &= rows - 1
-        r2 = min(lowest_bit(rows), NO_ROW)
-        rows &= rows - 1
-        r3 = min(lowest_bit(rows), NO_ROW)
-        rows &= rows - 1
-        e0, e1 = exponent_of(r0, slopes, scratch), exponent_of(r1, slopes, scratch)
-        e2, e3 = exponent_of(r2, slopes, scratch), exponent_of(r3, slopes, scratch)
+    while patches != 0:
+        p0 = lowest_bit(patches)
+        patches &= patches - 1
+        p1 = min(lowest_bit(patches), NO_PATCH)
+        patches &= patches - 1
+        p2 = min(lowest_bit(patches), NO_PATCH)
+        patches &= patches - 1
+        p3 = min(lowest_bit(patches), NO_PATCH)
+        patches &= patches - 1
+        e0, e1 = exponent_of(p0, slopes, scratch, own), exponent_of(p1, slopes, scratch, own)
+        e2, e3 = exponent_of(p2, slopes, scratch, own), exponent_of(p3, slopes, scratch, own)
         raw0, raw1, raw2, raw3 = exp2_of_four(e0, e1, e2, e3)
-        raw0, raw1 = blended_alpha(r0, raw0, here, scratch), blended_alpha(r1, raw1, here, scratch)
-        raw2, raw3 = blended_alpha(r2, raw2, here, scratch), blended_alpha(r3, raw3, here, scratch)
-        keep_alpha(r0, raw0, scratch)
-        keep_alpha(r1, raw1, scratch)
-        keep_alpha(r2, raw2, scratch)
-        keep_alpha(r3, raw3, scratch)
+        raw0, raw1 = blended_alpha(p0, raw0, here, scratch), blended_alpha(p1, raw1, here, scratch)
+        raw2, raw3 = blended_alpha(p2, raw2, here, scratch), blended_alpha(p3, raw3, here, scratch)
+        keep_alpha(p0, raw0, scratch)
+        keep_alpha(p1, raw1, scratch)
+        keep_alpha(p2, raw2, scratch)
+        keep_alpha(p3, raw3, scratch)
 
 
 @part
@@ -226,67 +264,76 @@ def unblend_gaussian(
     records: Array,
     at: int,
     member: int,
-    rows: int,
+    patches: int,
     labelled: bool,
     scratch: Array,
+    own: int,
     counts: Array,
     members: Array,
     gradients: Array,
     slot: int,
 ) -> None:
-    """Step back over one Gaussian on the rows of a mask, and write its gradients."""
+    """Step back over one Gaussian on the patches of a mask, and write its gradients."""
     slope = everywhere(records, at + L11)
     red, green = everywhere(records, at + RED), everywhere(records, at + GREEN)
     blue, depth = everywhere(records, at + BLUE), everywhere(records, at + DEPTH)
     g0 = g1 = g11 = g2 = g12 = g22 = spread(ZERO)
     d_red = d_green = d_blue = d_depth = spread(ZERO)
-    while rows != 0:
-        r = lowest_bit(rows)
-        rows &= rows - 1
-        row = r * ROW_STRIDE
-        raw = load(scratch, RAW_ALPHAS + r * TILE)
+    while patches != 0:
+        patch = lowest_bit(patches)
+        patches &= patches - 1
+        state, rows = patch * PATCH_STRIDE, patch & -2
+        raw = load(scratch, RAW_ALPHAS + patch * TILE)
         alpha = minimum(raw, spread(ALPHA_CAP))
-        before = load(scratch, THROUGH + row) * load(scratch, OVERS + r * TILE)
-        store(scratch, THROUGH + row, before)
+        before = load(scratch, THROUGH + state) * load(scratch, OVERS + patch * TILE)
+        store(scratch, THROUGH + state, before)
         weight = alpha * before
-        image_red = load(scratch, D_PLANES + row)
-        image_green = load(scratch, D_PLANES + TILE + row)
-        image_blue = load(scratch, D_PLANES + 2 * TILE + row)
-        image_depth = load(scratch, D_PLANES + 3 * TILE + row)
+        image_red = load(scratch, D_PLANES + state)
+        image_green = load(scratch, D_PLANES + TILE + state)
+        image_blue = load(scratch, D_PLANES + 2 * TILE + state)
+        image_depth = load(scratch, D_PLANES + 3 * TILE + state)
         value = fma(red, image_red, fma(green, image_green, fma(blue, image_blue, depth * image_depth)))
-        behind = load(scratch, BEHIND + row)
+        behind = load(scratch, BEHIND + state)
         difference = value - behind
-        store(scratch, BEHIND + row, fma(alpha, difference, behind))
+        store(scratch, BEHIND + state, fma(alpha, difference, behind))
         g = choose(raw <= spread(ALPHA_CAP), weight * difference, spread(ZERO))
-        s1, s2 = whitened(r, slope, scratch), everywhere(scratch, S2 + r)
+        s1, s2 = whitened(patch, slope, scratch, own), pairs(scratch, own + S2 + rows)
         g_s1 = g * s1
         g0 = g0 + g
         g1 = g1 + g_s1
         g11 = fma(g_s1, s1, g11)
         g2 = fma(g, s2, g2)
         g12 = fma(g_s1, s2, g12)
-        g22 = fma(g, everywhere(scratch, S2_SQUARED + r), g22)
+        g22 = fma(g, pairs(scratch, own + S2_SQUARED + rows), g22)
         d_red = fma(weight, image_red, d_red)
         d_green = fma(weight, image_green, d_green)
         d_blue = fma(weight, image_blue, d_blue)
         d_depth = fma(weight, image_depth, d_depth)
         if labelled:
             # where nothing was blended the next one writes over it: cheaper than a branch that nobody can foresee
-            count = get(counts, r)
-            store(scratch, WEIGHTS + (r * CHUNK + count) * TILE, weight)
-            put(members, r * CHUNK + count, np.int32(member))
-            put(counts, r, count + int(bits_of(raw > spread(ZERO)) != 0))
+            count = get(counts, patch)
+            store(scratch, WEIGHTS + (patch * CHUNK + count) * TILE, weight)
+            put(members, patch * CHUNK + count, np.int32(member))
+            put(counts, patch, count + int(bits_of(raw > spread(ZERO)) != 0))
     sums = (g0, g1, g11, g2, g12, g22, d_red, d_green, d_blue, d_depth)
     store_past_cache(gradients, slot * GRADIENT_WIDTH, totals(sums))
 
 
 @part
-def add_row_gradients(
-    r: int, count: int, source: Array, at: int, stride: int, scratch: Array, members: Array, padded: int
+def add_patch_gradients(
+    patch: int,
+    count: int,
+    source: Array,
+    upper: int,
+    lower: int,
+    stride: int,
+    scratch: Array,
+    members: Array,
+    padded: int,
 ) -> None:
-    """The chunk's label gradients += the weights of row r, of so many members, times the label gradients of its
-    pixels, which lie at source[at:], ``stride`` floats apart."""
-    listed = r * CHUNK
+    """The chunk's label gradients += the weights of a patch, of so many members, times the label gradients of its
+    pixels: those of its two rows lie at source[upper:] and source[lower:], ``stride`` floats apart."""
+    listed = patch * CHUNK
     while count % 4 != 0:
         put(members, listed + count, np.int32(NOBODY))
         store(scratch, WEIGHTS + (listed + count) * TILE, spread(ZERO))
@@ -294,25 +341,25 @@ def add_row_gradients(
     k = 0
     while k + ROWS <= count:
         m, w = listed + k, WEIGHTS + (listed + k) * TILE
-        c = 0
+        out, c = CHUNK_LABELS, 0
         while c + 3 * BLOCK <= padded:
-            unblend_3(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+            unblend_3(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
             c += 3 * BLOCK
         if c + 2 * BLOCK <= padded:
-            unblend_2(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+            unblend_2(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
         elif c + BLOCK <= padded:
-            unblend_1(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+            unblend_1(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
         k += ROWS
     if k < count:
         m, w = listed + k, WEIGHTS + (listed + k) * TILE
-        c = 0
+        out, c = CHUNK_LABELS, 0
         while c + 3 * BLOCK <= padded:
-            unblend_four_3(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+            unblend_four_3(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
             c += 3 * BLOCK
         if c + 2 * BLOCK <= padded:
-            unblend_four_2(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+            unblend_four_2(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
         elif c + BLOCK <= padded:
-            unblend_four_1(scratch, CHUNK_LABELS + c, members, m, source, at + c, scratch, w, padded, stride)
+            unblend_four_1(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
 
 
 @part
@@ -320,6 +367,7 @@ def add_label_gradients(
     left: int,
     top: int,
     width: int,
+    height: int,
     d_labels: Array,
     channels: int,
     scratch: Array,
@@ -327,25 +375,32 @@ def add_label_gradients(
     members: Array,
     padded: int,
 ) -> None:
-    """The chunk's label gradients, row after row. They are read where they lie, beyond a pixel's own channels too (no
-    one looks at what becomes of that); only where that would leave the row or the image are they copied first."""
-    for r in range(TILE):
-        count = get(counts, r)
+    """The chunk's label gradients, patch after patch. They are read where they lie, beyond a pixel's own channels too
+    (no one looks at what becomes of that); only where that would leave the row or the image are they copied first."""
+    for patch in range(PATCHES):
+        count = get(counts, patch)
         if count == 0:
             continue
-        put(counts, r, 0)
-        pixel = (top + r) * width + left
-        if left + TILE <= width and (pixel + TILE) * channels + TILE <= d_labels.shape[0]:
-            add_row_gradients(r, count, d_labels, pixel * channels, channels, scratch, members, padded)
+        put(counts, patch, 0)
+        row, column = top + (patch & -2), left + (patch & 1) * PATCH_WIDTH
+        upper = row * width + column
+        lower = upper + width
+        is_inside = column + PATCH_WIDTH <= width and row + PATCH_HEIGHT <= height
+        if is_inside and (lower + PATCH_WIDTH) * channels + TILE <= d_labels.shape[0]:
+            upper, lower = upper * channels, lower * channels
+            add_patch_gradients(patch, count, d_labels, upper, lower, channels, scratch, members, padded)
         else:
-            row = CHUNK_LABELS + (CHUNK + 1) * padded
-            for x in range(TILE):
-                if left + x < width:
-                    copy_labels(pixel + x, d_labels, channels, scratch, row + x * padded)
-                else:
-                    for c in range(0, padded, TILE):
-                        store(scratch, row + x * padded + c, spread(ZERO))
-            add_row_gradients(r, count, scratch, row, padded, scratch, members, padded)
+            copy = CHUNK_LABELS + (CHUNK + 1) * padded
+            for y in range(PATCH_HEIGHT):
+                for x in range(PATCH_WIDTH):
+                    at = copy + (y * PATCH_WIDTH + x) * padded
+                    if row + y < height and column + x < width:
+                        copy_labels((row + y) * width + column + x, d_labels, channels, scratch, at)
+                    else:
+                        for c in range(0, padded, TILE):
+                            store(scratch, at + c, spread(ZERO))
+            lower = copy + PATCH_WIDTH * padded
+            add_patch_gradients(patch, count, scratch, copy, lower, padded, scratch, members, padded)
 
 
 @compiled
@@ -395,12 +450,18 @@ def unblend_tiles(
         # the tile's label gradients are asked for while the first Gaussians are on
         row_lines = (min(TILE, width - left) * channels + TILE - 1) // TILE
         ahead_rows, ahead_row, ahead_line = min(TILE, height - top) if channels > 0 else 0, 0, 0
+        # each Gaussian is whitened while the one before is on: which patches it touches is known when its turn comes
+        own = 0
+        patches = whiten_tile(records, int(get(tile_ids, first + far)) * RECORD, left, top, scratch, own)
         for chunk in range(far // CHUNK * CHUNK, -1, -CHUNK):
             for at in range(CHUNK_LABELS, CHUNK_LABELS + CHUNK * padded, TILE):
                 store(scratch, at, spread(ZERO))
             for place in range(min(chunk + CHUNK - 1, far), chunk - 1, -1):
+                touching = patches & bits_of(load(scratch, LAST_OF_PATCH) >= spread(F(place)))
                 at = int(get(tile_ids, first + place)) * RECORD
+                following = int(get(tile_ids, first + max(place - 1, 0))) * RECORD
                 fetch(records, int(get(tile_ids, first + max(place - AHEAD, 0))) * RECORD)
+                patches = whiten_tile(records, following, left, top, scratch, WHITENED - own)
                 slot = int(get(tile_slots, first + place))
                 if ahead_row < ahead_rows:
                     ahead = ((top + ahead_row) * width + left) * channels + ahead_line * TILE
@@ -409,27 +470,25 @@ def unblend_tiles(
                     ahead_line += LINES_AT_ONCE
                     if ahead_line >= row_lines:
                         ahead_row, ahead_line = ahead_row + 1, 0
-                rows = whiten_tile(records, at, left, top, scratch)
-                rows &= bits_of(load(scratch, LAST_OF_ROW) >= spread(F(place)))
-                if rows == 0:
-                    touched[slot] = 0
-                    continue
-                touched[slot] = 1
-                fill_alphas(get(records, at + L11), F(place), rows, scratch)
-                unblend_gaussian(
-                    records,
-                    at,
-                    place - chunk,
-                    rows,
-                    channels > 0,
-                    scratch,
-                    counts,
-                    members,
-                    slot_gradients,
-                    slot,
-                )
+                touched[slot] = touching != 0
+                if touching != 0:
+                    fill_alphas(get(records, at + L11), F(place), touching, scratch, own)
+                    unblend_gaussian(
+                        records,
+                        at,
+                        place - chunk,
+                        touching,
+                        channels > 0,
+                        scratch,
+                        own,
+                        counts,
+                        members,
+                        slot_gradients,
+                        slot,
+                    )
+                own = WHITENED - own
             if channels > 0:
-                add_label_gradients(left, top, width, d_labels, channels, scratch, counts, members, padded)
+                add_label_gradients(left, top, width, height, d_labels, channels, scratch, counts, members, padded)
                 for place in range(chunk, min(chunk + CHUNK, far + 1)):
                     slot = int(tile_slots[first + place])
                     if touched[slot] != 0:

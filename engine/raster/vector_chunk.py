@@ -1,6 +1,8 @@
-"""A chunk of a tile's Gaussians, side by side: on which of its pixels' rows does each one fall?
+"""A chunk of a tile's Gaussians, side by side: on which of the tile's patches does each one fall?
 
-Sixteen Gaussians are whitened at once for one row, which costs a few cycles each and no branch.
+A patch is eight columns of two rows: sixteen pixels at once, of which a small Gaussian covers more than of a row of
+sixteen. Two patches side by side are a strip of the tile. In a vector, the pixels of a patch's two rows alternate.
+Sixteen Gaussians are whitened at once for a strip, which costs a few cycles each and no branch.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, part
+from .compiled import Array, inlined, part
 from .records import (
     BLUE,
     CENTRE_X,
@@ -26,16 +28,23 @@ from .records import (
     L22,
     L22_LOW,
     LOG_OPACITY,
+    PATCH_HEIGHT,
+    PATCH_WIDTH,
     REACH_OVER_LOG_OPACITY,
     RECORD,
     RED,
     TILE,
 )
+from .vector_shuffles import zipped
 from .vectors import bits_of, fetch, fma, get, load, maximum, put, spread, store
 
 F = np.float32
 ZERO = F(0.0)
-LAST_LANE = F(TILE - 1)
+STRIPS = TILE // PATCH_HEIGHT
+PATCHES = 2 * STRIPS
+"""Of a tile, numbered strip after strip: patch 2 p and 2 p + 1 begin in row 2 p."""
+LEFT_END, MIDDLE, RIGHT_END = F(PATCH_WIDTH - 1), F(PATCH_WIDTH), F(TILE - 1)
+"""The last column of the left patches, the first and the last of the right ones."""
 AHEAD = 8
 """So many Gaussians before it is needed, a record is asked for: they lie anywhere in memory."""
 NEVER = F(-1e30)
@@ -48,13 +57,14 @@ REDS, GREENS, BLUES, DEPTHS = 6 * CHUNK, 7 * CHUNK, 8 * CHUNK, 9 * CHUNK
 PLACES = 10 * CHUNK  # in the tile's list
 CHUNK_FIELDS = 11 * CHUNK + TILE  # the last one has a place for nobody too
 
-# fields of one row, in floats from where they lie
-ROW_S1 = 0  # s1 at the row's first pixel
-ROW_EXPONENTS = CHUNK  # log2(opacity) - s2^2
+# fields of one strip, in floats from where they lie; a pair for every member, one for each row
+STRIP_S1 = 0  # s1 at the row's first pixel
+STRIP_EXPONENTS = 2 * CHUNK  # log2(opacity) - s2^2
 NOBODY = CHUNK
-"""Stands for a member where there is none: ROW_EXPONENTS has a place for it, which lets it reach no pixel. What is read
-of its other fields is of no consequence, but must be a number where it is multiplied: the first member's next field."""
-ROW_FIELDS = 2 * CHUNK + TILE
+"""Stands for a member where there is none: STRIP_EXPONENTS has a place for it, which lets it reach no pixel. What is
+read of its other fields is of no consequence, but must be a number where it is multiplied: the first member's next
+field."""
+STRIP_FIELDS = 4 * CHUNK + TILE
 
 
 @part
@@ -94,25 +104,54 @@ def load_chunk(
         put(fields, base + LOG_OPACITIES + m, NEVER)
 
 
-@part
-def whiten_row(r: int, count: int, fields: Array, base: int, row_base: int) -> Any:
-    """Fill the fields of row ``r`` from those of a chunk; returns the mask of the members that touch the row."""
-    touching = 0
+@inlined
+def row_of(r: int, fields: Array, at: int) -> Any:
+    """s1 at the first pixel of a tile's row and s2^2 on it, for sixteen members whose fields lie at ``at``."""
     row = spread(F(r))
+    s1 = fma(load(fields, at + SHEAR), row, load(fields, at + ORIGIN_S1))
+    s2 = fma(load(fields, at + DROP), row, load(fields, at + ORIGIN_S2))
+    return s1, s2 * s2
+
+
+@inlined
+def touched(first: Any, last: Any, square: Any, reach: Any) -> Any:
+    """Where a stretch of a row, from s1 = ``first`` to ``last`` with s2^2 = ``square``, has a pixel within reach."""
+    nearest = maximum(maximum(first, spread(ZERO) - last), spread(ZERO))
+    return fma(nearest, nearest, square) <= reach
+
+
+@inlined
+def halves_touched(s1: Any, slope: Any, square: Any, reach: Any) -> Any:
+    """Bits of those that touch a row's left half, and its right one; ``s1`` at the row's first pixel."""
+    left = touched(s1, fma(slope, spread(LEFT_END), s1), square, reach)
+    right = touched(fma(slope, spread(MIDDLE), s1), fma(slope, spread(RIGHT_END), s1), square, reach)
+    return bits_of(left), bits_of(right)
+
+
+@part
+def whiten_strip(r: int, count: int, fields: Array, base: int, strip: int) -> Any:
+    """Fill the fields of the strip that begins in row ``r`` from those of a chunk; returns the masks of the members
+    that touch its left patch, and its right one."""
+    on_left, on_right = 0, 0
     for m in range(0, count, TILE):
         at = base + m
-        s1 = fma(load(fields, at + SHEAR), row, load(fields, at + ORIGIN_S1))
-        s2 = fma(load(fields, at + DROP), row, load(fields, at + ORIGIN_S2))
-        log_opacity = load(fields, at + LOG_OPACITIES)
-        right = fma(load(fields, at + SLOPE), spread(LAST_LANE), s1)
-        nearest = maximum(maximum(s1, spread(ZERO) - right), spread(ZERO))
-        square = s2 * s2
-        touches = fma(nearest, nearest, square) <= log_opacity + spread(REACH_OVER_LOG_OPACITY)
-        store(fields, row_base + ROW_S1 + m, s1)
-        store(fields, row_base + ROW_EXPONENTS + m, log_opacity - square)
-        touching |= bits_of(touches) << m
-    put(fields, row_base + ROW_EXPONENTS + NOBODY, NEVER)
-    return touching
+        slope, log_opacity = load(fields, at + SLOPE), load(fields, at + LOG_OPACITIES)
+        reach = log_opacity + spread(REACH_OVER_LOG_OPACITY)
+        upper, upper_square = row_of(r, fields, at)
+        lower, lower_square = row_of(r + 1, fields, at)
+        upper_left, upper_right = halves_touched(upper, slope, upper_square, reach)
+        lower_left, lower_right = halves_touched(lower, slope, lower_square, reach)
+        on_left |= (upper_left | lower_left) << m
+        on_right |= (upper_right | lower_right) << m
+        first, second = zipped(upper, lower)
+        store(fields, strip + STRIP_S1 + 2 * m, first)
+        store(fields, strip + STRIP_S1 + 2 * m + TILE, second)
+        first, second = zipped(log_opacity - upper_square, log_opacity - lower_square)
+        store(fields, strip + STRIP_EXPONENTS + 2 * m, first)
+        store(fields, strip + STRIP_EXPONENTS + 2 * m + TILE, second)
+    put(fields, strip + STRIP_EXPONENTS + 2 * NOBODY, NEVER)
+    put(fields, strip + STRIP_EXPONENTS + 2 * NOBODY + 1, NEVER)
+    return on_left, on_right
 
 
 @part

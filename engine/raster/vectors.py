@@ -141,6 +141,22 @@ def store_some(typing_context: Any, array: Any, index: Any, values: Any, wanted:
 
 
 @intrinsic
+def pairs(typing_context: Any, array: Any, index: Any) -> Any:
+    """array[index] of a flat contiguous float32 array in even lanes, array[index + 1] in odd ones; unchecked."""
+    if not _is_flat(array, types.float32):
+        return None
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        two = ir.VectorType(FLOAT, 2)
+        pointer = element(context, builder, signature.args[0], *arguments)
+        pair = builder.load(builder.bitcast(pointer, two.as_pointer()), align=4)
+        places = ir.Constant(INTS_IR, [lane % 2 for lane in range(WIDTH)])
+        return builder.shuffle_vector(pair, ir.Constant(two, ir.Undefined), places)
+
+    return lanes(array, types.int64), emit
+
+
+@intrinsic
 def get(typing_context: Any, array: Any, index: Any) -> Any:
     """array[index] of a flat contiguous array; unchecked, and no negative index."""
     if not _is_flat(array, array.dtype):
@@ -318,29 +334,6 @@ def lowest_bit(typing_context: Any, bits: Any) -> Any:
     return types.int64(types.int64), emit
 
 
-# 2^f on [-1/2, 1/2] and on [0, 1], Chebyshev interpolation; relative error 1e-7 in float32
-_EXP2_AROUND_ZERO = (
-    0.00015461444854736328,
-    0.0013400427997112274,
-    0.009618056938052177,
-    0.05550327152013779,
-    0.24022650718688965,
-    0.6931471824645996,
-    1.0,
-)
-_EXP2_UP_TO_ONE = (
-    0.00021865784947294742,
-    0.0012391331838443875,
-    0.009684186428785324,
-    0.055480629205703735,
-    0.24023045599460602,
-    0.6931469440460205,
-    1.0,
-)
-_ROUNDING = 12582912.0  # 1.5 * 2^23: adding it leaves the nearest integer in the low bits of the mantissa
-_LOWEST = -64.0
-
-
 def has_wide_registers() -> bool:
     """AVX-512: thirty-two registers of sixteen floats, and its own steps of an exponential. Where Numba is told to
     compile for a machine without them, there are none."""
@@ -349,160 +342,6 @@ def has_wide_registers() -> bool:
 
 
 WIDE = has_wide_registers()
-_ALL = ir.Constant(WORD, -1)
-_NEAREST_IS_FLOOR, _AS_SET = INT(1), INT(4)
-
-
-def _polynomials(builder: ir.IRBuilder, places: list[ir.Value], coefficients: tuple[float, ...]) -> list[ir.Value]:
-    values: list[ir.Value] = [constant(coefficients[0])] * len(places)
-    for coefficient in map(constant, coefficients[1:]):
-        values = [
-            call(builder, "llvm.fmuladd.v16f32", LANES_IR, [value, f, coefficient])
-            for value, f in zip(values, places, strict=True)
-        ]
-    return values
-
-
-def _exp2_wide(builder: ir.IRBuilder, exponents: list[ir.Value]) -> list[ir.Value]:
-    """The fraction, and the scaling by the whole part, are one instruction each."""
-    rest = [constant(0.0), _ALL, _AS_SET]
-    reduce, scale = "llvm.x86.avx512.mask.reduce.ps.512", "llvm.x86.avx512.mask.scalef.ps.512"
-    fractions = [call(builder, reduce, LANES_IR, [a, _NEAREST_IS_FLOOR, *rest]) for a in exponents]
-    values = _polynomials(builder, fractions, _EXP2_UP_TO_ONE)
-    return [call(builder, scale, LANES_IR, [value, a, *rest]) for value, a in zip(values, exponents, strict=True)]
-
-
-def _exp2_anywhere(builder: ir.IRBuilder, exponents: list[ir.Value]) -> list[ir.Value]:
-    """With the whole part rounded off by a large number, and added to the exponent's bits."""
-    shifted = [builder.fadd(a, constant(_ROUNDING)) for a in exponents]
-    wholes = [builder.fsub(value, constant(_ROUNDING)) for value in shifted]
-    fractions = [builder.fsub(a, whole) for a, whole in zip(exponents, wholes, strict=True)]
-    values = _polynomials(builder, fractions, _EXP2_AROUND_ZERO)
-    bits = [builder.shl(builder.bitcast(value, INTS_IR), ir.Constant(INTS_IR, [23] * WIDTH)) for value in shifted]
-    sums = [builder.add(builder.bitcast(value, INTS_IR), own) for value, own in zip(values, bits, strict=True)]
-    return [builder.bitcast(own, LANES_IR) for own in sums]
-
-
-def _exp2(builder: ir.IRBuilder, exponents: list[ir.Value]) -> list[ir.Value]:
-    lowest = constant(_LOWEST)
-    exponents = [builder.select(builder.fcmp_ordered(">", a, lowest), a, lowest) for a in exponents]
-    return (_exp2_wide if WIDE else _exp2_anywhere)(builder, exponents)
-
-
-@intrinsic
-def exp2(typing_context: Any, a: Any) -> Any:
-    """2^a for a <= 127; what is below -64 counts as -64, so that no product with it is a (slow) subnormal."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _exp2(builder, list(arguments))[0]
-
-    return lanes(lanes), emit
-
-
-@intrinsic
-def exp2_of_four(typing_context: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """``exp2`` of each, side by side: one alone is a chain of ten operations that wait for one another."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return context.make_tuple(builder, signature.return_type, _exp2(builder, list(arguments)))
-
-    return types.UniTuple(lanes, 4)(lanes, lanes, lanes, lanes), emit
-
-
-@intrinsic
-def reciprocal(typing_context: Any, a: Any) -> Any:
-    """1 / a for normal numbers, to within two units in the last place.
-
-    With AVX-512 an estimate of 14 bits and one Newton step: a division would hold up everything else for
-    sixteen cycles.
-    """
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a = arguments[0]
-        if not WIDE:
-            return builder.fdiv(constant(1.0), a)
-        estimate = call(builder, "llvm.x86.avx512.rcp14.ps.512", LANES_IR, [a, constant(0.0), _ALL])
-        error = call(builder, "llvm.fmuladd.v16f32", LANES_IR, [builder.fneg(a), estimate, constant(1.0)])
-        return call(builder, "llvm.fmuladd.v16f32", LANES_IR, [estimate, error, estimate])
-
-    return lanes(lanes), emit
-
-
-@intrinsic
-def totals(typing_context: Any, vectors: Any) -> Any:
-    """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the others
-    are 0.
-
-    A tree of pairwise sums: neighbours are folded together until one vector is left, always in the same
-    order.
-    """
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        level = list(cgutils.unpack_tuple(builder, arguments[0]))
-        level += [None] * (WIDTH - len(level))
-        width = WIDTH
-        while width > 1:
-            half = width // 2
-            level = [_fold(builder, a, b, width, half) for a, b in zip(level[::2], level[1::2], strict=True)]
-            width = half
-        return level[0]
-
-    return lanes(vectors), emit
-
-
-def _fold(
-    builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: int, half: int
-) -> ir.Value | None:
-    """Vectors of groups of ``width`` partial sums each to one of groups of ``half``: a's groups, then b's."""
-    if a is None:
-        return None
-    b = constant(0.0) if b is None else b
-    groups = range(0, 2 * WIDTH, width)
-    low = [group + lane for group in groups for lane in range(half)]
-    high = [group + half + lane for group in groups for lane in range(half)]
-    return builder.fadd(
-        builder.shuffle_vector(a, b, ir.Constant(INTS_IR, low)),
-        builder.shuffle_vector(a, b, ir.Constant(INTS_IR, high)),
-    )
-
-
-def _shuffled(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, places: list[int]) -> ir.Value:
-    return builder.shuffle_vector(a, b, ir.Constant(INTS_IR, places))
-
-
-@intrinsic
-def interleaved(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """a0 b0 c0 a1 b1 c1 ... c15 as three vectors: planes to pixels."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a, b, c = arguments
-        vectors = []
-        for start in range(0, 3 * WIDTH, WIDTH):
-            places = [divmod(start + lane, 3) for lane in range(WIDTH)]
-            pairs = _shuffled(builder, a, b, [pixel + WIDTH * (plane == 1) for pixel, plane in places])
-            mixed = [WIDTH + pixel if plane == 2 else lane for lane, (pixel, plane) in enumerate(places)]
-            vectors.append(_shuffled(builder, pairs, c, mixed))
-        return context.make_tuple(builder, signature.return_type, vectors)
-
-    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
-
-
-@intrinsic
-def planes_of(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """The inverse of ``interleaved``: pixels to planes."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a, b, c = arguments
-        planes = []
-        for plane in range(3):
-            places = [3 * lane + plane for lane in range(WIDTH)]
-            front = [place if place < 2 * WIDTH else 0 for place in places]
-            both = _shuffled(builder, a, b, front)
-            mixed = [WIDTH + place - 2 * WIDTH if place >= 2 * WIDTH else lane for lane, place in enumerate(places)]
-            planes.append(_shuffled(builder, both, c, mixed))
-        return context.make_tuple(builder, signature.return_type, planes)
-
-    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
 
 
 @intrinsic

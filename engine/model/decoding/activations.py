@@ -10,13 +10,13 @@ from llvmlite import ir
 from numba import types
 
 from ...raster.compiled import Array, inlined
+from ...raster.vector_functions import exp2
 from ...raster.vectors import (
     INT,
     INTS_IR,
     LANES_IR,
     WIDTH,
     choose,
-    exp2,
     fma,
     intrinsic,
     lane_numbers,

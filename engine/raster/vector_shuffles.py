@@ -1,0 +1,122 @@
+"""Sixteen float32 at a time, moved across lanes: sums of lanes, pixels to planes, rows to patches, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+
+from .vectors import FLOAT, INTS_IR, WIDTH, call, constant, intrinsic, lanes
+
+
+@intrinsic
+def totals(typing_context: Any, vectors: Any) -> Any:
+    """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the others
+    are 0.
+
+    A tree of pairwise sums: neighbours are folded together until one vector is left, always in the same
+    order.
+    """
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        level = list(cgutils.unpack_tuple(builder, arguments[0]))
+        level += [None] * (WIDTH - len(level))
+        width = WIDTH
+        while width > 1:
+            half = width // 2
+            level = [_fold(builder, a, b, width, half) for a, b in zip(level[::2], level[1::2], strict=True)]
+            width = half
+        return level[0]
+
+    return lanes(vectors), emit
+
+
+def _fold(
+    builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: int, half: int
+) -> ir.Value | None:
+    """Vectors of groups of ``width`` partial sums each to one of groups of ``half``: a's groups, then b's."""
+    if a is None:
+        return None
+    b = constant(0.0) if b is None else b
+    groups = range(0, 2 * WIDTH, width)
+    low = [group + lane for group in groups for lane in range(half)]
+    high = [group + half + lane for group in groups for lane in range(half)]
+    return builder.fadd(
+        builder.shuffle_vector(a, b, ir.Constant(INTS_IR, low)),
+        builder.shuffle_vector(a, b, ir.Constant(INTS_IR, high)),
+    )
+
+
+def _shuffled(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, places: list[int]) -> ir.Value:
+    return builder.shuffle_vector(a, b, ir.Constant(INTS_IR, places))
+
+
+@intrinsic
+def interleaved(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """a0 b0 c0 a1 b1 c1 ... c15 as three vectors: planes to pixels."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, b, c = arguments
+        vectors = []
+        for start in range(0, 3 * WIDTH, WIDTH):
+            places = [divmod(start + lane, 3) for lane in range(WIDTH)]
+            pairs = _shuffled(builder, a, b, [pixel + WIDTH * (plane == 1) for pixel, plane in places])
+            mixed = [WIDTH + pixel if plane == 2 else lane for lane, (pixel, plane) in enumerate(places)]
+            vectors.append(_shuffled(builder, pairs, c, mixed))
+        return context.make_tuple(builder, signature.return_type, vectors)
+
+    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
+
+
+@intrinsic
+def planes_of(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """The inverse of ``interleaved``: pixels to planes."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, b, c = arguments
+        planes = []
+        for plane in range(3):
+            places = [3 * lane + plane for lane in range(WIDTH)]
+            front = [place if place < 2 * WIDTH else 0 for place in places]
+            both = _shuffled(builder, a, b, front)
+            mixed = [WIDTH + place - 2 * WIDTH if place >= 2 * WIDTH else lane for lane, place in enumerate(places)]
+            planes.append(_shuffled(builder, both, c, mixed))
+        return context.make_tuple(builder, signature.return_type, planes)
+
+    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
+
+
+@intrinsic
+def largest(typing_context: Any, a: Any) -> Any:
+    """The largest of the lanes, none of which is NaN."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return call(builder, "llvm.vector.reduce.fmax.v16f32", FLOAT, list(arguments))
+
+    return types.float32(lanes), emit
+
+
+@intrinsic
+def zipped(typing_context: Any, a: Any, b: Any) -> Any:
+    """a0 b0 a1 b1 ... a15 b15 as two vectors."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        halves = (range(WIDTH // 2), range(WIDTH // 2, WIDTH))
+        places = [[lane + WIDTH * other for lane in half for other in (0, 1)] for half in halves]
+        vectors = [_shuffled(builder, *arguments, own) for own in places]
+        return context.make_tuple(builder, signature.return_type, vectors)
+
+    return types.UniTuple(lanes, 2)(lanes, lanes), emit
+
+
+@intrinsic
+def unzipped(typing_context: Any, a: Any, b: Any) -> Any:
+    """The inverse of ``zipped``."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = [_shuffled(builder, *arguments, list(range(first, 2 * WIDTH, 2))) for first in (0, 1)]
+        return context.make_tuple(builder, signature.return_type, vectors)
+
+    return types.UniTuple(lanes, 2)(lanes, lanes), emit
