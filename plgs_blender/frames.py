@@ -66,10 +66,10 @@ def look_through(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
 
 def camera_seen(scene: bpy.types.Scene) -> Camera | None:
     """What the scene's active camera sees, whoever made it, in a picture of the scene's size; None without one in
-    perspective.
+    perspective, and for one that shows the world mirrored.
     """
     ob, render = scene.camera, scene.render
-    if ob is None or ob.type != "CAMERA" or ob.data.type != "PERSP":
+    if ob is None or ob.type != "CAMERA" or ob.data.type != "PERSP" or ob.matrix_world.is_negative:
         return None
     width, height = (
         max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y)
@@ -81,7 +81,7 @@ def camera_seen(scene: bpy.types.Scene) -> Camera | None:
     lens = Lens(
         data.lens * fitted * SENSOR_WIDTH / sensor, data.shift_x * fitted, data.shift_y * fitted, (1.0, tall)
     )
-    at, turned, _ = ob.matrix_world.decompose()  # cameras see the same at any scale
+    at, turned, _ = ob.matrix_world.decompose()  # a camera's size does not matter
     return camera_from(lens, np.array(Matrix.LocRotScale(at, turned, None)), width, height)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender import engine_environment
+from ..plgs_blender.frames import camera_seen
 from ..plgs_blender.running import lifts, recents
 from ..plgs_blender.running.estimate import estimate_of
 from ..plgs_blender.running.lifts import LiftState, Watch
@@ -110,7 +111,16 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, follo
     row.scale_y = 1.4
     row.operator("plgs.cancel_lift", icon="CANCEL").lift_folder = str(followed.folder.path)
     layout.prop(context.scene.plgs, "live_preview")
-    if context.scene.plgs.live_preview and context.space_data.region_3d.view_perspective != "CAMERA":
+    if context.scene.plgs.live_preview:
+        _draw_preview_hint(layout, context)
+
+
+def _draw_preview_hint(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What is still to be done to see the live preview."""
+    view = getattr(context.space_data, "region_3d", None)
+    if camera_seen(context.scene) is None:
+        tell(layout, context, "To see it grow, give the scene a camera in perspective", "INFO")
+    elif view is None or view.view_perspective != "CAMERA":
         tell(layout, context, "To see it grow, look through the scene's camera (numpad 0)", "INFO")
 
 

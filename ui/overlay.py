@@ -28,7 +28,7 @@ def _is_wanted(context: bpy.types.Context) -> bool:
 
 
 def _lifts(context: bpy.types.Context) -> list[bpy.types.Collection]:
-    """The lifts to draw for."""
+    """The lifts to draw for; none while the view's overlays are off."""
     return lifts_in(context.scene) if _is_wanted(context) else []
 
 
@@ -77,7 +77,8 @@ def _draw_preview(context: bpy.types.Context) -> None:
     if picture is not None:
         at, turned, _ = looks.matrix_world.decompose()
         frame = [at + turned @ corner for corner in looks.data.view_frame(scene=scene)]
-        draw_picture(picture, [View.of(context).pixel_of(corner) for corner in frame])
+        view = View.of(context)
+        draw_picture(picture, [view.pixel_of(corner) for corner in frame])
 
 
 def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, view: View) -> None:

@@ -87,9 +87,9 @@ class EventWriter:
         """Figures that belong together, such as one row of the end table."""
         self._write("metric", name=name, values=values)
 
-    def preview(self, path: Path) -> None:
-        """A picture worth showing was written."""
-        self._write("preview", path=self._relative(path))
+    def preview(self, path: Path, camera: str = "") -> None:
+        """A picture worth showing was written; ``camera`` is the fingerprint of the one that a watcher asked for."""
+        self._write("preview", path=self._relative(path), **({"camera": camera} if camera else {}))
 
     def artifact(self, path: Path, kind: str) -> None:
         """A file of the result was written."""

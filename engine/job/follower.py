@@ -37,7 +37,8 @@ class Engine(Protocol):
 class LiftStatus:
     """What is known of the run so far. ``task``: "lift" or "bake"; ``stage_index`` counts from 1; ``step`` of ``steps``
     of this stage are done. ``live_preview`` is a picture of the model as it grows, whose content was replaced
-    ``live_previews`` times; ``previews`` are the lasting ones."""
+    ``live_previews`` times, the last time as seen by the camera with the fingerprint ``live_preview_camera``;
+    ``previews`` are the lasting ones."""
 
     stage: str = ""
     label: str = "Starting"
@@ -54,6 +55,7 @@ class LiftStatus:
     task: str = LIFT
     live_preview: Path | None = None
     live_previews: int = 0
+    live_preview_camera: str = ""
 
 
 @dataclass(frozen=True)
@@ -209,6 +211,7 @@ class LiftFollower:
             case "preview" if data["path"] == LIVE_PREVIEW:
                 status.live_preview = self.folder.path / LIVE_PREVIEW
                 status.live_previews += 1
+                status.live_preview_camera = str(data.get("camera", ""))
             case "preview":
                 status.previews.append(self.folder.path / str(data["path"]))
             case "warning":

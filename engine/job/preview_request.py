@@ -12,6 +12,7 @@ held-out frame is shown.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -36,6 +37,12 @@ class PreviewCamera:
     K: Matrix
     width: int
     height: int
+
+    @property
+    def fingerprint(self) -> str:
+        """Tells which camera a picture was asked for: the same for a camera that was written and read again."""
+        numbers = ([*map(list, self.camera_to_world)], [*map(list, self.K)], self.width, self.height)
+        return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()[:16]
 
 
 PreviewRequest = str | PreviewCamera

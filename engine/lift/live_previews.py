@@ -48,7 +48,7 @@ class LivePreviews:
         self.folder, self.scene, self.instances, self.events = folder, scene, instances, events
         self._clock, self._due = clock, clock() + EVERY_S
         self._asked: tuple[int, int, int] | None = None  # what preview.json looked like when it was last read
-        self._camera = frame_to_show(scene).camera
+        self._camera, self._fingerprint = frame_to_show(scene).camera, ""
         self._has_warned = False
 
     def __call__(self, lifted: StructuredScene) -> None:
@@ -78,22 +78,25 @@ class LivePreviews:
         except PermissionError as error:  # Windows, while somebody reads the last one: the next one will do
             log.info("a live preview is left out: %s", error)
         else:
-            self.events.preview(self.folder.live_preview_path)
+            self.events.preview(self.folder.live_preview_path, self._fingerprint)
 
     def _wanted_camera(self) -> Camera:
         path = self.folder.preview_request_path
         look = _look_of(path)
         if look != self._asked:
             self._asked = look
-            self._camera = self._read_camera(path)
+            self._camera, self._fingerprint = self._read_camera(path)
         width, height = size_within((self._camera.width, self._camera.height), SIZE_WITHIN)
         return self._camera.resized(width, height)
 
-    def _read_camera(self, path: Path) -> Camera:
-        default = frame_to_show(self.scene).camera
+    def _read_camera(self, path: Path) -> tuple[Camera, str]:
+        """The camera to draw, and the fingerprint of the request where it is one for a camera."""
+        default = frame_to_show(self.scene).camera, ""
         try:
             wanted = read_preview_request(path)
-            return default if wanted is None else self._camera_of(wanted, path)
+            if wanted is None:
+                return default
+            return self._camera_of(wanted, path), wanted.fingerprint if isinstance(wanted, PreviewCamera) else ""
         except JobError as error:
             log.warning("%s", error)
             if not self._has_warned:

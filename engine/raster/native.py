@@ -93,7 +93,7 @@ def _array(tensor: Tensor) -> NDArray[Any]:
 
 
 def _scratch(workers: int, floats: int, longest: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """What the workers of one pass need for themselves: floats, members of a chunk, and a word a row or a chunk."""
+    """What each worker of a pass needs for itself: floats, members of a chunk, and a word a patch, row or chunk."""
     return (
         memory.empty((workers, -(-floats // TILE) * TILE), np.float32),
         memory.empty((workers, (TILE + 1) * CHUNK), np.int32),

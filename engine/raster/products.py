@@ -32,7 +32,8 @@ def _emit_block(
     context: Any, builder: ir.IRBuilder, pointers: dict[str, Any], rows: int, vectors: int
 ) -> None:
     """out[row a] += sum_b weight[a * across + b * along] * source[row b], b < count; a < rows; all in
-    registers. There may be several sources: then their rows b take turns, and so do their weights.
+    registers. There may be several sources: then there are ``count`` rows of each, which take turns, and so do their
+    weights.
 
     ``out_rows`` and ``source_rows`` are int32 lists, or None where row a is simply a. ``stride`` and
     ``source_stride`` are the floats from one row to the next.

@@ -18,6 +18,7 @@ TILE = 16
 """Pixels: the side of a tile, and how many the vector kernels work on at once."""
 PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
 """What those are: a patch, eight columns of two rows."""
+assert (PATCH_WIDTH, PATCH_HEIGHT) == (8, 2), "the vector kernels take the rows of a patch in turns, in pairs of lanes"
 CHUNK = 48
 """Gaussians of a tile that are handled together: whole vectors of them, and no more than a word has bits."""
 assert CHUNK % TILE == 0 and CHUNK <= 64

@@ -40,7 +40,7 @@ from .records import (
     TILE,
 )
 from .vector_chunk import AHEAD, NOBODY, PATCHES, halves_touched, origin_of, padded_channels
-from .vector_forward import ALPHA_CAP, ALPHA_LEAST, LINES_AT_ONCE, ONE, ZERO, F, copy_labels
+from .vector_forward import ALPHA_CAP, ALPHA_LEAST, LINES_AT_ONCE, ONE, ZERO, F, copy_labels, take_four
 from .vector_functions import exp2_of_four, reciprocal
 from .vector_shuffles import largest, planes_of, totals, zipped
 from .vectors import (
@@ -82,6 +82,8 @@ CHUNK_LABELS = (
     WEIGHTS + PATCHES * CHUNK * TILE
 )  # [member or nobody, padded], then a patch's gradients [row, pixel, padded]
 EVEN = 0x5555
+"""The even bits of a word of patches: those on the left of their strips, whose numbers are also those of their first
+rows."""
 NO_PATCH = PATCHES
 """Takes a patch's place where there are not four; nothing was ever blended on it."""
 
@@ -202,16 +204,16 @@ def whiten_tile(records: Array, at: int, left: int, top: int, scratch: Array, ow
 
 
 @inlined
-def strips_of(rows: int) -> int:
+def strips_of(mask: int) -> int:
     """The even bits of a mask of rows, set where a strip has a row of it."""
-    return (rows | (rows >> 1)) & EVEN
+    return (mask | (mask >> 1)) & EVEN
 
 
 @inlined
 def whitened(patch: int, slope: Any, scratch: Array, own: int) -> Any:
     """s1 on a patch."""
-    rows, side = patch & -2, patch & 1
-    return fma(slope, load(scratch, COLUMNS + side * TILE), pairs(scratch, own + S1_LEFT + rows))
+    row, side = patch & -2, patch & 1
+    return fma(slope, load(scratch, COLUMNS + side * TILE), pairs(scratch, own + S1_LEFT + row))
 
 
 @inlined
@@ -240,14 +242,7 @@ def fill_alphas(slope: float, place: float, patches: int, scratch: Array, own: i
     not wait for the other."""
     slopes, here = spread(slope), spread(place)
     while patches != 0:
-        p0 = lowest_bit(patches)
-        patches &= patches - 1
-        p1 = min(lowest_bit(patches), NO_PATCH)
-        patches &= patches - 1
-        p2 = min(lowest_bit(patches), NO_PATCH)
-        patches &= patches - 1
-        p3 = min(lowest_bit(patches), NO_PATCH)
-        patches &= patches - 1
+        (p0, p1, p2, p3), patches = take_four(patches, NO_PATCH)
         e0, e1 = exponent_of(p0, slopes, scratch, own), exponent_of(p1, slopes, scratch, own)
         e2, e3 = exponent_of(p2, slopes, scratch, own), exponent_of(p3, slopes, scratch, own)
         raw0, raw1, raw2, raw3 = exp2_of_four(e0, e1, e2, e3)
@@ -282,7 +277,7 @@ def unblend_gaussian(
     while patches != 0:
         patch = lowest_bit(patches)
         patches &= patches - 1
-        state, rows = patch * PATCH_STRIDE, patch & -2
+        state, row = patch * PATCH_STRIDE, patch & -2
         raw = load(scratch, RAW_ALPHAS + patch * TILE)
         alpha = minimum(raw, spread(ALPHA_CAP))
         before = load(scratch, THROUGH + state) * load(scratch, OVERS + patch * TILE)
@@ -297,14 +292,14 @@ def unblend_gaussian(
         difference = value - behind
         store(scratch, BEHIND + state, fma(alpha, difference, behind))
         g = choose(raw <= spread(ALPHA_CAP), weight * difference, spread(ZERO))
-        s1, s2 = whitened(patch, slope, scratch, own), pairs(scratch, own + S2 + rows)
+        s1, s2 = whitened(patch, slope, scratch, own), pairs(scratch, own + S2 + row)
         g_s1 = g * s1
         g0 = g0 + g
         g1 = g1 + g_s1
         g11 = fma(g_s1, s1, g11)
         g2 = fma(g, s2, g2)
         g12 = fma(g_s1, s2, g12)
-        g22 = fma(g, pairs(scratch, own + S2_SQUARED + rows), g22)
+        g22 = fma(g, pairs(scratch, own + S2_SQUARED + row), g22)
         d_red = fma(weight, image_red, d_red)
         d_green = fma(weight, image_green, d_green)
         d_blue = fma(weight, image_blue, d_blue)
@@ -426,11 +421,11 @@ def unblend_tiles(
     slot_labels: Array,
     scratches: Array,
     member_lists: Array,
-    row_counts: Array,
+    patch_counts: Array,
 ) -> None:
     """Tile after tile until none is left: fill slot_gradients [T * 16] and slot_labels [T * padded channels]
     where touched uint8 [T] is set."""
-    scratch, members, counts = scratches[worker], member_lists[worker], row_counts[worker]
+    scratch, members, counts = scratches[worker], member_lists[worker], patch_counts[worker]
     columns = (width + TILE - 1) // TILE
     tiles = starts.shape[0] - 1
     padded = padded_channels(channels)

@@ -40,8 +40,7 @@ from .vectors import bits_of, fetch, fma, get, load, maximum, put, spread, store
 
 F = np.float32
 ZERO = F(0.0)
-STRIPS = TILE // PATCH_HEIGHT
-PATCHES = 2 * STRIPS
+PATCHES = 2 * TILE // PATCH_HEIGHT
 """Of a tile, numbered strip after strip: patch 2 p and 2 p + 1 begin in row 2 p."""
 LEFT_END, MIDDLE, RIGHT_END = F(PATCH_WIDTH - 1), F(PATCH_WIDTH), F(TILE - 1)
 """The last column of the left patches, the first and the last of the right ones."""

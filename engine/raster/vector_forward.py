@@ -97,9 +97,10 @@ def scratch_size(channels: int, longest: int) -> int:
 @part
 def start_strip(columns: int, rows: int, labels: int, channels: int, scratch: Array) -> None:
     """Nothing blended yet; no transmittance outside the image, of which the strip has so many columns and rows."""
-    upper, lower = zipped(lane_numbers(), lane_numbers())
-    in_rows = choose_row(spread(ZERO), spread(ONE)) < spread(F(rows))
-    for state, column in ((STATE, upper), (STATE + PATCH_STATE, lower)):
+    left, right = zipped(lane_numbers(), lane_numbers())
+    row, _ = zipped(spread(ZERO), spread(ONE))
+    in_rows = row < spread(F(rows))
+    for state, column in ((STATE, left), (STATE + PATCH_STATE, right)):
         inside = (column < spread(F(columns))) & in_rows
         store(scratch, state + COLUMNS, column)
         store(scratch, state + THROUGH, choose(inside, spread(ONE), spread(ZERO)))
@@ -109,12 +110,6 @@ def start_strip(columns: int, rows: int, labels: int, channels: int, scratch: Ar
             store(scratch, state + PLANES + plane * TILE, spread(ZERO))
     for at in range(labels, labels + strip_floats(channels), TILE):
         store(scratch, at, spread(ZERO))
-
-
-@inlined
-def choose_row(upper: Any, lower: Any) -> Any:
-    """A patch's vector: ``upper`` in its first row, ``lower`` in its second."""
-    return zipped(upper, lower)[0]
 
 
 @part
@@ -178,17 +173,17 @@ def blend_member(m: int, alpha: Any, state: Any, count: int, scratch: Array, fie
 
 
 @inlined
-def take_four(touching: int) -> Any:
-    """The four lowest members of a mask, NOBODY for those that are missing; and the mask without them."""
-    m0 = lowest_bit(touching)
-    touching &= touching - 1
-    m1 = min(lowest_bit(touching), NOBODY)
-    touching &= touching - 1
-    m2 = min(lowest_bit(touching), NOBODY)
-    touching &= touching - 1
-    m3 = min(lowest_bit(touching), NOBODY)
-    touching &= touching - 1
-    return (m0, m1, m2, m3), touching
+def take_four(mask: int, missing: int) -> Any:
+    """The four lowest bits of a mask, ``missing`` for those that there are not; and the mask without them."""
+    first = lowest_bit(mask)
+    mask &= mask - 1
+    second = min(lowest_bit(mask), missing)
+    mask &= mask - 1
+    third = min(lowest_bit(mask), missing)
+    mask &= mask - 1
+    fourth = min(lowest_bit(mask), missing)
+    mask &= mask - 1
+    return (first, second, third, fourth), mask
 
 
 @inlined
@@ -238,11 +233,11 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
     count = 0
     sees = bits_of(state[0] > spread(ENDED)) != 0
     if sees and touching != 0:
-        four, touching = take_four(touching)
+        four, touching = take_four(touching, NOBODY)
         alphas = alphas_of(four, columns, scratch, fields)
         while sees and touching != 0:
             # the next four's alphas beside the blending of these: neither waits for the other
-            next_four, touching = take_four(touching)
+            next_four, touching = take_four(touching, NOBODY)
             next_alphas = alphas_of(next_four, columns, scratch, fields)
             state, count, sees = blend_four(four, alphas, state, count, scratch, fields, members)
             four, alphas = next_four, next_alphas

@@ -31,13 +31,12 @@ _EXP2_UP_TO_ONE = (
 )
 _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it leaves the nearest integer in the low bits of the mantissa
 _LOWEST = -64.0
-binding.initialize_native_asmparser()  # of ``_four_powers``
-
 _COEFFICIENTS = _EXP2_UP_TO_ONE if WIDE else _EXP2_AROUND_ZERO
-
-
 _ALL = ir.Constant(WORD, -1)
 _NEAREST_IS_FLOOR, _AS_SET = INT(1), INT(4)
+
+if WIDE:
+    binding.initialize_native_asmparser()  # of ``_four_powers``
 
 Values = list[ir.Value]
 
@@ -60,9 +59,9 @@ def _begin(builder: ir.IRBuilder, exponents: Values) -> tuple[Values, Values]:
     return shifted, [builder.fsub(a, whole) for a, whole in zip(exponents, wholes, strict=True)]
 
 
-def _add_terms(builder: ir.IRBuilder, fractions: Values, values: Values, first: int, last: int) -> Values:
-    """The polynomial's terms from ``first`` to before ``last``, on top of the values of those before."""
-    for coefficient in map(constant, _COEFFICIENTS[first:last]):
+def _polynomials(builder: ir.IRBuilder, fractions: Values) -> Values:
+    values: Values = [constant(_COEFFICIENTS[0])] * len(fractions)
+    for coefficient in map(constant, _COEFFICIENTS[1:]):
         values = [
             call(builder, "llvm.fmuladd.v16f32", LANES_IR, [value, f, coefficient])
             for value, f in zip(values, fractions, strict=True)
@@ -87,8 +86,7 @@ def exp2(typing_context: Any, a: Any) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         wholes, fractions = _begin(builder, list(arguments))
-        values = _add_terms(builder, fractions, [constant(_COEFFICIENTS[0])], 1, len(_COEFFICIENTS))
-        return _end(builder, wholes, values)[0]
+        return _end(builder, wholes, _polynomials(builder, fractions))[0]
 
     return lanes(lanes), emit
 
@@ -102,8 +100,7 @@ def exp2_of_four(typing_context: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
             powers = _four_powers(builder, _no_less_than_lowest(builder, list(arguments)))
         else:
             wholes, fractions = _begin(builder, list(arguments))
-            values = _add_terms(builder, fractions, [constant(_COEFFICIENTS[0])] * 4, 1, len(_COEFFICIENTS))
-            powers = _end(builder, wholes, values)
+            powers = _end(builder, wholes, _polynomials(builder, fractions))
         return context.make_tuple(builder, signature.return_type, powers)
 
     return types.UniTuple(lanes, 4)(lanes, lanes, lanes, lanes), emit

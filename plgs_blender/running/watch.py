@@ -32,7 +32,7 @@ def tick() -> float | None:
     with_news = lifts.poll_all()
     shown_anew = [_show(watch) for watch in with_news]
     for watch in lifts.running():
-        live_preview.follow_camera(watch.folder, bpy.data.scenes)
+        live_preview.follow_camera(watch.folder, _scenes())
     was_looking = scene_survey.is_looking()
     is_looking = scene_survey.poll()
     if with_news or was_looking != is_looking:
@@ -57,14 +57,18 @@ def look_at_lift(folder: Path) -> None:
 def _show(watch: Watch) -> bool:
     """Bring the live preview up to date; whether that changes what a view shows."""
     if not watch.is_running:
-        live_preview.remove(watch.folder.path)
+        live_preview.forget(watch.folder.path)
         recents.refresh()
         return True
     picture = watch.new_picture()
     if picture is not None:
-        live_preview.show(watch.folder, picture, bpy.data.scenes)
-        return True
+        return live_preview.show(watch.folder, picture, watch.status.live_preview_camera)
     return False
+
+
+def _scenes() -> list[bpy.types.Scene]:
+    """All scenes of the file, those that windows show first."""
+    return [*(window.scene for window in bpy.context.window_manager.windows), *bpy.data.scenes]
 
 
 def look_at_all_scenes() -> None:
@@ -73,7 +77,6 @@ def look_at_all_scenes() -> None:
     for scene in bpy.data.scenes:
         if scene.plgs.lift_folder:
             look_at_lift(absolute(scene.plgs.lift_folder))
-    live_preview.remove_left_over()
     settings = bpy.context.scene.plgs
     if settings.scene_folder:
         look_at_scene(Place.of(settings.scene_folder, settings.masks, settings.up))
@@ -99,4 +102,4 @@ def unregister() -> None:
             bpy.app.timers.unregister(timer)
     scene_survey.stop_looking()
     lifts.let_go()
-    live_preview.remove_left_over()
+    live_preview.forget()

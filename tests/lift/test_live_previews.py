@@ -85,6 +85,8 @@ def test_the_model_is_the_same_whatever_is_watched(
     with pytest.raises(Cancelled):
         lift(watched)
     assert told(watched, "preview") == ["result/previews/live.png"] * 7
+    cameras = [event.data.get("camera") for event in last_run(watched.events_path) if event.kind == "preview"]
+    assert cameras == [None, None, FROM_ABOVE.fingerprint, None, None, FROM_ABOVE.fingerprint, None]
     assert len(told(watched, "warning")) == len(told(unwatched, "warning")) + 1  # of two broken ones the first
     lift(watched, resume=True)
     assert files_of(watched) == files_of(unwatched) and not watched.live_preview_path.exists()

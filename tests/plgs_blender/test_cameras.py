@@ -97,7 +97,7 @@ def test_what_any_camera_of_the_users_sees(
     assert np.abs(found - seen.project(points)[0]).max() < 2e-3
 
 
-def test_nothing_is_seen_without_a_camera_in_perspective() -> None:
+def test_nothing_is_seen_without_a_plain_camera_in_perspective() -> None:
     scene = bpy.context.scene
     scene.camera = None
     assert camera_seen(scene) is None
@@ -106,6 +106,11 @@ def test_nothing_is_seen_without_a_camera_in_perspective() -> None:
     scene.camera = bpy.data.objects.new("flat", bpy.data.cameras.new("flat"))
     assert camera_seen(scene) is not None
     scene.camera.data.type = "ORTHO"
+    assert camera_seen(scene) is None
+    scene.camera.data.type = "PERSP"
+    scene.camera.scale.x = -1.0
+    scene.collection.objects.link(scene.camera)
+    bpy.context.view_layer.update()
     assert camera_seen(scene) is None
 
 

@@ -25,16 +25,17 @@ else:
 
 
 @pytest.fixture(scope="session")
-def work_folder() -> Iterator[Path]:
+def work_folder(request: pytest.FixtureRequest) -> Iterator[Path]:
     """Seen by this machine and by the tree at the same path: put scenes and lifts of a test here.
 
-    One for each run of the tests: two may run at once.
+    One for each run of the tests, so that two may run at once; a run with failures leaves it.
     """
     parent = ROOT / "build" / "window"
     parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix="work-", dir=parent))
     yield folder
-    shutil.rmtree(folder)
+    if not request.session.testsfailed:
+        shutil.rmtree(folder)
 
 
 @pytest.fixture(scope="session")

@@ -62,16 +62,25 @@ def test_the_active_camera_is_asked_for_once(growing: LiftFolder) -> None:
     assert not growing.preview_request_path.exists()
 
 
-def test_the_preview_is_seen_while_the_camera_stays_and_goes_again(growing: LiftFolder) -> None:
+def shown(growing: LiftFolder) -> bool:
+    """Ask for the picture of the scene's camera, and show it."""
+    live_preview.follow_camera(growing, bpy.data.scenes)
+    path = growing.live_preview_path if growing.live_preview_path.exists() else picture(growing)
+    return live_preview.show(growing, path, fingerprint(growing))
+
+
+def fingerprint(growing: LiftFolder) -> str:
+    asked = read_preview_request(growing.preview_request_path)
+    assert isinstance(asked, PreviewCamera)
+    return asked.fingerprint
+
+
+def test_the_preview_is_seen_while_the_camera_stays_and_leaves_nothing(growing: LiftFolder) -> None:
     scene, before = bpy.context.scene, set(bpy.data.images)
     assert live_preview.picture_for(scene) is None
-    live_preview.follow_camera(growing, bpy.data.scenes)
-    shown = picture(growing)
-    for _ in range(2):
-        live_preview.show(growing, shown, bpy.data.scenes)
-    (image,) = set(bpy.data.images) - before
+    assert shown(growing) and shown(growing)
     pixels = live_preview.picture_for(scene)
-    assert pixels is not None and pixels.shape == (6, 8, 4) and image.users == 0
+    assert pixels is not None and pixels.shape == (6, 8, 4) and set(bpy.data.images) - before == set()
     assert np.allclose(pixels[0, 0], (1.0, 0.5, 0.25, 1.0), atol=1e-2)  # as in the file, the lowest row first
     at = scene.camera.location.copy()
     scene.camera.location.x += 1.0
@@ -82,17 +91,20 @@ def test_the_preview_is_seen_while_the_camera_stays_and_goes_again(growing: Lift
     assert live_preview.picture_for(scene) is pixels
     scene.plgs.live_preview = False
     assert live_preview.picture_for(scene) is None
-    live_preview.remove(growing.path)
-    assert set(bpy.data.images) == before
+    scene.plgs.live_preview = True
+    live_preview.forget(growing.path)
+    assert live_preview.picture_for(scene) is None
 
 
-def test_what_an_undo_brought_back_of_a_preview_is_taken_away(growing: LiftFolder) -> None:
-    before = set(bpy.data.images)
+def test_a_picture_that_another_camera_saw_is_not_shown_and_asked_for_again(growing: LiftFolder) -> None:
+    scene = bpy.context.scene
     live_preview.follow_camera(growing, bpy.data.scenes)
-    live_preview.show(growing, picture(growing), bpy.data.scenes)
-    assert set(bpy.data.images) != before
-    live_preview.remove_left_over()
-    assert set(bpy.data.images) == before
+    own = fingerprint(growing)
+    growing.preview_request_path.unlink()  # as another Blender does that asks for its own
+    assert live_preview.show(growing, picture(growing), "of another")
+    assert live_preview.picture_for(scene) is None
+    live_preview.follow_camera(growing, bpy.data.scenes)
+    assert fingerprint(growing) == own
 
 
 def test_a_camera_of_the_users_shows_it_too_and_is_left_alone(growing: LiftFolder) -> None:
@@ -101,8 +113,23 @@ def test_a_camera_of_the_users_shows_it_too_and_is_left_alone(growing: LiftFolde
     scene.collection.objects.link(mine)
     mine.location = (1.0, 2.0, 3.0)
     bpy.context.view_layer.update()
-    live_preview.follow_camera(growing, bpy.data.scenes)
-    live_preview.show(growing, picture(growing), bpy.data.scenes)
-    assert live_preview.picture_for(scene) is not None
+    assert shown(growing) and live_preview.picture_for(scene) is not None
     assert seen_by_the_engine(growing).camera_to_world[:3, 3].tolist() == [1.0, 2.0, 3.0]
     assert not mine.data.background_images and not mine.data.show_background_images
+
+
+def test_a_scene_without_a_camera_does_not_hide_another(growing: LiftFolder) -> None:
+    scene = bpy.context.scene
+    other = bpy.data.scenes.new("other")
+    other.plgs.lift_folder = scene.plgs.lift_folder
+    live_preview.follow_camera(growing, [other, scene])
+    assert live_preview.show(growing, picture(growing), fingerprint(growing))
+    assert live_preview.picture_for(other) is None and live_preview.picture_for(scene) is not None
+
+
+def test_a_huge_picture_is_asked_for_smaller(growing: LiftFolder) -> None:
+    render = bpy.context.scene.render
+    render.resolution_x, render.resolution_y = 40_000, 20_000
+    live_preview.follow_camera(growing, bpy.data.scenes)
+    asked = seen_by_the_engine(growing)
+    assert (asked.width, asked.height) == (1024, 512)
