@@ -52,15 +52,15 @@ def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
 
 
 def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
-    """Keep the engine's newest picture, which was asked for with this camera's fingerprint; whether there was one.
-
-    When another Blender asked for it, ours asks again.
+    """Keep the engine's newest picture, as seen by the camera with this fingerprint, if it is what was asked for;
+    whether it is. Where another Blender asked for another one, ours asks again.
     """
     asked = _asked.get(lift.path)
     if asked is None or not picture.is_file():
         return False
     if asked.fingerprint != camera:
         del _asked[lift.path]
+        return False
     pixels = _pixels_of(picture)
     if pixels is None:
         return False

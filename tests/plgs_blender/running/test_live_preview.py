@@ -101,7 +101,7 @@ def test_a_picture_that_another_camera_saw_is_not_shown_and_asked_for_again(grow
     live_preview.follow_camera(growing, bpy.data.scenes)
     own = fingerprint(growing)
     growing.preview_request_path.unlink()  # as another Blender does that asks for its own
-    assert live_preview.show(growing, picture(growing), "of another")
+    assert not live_preview.show(growing, picture(growing), "of another")
     assert live_preview.picture_for(scene) is None
     live_preview.follow_camera(growing, bpy.data.scenes)
     assert fingerprint(growing) == own
