@@ -172,3 +172,12 @@ def point_shader() -> Any:
         return gpu.shader.from_builtin("POINT_FLAT_COLOR")
     except ValueError:
         return gpu.shader.from_builtin("FLAT_COLOR")
+
+
+def to_overlay(srgb: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Pixels [H, W, 4] as a shader must write them over a 3D view, which before 5.0 turns them to sRGB itself."""
+    if bpy.app.version >= (5, 0, 0):
+        return srgb
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    linear[..., 3] = srgb[..., 3]
+    return linear.astype(np.float32)

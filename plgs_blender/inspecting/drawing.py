@@ -13,7 +13,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
-from ..compat import point_shader
+from ..compat import point_shader, to_overlay
 from .glow import Glow
 from .plates import Colour, Plate
 
@@ -95,8 +95,9 @@ def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
     """Not Blender's own of an image: that one makes mipmaps, which takes ten times as long."""
     if not _uploaded or _uploaded[0][0] is not pixels:
         height, width, _ = pixels.shape
-        values = gpu.types.Buffer("FLOAT", pixels.size, pixels.ravel())
-        _uploaded[:] = [(pixels, gpu.types.GPUTexture((width, height), format="RGBA8", data=values))]
+        drawn = to_overlay(pixels)
+        values = gpu.types.Buffer("FLOAT", drawn.size, drawn.ravel())
+        _uploaded[:] = [(pixels, gpu.types.GPUTexture((width, height), format="RGBA16F", data=values))]
     return _uploaded[0][1]
 
 
