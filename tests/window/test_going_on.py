@@ -6,8 +6,10 @@ import signal
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
-from blender import Window
+from blender import SIZE, Window
+from numpy.typing import NDArray
 
 if str(Path(__file__).parent.parent) not in sys.path:
     sys.path.insert(0, str(Path(__file__).parent.parent))
@@ -18,12 +20,32 @@ from engine.job import EventReader, LiftFolder  # noqa: E402
 
 MODULES = """
 import sys, pathlib
+import numpy as np
 lifts = sys.modules[EXTENSION + '.plgs_blender.running.lifts']
 recents = sys.modules[EXTENSION + '.plgs_blender.running.recents']
 settings = lambda: bpy.context.scene.plgs
 followed = lambda: lifts.watch_of(pathlib.Path(settings().lift_folder))
 picture = lambda: sys.modules[EXTENSION + '.plgs_blender.running.live_preview'].picture_for(bpy.context.scene)
 """
+BLOCKS = 8
+"""Of a picture, in each direction: their mean colours are compared."""
+SEEN_BY_CAMERA = f"""
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+area = next(each for each in bpy.context.window.screen.areas if each.type == 'VIEW_3D')
+region = next(each for each in area.regions if each.type == 'WINDOW')
+bpy.ops.wm.redraw_timer(type='DRAW_WIN_SWAP', iterations=1)
+camera = bpy.context.scene.camera
+corners = [camera.matrix_world @ each for each in camera.data.view_frame(scene=bpy.context.scene)]
+spots = [location_3d_to_region_2d(region, area.spaces.active.region_3d, each) for each in corners]
+pixels = 255 * picture()[::-1, :, :3]
+answer = {{
+    'columns': [region.x + pick(each.x for each in spots) for pick in (min, max)],
+    'rows': [{SIZE[1]} - region.y - pick(each.y for each in spots) for pick in (max, min)],
+    'drawn': [[block.mean((0, 1)).tolist() for block in np.array_split(rows, {BLOCKS}, axis=1)]
+              for rows in np.array_split(pixels, {BLOCKS}, axis=0)],
+}}
+"""
+"""Where the camera's frame is on the screen, and the mean colours of the blocks of the picture for it."""
 
 
 @pytest.fixture
@@ -50,6 +72,26 @@ def begin(window: Window, scene: Path, name: str, **settings: object) -> LiftFol
 def engine_of(lift: LiftFolder) -> int:
     """The process that works on a lift, by its number inside the tree."""
     return int(str(next(event.data["pid"] for event in EventReader(lift.events_path).poll() if event.kind == "hello")))
+
+
+def off_by(window: Window) -> tuple[float, float]:
+    """How far (mean) the colours within the camera's frame on the screen are from the live preview's, of 255, and from each
+    other. Blocks at the edge are left out: the frame's own line is there.
+    """
+    for _ in range(10):
+        seen, screen = window.run(SEEN_BY_CAMERA), window.picture()
+        if window.run(SEEN_BY_CAMERA) == seen:
+            break
+    (left, right), (top, bottom) = ([round(each) for each in seen[side]] for side in ("columns", "rows"))
+    shown = block_means(screen[top:bottom, left:right].astype(np.float64))
+    inner = np.s_[1:-1, 1:-1]
+    return float(np.abs(shown - np.array(seen["drawn"]))[inner].mean()), float(np.ptp(shown[inner]))
+
+
+def block_means(picture: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[BLOCKS, BLOCKS, 3] of a picture [H, W, 3]."""
+    rows = np.array_split(picture, BLOCKS, axis=0)
+    return np.array([[block.mean((0, 1)) for block in np.array_split(row, BLOCKS, axis=1)] for row in rows])
 
 
 def end(window: Window) -> None:
@@ -100,6 +142,8 @@ def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> N
         window.run("before = followed().status.live_previews")
         window.wait_for("followed().status.live_previews > before + 1 and picture() is not None", 60)
         window.screenshot(f"live-preview-{shot}")
+        error, contrast = off_by(window)
+        assert error < 6 < 30 < contrast, (camera, error, contrast)
     waits.append(window.waits())
     end(window)
     assert all(waits)
