@@ -24,8 +24,7 @@ KEPT_CALLS = 400
 class _Block:
     def __init__(self, size: int) -> None:
         self.bytes = np.empty(size + ALIGNMENT, np.uint8)
-        start = -self.bytes.ctypes.data % ALIGNMENT
-        self.aligned = self.bytes[start : start + size]
+        self.start = -self.bytes.ctypes.data % ALIGNMENT
         self.used = 0
 
     def is_free(self) -> bool:
@@ -57,8 +56,7 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         _calls += 1
         block = _free_block(_rounded(size))
         block.used = _calls
-        view = block.aligned[:size]
-    return view.view(kind).reshape(shape)
+        return np.ndarray(shape, kind, block.bytes, block.start)
 
 
 def _free_block(size: int) -> _Block:

@@ -1,26 +1,20 @@
 """Which Gaussians each tile draws, front to back.
 
 Visible Gaussians are sorted by depth (least significant digit first, stable, so ties keep the order of their
-indices), then dealt out to their tiles in that order. Every kernel here does one worker's share, a range; the
-result does not depend on how many workers there are.
+indices), then dealt out to their tiles in that order. Every kernel here but ``list_alone`` does one worker's share, a
+range; the result does not depend on how many workers there are. ``tile_lists`` calls them.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from . import memory
 from .compiled import Array, compiled
-from .crew import share
-from .records import DEPTH, TILE
+from .records import DEPTH
 
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
 DIGIT_PASSES = 3
-WORTH_SHARING = 2_500
-"""Fewer Gaussians than this are sorted by one worker: waking the others takes longer."""
 
 
 @compiled
@@ -75,18 +69,20 @@ def count_digits(worker: int, workers: int, keys: Array, shift: np.uint32, histo
 
 
 @compiled
-def running_starts(histograms: Array, starts: Array) -> None:
+def running_starts(histograms: Array, starts: Array) -> int:
     """Counts [workers, bins] become the places where each worker's share of each bin begins; starts [bins +
-    1] the bins'."""
+    1] the bins'. Returns the largest bin's count."""
     workers, bins = histograms.shape
-    total = 0
+    total, largest = 0, 0
     for b in range(bins):
         starts[b] = total
         for worker in range(workers):
             own = histograms[worker, b]
             histograms[worker, b] = total
             total += own
+        largest = max(largest, total - starts[b])
     starts[bins] = total
+    return largest
 
 
 @compiled
@@ -151,31 +147,43 @@ def deal_tiles(
                 slot += 1
 
 
-def sort_by_depth(workers: int, keys: Array, ids: Array) -> Any:
-    """The visible Gaussians int32 [V], front to back."""
-    spare_keys, spare_ids = memory.empty(keys.size, np.uint32), memory.empty(keys.size, np.int32)
-    histograms = memory.empty((workers, DIGITS), np.int64)
-    starts = memory.empty(DIGITS + 1, np.int64)
+@compiled
+def list_alone(
+    worker: int,
+    workers: int,
+    boxes: Array,
+    records: Array,
+    bits: Array,
+    zeros: Array,
+    longest: Array,
+    slots: Array,
+    centres: Array,
+    visible: Array,
+    keys: Array,
+    ids: Array,
+    spare_keys: Array,
+    spare_ids: Array,
+    digits: Array,
+    digit_starts: Array,
+    columns: int,
+    histograms: Array,
+    starts: Array,
+    tile_ids: Array,
+    tile_slots: Array,
+) -> None:
+    """All of the above, by the only worker; ``longest`` int64 [1] gets the length of the longest list.
+
+    ``zeros`` int64 [1]; ``digits`` int64 [1, DIGITS], ``digit_starts`` int64 [DIGITS + 1] and ``histograms`` int64
+    [1, tiles] are room to work in.
+    """
+    list_visible(worker, workers, boxes, records, bits, zeros, zeros, keys, ids, slots, centres, visible)
     for digit_pass in range(DIGIT_PASSES):
         shift = np.uint32(DIGIT_BITS * digit_pass)
-        share(workers, count_digits, keys, shift, histograms)
-        running_starts(histograms, starts)
-        share(workers, deal_digits, keys, ids, shift, histograms, spare_keys, spare_ids)
+        count_digits(worker, workers, keys, shift, digits)
+        running_starts(digits, digit_starts)
+        deal_digits(worker, workers, keys, ids, shift, digits, spare_keys, spare_ids)
         keys, spare_keys = spare_keys, keys
         ids, spare_ids = spare_ids, ids
-    return ids
-
-
-def deal(
-    workers: int, order: Array, boxes: Array, slots: Array, touched: int, width: int, height: int
-) -> Any:
-    """starts int64 [tiles + 1], tile_ids int32 [T], tile_slots int32 [T]: each tile's Gaussians, front to
-    back."""
-    columns, rows = -(-width // TILE), -(-height // TILE)
-    tile_ids, tile_slots = memory.empty(touched, np.int32), memory.empty(touched, np.int32)
-    histograms = memory.empty((workers, columns * rows), np.int64)
-    starts = memory.empty(columns * rows + 1, np.int64)
-    share(workers, count_tiles, order, boxes, columns, histograms)
-    running_starts(histograms, starts)
-    share(workers, deal_tiles, order, boxes, slots, columns, histograms, tile_ids, tile_slots)
-    return starts, tile_ids, tile_slots
+    count_tiles(worker, workers, ids, boxes, columns, histograms)
+    longest[0] = running_starts(histograms, starts)
+    deal_tiles(worker, workers, ids, boxes, slots, columns, histograms, tile_ids, tile_slots)

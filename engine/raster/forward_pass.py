@@ -1,0 +1,127 @@
+"""From Gaussians to pictures: the kernels of the forward pass, one after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from . import memory
+from .conventions import View
+from .crew import share, worker_count
+from .kernels import Kernels
+from .projection import project
+from .records import CHUNK, RECORD, TILE
+from .tile_lists import Projected, TileLists, list_tiles
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Blended:
+    """What the forward pass leaves for the backward one.
+
+    ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``rest`` and ``last`` float32 [H * W]: each pixel's
+    final transmittance, and the place in its tile's list of the last Gaussian blended.
+    """
+
+    kernels: Kernels
+    camera: Array
+    records: Array
+    lists: TileLists
+    rest: Array
+    last: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """Image [H, W, 3], labels [H, W, C], alpha and depth [H, W], float32."""
+
+    image: Tensor
+    labels: Tensor
+    alpha: Tensor
+    depth: Tensor
+
+    @classmethod
+    def empty(cls, height: int, width: int, channels: int) -> Layers:
+        shapes = ((height, width, 3), (height, width, channels), (height, width), (height, width))
+        return cls(*map(memory.empty_tensor, shapes))
+
+    def flat(self) -> list[Array]:
+        """Each as one row of numbers."""
+        return [layer.numpy().reshape(-1) for layer in (self.image, self.labels, self.alpha, self.depth)]
+
+
+def as_array(tensor: Tensor) -> Array:
+    return tensor.detach().contiguous().numpy()
+
+
+def blend(
+    kernels: Kernels, gaussians: list[Array], labels: Array, view: View, centres: Array, visible: Array
+) -> tuple[Layers, Blended]:
+    """``gaussians``: means [N, 3], scales [N, 3], quats [N, 4], opacities [N] and colours [N, 3]; labels [N, C]. Fills
+    ``centres`` [N, 2] and ``visible`` bool [N]. All other arrays are float32."""
+    workers, camera = worker_count(), camera_array(view)
+    count, channels = labels.shape
+    records, boxes = memory.empty((count, RECORD), np.float32), memory.empty((count, 4), np.int32)
+    counts = np.zeros((workers, 2), np.int64)
+    share(workers, project, *gaussians, camera, view.width, view.height, records, boxes, counts)
+    lists = list_tiles(workers, Projected(records, boxes, counts), view.width, view.height, centres, visible)
+    layers = Layers.empty(view.height, view.width, channels)
+    rest, last = memory.empty((2, view.height * view.width), np.float32)
+    blenders = lists.blenders(workers)
+    share(
+        blenders,
+        kernels.blend,
+        np.zeros(1, np.int64),
+        lists.starts,
+        lists.ids,
+        records.reshape(-1),
+        labels.reshape(-1),
+        channels,
+        view.width,
+        view.height,
+        *layers.flat(),
+        rest,
+        last,
+        *scratch(blenders, kernels.blend_scratch(channels, lists.longest), lists.longest),
+    )
+    return layers, Blended(kernels, camera, records, lists, rest, last)
+
+
+def camera_array(view: View) -> NDArray[np.float64]:
+    """The camera as the kernels take it, float64 [CAMERA]."""
+    values = [
+        *view.rotation.ravel(),
+        *view.centre,
+        *view.focal,
+        *view.principal,
+        view.near,
+        *view.slope_limits(),
+    ]
+    return np.array(values, dtype=np.float64)
+
+
+def scratch(workers: int, floats: int, longest: int) -> tuple[Array, Array, Array]:
+    """What each worker of a pass needs for itself: floats, members of a chunk, and a word a patch, row or chunk."""
+    return (
+        memory.empty((workers, -(-floats // TILE) * TILE), np.float32),
+        memory.empty((workers, (TILE + 1) * CHUNK), np.int32),
+        memory.empty((workers, max(TILE + 1, -(-longest // CHUNK))), np.int64),
+    )
+
+
+def top_contributors(blended: Blended, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
+    """The largest weights of each pixel: Gaussians int32 and weights float32 [H, W, k]."""
+    from .contributors import list_contributors  # compiled only where it is asked for
+
+    indices, weights = torch.empty(shape, dtype=torch.int32), torch.empty(shape, dtype=torch.float32)
+    lists = blended.lists
+    share(
+        worker_count(), list_contributors, lists.starts, lists.ids, blended.records, indices.numpy(), weights.numpy()
+    )
+    return indices, weights

@@ -1,0 +1,64 @@
+"""Each tile's list, by one worker or by several: the same Gaussians, front to back, each with a place of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from engine.raster import tile_lists
+from engine.raster.records import DEPTH, RECORD, TILE
+from engine.raster.tile_lists import Projected, TileLists, list_tiles
+
+WIDTH, HEIGHT = 90, 50
+COLUMNS, ROWS = 6, 4
+
+
+def projected(count: int, workers: int, seed: int) -> Projected:
+    """Boxes of tiles anywhere in the image, some of them empty; depths of which many are equal."""
+    random = np.random.default_rng(seed)
+    ends = np.sort(random.integers(0, [[COLUMNS + 1], [ROWS + 1]], (count, 2, 2)), axis=2)
+    boxes = ends.reshape(count, 4).astype(np.int32)
+    records = random.random((count, RECORD), np.float32)
+    records[:, DEPTH] = random.choice(np.geomspace(0.02, 300.0, 40).astype(np.float32), count)
+    pairs = (ends[:, 0, 1] - ends[:, 0, 0]) * (ends[:, 1, 1] - ends[:, 1, 0])
+    shares = [slice(count * worker // workers, count * (worker + 1) // workers) for worker in range(workers)]
+    counts = [(np.count_nonzero(pairs[share]), pairs[share].sum()) for share in shares]
+    return Projected(records, boxes, np.array(counts, np.int64))
+
+
+def listed(given: Projected, workers: int) -> tuple[TileLists, NDArray[np.float32], NDArray[np.bool_]]:
+    count = len(given.boxes)
+    centres, visible = np.full((count, 2), np.nan, np.float32), np.zeros(count, np.bool_)
+    return list_tiles(workers, given, WIDTH, HEIGHT, centres, visible), centres, visible
+
+
+@pytest.mark.parametrize("worth_sharing", [0, 10**9])
+@pytest.mark.parametrize(("count", "workers"), [(0, 2), (1, 1), (1, 3), (700, 1), (700, 2), (700, 5)])
+def test_lists_are_those_of_a_stable_sort(
+    count: int, workers: int, worth_sharing: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tile_lists, "WORTH_SHARING", worth_sharing)
+    given = projected(count, workers, seed=count)
+    lists, centres, visible = listed(given, workers)
+    left, right, top, bottom = given.boxes.T
+    shown = (right > left) & (bottom > top)
+    assert np.array_equal(visible, shown)
+    assert np.array_equal(centres, np.where(shown[:, None], given.records[:, [0, 2]], 0.0))
+    order = np.argsort(given.records[:, DEPTH], kind="stable")
+    lengths = []
+    for tile in range(COLUMNS * ROWS):
+        column, row = tile % COLUMNS, tile // COLUMNS
+        inside = (left <= column) & (column < right) & (top <= row) & (row < bottom)
+        own = slice(lists.starts[tile], lists.starts[tile + 1])
+        assert np.array_equal(lists.ids[own], order[inside[order]])
+        owners = np.searchsorted(lists.slots, lists.tile_slots[own], side="right") - 1
+        assert np.array_equal(owners, lists.ids[own])
+        lengths.append(int(inside.sum()))
+    assert lists.longest == max(lengths)
+    assert np.array_equal(np.sort(lists.tile_slots), np.arange(sum(lengths)))
+    assert lists.blenders(workers) <= workers
+
+
+def test_the_image_is_covered() -> None:
+    assert (COLUMNS, ROWS) == (-(-WIDTH // TILE), -(-HEIGHT // TILE))
