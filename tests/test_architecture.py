@@ -19,15 +19,16 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "": set(),
     "scene": set(),
     "job": set(),
-    "raster": set(),
+    "machine": set(),
+    "raster": {"machine"},
     "semantics": {"scene"},
     "instances": {"scene"},
     "metrics": {"scene"},
-    "model": {"scene", "raster"},
-    "train": {"scene", "job", "raster", "semantics", "instances", "model"},
-    "passes": {"scene", "job", "raster", "model", "train"},
-    "lift": {"scene", "job", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
-    "command_line": {"scene", "job", "raster", "metrics", "passes", "lift"},  # bench raster
+    "model": {"scene", "machine", "raster"},
+    "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
+    "passes": {"scene", "job", "machine", "raster", "model", "train"},
+    "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
+    "command_line": {"scene", "job", "machine", "raster", "metrics", "passes", "lift"},  # bench raster
     "__main__": {"command_line"},
 }
 # Each part of the extension, the same way. `engine` means scene and job only: the rest runs in a process of its own.

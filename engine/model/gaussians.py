@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..raster.compiled import compiled
+from ..machine.compiled import compiled
 from ..raster.kernels import choose_kernels
 from ..scene import Camera
 from .anchors import Anchors

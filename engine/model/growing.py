@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..raster.compiled import Array, compiled
+from ..machine.compiled import Array, compiled
 from .anchors import UNKNOWN_CLASS, Anchors
 from .neural_gaussians import NeuralGaussians
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..raster.compiled import Array, compiled
+from ..machine.compiled import Array, compiled
 
 BLOCK = 128
 """Pixels of one block: its classes and slots together stay in the processor's first cache."""

@@ -9,9 +9,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..machine import memory
+from ..machine.crew import share, worker_count
 from ..model.rendering import PanopticRendering
-from ..raster import memory
-from ..raster.crew import share, worker_count
 from ..scene import VOID, ClassTable
 from .deciding import BLOCK, Columns, Decided, Pixels, decide_blocks
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from . import memory
-from .crew import share, worker_count
+from ..machine import memory
+from ..machine.crew import share, worker_count
 from .forward_pass import Array, Blended, scratch
 from .gather import gather
 from .records import GRADIENT_WIDTH, TILE

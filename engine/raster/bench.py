@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from .crew import timed
+from ..machine.crew import timed
+from ..machine.peak import fma_peak
 from .interface import rasterize
 from .kernels import choose_kernels
-from .peak import fma_peak
 from .workload import CHANNELS, Workload, room_workload
 
 CASES = ((10_000, 640, 480), (50_000, 640, 480), (200_000, 640, 480), (5_000, 160, 120))

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from ..machine.compiled import Array, compiled, contracted_part, part
 from .blend_forward import ALPHA_LEAST, ONE
-from .compiled import Array, compiled, contracted_part, part
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import (
     BLUE,

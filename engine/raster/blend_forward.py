@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled, part
+from ..machine.compiled import Array, compiled, part
 from .conventions import ALPHA_MIN, TRANSMITTANCE_END
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import BLUE, CHUNK, DEPTH, GREEN, L11, OPACITY, RECORD, RED, TILE

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..machine.compiled import Array, compiled, part
 from .blend_forward import any_alive, blend_row, start_tile
-from .compiled import Array, compiled, part
 from .footprint import F, alpha_row, whiten_rows
 from .records import L11, OPACITY, TILE
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, contracted_part, part
+from ..machine.compiled import Array, contracted_part, part
 from .conventions import ALPHA_MAX
 from .records import (
     CENTRE_X,

@@ -10,13 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from . import memory
+from ..machine import memory
+from ..machine.crew import share, worker_count
 from .conventions import View
-from .crew import share, worker_count
 from .kernels import Kernels
 from .projection import project
 from .records import CHUNK, RECORD, TILE
-from .tile_lists import Projected, TileLists, list_tiles
+from .tile_lists import PairLists, Projected, list_tiles
 
 Array = NDArray[Any]
 
@@ -32,7 +32,7 @@ class Blended:
     kernels: Kernels
     camera: Array
     records: Array
-    lists: TileLists
+    lists: PairLists
     rest: Array
     last: Array
 

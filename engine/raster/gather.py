@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled, part
+from ..machine.compiled import Array, compiled, part
 from .projection import (
     LOG2_E,
     axes_on_image,

@@ -57,8 +57,8 @@ def _vector() -> Kernels:
     """Compiles the smallest kernel on the way, so that a machine that cannot run them says so here."""
     import numpy as np
 
+    from ..machine.peak import multiply_add
     from . import vector_backward, vector_forward, vector_gather
-    from .peak import multiply_add
 
     multiply_add(1, np.zeros(16, np.float32))
     return Kernels(

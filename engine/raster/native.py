@@ -10,16 +10,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import memory
+from ..machine import memory
+from ..machine.bell import listen, new_bell
+from ..machine.crew import worker_count
+from ..machine.warm_up import WarmUp
 from .backward_pass import LayerGradients, unblend
-from .bell import listen, new_bell
 from .compile_backward import compile_backward
 from .conventions import NEAR, View
-from .crew import worker_count
 from .forward_pass import as_array, blend, top_contributors
 from .kernels import Kernels, choose_kernels
 from .rendering import Rendering
-from .warm_up import WarmUp
 
 log = logging.getLogger("plgs.raster")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled, part
+from ..machine.compiled import Array, compiled, part
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM
 from .records import (
     BLUE,

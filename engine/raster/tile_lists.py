@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import memory
-from .crew import share
+from ..machine import memory
+from ..machine.crew import share
 from .records import TILE
 from .tiles import (
     DIGIT_BITS,
@@ -30,7 +30,7 @@ Python between them, take longer."""
 
 
 @dataclass(frozen=True, eq=False)
-class TileLists:
+class PairLists:
     """Which Gaussians each tile draws, and where their gradients go.
 
     ``slots`` int64 [N + 1] and ``starts`` int64 [tiles + 1]: each Gaussian's and each tile's first place among all T
@@ -61,7 +61,7 @@ class Projected:
 
 def list_tiles(
     workers: int, projected: Projected, width: int, height: int, centres: NDArray[Any], visible: NDArray[Any]
-) -> TileLists:
+) -> PairLists:
     """Of an image of so many pixels. Fills ``centres`` float32 [N, 2] and ``visible`` bool [N]."""
     shown, touched = (int(total) for total in projected.counts.sum(0))
     columns, rows = -(-width // TILE), -(-height // TILE)
@@ -86,7 +86,7 @@ def list_tiles(
         share(workers, list_visible, *seen, places, slot_starts, keys, ids, slots, centres, visible)
         order = _sort_by_depth(workers, *sorting, *digits)
         longest = _deal(workers, order, projected.boxes, slots, *dealing)
-    return TileLists(slots, starts, tile_ids, tile_slots, longest)
+    return PairLists(slots, starts, tile_ids, tile_slots, longest)
 
 
 def _sort_by_depth(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import Array, compiled
+from ..machine.compiled import Array, compiled
 from .records import DEPTH
 
 DIGIT_BITS = 11

@@ -11,7 +11,29 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled, inlined, part
+from ..machine.compiled import Array, compiled, inlined, part
+from ..machine.vector_functions import exp2_of_four, reciprocal
+from ..machine.vector_shuffles import largest, planes_of, totals, zipped
+from ..machine.vectors import (
+    bits_of,
+    choose,
+    everywhere,
+    fetch,
+    fma,
+    get,
+    lane_numbers,
+    less_product,
+    load,
+    load_some,
+    lowest_bit,
+    minimum,
+    pairs,
+    put,
+    spread,
+    store,
+    store_past_cache,
+    take_next,
+)
 from .products import (
     BLOCK,
     ROWS,
@@ -41,28 +63,6 @@ from .records import (
 )
 from .vector_chunk import AHEAD, NOBODY, PATCHES, halves_touched, origin_of, padded_channels
 from .vector_forward import ALPHA_CAP, ALPHA_LEAST, LINES_AT_ONCE, ONE, ZERO, F, copy_labels, take_four
-from .vector_functions import exp2_of_four, reciprocal
-from .vector_shuffles import largest, planes_of, totals, zipped
-from .vectors import (
-    bits_of,
-    choose,
-    everywhere,
-    fetch,
-    fma,
-    get,
-    lane_numbers,
-    less_product,
-    load,
-    load_some,
-    lowest_bit,
-    minimum,
-    pairs,
-    put,
-    spread,
-    store,
-    store_past_cache,
-    take_next,
-)
 
 # a worker's scratch, in floats
 S1_LEFT, S2, S2_SQUARED, EXPONENTS = 0, 2 * TILE, 4 * TILE, 6 * TILE  # of each row, for one Gaussian

@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, inlined, part
+from ..machine.compiled import Array, inlined, part
+from ..machine.vector_shuffles import zipped
+from ..machine.vectors import bits_of, fetch, fma, get, load, maximum, put, spread, store
 from .records import (
     BLUE,
     CENTRE_X,
@@ -35,8 +37,6 @@ from .records import (
     RED,
     TILE,
 )
-from .vector_shuffles import zipped
-from .vectors import bits_of, fetch, fma, get, load, maximum, put, spread, store
 
 F = np.float32
 ZERO = F(0.0)

@@ -11,29 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import Array, compiled, inlined, part
-from .conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
-from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
-from .records import CHUNK, PATCH_HEIGHT, PATCH_WIDTH, TILE
-from .vector_chunk import (
-    BLUES,
-    CHUNK_FIELDS,
-    DEPTHS,
-    GREENS,
-    NOBODY,
-    PLACES,
-    REDS,
-    SLOPE,
-    STRIP_EXPONENTS,
-    STRIP_FIELDS,
-    STRIP_S1,
-    load_chunk,
-    padded_channels,
-    whiten_strip,
-)
-from .vector_functions import exp2_of_four
-from .vector_shuffles import interleaved, unzipped, zipped
-from .vectors import (
+from ..machine.compiled import Array, compiled, inlined, part
+from ..machine.vector_functions import exp2_of_four
+from ..machine.vector_shuffles import interleaved, unzipped, zipped
+from ..machine.vectors import (
     bits_of,
     choose,
     everywhere,
@@ -56,6 +37,25 @@ from .vectors import (
     store_past_cache,
     store_some,
     take_next,
+)
+from .conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
+from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
+from .records import CHUNK, PATCH_HEIGHT, PATCH_WIDTH, TILE
+from .vector_chunk import (
+    BLUES,
+    CHUNK_FIELDS,
+    DEPTHS,
+    GREENS,
+    NOBODY,
+    PLACES,
+    REDS,
+    SLOPE,
+    STRIP_EXPONENTS,
+    STRIP_FIELDS,
+    STRIP_S1,
+    load_chunk,
+    padded_channels,
+    whiten_strip,
 )
 
 F = np.float32

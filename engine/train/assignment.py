@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from ..instances import best_slots
-from ..raster.compiled import Array, compiled
-from ..raster.crew import share, worker_count
+from ..machine.compiled import Array, compiled
+from ..machine.crew import share, worker_count
 from .bands import band_count, band_of
 from .label_losses import TINY
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..raster.compiled import compiled
+from ..machine.compiled import compiled
 
 BAND = 8192
 """Pixels of one band."""

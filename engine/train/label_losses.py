@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from ..raster import memory
-from ..raster.compiled import Array, compiled
-from ..raster.crew import share, worker_count
+from ..machine import memory
+from ..machine.compiled import Array, compiled
+from ..machine.crew import share, worker_count
 from .bands import band_count, band_of
 
 TINY = 1e-8

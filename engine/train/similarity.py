@@ -12,8 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 
-from ..raster import memory
-from ..raster.crew import share, worker_count
+from ..machine import memory
+from ..machine.crew import share, worker_count
 from .similarity_kernels import WEIGHTS, compare_strips, scratch_size, strip_count
 
 

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from ..raster.compiled import Array, contracted
+from ..machine.compiled import Array, contracted
 
 WINDOW, SIGMA = 11, 1.5
 REACH = WINDOW // 2

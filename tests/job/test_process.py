@@ -84,7 +84,7 @@ def test_an_environment_whose_python_is_gone_is_none(code: Path, environ: dict[s
 
 
 def test_kernels_and_environments_lie_in_one_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled = pytest.importorskip("engine.raster.compiled")
+    compiled = pytest.importorskip("engine.machine.compiled")
     assert compiled._user_cache_folder() == user_cache_folder()
 
 

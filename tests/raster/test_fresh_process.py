@@ -30,7 +30,8 @@ handler.emit = lambda record: lines.append(record.getMessage())
 logging.getLogger("plgs.raster").addHandler(handler)
 logging.getLogger("plgs.raster").setLevel(logging.INFO)
 start = time.process_time()
-from engine.raster import compiled, rasterize
+from engine.machine import compiled
+from engine.raster import rasterize
 from engine.raster.workload import room_workload
 work = room_workload(200, 64, 48)
 tensors = [torch.from_numpy(array).requires_grad_() for array in
@@ -44,7 +45,8 @@ print(json.dumps({"seconds": seconds, "lines": lines, "cache": str(compiled.CACH
 LESSER_MACHINE = """
 import sys
 import pytest
-from engine.raster import vector_backward, vector_forward, vectors
+from engine.machine import vectors
+from engine.raster import vector_backward, vector_forward
 assert not vectors.WIDE
 failed = pytest.main(["-q", "-p", "no:cacheprovider", "tests/raster/test_rasterize.py", "-k", "matches or same_bits"])
 kernels = (vector_forward.blend_tiles, vector_backward.unblend_tiles)
@@ -181,6 +183,6 @@ def test_matches_the_reference_on_a_machine_without_avx512(tmp_path: Path) -> No
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="about x86 processors")
 def test_uses_only_the_instructions_that_numba_may(setting: dict[str, str], wide: bool, tmp_path: Path) -> None:
     variables = environment(NUMBA_CACHE_DIR=str(tmp_path), **setting)
-    text = "from engine.raster.vectors import WIDE; print(WIDE)"
+    text = "from engine.machine.vectors import WIDE; print(WIDE)"
     done = subprocess.run([sys.executable, "-c", text], cwd=ROOT, env=variables, capture_output=True, text=True)
     assert done.stdout.strip() == str(wide), done.stderr

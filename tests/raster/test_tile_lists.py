@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from engine.raster import tile_lists
 from engine.raster.records import DEPTH, RECORD, TILE
-from engine.raster.tile_lists import Projected, TileLists, list_tiles
+from engine.raster.tile_lists import PairLists, Projected, list_tiles
 
 WIDTH, HEIGHT = 90, 50
 COLUMNS, ROWS = 6, 4
@@ -27,7 +27,7 @@ def projected(count: int, workers: int, seed: int) -> Projected:
     return Projected(records, boxes, np.array(counts, np.int64))
 
 
-def listed(given: Projected, workers: int) -> tuple[TileLists, NDArray[np.float32], NDArray[np.bool_]]:
+def listed(given: Projected, workers: int) -> tuple[PairLists, NDArray[np.float32], NDArray[np.bool_]]:
     count = len(given.boxes)
     centres, visible = np.full((count, 2), np.nan, np.float32), np.zeros(count, np.bool_)
     return list_tiles(workers, given, WIDTH, HEIGHT, centres, visible), centres, visible

@@ -9,9 +9,9 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from ...raster.compiled import Array, inlined
-from ...raster.vector_functions import exp2
-from ...raster.vectors import (
+from ...machine.compiled import Array, inlined
+from ...machine.vector_functions import exp2
+from ...machine.vectors import (
     INT,
     INTS_IR,
     LANES_IR,

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...raster.compiled import Array, compiled, inlined
-from ...raster.vectors import lane_numbers, load_some, spread, store, take_next
+from ...machine.compiled import Array, compiled, inlined
+from ...machine.vectors import lane_numbers, load_some, spread, store, take_next
 from .activations import exponential
 from .layers import collect_inputs, fill, head_of, list_anchors, rounded_rows, run_first_layer, run_head, run_head_back
 from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC

@@ -8,8 +8,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from ...raster.compiled import Array, part
-from ...raster.vectors import FLOAT, INT, WIDE, call, element, intrinsic
+from ...machine.compiled import Array, part
+from ...machine.vectors import FLOAT, INT, WIDE, call, element, intrinsic
 
 COLUMNS = 16 if WIDE else 8
 """Columns in one vector of a block: as wide as a register."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...raster.compiled import Array, compiled, inlined
-from ...raster.vectors import WIDTH, lane_numbers, load, load_some, spread, store, take_next
+from ...machine.compiled import Array, compiled, inlined
+from ...machine.vectors import WIDTH, lane_numbers, load, load_some, spread, store, take_next
 from .activations import copy, exponential, sigmoid, tanh
 from .layers import collect_inputs, head_of, list_anchors, run_head
 from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC

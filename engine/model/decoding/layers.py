@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...raster.compiled import Array, inlined, part
-from ...raster.vectors import WIDTH, choose, load, maximum, spread, store
+from ...machine.compiled import Array, inlined, part
+from ...machine.vectors import WIDTH, choose, load, maximum, spread, store
 from ..decoders import HIDDEN
 from .activations import copy
 from .blocks import add_product

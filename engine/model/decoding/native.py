@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...raster import memory
-from ...raster.crew import share, worker_count
+from ...machine import memory
+from ...machine.crew import share, worker_count
 from ..anchors import Anchors
 from ..decoders import Decoders
 from ..neural_gaussians import NeuralGaussians

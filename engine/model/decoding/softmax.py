@@ -8,8 +8,8 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from ...raster.compiled import Array, inlined, part
-from ...raster.vectors import (
+from ...machine.compiled import Array, inlined, part
+from ...machine.vectors import (
     INTS_IR,
     LANES_IR,
     WIDTH,

@@ -8,9 +8,9 @@ import numba
 import numpy as np
 import pytest
 
-from engine.raster.vector_functions import exp2, exp2_of_four, reciprocal
-from engine.raster.vector_shuffles import interleaved, largest, planes_of, totals, unzipped, zipped
-from engine.raster.vectors import WIDTH, load, pairs, store
+from engine.machine.vector_functions import exp2, exp2_of_four, reciprocal
+from engine.machine.vector_shuffles import interleaved, largest, planes_of, totals, unzipped, zipped
+from engine.machine.vectors import WIDTH, load, pairs, store
 
 A = np.random.default_rng(0).normal(size=3 * WIDTH).astype(np.float32)
 

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from engine.raster import compiled
+from engine.machine import compiled
 
 
 def test_the_cache_is_named_after_every_package_with_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     texts = {
-        "raster/compiled.py": "",
-        "raster/kernel.py": "from .compiled import compiled",
-        "model/deep/kernel.py": "from ...raster.compiled import Array, compiled",
+        "machine/compiled.py": "",
+        "raster/kernel.py": "from ..machine.compiled import compiled",
+        "model/deep/kernel.py": "from ...machine.compiled import Array, compiled",
         "model/deep/constants.py": "WIDTH = 16",
         "scene/camera.py": "",
     }

@@ -6,12 +6,10 @@ import logging
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from engine.raster import companion, compile_backward, warm_up
-from engine.raster.kernels import choose_kernels
-from engine.raster.warm_up import WarmUp
+from engine.machine import companion, warm_up
+from engine.machine.warm_up import WarmUp
 
 
 @pytest.fixture
@@ -30,7 +28,7 @@ def test_runs_a_module_and_waits_for_it(modules: Path) -> None:
 def test_finds_the_engine_wherever_it_is_called_from(
     modules: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (modules / "imports_the_engine.py").write_text("import engine.raster.compiled")
+    (modules / "imports_the_engine.py").write_text("import engine.machine.compiled")
     monkeypatch.chdir(modules)
     companion.Companion("imports_the_engine").wait()
     assert not caplog.records
@@ -97,18 +95,3 @@ def test_one_process_does_the_rest(compiled: set[str], monkeypatch: pytest.Monke
 
 def test_who_only_draws_compiles_only_that(monkeypatch: pytest.MonkeyPatch) -> None:
     assert steps(monkeypatch, set(), False) == ["forward"]
-
-
-@pytest.mark.parametrize("name", ["vector", "plain"])
-def test_compiles_what_a_pass_calls(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another version of a kernel, for arrays of another type, would be compiled in the midst of a pass."""
-    from scenes import random_scene, render
-
-    monkeypatch.setenv("PLGS_RASTER_KERNELS", name)
-    kernels = choose_kernels()
-    compile_backward.compile_backward(kernels)
-    scene = random_scene(0, 30, 4, 20, 16)
-    render(scene, "numba")
-    for kernel in (kernels.unblend, kernels.gather_labels, compile_backward.gather):
-        assert len(kernel.signatures) == 1  # type: ignore[attr-defined]
-    assert np.isfinite(render(scene, "numba")[0].image.detach().numpy()).all()

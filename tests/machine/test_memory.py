@@ -1,0 +1,31 @@
+"""Blocks of memory that are used again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.machine import memory
+
+
+def test_blocks_are_aligned_and_distinct() -> None:
+    arrays = [memory.empty((3, 5), np.float32) for _ in range(4)]
+    assert all(array.ctypes.data % 64 == 0 for array in arrays)
+    assert len({array.ctypes.data for array in arrays}) == 4
+
+
+def test_what_nobody_holds_is_given_out_again() -> None:
+    first = memory.empty((7, 11), np.float64)
+    address = first.ctypes.data
+    part = first[2:]
+    del first
+    assert memory.empty((7, 11), np.float64).ctypes.data != address, "a part of it is still held"
+    del part
+    assert address in {memory.empty((7, 11), np.float64).ctypes.data for _ in range(2)}
+
+
+def test_a_tensor_holds_its_memory() -> None:
+    tensor = memory.empty_tensor((5, 13))
+    tensor.fill_(1.0)
+    others = [memory.empty_tensor((5, 13)) for _ in range(3)]
+    assert tensor.data_ptr() not in {other.data_ptr() for other in others}
+    assert tensor.shape == (5, 13) and tensor.data_ptr() % memory.ALIGNMENT == 0
