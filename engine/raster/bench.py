@@ -20,12 +20,7 @@ from .workload import CHANNELS, Workload, room_workload
 CASES = ((10_000, 640, 480), (50_000, 640, 480), (200_000, 640, 480), (5_000, 160, 120))
 STAGES = {
     "project": "projection",
-    "list_alone": "tiles",
-    "list_visible": "tiles",
-    "count_digits": "tiles",
-    "deal_digits": "tiles",
-    "count_tiles": "tiles",
-    "deal_tiles": "tiles",
+    "run_steps": "tiles",
     "blend_tiles": "blend",
     "unblend_tiles": "unblend",
     "gather": "gather",

@@ -58,16 +58,16 @@ def _vector() -> Kernels:
     import numpy as np
 
     from ..machine.peak import multiply_add
-    from . import vector_backward, vector_forward, vector_gather
+    from .vector import backward, forward, gather, tile
 
     multiply_add(1, np.zeros(16, np.float32))
     return Kernels(
         "vector",
-        vector_forward.blend_tiles,
-        vector_backward.unblend_tiles,
-        vector_gather.gather_labels,
-        vector_forward.scratch_size,
-        vector_backward.scratch_size,
+        forward.blend_tiles,
+        backward.unblend_tiles,
+        gather.gather_labels,
+        forward.scratch_size,
+        tile.scratch_size,
     )
 
 

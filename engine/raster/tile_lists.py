@@ -11,22 +11,11 @@ from numpy.typing import NDArray
 from ..machine import memory
 from ..machine.crew import share
 from .records import TILE
-from .tiles import (
-    DIGIT_BITS,
-    DIGIT_PASSES,
-    DIGITS,
-    count_digits,
-    count_tiles,
-    deal_digits,
-    deal_tiles,
-    list_alone,
-    list_visible,
-    running_starts,
-)
+from .tiles import DIGITS, STEPS, UNSHARED, run_steps
 
 WORTH_SHARING = 20_000
-"""Fewer pairs of Gaussian and tile than this are listed by one worker in one call: nine calls of all workers, with
-Python between them, take longer."""
+"""Fewer pairs of Gaussian and tile than this are listed by one worker in one call: a call for every step, with Python
+between them, takes longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,62 +55,39 @@ def list_tiles(
     shown, touched = (int(total) for total in projected.counts.sum(0))
     columns, rows = -(-width // TILE), -(-height // TILE)
     listing = workers if touched >= WORTH_SHARING else 1
+    before = np.cumsum(projected.counts, 0) - projected.counts
+    places, slot_starts = np.ascontiguousarray(before.T)
     slots = memory.empty(len(projected.boxes) + 1, np.int64)
     keys, spare_keys = memory.empty((2, shown), np.uint32)
     ids, spare_ids = memory.empty((2, shown), np.int32)
     starts = memory.empty(columns * rows + 1, np.int64)
-    histograms = memory.empty((listing, columns * rows), np.int64)
     tile_ids, tile_slots = memory.empty((2, touched), np.int32)
-    seen = (projected.boxes, projected.records, projected.records.view(np.uint32))
-    sorting = (keys, ids, spare_keys, spare_ids)
-    dealing = (columns, histograms, starts, tile_ids, tile_slots)
-    digits = (memory.empty((listing, DIGITS), np.int64), memory.empty(DIGITS + 1, np.int64))
+    longest = np.zeros(1, np.int64)
+    arguments = (
+        projected.boxes,
+        projected.records,
+        projected.records.view(np.uint32),
+        places,
+        slot_starts,
+        slots,
+        centres,
+        visible,
+        keys,
+        ids,
+        spare_keys,
+        spare_ids,
+        memory.empty((listing, DIGITS), np.int64),
+        memory.empty(DIGITS + 1, np.int64),
+        columns,
+        memory.empty((listing, columns * rows), np.int64),
+        starts,
+        tile_ids,
+        tile_slots,
+        longest,
+    )
     if listing == 1:
-        zeros, found = np.zeros((2, 1), np.int64)
-        share(1, list_alone, *seen, zeros, found, slots, centres, visible, *sorting, *digits, *dealing)
-        longest = int(found[0])
+        share(1, run_steps, 0, STEPS, *arguments)
     else:
-        before = np.cumsum(projected.counts, 0) - projected.counts
-        places, slot_starts = np.ascontiguousarray(before.T)
-        share(workers, list_visible, *seen, places, slot_starts, keys, ids, slots, centres, visible)
-        order = _sort_by_depth(workers, *sorting, *digits)
-        longest = _deal(workers, order, projected.boxes, slots, *dealing)
-    return PairLists(slots, starts, tile_ids, tile_slots, longest)
-
-
-def _sort_by_depth(
-    workers: int,
-    keys: NDArray[Any],
-    ids: NDArray[Any],
-    spare_keys: NDArray[Any],
-    spare_ids: NDArray[Any],
-    histograms: NDArray[Any],
-    starts: NDArray[Any],
-) -> NDArray[Any]:
-    """The visible Gaussians int32 [V], front to back."""
-    for digit_pass in range(DIGIT_PASSES):
-        shift = np.uint32(DIGIT_BITS * digit_pass)
-        share(workers, count_digits, keys, shift, histograms)
-        running_starts(histograms, starts)
-        share(workers, deal_digits, keys, ids, shift, histograms, spare_keys, spare_ids)
-        keys, spare_keys = spare_keys, keys
-        ids, spare_ids = spare_ids, ids
-    return ids
-
-
-def _deal(
-    workers: int,
-    order: NDArray[Any],
-    boxes: NDArray[Any],
-    slots: NDArray[Any],
-    columns: int,
-    histograms: NDArray[Any],
-    starts: NDArray[Any],
-    tile_ids: NDArray[Any],
-    tile_slots: NDArray[Any],
-) -> int:
-    """Fills ``starts``, ``tile_ids`` and ``tile_slots``; the length of the longest list."""
-    share(workers, count_tiles, order, boxes, columns, histograms)
-    longest: int = running_starts(histograms, starts)
-    share(workers, deal_tiles, order, boxes, slots, columns, histograms, tile_ids, tile_slots)
-    return longest
+        for step in range(STEPS):
+            share(1 if step in UNSHARED else workers, run_steps, step, step + 1, *arguments)
+    return PairLists(slots, starts, tile_ids, tile_slots, int(longest[0]))

@@ -1,23 +1,31 @@
 """Which Gaussians each tile draws, front to back.
 
 Visible Gaussians are sorted by depth (least significant digit first, stable, so ties keep the order of their
-indices), then dealt out to their tiles in that order. Every kernel here but ``list_alone`` does one worker's share, a
-range; the result does not depend on how many workers there are. ``tile_lists`` calls them.
+indices), then dealt out to their tiles in that order. This takes thirteen steps, of which each needs all of the one
+before. A worker does its share of a step, a range; the result does not depend on how many workers there are.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..machine.compiled import Array, compiled
+from ..machine.compiled import Array, compiled, part
 from .records import DEPTH
 
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
 DIGIT_PASSES = 3
 
+# steps: of each digit there are three
+LIST_VISIBLE = 0
+COUNT_DIGITS, START_DIGITS, DEAL_DIGITS = 1, 2, 3
+COUNT_TILES = 1 + 3 * DIGIT_PASSES
+START_TILES, DEAL_TILES, STEPS = COUNT_TILES + 1, COUNT_TILES + 2, COUNT_TILES + 3
+UNSHARED = (*range(START_DIGITS, COUNT_TILES, 3), START_TILES)
+"""The steps that are done by one worker, whatever the number of those that share the others."""
 
-@compiled
+
+@part
 def list_visible(
     worker: int,
     workers: int,
@@ -59,7 +67,7 @@ def list_visible(
         slots[count] = slot
 
 
-@compiled
+@part
 def count_digits(worker: int, workers: int, keys: Array, shift: np.uint32, histograms: Array) -> None:
     count = keys.shape[0]
     for digit in range(DIGITS):
@@ -68,7 +76,7 @@ def count_digits(worker: int, workers: int, keys: Array, shift: np.uint32, histo
         histograms[worker, (keys[i] >> shift) & np.uint32(DIGITS - 1)] += 1
 
 
-@compiled
+@part
 def running_starts(histograms: Array, starts: Array) -> int:
     """Counts [workers, bins] become the places where each worker's share of each bin begins; starts [bins +
     1] the bins'. Returns the largest bin's count."""
@@ -85,7 +93,7 @@ def running_starts(histograms: Array, starts: Array) -> int:
     return largest
 
 
-@compiled
+@part
 def deal_digits(
     worker: int,
     workers: int,
@@ -105,7 +113,7 @@ def deal_digits(
         ids_out[place] = ids[i]
 
 
-@compiled
+@part
 def count_tiles(
     worker: int, workers: int, order: Array, boxes: Array, columns: int, histograms: Array
 ) -> None:
@@ -119,7 +127,7 @@ def count_tiles(
                 histograms[worker, row * columns + column] += 1
 
 
-@compiled
+@part
 def deal_tiles(
     worker: int,
     workers: int,
@@ -148,14 +156,16 @@ def deal_tiles(
 
 
 @compiled
-def list_alone(
+def run_steps(
     worker: int,
     workers: int,
+    first: int,
+    end: int,
     boxes: Array,
     records: Array,
     bits: Array,
-    zeros: Array,
-    longest: Array,
+    places: Array,
+    slot_starts: Array,
     slots: Array,
     centres: Array,
     visible: Array,
@@ -170,20 +180,34 @@ def list_alone(
     starts: Array,
     tile_ids: Array,
     tile_slots: Array,
+    longest: Array,
 ) -> None:
-    """All of the above, by the only worker; ``longest`` int64 [1] gets the length of the longest list.
+    """A worker's share of the steps from ``first`` to before ``end``: of one, or of all where it works alone.
 
-    ``zeros`` int64 [1]; ``digits`` int64 [1, DIGITS], ``digit_starts`` int64 [DIGITS + 1] and ``histograms`` int64
-    [1, tiles] are room to work in.
+    ``digits`` int64 [workers, DIGITS], ``digit_starts`` int64 [DIGITS + 1] and ``histograms`` int64 [workers, tiles]
+    are room to work in; ``longest`` int64 [1] gets the length of the longest list.
     """
-    list_visible(worker, workers, boxes, records, bits, zeros, zeros, keys, ids, slots, centres, visible)
-    for digit_pass in range(DIGIT_PASSES):
-        shift = np.uint32(DIGIT_BITS * digit_pass)
-        count_digits(worker, workers, keys, shift, digits)
-        running_starts(digits, digit_starts)
-        deal_digits(worker, workers, keys, ids, shift, digits, spare_keys, spare_ids)
-        keys, spare_keys = spare_keys, keys
-        ids, spare_ids = spare_ids, ids
-    count_tiles(worker, workers, ids, boxes, columns, histograms)
-    longest[0] = running_starts(histograms, starts)
-    deal_tiles(worker, workers, ids, boxes, slots, columns, histograms, tile_ids, tile_slots)
+    for step in range(first, end):
+        if step == LIST_VISIBLE:
+            list_visible(worker, workers, boxes, records, bits, places, slot_starts, keys, ids, slots, centres, visible)
+        elif step < COUNT_TILES:
+            digit_pass, part_of_pass = (step - COUNT_DIGITS) // 3, (step - COUNT_DIGITS) % 3 + COUNT_DIGITS
+            shift = np.uint32(DIGIT_BITS * digit_pass)
+            back = digit_pass % 2 == 1
+            own_keys, own_ids = (spare_keys, spare_ids) if back else (keys, ids)
+            if part_of_pass == COUNT_DIGITS:
+                count_digits(worker, workers, own_keys, shift, digits)
+            elif part_of_pass == START_DIGITS:
+                running_starts(digits, digit_starts)
+            else:
+                keys_out, ids_out = (keys, ids) if back else (spare_keys, spare_ids)
+                deal_digits(worker, workers, own_keys, own_ids, shift, digits, keys_out, ids_out)
+        elif step == COUNT_TILES:
+            count_tiles(worker, workers, spare_ids, boxes, columns, histograms)
+        elif step == START_TILES:
+            longest[0] = running_starts(histograms, starts)
+        else:
+            deal_tiles(worker, workers, spare_ids, boxes, slots, columns, histograms, tile_ids, tile_slots)
+
+
+assert DIGIT_PASSES % 2 == 1, "the order ends where the spare ones were"

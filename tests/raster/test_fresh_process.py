@@ -46,10 +46,10 @@ LESSER_MACHINE = """
 import sys
 import pytest
 from engine.machine import vectors
-from engine.raster import vector_backward, vector_forward
+from engine.raster.vector import backward, forward
 assert not vectors.WIDE
 failed = pytest.main(["-q", "-p", "no:cacheprovider", "tests/raster/test_rasterize.py", "-k", "matches or same_bits"])
-kernels = (vector_forward.blend_tiles, vector_backward.unblend_tiles)
+kernels = (forward.blend_tiles, backward.unblend_tiles)
 code = "".join(text for kernel in kernels for text in kernel.inspect_asm().values())
 assert "%ymm" in code and "%zmm" not in code
 sys.exit(failed)
@@ -64,10 +64,11 @@ handler = logging.Handler()
 handler.emit = lambda record: lines.append(record.getMessage())
 logging.getLogger("plgs.raster").addHandler(handler)
 logging.getLogger("plgs.raster").setLevel(logging.INFO)
-from engine.raster import rasterize, vector_backward
+from engine.raster import rasterize
+from engine.raster.vector import backward
 one = [torch.ones(shape) for shape in ((1, 3), (1, 3), (1, 4), (1,), (1, 3))]
 rasterize(*one, None, np.eye(4), np.eye(3), 8, 8)
-assert not vector_backward.unblend_tiles.signatures
+assert not backward.unblend_tiles.signatures
 print(json.dumps(lines))
 """
 

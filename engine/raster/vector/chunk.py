@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.compiled import Array, inlined, part
-from ..machine.vector_shuffles import zipped
-from ..machine.vectors import bits_of, fetch, fma, get, load, maximum, put, spread, store
-from .records import (
+from ...machine.compiled import Array, inlined, part
+from ...machine.vector_shuffles import zipped
+from ...machine.vectors import bits_of, fetch, fma, get, load, maximum, put, spread, store
+from ..records import (
     BLUE,
     CENTRE_X,
     CENTRE_X_LOW,

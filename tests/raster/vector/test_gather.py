@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.raster import gather, vector_gather
+from engine.raster import gather as plain_gather
 from engine.raster.records import TILE
+from engine.raster.vector import gather
 
 GUARD = 64
 UNTOUCHED = np.float32(12345.0)
@@ -20,10 +21,10 @@ def test_a_worker_writes_its_own_share_and_nothing_else(channels: int) -> None:
     touched = (random.random(slots[-1]) < 0.7).astype(np.uint8)
     slot_labels = random.normal(size=slots[-1] * (-(-channels // TILE) * TILE)).astype(np.float32)
     expected = np.empty(count * channels, np.float32)
-    gather.gather_labels(0, 1, slots, touched, slot_labels, channels, expected)
+    plain_gather.gather_labels(0, 1, slots, touched, slot_labels, channels, expected)
     for worker in range(workers):
         got = np.full(count * channels + GUARD, UNTOUCHED)
-        vector_gather.gather_labels(worker, workers, slots, touched, slot_labels, channels, got)
+        gather.gather_labels(worker, workers, slots, touched, slot_labels, channels, got)
         first, end = (channels * (count * w // workers) for w in (worker, worker + 1))
         np.testing.assert_array_equal(got[first:end], expected[first:end])
         assert (got[:first] == UNTOUCHED).all() and (got[end:] == UNTOUCHED).all()

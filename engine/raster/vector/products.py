@@ -9,8 +9,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from ..machine.vectors import FLOAT, INT, WIDE, WIDTH, call, element, intrinsic
-from .records import PATCH_HEIGHT
+from ...machine.vectors import FLOAT, INT, WIDE, WIDTH, call, element, intrinsic
+from ..records import PATCH_HEIGHT
 
 INDEX = ir.IntType(64)
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.compiled import Array, compiled, inlined, part
-from ..machine.vector_functions import exp2_of_four, reciprocal
-from ..machine.vector_shuffles import largest, planes_of, totals, zipped
-from ..machine.vectors import (
+from ...machine.compiled import Array, compiled, inlined, part
+from ...machine.vector_functions import exp2_of_four, reciprocal
+from ...machine.vector_shuffles import totals
+from ...machine.vectors import (
     bits_of,
     choose,
     everywhere,
@@ -24,7 +24,6 @@ from ..machine.vectors import (
     lane_numbers,
     less_product,
     load,
-    load_some,
     lowest_bit,
     minimum,
     pairs,
@@ -34,17 +33,7 @@ from ..machine.vectors import (
     store_past_cache,
     take_next,
 )
-from .products import (
-    BLOCK,
-    ROWS,
-    unblend_1,
-    unblend_2,
-    unblend_3,
-    unblend_four_1,
-    unblend_four_2,
-    unblend_four_3,
-)
-from .records import (
+from ..records import (
     BLUE,
     CHUNK,
     DEPTH,
@@ -54,135 +43,41 @@ from .records import (
     L12,
     L22,
     LOG_OPACITY,
-    PATCH_HEIGHT,
-    PATCH_WIDTH,
     REACH_OVER_LOG_OPACITY,
     RECORD,
     RED,
     TILE,
 )
-from .vector_chunk import AHEAD, NOBODY, PATCHES, halves_touched, origin_of, padded_channels
-from .vector_forward import ALPHA_CAP, ALPHA_LEAST, LINES_AT_ONCE, ONE, ZERO, F, copy_labels, take_four
+from .chunk import AHEAD, halves_touched, origin_of, padded_channels
+from .forward import ALPHA_CAP, ALPHA_LEAST, take_four
+from .label_gradients import add_label_gradients, write_label_gradients
+from .labels import LINES_AT_ONCE
+from .strip import ONE, ZERO, F
+from .tile import (
+    BEHIND,
+    CHUNK_LABELS,
+    COLUMNS,
+    D_PLANES,
+    EXPONENTS,
+    LAST,
+    LAST_OF_PATCH,
+    NO_PATCH,
+    OVERS,
+    PATCH_STRIDE,
+    RAW_ALPHAS,
+    S1_LEFT,
+    S2,
+    S2_SQUARED,
+    THROUGH,
+    WEIGHTS,
+    WHITENED,
+    load_tile,
+    start_worker,
+)
 
-# a worker's scratch, in floats
-S1_LEFT, S2, S2_SQUARED, EXPONENTS = 0, 2 * TILE, 4 * TILE, 6 * TILE  # of each row, for one Gaussian
-WHITENED = 8 * TILE  # floats of the above: there is one for the Gaussian at hand, and one for the next
-LAST_OF_PATCH = 2 * WHITENED
-COLUMNS = LAST_OF_PATCH + TILE  # of a left patch's pixels, of a right one's
-RAW_ALPHAS = COLUMNS + 2 * TILE  # [patch or no patch, pixel], before the cap, 0 where the Gaussian was not blended
-OVERS = RAW_ALPHAS + (PATCHES + 1) * TILE  # 1 / (1 - alpha) of each
-PATCH_STATE = OVERS + (PATCHES + 1) * TILE  # [patch or no patch, field, pixel]; a patch's fields lie together
-PATCH_STRIDE = 8 * TILE
-THROUGH = PATCH_STATE
-LAST = THROUGH + TILE
-BEHIND = LAST + TILE
-D_PLANES = BEHIND + TILE  # gradients of red, green, blue, depth
-WEIGHTS = PATCH_STATE + (PATCHES + 1) * PATCH_STRIDE  # [patch, member, pixel]
-CHUNK_LABELS = (
-    WEIGHTS + PATCHES * CHUNK * TILE
-)  # [member or nobody, padded], then a patch's gradients [row, pixel, padded]
 EVEN = 0x5555
 """The even bits of a word of patches: those on the left of their strips, whose numbers are also those of their first
 rows."""
-NO_PATCH = PATCHES
-"""Takes a patch's place where there are not four; nothing was ever blended on it."""
-
-
-def scratch_size(channels: int) -> int:
-    """Floats of scratch that a worker needs."""
-    floats: int = CHUNK_LABELS + (CHUNK + 1 + TILE) * padded_channels(channels)
-    return floats
-
-
-@part
-def start_worker(scratch: Array, counts: Array) -> None:
-    """Make NO_PATCH, and lists of no members."""
-    for at in range(PATCH_STATE):
-        put(scratch, at, ZERO)
-    left, right = zipped(lane_numbers(), lane_numbers())
-    store(scratch, COLUMNS, left)
-    store(scratch, COLUMNS + TILE, right)
-    for at in range(PATCH_STATE + NO_PATCH * PATCH_STRIDE, PATCH_STATE + (NO_PATCH + 1) * PATCH_STRIDE):
-        put(scratch, at, ZERO)
-    store(scratch, LAST + NO_PATCH * PATCH_STRIDE, spread(-ONE))
-    store(scratch, THROUGH + NO_PATCH * PATCH_STRIDE, spread(ONE))
-    for patch in range(PATCHES):
-        put(counts, patch, 0)
-
-
-@inlined
-def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
-    """Two rows of a tile, as a field of the two patches that they are."""
-    left, right = zipped(upper, lower)
-    store(scratch, at, left)
-    store(scratch, at + PATCH_STRIDE, right)
-
-
-@part
-def load_tile(
-    left: int,
-    top: int,
-    width: int,
-    height: int,
-    rest: Array,
-    last_in: Array,
-    d_image: Array,
-    d_alpha: Array,
-    d_depth: Array,
-    scratch: Array,
-) -> Any:
-    """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the
-    tile."""
-    far = -1
-    columns = min(TILE, width - left)
-    for patch in range(0, PATCHES, 2):
-        row = top + patch
-        at = patch * PATCH_STRIDE
-        pixel, below = row * width + left, (row + 1) * width + left
-        # outside there are no columns
-        upper_columns, lower_columns = columns if row < height else 0, columns if row + 1 < height else 0
-        upper, lower = lane_numbers() < spread(F(upper_columns)), lane_numbers() < spread(F(lower_columns))
-        store_strip(
-            choose(upper, load_some(rest, pixel, upper), spread(ONE)),
-            choose(lower, load_some(rest, below, lower), spread(ONE)),
-            THROUGH + at,
-            scratch,
-        )
-        store_strip(
-            spread(ZERO) - load_some(d_alpha, pixel, upper),
-            spread(ZERO) - load_some(d_alpha, below, lower),
-            BEHIND + at,
-            scratch,
-        )
-        store_strip(
-            choose(upper, load_some(last_in, pixel, upper), spread(-ONE)),
-            choose(lower, load_some(last_in, below, lower), spread(-ONE)),
-            LAST + at,
-            scratch,
-        )
-        upper_red, upper_green, upper_blue = colours_of(3 * pixel, 3 * upper_columns, d_image)
-        lower_red, lower_green, lower_blue = colours_of(3 * below, 3 * lower_columns, d_image)
-        store_strip(upper_red, lower_red, D_PLANES + at, scratch)
-        store_strip(upper_green, lower_green, D_PLANES + TILE + at, scratch)
-        store_strip(upper_blue, lower_blue, D_PLANES + 2 * TILE + at, scratch)
-        store_strip(
-            load_some(d_depth, pixel, upper), load_some(d_depth, below, lower), D_PLANES + 3 * TILE + at, scratch
-        )
-        for each in (patch, patch + 1):
-            own = largest(load(scratch, LAST + each * PATCH_STRIDE))
-            put(scratch, LAST_OF_PATCH + each, own)
-            far = max(far, int(own))
-    return far
-
-
-@inlined
-def colours_of(source: int, floats: int, d_image: Array) -> Any:
-    """d_image[source : source + floats], pixel after pixel, as planes."""
-    return planes_of(
-        load_some(d_image, source, lane_numbers() < spread(F(floats))),
-        load_some(d_image, source + TILE, lane_numbers() < spread(F(floats - TILE))),
-        load_some(d_image, source + 2 * TILE, lane_numbers() < spread(F(floats - 2 * TILE))),
-    )
 
 
 @part
@@ -314,90 +209,6 @@ def unblend_gaussian(
     store_past_cache(gradients, slot * GRADIENT_WIDTH, totals(sums))
 
 
-@part
-def add_patch_gradients(
-    patch: int,
-    count: int,
-    source: Array,
-    upper: int,
-    lower: int,
-    stride: int,
-    scratch: Array,
-    members: Array,
-    padded: int,
-) -> None:
-    """The chunk's label gradients += the weights of a patch, of so many members, times the label gradients of its
-    pixels: those of its two rows lie at source[upper:] and source[lower:], ``stride`` floats apart."""
-    listed = patch * CHUNK
-    while count % 4 != 0:
-        put(members, listed + count, np.int32(NOBODY))
-        store(scratch, WEIGHTS + (listed + count) * TILE, spread(ZERO))
-        count += 1
-    k = 0
-    while k + ROWS <= count:
-        m, w = listed + k, WEIGHTS + (listed + k) * TILE
-        out, c = CHUNK_LABELS, 0
-        while c + 3 * BLOCK <= padded:
-            unblend_3(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-            c += 3 * BLOCK
-        if c + 2 * BLOCK <= padded:
-            unblend_2(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-        elif c + BLOCK <= padded:
-            unblend_1(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-        k += ROWS
-    if k < count:
-        m, w = listed + k, WEIGHTS + (listed + k) * TILE
-        out, c = CHUNK_LABELS, 0
-        while c + 3 * BLOCK <= padded:
-            unblend_four_3(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-            c += 3 * BLOCK
-        if c + 2 * BLOCK <= padded:
-            unblend_four_2(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-        elif c + BLOCK <= padded:
-            unblend_four_1(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-
-
-@part
-def add_label_gradients(
-    left: int,
-    top: int,
-    width: int,
-    height: int,
-    d_labels: Array,
-    channels: int,
-    scratch: Array,
-    counts: Array,
-    members: Array,
-    padded: int,
-) -> None:
-    """The chunk's label gradients, patch after patch. They are read where they lie, beyond a pixel's own channels too
-    (no one looks at what becomes of that); only where that would leave the row or the image are they copied first."""
-    for patch in range(PATCHES):
-        count = get(counts, patch)
-        if count == 0:
-            continue
-        put(counts, patch, 0)
-        row, column = top + (patch & -2), left + (patch & 1) * PATCH_WIDTH
-        upper = row * width + column
-        lower = upper + width
-        is_inside = column + PATCH_WIDTH <= width and row + PATCH_HEIGHT <= height
-        if is_inside and (lower + PATCH_WIDTH) * channels + TILE <= d_labels.shape[0]:
-            upper, lower = upper * channels, lower * channels
-            add_patch_gradients(patch, count, d_labels, upper, lower, channels, scratch, members, padded)
-        else:
-            copy = CHUNK_LABELS + (CHUNK + 1) * padded
-            for y in range(PATCH_HEIGHT):
-                for x in range(PATCH_WIDTH):
-                    at = copy + (y * PATCH_WIDTH + x) * padded
-                    if row + y < height and column + x < width:
-                        copy_labels((row + y) * width + column + x, d_labels, channels, scratch, at)
-                    else:
-                        for c in range(0, padded, TILE):
-                            store(scratch, at + c, spread(ZERO))
-            lower = copy + PATCH_WIDTH * padded
-            add_patch_gradients(patch, count, scratch, copy, lower, padded, scratch, members, padded)
-
-
 @compiled
 def unblend_tiles(
     worker: int,
@@ -484,9 +295,5 @@ def unblend_tiles(
                 own = WHITENED - own
             if channels > 0:
                 add_label_gradients(left, top, width, height, d_labels, channels, scratch, counts, members, padded)
-                for place in range(chunk, min(chunk + CHUNK, far + 1)):
-                    slot = int(tile_slots[first + place])
-                    if touched[slot] != 0:
-                        source = CHUNK_LABELS + (place - chunk) * padded
-                        for c in range(0, padded, TILE):
-                            store_past_cache(slot_labels, slot * padded + c, load(scratch, source + c))
+                count = min(CHUNK, far + 1 - chunk)
+                write_label_gradients(chunk, count, first, tile_slots, touched, scratch, slot_labels, padded)

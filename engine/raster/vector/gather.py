@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..machine.compiled import Array, compiled
-from ..machine.vectors import get, lane_numbers, load, spread, store, store_some
-from .records import TILE
-from .vector_chunk import padded_channels
+from ...machine.compiled import Array, compiled
+from ...machine.vectors import get, lane_numbers, load, spread, store, store_some
+from ..records import TILE
+from .chunk import padded_channels
 
 F = np.float32
 ZERO = F(0.0)
