@@ -26,12 +26,10 @@ _TORCH_BUILDS = [
 class Asking:
     """An operator that begins something which ends with the engine's answer."""
 
+    begin: Callable[[], None]
+    """Each such operator's own; raises what `reporting` reports."""
     report: Callable[[set[str], str], None]
     sets_up = False
-
-    def begin(self) -> None:
-        """Begin; raises what `reporting` reports."""
-        raise NotImplementedError
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -36,16 +36,14 @@ class OnLiftFolder:
 
 
 class Following:
-    """An operator that begins or joins a lift (`begin`) and ends with it."""
+    """An operator that begins or joins a lift and ends with it."""
 
+    begin: Callable[[bpy.types.Context], Watch]
+    """Each such operator's own: start or join; raises what `reporting` reports."""
     bl_label: str
     report: Callable[[set[str], str], None]
     _folder: Path
     _timer: bpy.types.Timer | None = None
-
-    def begin(self, context: bpy.types.Context) -> Watch:
-        """Start or join; raises what `reporting` reports."""
-        raise NotImplementedError
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
