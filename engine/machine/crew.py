@@ -19,6 +19,10 @@ import torch
 
 from .bell import LOOKS, listen, new_bell
 
+Kernel = Callable[..., None]
+Calls = tuple[tuple[Kernel, tuple[Any, ...]], ...]
+"""Kernels and their arguments, but for the first two."""
+
 
 class _Helper:
     """A thread and its inbox. ``called`` rings when something was put there, ``finished`` when a kernel is done."""
@@ -36,14 +40,14 @@ class _Helper:
         heard = 0
         while True:
             listen(self.called, heard, LOOKS)
-            kernel, worker, workers, arguments, done = self.inbox.get()
+            worker, workers, calls, done = self.inbox.get()
             heard += 1
             mistake: BaseException | None = None
             try:
-                kernel(worker, workers, *arguments)
+                _run(worker, workers, calls)
             except BaseException as error:  # handed to the caller, who raises it
                 mistake = error
-            del kernel, arguments
+            del calls
             done.put(mistake)
             self.finished[0] += 1
 
@@ -59,22 +63,28 @@ def worker_count() -> int:
     return max(1, torch.get_num_threads())
 
 
-def share(workers: int, kernel: Callable[..., None], *arguments: Any) -> None:
+def share(workers: int, kernel: Kernel, *arguments: Any) -> None:
     """Call ``kernel(worker, workers, *arguments)`` for every worker, on a thread each, and wait for all of
     them.
 
     The first call of a kernel runs here alone, worker after worker: it compiles. Raises what a worker raised.
     """
+    share_all(workers, (kernel, arguments))
+
+
+def share_all(workers: int, *calls: tuple[Kernel, tuple[Any, ...]]) -> None:
+    """As ``share`` of each of these kernels with its arguments, but nobody waits for the others in between."""
     start = time.perf_counter()
-    _share(workers, kernel, arguments)
+    _share(workers, calls)
     if _stopwatch is not None:
-        name = kernel.__name__
+        name = " and ".join(kernel.__name__ for kernel, _ in calls)
         _stopwatch[name] = _stopwatch.get(name, 0.0) + time.perf_counter() - start
 
 
 @contextmanager
 def timed() -> Iterator[dict[str, float]]:
-    """Within, the wall seconds of every kernel add up under its name."""
+    """Within, the wall seconds of every kernel add up under its name; of several called at once, under all of
+    them."""
     global _stopwatch
     _stopwatch = {}
     try:
@@ -83,20 +93,25 @@ def timed() -> Iterator[dict[str, float]]:
         _stopwatch = None
 
 
-def _share(workers: int, kernel: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    if workers == 1 or not getattr(kernel, "overloads", None):
+def _run(worker: int, workers: int, calls: Calls) -> None:
+    for kernel, arguments in calls:
+        kernel(worker, workers, *arguments)
+
+
+def _share(workers: int, calls: Calls) -> None:
+    if workers == 1 or not all(getattr(kernel, "overloads", None) for kernel, _ in calls):
         for worker in range(workers):
-            kernel(worker, workers, *arguments)
+            _run(worker, workers, calls)
         return
     _grow(workers - 1)
     helpers = _helpers[: workers - 1]
     heard = [int(helper.finished[0]) for helper in helpers]
     done: SimpleQueue[BaseException | None] = SimpleQueue()
     for worker, helper in enumerate(helpers, start=1):
-        helper.start((kernel, worker, workers, arguments, done))
+        helper.start((worker, workers, calls, done))
     mistakes: list[BaseException | None] = []
     try:
-        kernel(0, workers, *arguments)
+        _run(0, workers, calls)
     finally:
         # the arrays must not go while others write to them
         for helper, rings in zip(helpers, heard, strict=True):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from torch import Tensor
 
 from ..machine import memory
-from ..machine.crew import share, worker_count
+from ..machine.crew import share, share_all, worker_count
 from .forward_pass import Array, Blended, scratch
 from .gather import gather
 from .records import GRADIENT_WIDTH, TILE
@@ -62,19 +63,25 @@ def unblend(
     workers, channels, lists = worker_count(), d_layers.labels.shape[2], blended.lists
     slots = _unblend_tiles(workers, blended, d_layers)
     gradients = GaussianGradients.empty(len(blended.records), channels)
+    calls = [(gather, _gather_arguments(workers, blended, slots, (means, scales, quats), gradients))]
     if channels > 0:
-        gather_labels, own_labels = blended.kernels.gather_labels, gradients.labels.numpy().reshape(-1)
-        share(workers, gather_labels, lists.slots, slots.touched, slots.labels, channels, own_labels)
-    share(
-        workers,
-        gather,
-        lists.slots,
+        own_labels = gradients.labels.numpy().reshape(-1)
+        own = (lists.slots, slots.touched, slots.labels, channels, own_labels)
+        calls.append((blended.kernels.gather_labels, own))
+    share_all(workers, *calls)
+    return gradients
+
+
+def _gather_arguments(
+    workers: int, blended: Blended, slots: SlotGradients, scene: tuple[Array, ...], gradients: GaussianGradients
+) -> tuple[Any, ...]:
+    """All but the first two of ``gather``; ``scene`` is means, scales and quats."""
+    return (
+        blended.lists.slots,
         slots.touched,
         slots.values,
         blended.records,
-        means,
-        scales,
-        quats,
+        *scene,
         blended.camera,
         memory.empty((workers, TILE), np.float64),
         gradients.means.numpy(),
@@ -84,7 +91,6 @@ def unblend(
         gradients.colours.numpy(),
         gradients.centres.numpy(),
     )
-    return gradients
 
 
 def _unblend_tiles(workers: int, blended: Blended, d_layers: LayerGradients) -> SlotGradients:
@@ -96,6 +102,7 @@ def _unblend_tiles(workers: int, blended: Blended, d_layers: LayerGradients) -> 
         memory.empty(pairs * GRADIENT_WIDTH, np.float32),
         memory.empty(pairs * (-(-channels // TILE) * TILE), np.float32),
     )
+    slots.touched.fill(0)
     share(
         workers,
         kernels.unblend,
@@ -106,6 +113,7 @@ def _unblend_tiles(workers: int, blended: Blended, d_layers: LayerGradients) -> 
         blended.records.reshape(-1),
         blended.rest,
         blended.last,
+        blended.words,
         d_layers.image.reshape(-1),
         d_layers.labels.reshape(-1),
         channels,

@@ -24,7 +24,7 @@ STAGES = {
     "blend_tiles": "blend",
     "unblend_tiles": "unblend",
     "gather": "gather",
-    "gather_labels": "gather",
+    "gather and gather_labels": "gather",
 }
 
 

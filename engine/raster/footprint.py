@@ -73,7 +73,6 @@ def alpha_row(
         whole = (exponent + ROUNDING) - ROUNDING
         f = exponent - whole
         raw[x] = E0 + f * (E1 + f * (E2 + f * (E3 + f * (E4 + f * (E5 + f * E6)))))
-        s1[x] = s1[x]
     for x in range(TILE):
         exponent = max(-(s1[x] * s1[x] + s2_squared), LOWEST_EXPONENT)
         whole = (exponent + ROUNDING) - ROUNDING

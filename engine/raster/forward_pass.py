@@ -15,7 +15,7 @@ from ..machine.crew import share, worker_count
 from .conventions import View
 from .kernels import Kernels
 from .projection import project
-from .records import CHUNK, RECORD, TILE
+from .records import CHUNK, RECORD, TILE, word_count
 from .tile_lists import PairLists, Projected, list_tiles
 
 Array = NDArray[Any]
@@ -26,7 +26,8 @@ class Blended:
     """What the forward pass leaves for the backward one.
 
     ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``rest`` and ``last`` float32 [H * W]: each pixel's
-    final transmittance, and the place in its tile's list of the last Gaussian blended.
+    final transmittance, and the place in its tile's list of the last Gaussian blended; ``words`` int64: which Gaussians
+    were blended in each tile (``word_count``).
     """
 
     kernels: Kernels
@@ -35,6 +36,7 @@ class Blended:
     lists: PairLists
     rest: Array
     last: Array
+    words: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,7 @@ def blend(
     lists = list_tiles(workers, Projected(records, boxes, counts), view.width, view.height, centres, visible)
     layers = Layers.empty(view.height, view.width, channels)
     rest, last = memory.empty((2, view.height * view.width), np.float32)
+    words = memory.empty(word_count(len(lists.ids), len(lists.starts) - 1), np.int64)
     blenders = lists.blenders(workers)
     share(
         blenders,
@@ -88,9 +91,10 @@ def blend(
         *layers.flat(),
         rest,
         last,
+        words,
         *scratch(blenders, kernels.blend_scratch(channels, lists.longest), lists.longest),
     )
-    return layers, Blended(kernels, camera, records, lists, rest, last)
+    return layers, Blended(kernels, camera, records, lists, rest, last, words)
 
 
 def camera_array(view: View) -> NDArray[np.float64]:

@@ -33,6 +33,8 @@ from .records import (
 
 LOG2_E = math.log2(math.e)
 LOG_ALPHA_MIN = math.log(ALPHA_MIN)
+ROUNDED_UP = 1.0 + 1e-9
+"""What double precision may have rounded off is far less."""
 
 # layout of the camera array that the kernels take
 CAMERA_ROTATION = 0  # nine, row by row
@@ -125,6 +127,21 @@ def axes_on_image(
 
 
 @part
+def is_out_of_reach(
+    centre: float, size: int, jacobian: tuple[float, float, float], longest: float, reach: float
+) -> bool:
+    """Whether no pixel centre along a side of the image can be reached, whichever way the Gaussian is turned.
+
+    Its variance along that side, metres brought to pixels by a row of the Jacobian, is at most that of a ball with its
+    ``longest`` standard deviation. ``reach`` is ln(opacity / ALPHA_MIN).
+    """
+    beyond = max(0.5 - centre, centre - (size - 0.5))
+    j0, j1, j2 = jacobian
+    variance = longest * longest * (j0 * j0 + j1 * j1 + j2 * j2) + BLUR
+    return beyond > 0.0 and beyond * beyond > ROUNDED_UP * 2.0 * reach * variance
+
+
+@part
 def project_range(
     first: int,
     last: int,
@@ -154,20 +171,25 @@ def project_range(
         if not (z > camera[16] and opacity >= ALPHA_MIN):
             continue
         jacobian = image_jacobian(camera, x, y, z)
+        centre_x = camera[12] * x / z + camera[14]
+        centre_y = camera[13] * y / z + camera[15]
+        sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
+        longest = max(abs(sx), abs(sy), abs(sz))
+        reach = math.log(opacity / ALPHA_MIN)
+        # most that are not visible need no more than this
+        if is_out_of_reach(centre_x, width, jacobian[:3], longest, reach):
+            continue
+        if is_out_of_reach(centre_y, height, jacobian[3:6], longest, reach):
+            continue
         w, qx, qy, qz, _ = unit_quaternion(
             np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
         )
         rotation = rotation_of(w, qx, qy, qz)
-        a0, a1, a2, b0, b1, b2 = axes_on_image(
-            jacobian, rotation, np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-        )
+        a0, a1, a2, b0, b1, b2 = axes_on_image(jacobian, rotation, sx, sy, sz)
         cov_xx = a0 * a0 + a1 * a1 + a2 * a2 + BLUR
         cov_xy = a0 * b0 + a1 * b1 + a2 * b2
         cov_yy = b0 * b0 + b1 * b1 + b2 * b2 + BLUR
         determinant = cov_xx * cov_yy - cov_xy * cov_xy
-        centre_x = camera[12] * x / z + camera[14]
-        centre_y = camera[13] * y / z + camera[15]
-        reach = math.log(opacity / ALPHA_MIN)
         extent_x = math.sqrt(2.0 * reach * cov_xx)
         extent_y = math.sqrt(2.0 * reach * cov_yy)
         low_x = max(math.ceil(centre_x - extent_x - 0.5), 0.0)

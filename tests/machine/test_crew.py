@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from engine.machine.compiled import compiled
-from engine.machine.crew import share, timed
+from engine.machine.crew import share, share_all, timed
 
 
 @compiled
@@ -55,3 +55,13 @@ def test_the_stopwatch_tells_kernels_apart() -> None:
         share(2, write_number, np.zeros(2, np.int64), -1)
     share(2, write_number, np.zeros(2, np.int64), -1)
     assert set(seconds) == {"write_number"} and 0.0 < seconds["write_number"] < 1.0
+
+
+def test_kernels_in_a_row_each_run_for_every_worker() -> None:
+    first, second = np.full(3, -1, np.int64), np.full(3, -1, np.int64)
+    with timed() as seconds:
+        share_all(3, (write_number, (first, -1)), (write_number, (second, -1)))
+    assert first.tolist() == second.tolist() == [30, 31, 32]
+    assert set(seconds) == {"write_number and write_number"}
+    with pytest.raises(ValueError, match="this worker fails"):
+        share_all(3, (write_number, (first, 1)), (write_number, (second, -1)))

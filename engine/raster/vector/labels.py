@@ -51,8 +51,8 @@ def fetch_labels(first: int, count: int, tile_ids: Array, labels: Array, channel
 
 
 @part
-def copy_touching(
-    touching: int,
+def copy_blended(
+    blended: int,
     first: int,
     tile_ids: Array,
     labels: Array,
@@ -62,9 +62,9 @@ def copy_touching(
     copied: Array,
     c: int,
 ) -> None:
-    """The labels of a chunk's members that no patch before has touched, to scratch[at:]."""
-    fresh = touching & ~get(copied, c)
-    put(copied, c, get(copied, c) | touching)
+    """The labels of a chunk's members that were blended, but on no patch before, to scratch[at:]."""
+    fresh = blended & ~get(copied, c)
+    put(copied, c, get(copied, c) | blended)
     while fresh != 0:
         m = lowest_bit(fresh)
         fresh &= fresh - 1
