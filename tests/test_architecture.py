@@ -28,7 +28,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
     "passes": {"scene", "job", "machine", "raster", "model", "train"},
     "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
-    "command_line": {"scene", "job", "machine", "raster", "metrics", "passes", "lift"},  # bench raster
+    "command_line": {"scene", "job", "raster", "metrics", "passes", "lift"},  # bench raster
     "__main__": {"command_line"},
 }
 # Each part of the extension, the same way. `engine` means scene and job only: the rest runs in a process of its own.

@@ -18,7 +18,7 @@ from safetensors.torch import load_file, save_file
 
 from ..job import Cancelled, EventWriter, JobError, LiftFolder, StopSignal, write_manifest
 from ..job.prediction import learn_slowness
-from ..machine.compiled import announce_compilation
+from ..machine.announcing import announce_compilation
 from ..model.structured import StructuredScene
 from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene, size_within
 from ..train.preparation import prepare

@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-log = logging.getLogger("plgs.raster")
+log = logging.getLogger("plgs.machine")
 
 PATIENCE = 2.0
 """A companion that takes so many times as long as this process took for its own half is given up."""

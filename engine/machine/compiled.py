@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 """An array as a kernel takes it; the docstrings tell shape and dtype."""
 
-log = logging.getLogger("plgs.raster")
+log = logging.getLogger("plgs.machine")
 
 
 def _user_cache_folder() -> Path:
@@ -61,7 +61,7 @@ def _version() -> str:
 def choose_cache_folder() -> Path:
     """The first that can be written: the user's setting, the user's cache folder, the temporary folder."""
     setting = os.environ.get("NUMBA_CACHE_DIR")
-    name = f"plgs-raster-{_version()}"
+    name = f"plgs-kernels-{_version()}"
     bases = [Path(setting)] if setting else []
     bases += [_user_cache_folder() / "plgs", Path(tempfile.gettempdir()) / "plgs"]
     for base in bases:
@@ -81,33 +81,6 @@ def machine_target() -> tuple[str, str, str]:
     same, so whatever depends on nothing else about the machine never mixes."""
     target: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
     return target
-
-
-def announce_compilation(what: str, how_long: str) -> Callable[[], None]:
-    """Say so when kernels have yet to be compiled on this machine; call what is returned when they have
-    been."""
-    if is_compiled(what):
-        return lambda: None
-    say_that_it_compiles(what, how_long)
-    return lambda: note_compiled(what)
-
-
-def is_compiled(what: str) -> bool:
-    """Whether ``note_compiled`` was ever called for these kernels on this machine."""
-    return _stamp(what).exists()
-
-
-def say_that_it_compiles(what: str, how_long: str) -> None:
-    log.info("compiling %s for this machine, about %s, once", what, how_long)
-
-
-def note_compiled(what: str) -> None:
-    _stamp(what).touch()
-
-
-def _stamp(what: str) -> Path:
-    target = hashlib.sha256(repr(machine_target()).encode()).hexdigest()[:16]
-    return CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{target}"
 
 
 _KERNEL: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}

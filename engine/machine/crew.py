@@ -132,4 +132,4 @@ def _grow(count: int) -> None:
             _helpers.clear()
             _owner = os.getpid()
         while len(_helpers) < count:
-            _helpers.append(_Helper(f"plgs-raster-{len(_helpers) + 1}"))
+            _helpers.append(_Helper(f"plgs-worker-{len(_helpers) + 1}"))

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from .announcing import is_compiled, note_compiled, say_that_it_compiles
 from .companion import Companion, has_room_for_two
-from .compiled import is_compiled, note_compiled, say_that_it_compiles
 
 
 class WarmUp:
-    """Of one set of kernels in one process. ``compile_forward`` and ``compile_backward`` call every kernel of their
-    pass once; ``apart`` is the module that does the latter in a process of its own."""
+    """Of one set of kernels, which the log calls the ``whole``, in one process. ``compile_forward`` and
+    ``compile_backward`` call every kernel of their pass once; ``apart`` is the module that does the latter in a process
+    of its own."""
 
     def __init__(
-        self, kernels: str, compile_forward: Callable[[], None], compile_backward: Callable[[], None], apart: str
+        self, whole: str, compile_forward: Callable[[], None], compile_backward: Callable[[], None], apart: str
     ) -> None:
-        self._whole = f"the {kernels} rasteriser"
+        self._whole = whole
         self._forward, self._backward = (f"the {way} pass of {self._whole}" for way in ("forward", "backward"))
         self._compile_forward, self._compile_backward, self._apart = compile_forward, compile_backward, apart
         self._has_forward = self._has_backward = False

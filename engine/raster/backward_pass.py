@@ -9,10 +9,11 @@ import numpy as np
 from torch import Tensor
 
 from ..machine import memory
+from ..machine.compiled import Array
 from ..machine.crew import share, share_all, worker_count
-from .forward_pass import Array, Blended, scratch
+from .forward_pass import ForwardState, scratch
 from .gather import gather
-from .records import GRADIENT_WIDTH, TILE
+from .records import GRADIENT_WIDTH, TILE, padded_channels
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,32 +58,32 @@ class SlotGradients:
 
 
 def unblend(
-    blended: Blended, means: Array, scales: Array, quats: Array, d_layers: LayerGradients
+    state: ForwardState, means: Array, scales: Array, quats: Array, d_layers: LayerGradients
 ) -> GaussianGradients:
     """The gradients of all that was blended; means [N, 3], scales [N, 3] and quats [N, 4] as they were then."""
-    workers, channels, lists = worker_count(), d_layers.labels.shape[2], blended.lists
-    slots = _unblend_tiles(workers, blended, d_layers)
-    gradients = GaussianGradients.empty(len(blended.records), channels)
-    calls = [(gather, _gather_arguments(workers, blended, slots, (means, scales, quats), gradients))]
+    workers, channels, lists = worker_count(), d_layers.labels.shape[2], state.lists
+    slots = _unblend_tiles(workers, state, d_layers)
+    gradients = GaussianGradients.empty(len(state.records), channels)
+    calls = [(gather, _gather_arguments(workers, state, slots, (means, scales, quats), gradients))]
     if channels > 0:
         own_labels = gradients.labels.numpy().reshape(-1)
         own = (lists.slots, slots.touched, slots.labels, channels, own_labels)
-        calls.append((blended.kernels.gather_labels, own))
+        calls.append((state.kernels.gather_labels, own))
     share_all(workers, *calls)
     return gradients
 
 
 def _gather_arguments(
-    workers: int, blended: Blended, slots: SlotGradients, scene: tuple[Array, ...], gradients: GaussianGradients
+    workers: int, state: ForwardState, slots: SlotGradients, scene: tuple[Array, ...], gradients: GaussianGradients
 ) -> tuple[Any, ...]:
     """All but the first two of ``gather``; ``scene`` is means, scales and quats."""
     return (
-        blended.lists.slots,
+        state.lists.slots,
         slots.touched,
         slots.values,
-        blended.records,
+        state.records,
         *scene,
-        blended.camera,
+        state.camera,
         memory.empty((workers, TILE), np.float64),
         gradients.means.numpy(),
         gradients.scales.numpy(),
@@ -93,14 +94,14 @@ def _gather_arguments(
     )
 
 
-def _unblend_tiles(workers: int, blended: Blended, d_layers: LayerGradients) -> SlotGradients:
-    kernels, lists = blended.kernels, blended.lists
+def _unblend_tiles(workers: int, state: ForwardState, d_layers: LayerGradients) -> SlotGradients:
+    kernels, lists = state.kernels, state.lists
     height, width, channels = d_layers.labels.shape
     pairs = len(lists.ids)
     slots = SlotGradients(
         memory.empty(pairs, np.uint8),
         memory.empty(pairs * GRADIENT_WIDTH, np.float32),
-        memory.empty(pairs * (-(-channels // TILE) * TILE), np.float32),
+        memory.empty(pairs * padded_channels(channels), np.float32),
     )
     slots.touched.fill(0)
     share(
@@ -110,10 +111,10 @@ def _unblend_tiles(workers: int, blended: Blended, d_layers: LayerGradients) -> 
         lists.starts,
         lists.ids,
         lists.tile_slots,
-        blended.records.reshape(-1),
-        blended.rest,
-        blended.last,
-        blended.words,
+        state.records.reshape(-1),
+        state.rest,
+        state.last,
+        state.words,
         d_layers.image.reshape(-1),
         d_layers.labels.reshape(-1),
         channels,

@@ -20,7 +20,7 @@ from .workload import CHANNELS, Workload, room_workload
 CASES = ((10_000, 640, 480), (50_000, 640, 480), (200_000, 640, 480), (5_000, 160, 120))
 STAGES = {
     "project": "projection",
-    "run_steps": "tiles",
+    "run_tile_steps": "tiles",
     "blend_tiles": "blend",
     "unblend_tiles": "unblend",
     "gather": "gather",

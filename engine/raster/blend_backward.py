@@ -29,6 +29,7 @@ from .records import (
     RECORD,
     RED,
     TILE,
+    padded_channels,
 )
 
 ZERO = F(0.0)
@@ -204,7 +205,7 @@ def unblend_tiles(
     d_alpha = flat_d_alpha.reshape(height, width)
     d_depth = flat_d_depth.reshape(height, width)
     columns = (width + TILE - 1) // TILE
-    padded = (channels + TILE - 1) // TILE * TILE
+    padded = padded_channels(channels)
     s1_left = np.empty(TILE, np.float32)
     s2 = np.empty(TILE, np.float32)
     s1 = np.empty(TILE, np.float32)

@@ -14,7 +14,7 @@ from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE, word_count
 
 
 def compile_backward(kernels: Kernels) -> None:
-    """Call every kernel of the backward pass, with the types of arrays that ``native`` gives it: one pixel, one
+    """Call every kernel of the backward pass, with the types of arrays that ``backward_pass`` gives it: one pixel, one
     channel, and one Gaussian that no tile draws."""
     floats = {size: np.zeros(size, np.float32) for size in (1, 2, 3, 4, TILE, GRADIENT_WIDTH)}
     places, nobody, untouched = np.zeros(2, np.int64), np.zeros(0, np.int32), np.zeros(0, np.uint8)

@@ -71,7 +71,7 @@ def rasterize_gsplat(
     handle.requires_grad_(want_means2d_grad)
     # the value of the centres, the gradient of both
     centres = centres + (handle - handle.detach())
-    lists = list_tiles(first[shown], last[shown], depths.detach()[shown].float(), view)
+    lists = list_by_gsplat(first[shown], last[shown], depths.detach()[shown].float(), view)
     features = torch.cat([colours, torch.ones_like(colours[:, :1]), depths[:, None].to(means.dtype)], -1)
     labelled = colours.new_zeros(len(colours), 0) if labels is None else labels
     splats = Splats(centres[shown], covariances[shown], opacities[shown], features[shown], labelled[shown])
@@ -90,7 +90,7 @@ def rasterize_gsplat(
     )
 
 
-def list_tiles(first: Tensor, last: Tensor, depths: Tensor, view: View) -> TileLists:
+def list_by_gsplat(first: Tensor, last: Tensor, depths: Tensor, view: View) -> TileLists:
     """What touches which tile, front to back, by gsplat's operators.
 
     ``first`` and ``last`` [V, 2]: the (column, row) of the box's corner pixels, within the image; ``depths`` float32

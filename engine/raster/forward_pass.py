@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from ..machine import memory
+from ..machine.compiled import Array
 from ..machine.crew import share, worker_count
 from .conventions import View
 from .kernels import Kernels
-from .projection import project
+from .projection import camera_array, project
 from .records import CHUNK, RECORD, TILE, word_count
 from .tile_lists import PairLists, Projected, list_tiles
 
-Array = NDArray[Any]
+WORDS_OF_LINE = memory.ALIGNMENT // 8
 
 
 @dataclass(frozen=True, eq=False)
-class Blended:
+class ForwardState:
     """What the forward pass leaves for the backward one.
 
     ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``rest`` and ``last`` float32 [H * W]: each pixel's
@@ -64,7 +63,7 @@ def as_array(tensor: Tensor) -> Array:
 
 def blend(
     kernels: Kernels, gaussians: list[Array], labels: Array, view: View, centres: Array, visible: Array
-) -> tuple[Layers, Blended]:
+) -> tuple[Layers, ForwardState]:
     """``gaussians``: means [N, 3], scales [N, 3], quats [N, 4], opacities [N] and colours [N, 3]; labels [N, C]. Fills
     ``centres`` [N, 2] and ``visible`` bool [N]. All other arrays are float32."""
     workers, camera = worker_count(), camera_array(view)
@@ -94,38 +93,29 @@ def blend(
         words,
         *scratch(blenders, kernels.blend_scratch(channels, lists.longest), lists.longest),
     )
-    return layers, Blended(kernels, camera, records, lists, rest, last, words)
-
-
-def camera_array(view: View) -> NDArray[np.float64]:
-    """The camera as the kernels take it, float64 [CAMERA]."""
-    values = [
-        *view.rotation.ravel(),
-        *view.centre,
-        *view.focal,
-        *view.principal,
-        view.near,
-        *view.slope_limits(),
-    ]
-    return np.array(values, dtype=np.float64)
+    return layers, ForwardState(kernels, camera, records, lists, rest, last, words)
 
 
 def scratch(workers: int, floats: int, longest: int) -> tuple[Array, Array, Array]:
-    """What each worker of a pass needs for itself: floats, members of a chunk, and a word a patch, row or chunk."""
+    """What each worker of a pass needs for itself: floats, members of a chunk, and a word a patch, row or chunk.
+
+    Each has whole cache lines: workers that write to one and the same would wait for each other.
+    """
+    words = max(TILE + 1, -(-longest // CHUNK))
     return (
         memory.empty((workers, -(-floats // TILE) * TILE), np.float32),
         memory.empty((workers, (TILE + 1) * CHUNK), np.int32),
-        memory.empty((workers, max(TILE + 1, -(-longest // CHUNK))), np.int64),
+        memory.empty((workers, -(-words // WORDS_OF_LINE) * WORDS_OF_LINE), np.int64),
     )
 
 
-def top_contributors(blended: Blended, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
+def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
     """The largest weights of each pixel: Gaussians int32 and weights float32 [H, W, k]."""
     from .contributors import list_contributors  # compiled only where it is asked for
 
     indices, weights = torch.empty(shape, dtype=torch.int32), torch.empty(shape, dtype=torch.float32)
-    lists = blended.lists
+    lists = state.lists
     share(
-        worker_count(), list_contributors, lists.starts, lists.ids, blended.records, indices.numpy(), weights.numpy()
+        worker_count(), list_contributors, lists.starts, lists.ids, state.records, indices.numpy(), weights.numpy()
     )
     return indices, weights

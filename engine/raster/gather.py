@@ -34,9 +34,9 @@ from .records import (
     L22,
     L22_LOW,
     OPACITY,
-    TILE,
     WHITENING,
     G,
+    padded_channels,
 )
 
 F = np.float32
@@ -231,7 +231,7 @@ def gather_labels(
 ) -> None:
     """A worker's share of the label gradients of all N Gaussians, zeros included: d_labels [N * C]."""
     count = slots.shape[0] - 1
-    padded = (channels + TILE - 1) // TILE * TILE
+    padded = padded_channels(channels)
     for i in range(count * worker // workers, count * (worker + 1) // workers):
         own = d_labels[i * channels : (i + 1) * channels]
         own[:] = F(0.0)

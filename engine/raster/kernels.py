@@ -58,7 +58,7 @@ def _vector() -> Kernels:
     import numpy as np
 
     from ..machine.peak import multiply_add
-    from .vector import backward, forward, gather, tile
+    from .vector import backward, backward_tile, forward, gather
 
     multiply_add(1, np.zeros(16, np.float32))
     return Kernels(
@@ -67,7 +67,7 @@ def _vector() -> Kernels:
         backward.unblend_tiles,
         gather.gather_labels,
         forward.scratch_size,
-        tile.scratch_size,
+        backward_tile.scratch_size,
     )
 
 

@@ -62,7 +62,7 @@ def _warm_up(kernels: Kernels) -> WarmUp:
     """The one warm-up of these kernels in this process."""
     log.info("blending with the %s kernels, %d threads", kernels.name, worker_count())
     apart = compile_backward.__module__
-    return WarmUp(kernels.name, _compile_forward, partial(compile_backward, kernels), apart)
+    return WarmUp(f"the {kernels.name} rasteriser", _compile_forward, partial(compile_backward, kernels), apart)
 
 
 def _compile_forward() -> None:
@@ -90,13 +90,13 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         gaussians = [as_array(tensor) for tensor in (means, scales, quats, opacities, colours)]
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
-        layers, blended = blend(choose_kernels(), gaussians, features, view, as_array(centres), visible.numpy())
+        layers, state = blend(choose_kernels(), gaussians, features, view, as_array(centres), visible.numpy())
         top: tuple[Tensor, ...] = ()
         if top_k:
-            top = top_contributors(blended, (view.height, view.width, top_k))
+            top = top_contributors(state, (view.height, view.width, top_k))
             ctx.mark_non_differentiable(*top)
         ctx.save_for_backward(means, scales, quats)
-        ctx.blended = blended
+        ctx.state = state
         ctx.has_labels = labels is not None
         return layers.image, layers.labels, layers.alpha, layers.depth, *top
 
@@ -104,11 +104,11 @@ class _Blend(torch.autograd.Function):
     def backward(
         ctx: Any, d_image: Tensor, d_labels: Tensor, d_alpha: Tensor, d_depth: Tensor, *_: Tensor
     ) -> tuple[Tensor | None, ...]:
-        _warm_up(ctx.blended.kernels).backward()
+        _warm_up(ctx.state.kernels).backward()
         wants_labels = ctx.has_labels and ctx.needs_input_grad[LABELS]
         own_labels = as_array(d_labels) if wants_labels else np.empty((*d_alpha.shape, 0), np.float32)
         d_layers = LayerGradients(as_array(d_image), own_labels, as_array(d_alpha), as_array(d_depth))
         means, scales, quats = map(as_array, ctx.saved_tensors)
-        gradients = unblend(ctx.blended, means, scales, quats, d_layers).in_order()
+        gradients = unblend(ctx.state, means, scales, quats, d_layers).in_order()
         wanted = zip(gradients, ctx.needs_input_grad, strict=False)
         return *(gradient if need else None for gradient, need in wanted), None, None, None

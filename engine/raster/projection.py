@@ -7,9 +7,10 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..machine.compiled import Array, compiled, part
-from .conventions import ALPHA_MIN, BLUR, TINY_NORM
+from .conventions import ALPHA_MIN, BLUR, TINY_NORM, View
 from .records import (
     BLUE,
     CENTRE_X,
@@ -44,6 +45,18 @@ CAMERA_PRINCIPAL = 14
 CAMERA_NEAR = 16
 CAMERA_SLOPES = 17  # x low, x high, y low, y high
 CAMERA = 21
+
+
+def camera_array(view: View) -> NDArray[np.float64]:
+    """The camera as the kernels take it, float64 [CAMERA]."""
+    camera = np.empty(CAMERA)
+    camera[CAMERA_ROTATION:CAMERA_CENTRE] = view.rotation.ravel()
+    camera[CAMERA_CENTRE:CAMERA_FOCAL] = view.centre
+    camera[CAMERA_FOCAL:CAMERA_PRINCIPAL] = view.focal
+    camera[CAMERA_PRINCIPAL:CAMERA_NEAR] = view.principal
+    camera[CAMERA_NEAR] = view.near
+    camera[CAMERA_SLOPES:] = view.slope_limits()
+    return camera
 
 
 @part

@@ -14,6 +14,8 @@ import math
 
 import numpy as np
 
+from ..machine.compiled import part
+
 TILE = 16
 """Pixels: the side of a tile, and how many the vector kernels work on at once."""
 PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
@@ -56,3 +58,9 @@ WHITENING = math.sqrt(0.5 * math.log2(math.e))
 REACH_OVER_LOG_OPACITY = np.float32(math.log2(255.0) + 1e-3)
 """Added to ``LOG_OPACITY``: the |s|^2 beyond which alpha < 1/255, rounded up by far more than the rounding of s and
 far less than a pixel."""
+
+
+@part
+def padded_channels(channels: int) -> int:
+    """Channels in whole vectors."""
+    return (channels + TILE - 1) // TILE * TILE

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from ..machine import memory
 from ..machine.crew import share
 from .records import TILE
-from .tiles import DIGITS, STEPS, UNSHARED, run_steps
+from .tile_steps import DIGITS, STEPS, UNSHARED, run_tile_steps
 
 WORTH_SHARING = 20_000
-"""Fewer pairs of Gaussian and tile than this are listed by one worker in one call: a call for every step, with Python
-between them, takes longer."""
+"""Fewer Gaussians, and pairs of Gaussian and tile, than this are listed by one worker in one call: a call for every
+step, with Python between them, takes longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def list_tiles(
     """Of an image of so many pixels. Fills ``centres`` float32 [N, 2] and ``visible`` bool [N]."""
     shown, touched = (int(total) for total in projected.counts.sum(0))
     columns, rows = -(-width // TILE), -(-height // TILE)
-    listing = workers if touched >= WORTH_SHARING else 1
+    listing = workers if max(touched, len(projected.boxes)) >= WORTH_SHARING else 1
     before = np.cumsum(projected.counts, 0) - projected.counts
     places, slot_starts = np.ascontiguousarray(before.T)
     slots = memory.empty(len(projected.boxes) + 1, np.int64)
@@ -86,8 +86,8 @@ def list_tiles(
         longest,
     )
     if listing == 1:
-        share(1, run_steps, 0, STEPS, *arguments)
+        share(1, run_tile_steps, 0, STEPS, *arguments)
     else:
         for step in range(STEPS):
-            share(1 if step in UNSHARED else workers, run_steps, step, step + 1, *arguments)
+            share(1 if step in UNSHARED else workers, run_tile_steps, step, step + 1, *arguments)
     return PairLists(slots, starts, tile_ids, tile_slots, int(longest[0]))

@@ -12,20 +12,24 @@ from engine.machine import compiled
 def test_the_cache_is_named_after_every_package_with_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     texts = {
         "machine/compiled.py": "",
+        "machine/vectors.py": "from .compiled import machine_target",
         "raster/kernel.py": "from ..machine.compiled import compiled",
         "model/deep/kernel.py": "from ...machine.compiled import Array, compiled",
         "model/deep/constants.py": "WIDTH = 16",
         "scene/camera.py": "",
+        "lift/run.py": "from ..machine.announcing import announce_compilation",
     }
     for name, text in texts.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "raster" / "compiled.py"))
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "machine" / "compiled.py"))
     names = [compiled._version()]
     assert compiled._version() == names[0]
-    for name in ("raster/kernel.py", "model/deep/kernel.py", "model/deep/constants.py"):
+    with_kernels = ("machine/vectors.py", "raster/kernel.py", "model/deep/kernel.py", "model/deep/constants.py")
+    for name in with_kernels:
         (tmp_path / name).write_text(texts[name] + " # changed")
         names.append(compiled._version())
-    assert len(set(names)) == 4
-    (tmp_path / "scene" / "camera.py").write_text("# changed")
+    assert len(set(names)) == 1 + len(with_kernels)
+    for name in ("scene/camera.py", "lift/run.py"):
+        (tmp_path / name).write_text(texts[name] + " # changed")
     assert compiled._version() == names[-1]

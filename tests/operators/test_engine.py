@@ -73,9 +73,9 @@ def test_remove_takes_only_what_was_made_here(tmp_path: Path, monkeypatch: pytes
     folder = tmp_path / "cache" / "plgs"
     (folder / "engine-3.11-abc").mkdir(parents=True)
     (folder / "engine-3.11-abc" / "pyvenv.cfg").touch()
-    (folder / "plgs-raster-abc").mkdir()
+    (folder / "plgs-kernels-abc").mkdir()
     assert bpy.ops.plgs.remove_engine() == {"FINISHED"}
-    assert sorted(path.name for path in folder.iterdir()) == ["plgs-raster-abc", "set-up.log"]
+    assert sorted(path.name for path in folder.iterdir()) == ["plgs-kernels-abc", "set-up.log"]
 
 
 INSTALLED = """

@@ -20,7 +20,7 @@ TILE = 16
 
 
 def list_tiles_plainly(first: Tensor, last: Tensor, depths: Tensor, view: View) -> TileLists:
-    """What ``cuda.list_tiles`` gets from gsplat: every box against every tile."""
+    """What ``cuda.list_by_gsplat`` gets from gsplat: every box against every tile."""
     order = torch.sort(depths, stable=True).indices
     lists = []
     for top in range(0, view.height, TILE):
@@ -37,7 +37,7 @@ def on_the_cpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     """Lets the back end draw tensors on the CPU, with something in the place of gsplat's CUDA operators."""
     monkeypatch.setattr(interface, "_pick", lambda backend, means: backend)
     if request.param == "plain lists":
-        monkeypatch.setattr(cuda, "list_tiles", list_tiles_plainly)
+        monkeypatch.setattr(cuda, "list_by_gsplat", list_tiles_plainly)
         return
     gsplat = pytest.importorskip("gsplat", reason="gsplat is not installed")
     from gsplat.cuda import _torch_impl
@@ -76,7 +76,7 @@ def test_matches_the_reference_in_many_passes(name: str, monkeypatch: pytest.Mon
 
 def test_the_same_bits_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(interface, "_pick", lambda backend, means: backend)
-    monkeypatch.setattr(cuda, "list_tiles", list_tiles_plainly)
+    monkeypatch.setattr(cuda, "list_by_gsplat", list_tiles_plainly)
     scene = random_scene(5, 500, 20, 70, 50)
     before = torch.get_num_threads()
     results = []

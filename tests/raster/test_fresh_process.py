@@ -27,8 +27,8 @@ import numba, torch
 lines = []
 handler = logging.Handler()
 handler.emit = lambda record: lines.append(record.getMessage())
-logging.getLogger("plgs.raster").addHandler(handler)
-logging.getLogger("plgs.raster").setLevel(logging.INFO)
+logging.getLogger("plgs").addHandler(handler)
+logging.getLogger("plgs").setLevel(logging.INFO)
 start = time.process_time()
 from engine.machine import compiled
 from engine.raster import rasterize
@@ -62,8 +62,8 @@ import numpy as np, torch
 lines = []
 handler = logging.Handler()
 handler.emit = lambda record: lines.append(record.getMessage())
-logging.getLogger("plgs.raster").addHandler(handler)
-logging.getLogger("plgs.raster").setLevel(logging.INFO)
+logging.getLogger("plgs").addHandler(handler)
+logging.getLogger("plgs").setLevel(logging.INFO)
 from engine.raster import rasterize
 from engine.raster.vector import backward
 one = [torch.ones(shape) for shape in ((1, 3), (1, 3), (1, 4), (1,), (1, 3))]

@@ -24,6 +24,24 @@ def test_what_is_kept_is_not_overwritten() -> None:
     assert torch.equal(first.image, copy)
 
 
+def test_a_way_back_that_comes_late_or_twice_is_the_same() -> None:
+    """What the first picture left for it is overwritten neither by other pictures nor by the way back itself."""
+    scene, other = random_scene(3, 200, 6, 50, 40), random_scene(4, 200, 6, 50, 40)
+    gradients = []
+    for pictures_between in (0, 3):
+        tensors = [tensor.clone().requires_grad_() for tensor in scene.tensors]
+        out = rasterize(*tensors, scene.pose, scene.intrinsics, 50, 40)
+        for _ in range(pictures_between):
+            render(other, "numba")
+        assert out.labels is not None
+        layers = [out.image, out.labels, out.alpha, out.depth]
+        upstream = [torch.linspace(-1.0, 2.0, layer.numel()).reshape(layer.shape) for layer in layers]
+        gradients += [torch.autograd.grad(layers, tensors, upstream, retain_graph=True) for _ in range(2)]
+    for again in gradients[1:]:
+        assert all(map(torch.equal, again, gradients[0]))
+    assert all(gradient.any() for gradient in gradients[0])
+
+
 def test_a_warm_step_allocates_nothing() -> None:
     scene = random_scene(1, 300, 20, 64, 48)
     for _ in range(3):

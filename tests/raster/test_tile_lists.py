@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,9 +11,10 @@ from numpy.typing import NDArray
 from engine.raster import tile_lists
 from engine.raster.records import DEPTH, RECORD, TILE
 from engine.raster.tile_lists import PairLists, Projected, list_tiles
+from engine.raster.tile_steps import LIST_VISIBLE, run_tile_steps
 
 WIDTH, HEIGHT = 90, 50
-COLUMNS, ROWS = 6, 4
+COLUMNS, ROWS = -(-WIDTH // TILE), -(-HEIGHT // TILE)
 
 
 def projected(count: int, workers: int, seed: int) -> Projected:
@@ -57,8 +60,23 @@ def test_lists_are_those_of_a_stable_sort(
         lengths.append(int(inside.sum()))
     assert lists.longest == max(lengths)
     assert np.array_equal(np.sort(lists.tile_slots), np.arange(sum(lengths)))
-    assert lists.blenders(workers) <= workers
+    assert lists.blenders(10**6) == max(1, math.ceil(sum(lengths) / max(1, max(lengths))))
 
 
-def test_the_image_is_covered() -> None:
-    assert (COLUMNS, ROWS) == (-(-WIDTH // TILE), -(-HEIGHT // TILE))
+def test_one_kernel_serves_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another one, for arrays of another type, would be compiled in the midst of a pass."""
+    for worth_sharing in (0, 10**9):
+        monkeypatch.setattr(tile_lists, "WORTH_SHARING", worth_sharing)
+        listed(projected(50, 2, seed=1), workers=2)
+    assert len(run_tile_steps.signatures) == 1
+
+
+def test_many_gaussians_are_shared_however_few_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    count = tile_lists.WORTH_SHARING
+    records, boxes = np.zeros((count, RECORD), np.float32), np.zeros((count, 4), np.int32)
+    nothing = Projected(records, boxes, counts=np.zeros((2, 2), np.int64))
+    shares: list[int] = []
+    share = tile_lists.share
+    monkeypatch.setattr(tile_lists, "share", lambda workers, *rest: (shares.append(workers), share(workers, *rest)))
+    lists, _, visible = listed(nothing, workers=2)
+    assert shares[LIST_VISIBLE] == 2 and not visible.any() and len(lists.ids) == 0

@@ -82,10 +82,12 @@ def off_by(window: Window) -> tuple[float, float]:
         seen, screen = window.run(SEEN_BY_CAMERA), window.picture()
         if window.run(SEEN_BY_CAMERA) == seen:
             break
+    else:
+        pytest.fail("there was a new picture each time that the screen was looked at")
     (left, right), (top, bottom) = ([round(each) for each in seen[side]] for side in ("columns", "rows"))
     shown = block_means(screen[top:bottom, left:right].astype(np.float64))
     inner = np.s_[1:-1, 1 : BLOCKS // 2]
-    return float(np.abs(shown - np.array(seen["drawn"]))[inner].mean()), float(np.ptp(shown[inner]))
+    return float(np.abs(shown - np.array(seen["drawn"]))[inner].mean()), float(np.ptp(shown[inner], axis=(0, 1)).max())
 
 
 def block_means(picture: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -48,13 +48,9 @@ from ..records import (
     RECORD,
     RED,
     TILE,
+    padded_channels,
 )
-from .chunk import AHEAD, halves_touched, origin_of, padded_channels
-from .forward import ALPHA_CAP, ALPHA_LEAST, take_four
-from .label_gradients import add_label_gradients, write_label_gradients
-from .labels import LINES_AT_ONCE
-from .strip import ONE, ZERO, F
-from .tile import (
+from .backward_tile import (
     BEHIND,
     CHUNK_LABELS,
     COLUMNS,
@@ -75,6 +71,11 @@ from .tile import (
     load_tile,
     start_worker,
 )
+from .chunk import AHEAD, halves_touched, origin_of
+from .forward import ALPHA_CAP, ALPHA_LEAST, take_four
+from .forward_strip import ONE, ZERO, F
+from .label_gradients import add_label_gradients, write_label_gradients
+from .labels import LINES_AT_ONCE
 
 EVEN = 0x5555
 """The even bits of a word of patches: those on the left of their strips, whose numbers are also those of their first

@@ -151,9 +151,3 @@ def whiten_strip(r: int, count: int, fields: Array, base: int, strip: int) -> An
     put(fields, strip + STRIP_EXPONENTS + 2 * NOBODY, NEVER)
     put(fields, strip + STRIP_EXPONENTS + 2 * NOBODY + 1, NEVER)
     return on_left, on_right
-
-
-@part
-def padded_channels(channels: int) -> int:
-    """Channels in whole vectors."""
-    return (channels + TILE - 1) // TILE * TILE

@@ -31,7 +31,7 @@ from ...machine.vectors import (
     take_next,
 )
 from ..conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
-from ..records import CHUNK, PATCH_HEIGHT, PATCH_WIDTH, TILE
+from ..records import CHUNK, PATCH_HEIGHT, PATCH_WIDTH, TILE, padded_channels
 from .chunk import (
     BLUES,
     CHUNK_FIELDS,
@@ -44,22 +44,12 @@ from .chunk import (
     STRIP_EXPONENTS,
     STRIP_S1,
     load_chunk,
-    padded_channels,
     whiten_strip,
 )
-from .labels import (
-    LINES_AT_ONCE,
-    add_patch_labels,
-    copy_blended,
-    fetch_labels,
-    flush_all,
-    flush_lines,
-    pack_labels,
-)
-from .strip import (
+from .forward_strip import (
     COLUMNS,
     LAST,
-    PATCH_STATE,
+    PATCH_STRIDE,
     PLANES,
     REST,
     STATE,
@@ -73,6 +63,15 @@ from .strip import (
     start_strip,
     strip_floats,
     write_strip,
+)
+from .labels import (
+    LINES_AT_ONCE,
+    add_patch_labels,
+    copy_blended,
+    fetch_labels,
+    flush_all,
+    flush_lines,
+    pack_labels,
 )
 
 ALPHA_CAP = F(ALPHA_MAX)
@@ -276,7 +275,7 @@ def blend_tiles(
                 touching = whiten_strip(r, count, scratch, fields, STRIP)
                 strip_sees = False
                 for patch in range(2):
-                    state = STATE + patch * PATCH_STATE
+                    state = STATE + patch * PATCH_STRIDE
                     (found, mask), sees = blend_patch(touching[patch], state, scratch, fields, members)
                     strip_sees |= sees
                     put(blended, first_word + c, get(blended, first_word + c) | mask)

@@ -1,5 +1,5 @@
-"""Label gradients of a Gaussian's tiles, added in order, sixteen at a time. The same steps as
-``gather.gather_labels``, its readable twin."""
+"""Label gradients of a Gaussian's tiles, added in order, sixteen at a time. The same steps as its
+readable twin, in ``engine/raster/gather.py``."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import numpy as np
 
 from ...machine.compiled import Array, compiled
 from ...machine.vectors import get, lane_numbers, load, spread, store, store_some
-from ..records import TILE
-from .chunk import padded_channels
+from ..records import TILE, padded_channels
 
 F = np.float32
 ZERO = F(0.0)

@@ -7,7 +7,9 @@ import numpy as np
 from ...machine.compiled import Array, part
 from ...machine.vectors import get, load, put, spread, store, store_past_cache
 from ..records import CHUNK, PATCH_HEIGHT, PATCH_WIDTH, TILE
+from .backward_tile import CHUNK_LABELS, WEIGHTS
 from .chunk import NOBODY, PATCHES
+from .forward_strip import ZERO
 from .labels import copy_labels
 from .products import (
     BLOCK,
@@ -19,8 +21,6 @@ from .products import (
     unblend_four_2,
     unblend_four_3,
 )
-from .strip import ZERO
-from .tile import CHUNK_LABELS, WEIGHTS
 
 
 @part

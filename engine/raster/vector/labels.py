@@ -19,10 +19,9 @@ from ...machine.vectors import (
     store_past_cache,
     store_some,
 )
-from ..records import PATCH_HEIGHT, PATCH_WIDTH, TILE
-from .chunk import padded_channels
+from ..records import PATCH_HEIGHT, PATCH_WIDTH, TILE, padded_channels
+from .forward_strip import WEIGHTS, F
 from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
-from .strip import WEIGHTS, F
 
 LINES_AT_ONCE = 12
 """Cache lines that a core can have under way to memory: with more of them it waits."""

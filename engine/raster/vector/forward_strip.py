@@ -9,10 +9,10 @@ import numpy as np
 from ...machine.compiled import Array, inlined, part
 from ...machine.vector_shuffles import interleaved, unzipped, zipped
 from ...machine.vectors import choose, fetch_to_write, lane_numbers, load, spread, store, store_some
-from ..records import CHUNK, PATCH_HEIGHT, TILE
-from .chunk import STRIP_FIELDS, padded_channels
+from ..records import CHUNK, PATCH_HEIGHT, TILE, padded_channels
+from .chunk import STRIP_FIELDS
 
-Layers = tuple[Array, Array, Array, Array, Array]
+FlatLayers = tuple[Array, Array, Array, Array, Array]
 """Image [H * W * 3], alpha, depth, transmittance at the end, and place of the last Gaussian blended [H * W]."""
 
 F = np.float32
@@ -24,8 +24,8 @@ WEIGHTS = STRIP + STRIP_FIELDS  # [member, pixel of the patch], with room for th
 STATE = WEIGHTS + (CHUNK + 4) * TILE  # [patch, field, pixel]
 COLUMNS, THROUGH, REST, LAST = 0, TILE, 2 * TILE, 3 * TILE
 PLANES = 4 * TILE  # red, green, blue, depth
-PATCH_STATE = 8 * TILE
-STRIP_LABELS = STATE + 2 * PATCH_STATE  # [row, pixel, padded channels], twice; then fields and labels of each chunk
+PATCH_STRIDE = 8 * TILE
+STRIP_LABELS = STATE + 2 * PATCH_STRIDE  # [row, pixel, padded channels], twice; then fields and labels of each chunk
 
 
 @part
@@ -39,7 +39,7 @@ def start_strip(columns: int, rows: int, labels: int, channels: int, scratch: Ar
     left, right = zipped(lane_numbers(), lane_numbers())
     row, _ = zipped(spread(ZERO), spread(ONE))
     in_rows = row < spread(F(rows))
-    for state, column in ((STATE, left), (STATE + PATCH_STATE, right)):
+    for state, column in ((STATE, left), (STATE + PATCH_STRIDE, right)):
         inside = (column < spread(F(columns))) & in_rows
         store(scratch, state + COLUMNS, column)
         store(scratch, state + THROUGH, choose(inside, spread(ONE), spread(ZERO)))
@@ -52,7 +52,7 @@ def start_strip(columns: int, rows: int, labels: int, channels: int, scratch: Ar
 
 
 @part
-def fetch_row(pixel: int, layers: Layers) -> None:
+def fetch_row(pixel: int, layers: FlatLayers) -> None:
     """Have the lines brought that ``write_row`` will write: it would wait for one after the other."""
     image, alpha, depth, rest_out, last_out = layers
     fetch_to_write(alpha, pixel)
@@ -66,11 +66,11 @@ def fetch_row(pixel: int, layers: Layers) -> None:
 @inlined
 def rows_of(field: int, scratch: Array) -> Any:
     """A field of the strip's two patches as its two rows."""
-    return unzipped(load(scratch, STATE + field), load(scratch, STATE + PATCH_STATE + field))
+    return unzipped(load(scratch, STATE + field), load(scratch, STATE + PATCH_STRIDE + field))
 
 
 @part
-def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, layers: Layers) -> None:
+def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, layers: FlatLayers) -> None:
     """The strip's pixels but for their labels: so many columns and rows, the first with the number ``pixel`` in the
     image."""
     upper_rest, lower_rest = rows_of(REST, scratch)
@@ -87,7 +87,7 @@ def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array,
 
 
 @inlined
-def write_row(pixel: int, columns: int, state: Any, layers: Layers) -> None:
+def write_row(pixel: int, columns: int, state: Any, layers: FlatLayers) -> None:
     """One row of a strip."""
     image, alpha, depth, rest_out, last_out = layers
     rest, last, red, green, blue, own_depth = state

@@ -7,9 +7,9 @@ from typing import Any
 from ...machine.compiled import Array, inlined, part
 from ...machine.vector_shuffles import largest, planes_of, zipped
 from ...machine.vectors import choose, lane_numbers, load, load_some, put, spread, store
-from ..records import CHUNK, TILE
-from .chunk import PATCHES, padded_channels
-from .strip import ONE, ZERO, F
+from ..records import CHUNK, TILE, padded_channels
+from .chunk import PATCHES
+from .forward_strip import ONE, ZERO, F
 
 # a worker's scratch, in floats
 S1_LEFT, S2, S2_SQUARED, EXPONENTS = 0, 2 * TILE, 4 * TILE, 6 * TILE  # of each row, for one Gaussian

@@ -1,4 +1,4 @@
-"""Which Gaussians each tile draws, front to back.
+"""The steps from boxes to lists of tiles, front to back; ``tile_lists`` has them done.
 
 Visible Gaussians are sorted by depth (least significant digit first, stable, so ties keep the order of their
 indices), then dealt out to their tiles in that order. This takes thirteen steps, of which each needs all of the one
@@ -15,6 +15,7 @@ from .records import DEPTH
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
 DIGIT_PASSES = 3
+assert DIGIT_PASSES % 2 == 1, "each pass goes from the keys to the spare ones, or back: the last one goes there"
 
 # steps: of each digit there are three
 LIST_VISIBLE = 0
@@ -156,7 +157,7 @@ def deal_tiles(
 
 
 @compiled
-def run_steps(
+def run_tile_steps(
     worker: int,
     workers: int,
     first: int,
@@ -184,8 +185,13 @@ def run_steps(
 ) -> None:
     """A worker's share of the steps from ``first`` to before ``end``: of one, or of all where it works alone.
 
-    ``digits`` int64 [workers, DIGITS], ``digit_starts`` int64 [DIGITS + 1] and ``histograms`` int64 [workers, tiles]
-    are room to work in; ``longest`` int64 [1] gets the length of the longest list.
+    Of N Gaussians: ``boxes`` int32 [N, 4] in tiles, ``records`` float32 [N, RECORD] and their ``bits`` as uint32;
+    ``places`` and ``slot_starts`` int64 [workers]: visible ones, and pairs of Gaussian and tile, of the workers before.
+
+    Filled: ``slots`` int64 [N + 1], ``centres`` float32 [N, 2], ``visible`` bool [N]; ``keys`` uint32 and ``ids`` int32
+    of the V visible ones, and spare ones to sort them; ``starts`` int64 [tiles + 1], ``tile_ids`` and ``tile_slots``
+    int32 [T], as in ``PairLists``; ``longest`` int64 [1], the length of the longest list. ``digits`` int64 [workers,
+    DIGITS], ``digit_starts`` int64 [DIGITS + 1] and ``histograms`` int64 [workers, tiles] are room to work in.
     """
     for step in range(first, end):
         if step == LIST_VISIBLE:
@@ -199,15 +205,12 @@ def run_steps(
                 count_digits(worker, workers, own_keys, shift, digits)
             elif part_of_pass == START_DIGITS:
                 running_starts(digits, digit_starts)
-            else:
+            elif part_of_pass == DEAL_DIGITS:
                 keys_out, ids_out = (keys, ids) if back else (spare_keys, spare_ids)
                 deal_digits(worker, workers, own_keys, own_ids, shift, digits, keys_out, ids_out)
-        elif step == COUNT_TILES:
+        elif step == COUNT_TILES:  # the order ends in the spare ones: the number of passes is odd
             count_tiles(worker, workers, spare_ids, boxes, columns, histograms)
         elif step == START_TILES:
             longest[0] = running_starts(histograms, starts)
-        else:
+        elif step == DEAL_TILES:
             deal_tiles(worker, workers, spare_ids, boxes, slots, columns, histograms, tile_ids, tile_slots)
-
-
-assert DIGIT_PASSES % 2 == 1, "the order ends where the spare ones were"
