@@ -145,7 +145,8 @@ def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> N
         window.wait_for("followed().status.live_previews > before + 1 and picture() is not None", 60)
         window.screenshot(f"live-preview-{shot}")
         error, contrast = off_by(window)
-        assert error < 4 < 30 < contrast, (camera, error, contrast)
+        # Before 5.0 it is enlarged in linear light, which makes fine grain on black about 5 lighter.
+        assert error < 8 < 30 < contrast, (camera, error, contrast)
     waits.append(window.waits())
     end(window)
     assert all(waits)
