@@ -334,18 +334,6 @@ def lowest_bit(typing_context: Any, bits: Any) -> Any:
     return types.int64(types.int64), emit
 
 
-@intrinsic
-def highest_bit(typing_context: Any, bits: Any) -> Any:
-    """The place of the highest bit set, -1 when there is none."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        word = ir.IntType(64)
-        zeros = call(builder, "llvm.ctlz.i64", word, [arguments[0], ir.Constant(ir.IntType(1), 0)])
-        return builder.sub(ir.Constant(word, 63), zeros)
-
-    return types.int64(types.int64), emit
-
-
 def has_wide_registers() -> bool:
     """AVX-512: thirty-two registers of sixteen floats, and its own steps of an exponential. Where Numba is told to
     compile for a machine without them, there are none."""

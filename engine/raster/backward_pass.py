@@ -103,7 +103,6 @@ def _unblend_tiles(workers: int, state: ForwardState, d_layers: LayerGradients) 
         memory.empty(pairs * GRADIENT_WIDTH, np.float32),
         memory.empty(pairs * padded_channels(channels), np.float32),
     )
-    slots.touched.fill(0)
     share(
         workers,
         kernels.unblend,
@@ -114,7 +113,6 @@ def _unblend_tiles(workers: int, state: ForwardState, d_layers: LayerGradients) 
         state.records.reshape(-1),
         state.rest,
         state.last,
-        state.words,
         d_layers.image.reshape(-1),
         d_layers.labels.reshape(-1),
         channels,

@@ -180,7 +180,6 @@ def unblend_tiles(
     flat_records: Array,
     flat_rest: Array,
     flat_last: Array,
-    blended: Array,
     flat_d_image: Array,
     flat_d_labels: Array,
     channels: int,
@@ -231,16 +230,15 @@ def unblend_tiles(
         far = load_tile(
             left, top, rest, last_in, d_image, d_alpha, d_depth, through, behind, last, d_planes, last_of_row
         )
+        for k in range(first, starts[tile + 1]):
+            touched[tile_slots[k]] = 0
         if far < 0:
             continue
         if channels > 0:
             load_tile_labels(left, top, d_labels, tile_labels)
         for chunk in range(far // CHUNK * CHUNK, -1, -CHUNK):
-            word = blended[first // CHUNK + tile + chunk // CHUNK]
             chunk_labels[:] = ZERO
             for place in range(min(chunk + CHUNK - 1, far), chunk - 1, -1):
-                if not (word >> (place - chunk)) & 1:
-                    continue
                 record = records[tile_ids[first + place]]
                 rows = whiten_rows(record, left, top, s1_left, s2)
                 sums[:] = ZERO

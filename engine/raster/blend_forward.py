@@ -145,7 +145,6 @@ def blend_tiles(
     flat_depth: Array,
     flat_rest: Array,
     flat_last: Array,
-    blended: Array,
     scratches: Array,
     member_lists: Array,
     row_counts: Array,
@@ -181,11 +180,8 @@ def blend_tiles(
         planes[:] = F(0.0)
         tile_labels[:] = F(0.0)
         first = starts[tile]
-        first_word = first // CHUNK + tile
         alive = any_alive(through)
         for chunk in range(first, starts[tile + 1], CHUNK):
-            word = first_word + (chunk - first) // CHUNK
-            blended[word] = 0
             for k in range(chunk, min(chunk + CHUNK, starts[tile + 1])):
                 record = records[tile_ids[k]]
                 rows = whiten_rows(record, left, top, s1_left, s2) & alive
@@ -197,7 +193,6 @@ def blend_tiles(
                     blend_row(raw, through[r], weight)
                     for x in range(TILE):
                         last[r, x] = np.int32(k - first) if weight[x] > F(0.0) else last[r, x]
-                        blended[word] |= int(weight[x] > F(0.0)) << (k - chunk)
                     add_colour_row(weight, record, planes, r)
                     gaussians[r, counts[r]] = tile_ids[k]
                     counts[r] += 1

@@ -10,7 +10,7 @@ import numpy as np
 from .gather import gather
 from .kernels import Kernels, choose_kernels
 from .projection import CAMERA
-from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE, word_count
+from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE
 
 
 def compile_backward(kernels: Kernels) -> None:
@@ -18,7 +18,6 @@ def compile_backward(kernels: Kernels) -> None:
     channel, and one Gaussian that no tile draws."""
     floats = {size: np.zeros(size, np.float32) for size in (1, 2, 3, 4, TILE, GRADIENT_WIDTH)}
     places, nobody, untouched = np.zeros(2, np.int64), np.zeros(0, np.int32), np.zeros(0, np.uint8)
-    words = np.zeros(word_count(0, 1), np.int64)
     rest, nothing_blended = np.ones(1, np.float32), np.full(1, -1.0, np.float32)
     slot_gradients, slot_labels = floats[GRADIENT_WIDTH], floats[TILE]
     scratch = (
@@ -37,7 +36,6 @@ def compile_backward(kernels: Kernels) -> None:
         one_of[RECORD].reshape(-1),
         rest,
         nothing_blended,
-        words,
         floats[3],
         floats[1],
         1,

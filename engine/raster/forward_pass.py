@@ -14,7 +14,7 @@ from ..machine.crew import share, worker_count
 from .conventions import View
 from .kernels import Kernels
 from .projection import camera_array, project
-from .records import CHUNK, RECORD, TILE, word_count
+from .records import CHUNK, RECORD, TILE
 from .tile_lists import PairLists, Projected, list_tiles
 
 WORDS_OF_LINE = memory.ALIGNMENT // 8
@@ -25,8 +25,7 @@ class ForwardState:
     """What the forward pass leaves for the backward one.
 
     ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``rest`` and ``last`` float32 [H * W]: each pixel's
-    final transmittance, and the place in its tile's list of the last Gaussian blended; ``words`` int64: which Gaussians
-    were blended in each tile (``word_count``).
+    final transmittance, and the place in its tile's list of the last Gaussian blended.
     """
 
     kernels: Kernels
@@ -35,7 +34,6 @@ class ForwardState:
     lists: PairLists
     rest: Array
     last: Array
-    words: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +72,6 @@ def blend(
     lists = list_tiles(workers, Projected(records, boxes, counts), view.width, view.height, centres, visible)
     layers = Layers.empty(view.height, view.width, channels)
     rest, last = memory.empty((2, view.height * view.width), np.float32)
-    words = memory.empty(word_count(len(lists.ids), len(lists.starts) - 1), np.int64)
     blenders = lists.blenders(workers)
     share(
         blenders,
@@ -90,10 +87,9 @@ def blend(
         *layers.flat(),
         rest,
         last,
-        words,
         *scratch(blenders, kernels.blend_scratch(channels, lists.longest), lists.longest),
     )
-    return layers, ForwardState(kernels, camera, records, lists, rest, last, words)
+    return layers, ForwardState(kernels, camera, records, lists, rest, last)
 
 
 def scratch(workers: int, floats: int, longest: int) -> tuple[Array, Array, Array]:

@@ -25,14 +25,6 @@ CHUNK = 48
 """Gaussians of a tile that are handled together: whole vectors of them, and no more than a word has bits."""
 assert CHUNK % TILE == 0 and CHUNK <= 64
 
-# A word for each chunk tells which of its Gaussians were blended anywhere in the tile, a bit for each.
-
-
-def word_count(pairs: int, tiles: int) -> int:
-    """Words for the chunks of so many tiles with so many pairs of Gaussian and tile."""
-    return pairs // CHUNK + tiles
-
-
 # columns of a record; the centre is the sum of two floats (a double's precision where it matters)
 CENTRE_X, CENTRE_X_LOW, CENTRE_Y, CENTRE_Y_LOW = 0, 1, 2, 3
 L11, L12, L22 = 4, 5, 6

@@ -21,7 +21,6 @@ from ...machine.vectors import (
     fetch,
     fma,
     get,
-    highest_bit,
     lane_numbers,
     less_product,
     load,
@@ -222,7 +221,6 @@ def unblend_tiles(
     records: Array,
     rest: Array,
     last_in: Array,
-    blended: Array,
     d_image: Array,
     d_labels: Array,
     channels: int,
@@ -238,7 +236,7 @@ def unblend_tiles(
     patch_counts: Array,
 ) -> None:
     """Tile after tile until none is left: fill slot_gradients [T * 16] and slot_labels [T * padded channels]
-    where touched uint8 [T], zeros before, is set: of all that the forward pass has ``blended``."""
+    where touched uint8 [T] is set."""
     scratch, members, counts = scratches[worker], member_lists[worker], patch_counts[worker]
     columns = (width + TILE - 1) // TILE
     tiles = starts.shape[0] - 1
@@ -252,30 +250,25 @@ def unblend_tiles(
         top = tile // columns * TILE
         first = starts[tile]
         far = load_tile(left, top, width, height, rest, last_in, d_image, d_alpha, d_depth, scratch)
+        for k in range(first + far + 1, starts[tile + 1]):
+            touched[tile_slots[k]] = 0
         if far < 0:
             continue
         # the tile's label gradients are asked for while the first Gaussians are on
         row_lines = (min(TILE, width - left) * channels + TILE - 1) // TILE
         ahead_rows, ahead_row, ahead_line = min(TILE, height - top) if channels > 0 else 0, 0, 0
-        first_word = first // CHUNK + tile
+        # each Gaussian is whitened while the one before is on: which patches it touches is known when its turn comes
+        own = 0
+        patches = whiten_tile(records, int(get(tile_ids, first + far)) * RECORD, left, top, scratch, own)
         for chunk in range(far // CHUNK * CHUNK, -1, -CHUNK):
-            todo = get(blended, first_word + chunk // CHUNK)
-            if todo == 0:
-                continue
             for at in range(CHUNK_LABELS, CHUNK_LABELS + CHUNK * padded, TILE):
                 store(scratch, at, spread(ZERO))
-            # each Gaussian is whitened while the one before is on: its patches are known when its turn comes
-            own, following = 0, chunk + highest_bit(todo)
-            patches = whiten_tile(records, int(get(tile_ids, first + following)) * RECORD, left, top, scratch, own)
-            while todo != 0:
-                place = following
-                todo &= ~(1 << (place - chunk))
-                following = chunk + highest_bit(todo) if todo != 0 else place
+            for place in range(min(chunk + CHUNK - 1, far), chunk - 1, -1):
                 touching = patches & bits_of(load(scratch, LAST_OF_PATCH) >= spread(F(place)))
                 at = int(get(tile_ids, first + place)) * RECORD
+                following = int(get(tile_ids, first + max(place - 1, 0))) * RECORD
                 fetch(records, int(get(tile_ids, first + max(place - AHEAD, 0))) * RECORD)
-                next_at = int(get(tile_ids, first + following)) * RECORD
-                patches = whiten_tile(records, next_at, left, top, scratch, WHITENED - own)
+                patches = whiten_tile(records, following, left, top, scratch, WHITENED - own)
                 slot = int(get(tile_slots, first + place))
                 if ahead_row < ahead_rows:
                     ahead = ((top + ahead_row) * width + left) * channels + ahead_line * TILE
@@ -284,21 +277,22 @@ def unblend_tiles(
                     ahead_line += LINES_AT_ONCE
                     if ahead_line >= row_lines:
                         ahead_row, ahead_line = ahead_row + 1, 0
-                put(touched, slot, np.uint8(1))
-                fill_alphas(get(records, at + L11), F(place), touching, scratch, own)
-                unblend_gaussian(
-                    records,
-                    at,
-                    place - chunk,
-                    touching,
-                    channels > 0,
-                    scratch,
-                    own,
-                    counts,
-                    members,
-                    slot_gradients,
-                    slot,
-                )
+                touched[slot] = touching != 0
+                if touching != 0:
+                    fill_alphas(get(records, at + L11), F(place), touching, scratch, own)
+                    unblend_gaussian(
+                        records,
+                        at,
+                        place - chunk,
+                        touching,
+                        channels > 0,
+                        scratch,
+                        own,
+                        counts,
+                        members,
+                        slot_gradients,
+                        slot,
+                    )
                 own = WHITENED - own
             if channels > 0:
                 add_label_gradients(left, top, width, height, d_labels, channels, scratch, counts, members, padded)

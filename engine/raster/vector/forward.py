@@ -18,7 +18,6 @@ from ...machine.vectors import (
     choose,
     everywhere,
     fma,
-    get,
     less_product,
     load,
     lowest_bit,
@@ -67,7 +66,7 @@ from .forward_strip import (
 from .labels import (
     LINES_AT_ONCE,
     add_patch_labels,
-    copy_blended,
+    copy_touching,
     fetch_labels,
     flush_all,
     flush_lines,
@@ -106,13 +105,12 @@ def seen_alpha(raw: Any) -> Any:
 
 
 @inlined
-def blend_member(m: int, alpha: Any, state: Any, found: Any, scratch: Array, fields: int, members: Array) -> Any:
-    """Blend one member; returns the patch's new state, and how many members have been blended so far, and their mask.
+def blend_member(m: int, alpha: Any, state: Any, count: int, scratch: Array, fields: int, members: Array) -> Any:
+    """Blend one member; returns the patch's new state, and how many members have been blended so far.
 
     A pixel has ended once its transmittance is too small; the product goes on, and says so of all that follow.
     """
     through, rest, last, red, green, blue, depth = state
-    count, mask = found
     after = less_product(alpha, through, through)
     blended = (alpha > spread(ZERO)) & (after > spread(ENDED))
     weight = choose(blended, alpha * through, spread(ZERO))
@@ -125,8 +123,7 @@ def blend_member(m: int, alpha: Any, state: Any, found: Any, scratch: Array, fie
     # written over by the next one where nothing was blended: cheaper than a branch that nobody can foresee
     store(scratch, WEIGHTS + count * TILE, weight)
     put(members, count, np.int32(m))
-    is_blended = int(bits_of(blended) != 0)
-    return (after, rest, last, red, green, blue, depth), (count + is_blended, mask | (is_blended << m))
+    return (after, rest, last, red, green, blue, depth), count + int(bits_of(blended) != 0)
 
 
 @inlined
@@ -154,17 +151,17 @@ def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
 
 
 @inlined
-def blend_four(four: Any, alphas: Any, state: Any, found: Any, scratch: Array, fields: int, members: Array) -> Any:
+def blend_four(four: Any, alphas: Any, state: Any, count: int, scratch: Array, fields: int, members: Array) -> Any:
     """Blend four members, one after the other; as ``blend_member``, and whether the patch still sees anything."""
     m0, m1, m2, m3 = four
     alpha0, alpha1, alpha2, alpha3 = alphas
-    state, found = blend_member(m0, alpha0, state, found, scratch, fields, members)
-    state, found = blend_member(m1, alpha1, state, found, scratch, fields, members)
-    state, found = blend_member(m2, alpha2, state, found, scratch, fields, members)
-    state, found = blend_member(m3, alpha3, state, found, scratch, fields, members)
+    state, count = blend_member(m0, alpha0, state, count, scratch, fields, members)
+    state, count = blend_member(m1, alpha1, state, count, scratch, fields, members)
+    state, count = blend_member(m2, alpha2, state, count, scratch, fields, members)
+    state, count = blend_member(m3, alpha3, state, count, scratch, fields, members)
     through, rest, last, red, green, blue, depth = state
     sees = bits_of(through > spread(ENDED)) != 0
-    return (maximum(through, spread(NEARLY_NOTHING)), rest, last, red, green, blue, depth), found, sees
+    return (maximum(through, spread(NEARLY_NOTHING)), rest, last, red, green, blue, depth), count, sees
 
 
 @part
@@ -172,8 +169,8 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
     """Blend the members of a mask on the patch whose state lies at scratch[at:], four at a time, so that one does not
     wait for the other's alpha.
 
-    Weights and ``members`` hold those that were blended anywhere, in order; returns how many and their mask, and
-    whether the patch still sees anything.
+    Weights and ``members`` hold those that were blended anywhere, in order; returns how many, and whether the patch
+    still sees anything.
     """
     columns = load(scratch, at + COLUMNS)
     state = (
@@ -185,7 +182,7 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
         load(scratch, at + PLANES + 2 * TILE),
         load(scratch, at + PLANES + 3 * TILE),
     )
-    found = (0, 0)
+    count = 0
     sees = bits_of(state[0] > spread(ENDED)) != 0
     if sees and touching != 0:
         four, touching = take_four(touching, NOBODY)
@@ -194,10 +191,10 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
             # the next four's alphas beside the blending of these: neither waits for the other
             next_four, touching = take_four(touching, NOBODY)
             next_alphas = alphas_of(next_four, columns, scratch, fields)
-            state, found, sees = blend_four(four, alphas, state, found, scratch, fields, members)
+            state, count, sees = blend_four(four, alphas, state, count, scratch, fields, members)
             four, alphas = next_four, next_alphas
         if sees:
-            state, found, sees = blend_four(four, alphas, state, found, scratch, fields, members)
+            state, count, sees = blend_four(four, alphas, state, count, scratch, fields, members)
     through, rest, last, red, green, blue, depth = state
     store(scratch, at + THROUGH, through)
     store(scratch, at + REST, rest)
@@ -206,7 +203,7 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
     store(scratch, at + PLANES + TILE, green)
     store(scratch, at + PLANES + 2 * TILE, blue)
     store(scratch, at + PLANES + 3 * TILE, depth)
-    return found, sees
+    return count, sees
 
 
 @compiled
@@ -227,14 +224,12 @@ def blend_tiles(
     depth: Array,
     rest: Array,
     last_out: Array,
-    blended: Array,
     scratches: Array,
     member_lists: Array,
     masks: Array,
 ) -> None:
     """Tile after tile until none is left. ``rest`` [H * W] gets the final transmittance, ``last_out`` [H * W]
-    (as float32) the place in the tile's list of the last Gaussian blended (-1: none), ``blended`` int64 the words of
-    ``word_count``, of chunks up to the one with that place."""
+    (as float32) the place in the tile's list of the last Gaussian blended (-1: none)."""
     scratch, members, copied = scratches[worker], member_lists[worker], masks[worker]
     layers = (image, alpha, depth, rest, last_out)
     columns = (width + TILE - 1) // TILE
@@ -253,7 +248,6 @@ def blend_tiles(
         top = tile // columns * TILE
         pixels = min(TILE, width - left)
         first, total = starts[tile], starts[tile + 1] - starts[tile]
-        first_word = first // CHUNK + tile
         loaded = 0
         for r in range(0, min(TILE, height - top), PATCH_HEIGHT):
             rows = min(PATCH_HEIGHT, height - top - r)
@@ -270,21 +264,20 @@ def blend_tiles(
                         fetch_labels(first + place, count, tile_ids, labels, channels)
                     load_chunk(tile_ids, first + place, count, place, records, left, top, scratch, fields)
                     put(copied, c, 0)
-                    put(blended, first_word + c, 0)
                     loaded += CHUNK
                 touching = whiten_strip(r, count, scratch, fields, STRIP)
                 strip_sees = False
                 for patch in range(2):
-                    state = STATE + patch * PATCH_STRIDE
-                    (found, mask), sees = blend_patch(touching[patch], state, scratch, fields, members)
+                    blended, sees = blend_patch(touching[patch], STATE + patch * PATCH_STRIDE, scratch, fields, members)
                     strip_sees |= sees
-                    put(blended, first_word + c, get(blended, first_word + c) | mask)
                     lines = flush_lines(lines, LINES_AT_ONCE, source, target, row, padded_row, scratch, labels_out)
-                    if channels > 0 and found > 0:
+                    if channels > 0 and blended > 0:
                         own_labels = fields + CHUNK_FIELDS
-                        copy_blended(mask, first + place, tile_ids, labels, channels, scratch, own_labels, copied, c)
+                        copy_touching(
+                            touching[patch], first + place, tile_ids, labels, channels, scratch, own_labels, copied, c
+                        )
                         patch_labels = strip_labels + patch * PATCH_WIDTH * padded
-                        add_patch_labels(found, patch_labels, scratch, own_labels, members, padded)
+                        add_patch_labels(blended, patch_labels, scratch, own_labels, members, padded)
                         lines = flush_lines(lines, LINES_AT_ONCE, source, target, row, padded_row, scratch, labels_out)
                 if not strip_sees:
                     break

@@ -50,8 +50,8 @@ def fetch_labels(first: int, count: int, tile_ids: Array, labels: Array, channel
 
 
 @part
-def copy_blended(
-    blended: int,
+def copy_touching(
+    touching: int,
     first: int,
     tile_ids: Array,
     labels: Array,
@@ -61,9 +61,9 @@ def copy_blended(
     copied: Array,
     c: int,
 ) -> None:
-    """The labels of a chunk's members that were blended, but on no patch before, to scratch[at:]."""
-    fresh = blended & ~get(copied, c)
-    put(copied, c, get(copied, c) | blended)
+    """The labels of a chunk's members that no patch before has touched, to scratch[at:]."""
+    fresh = touching & ~get(copied, c)
+    put(copied, c, get(copied, c) | touching)
     while fresh != 0:
         m = lowest_bit(fresh)
         fresh &= fresh - 1

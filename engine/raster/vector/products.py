@@ -28,9 +28,7 @@ def _splat(builder: ir.IRBuilder, scalar: ir.Value) -> ir.Value:
     return builder.shuffle_vector(single, ir.Constant(BLOCK_IR, ir.Undefined), lanes)
 
 
-def _emit_block(
-    context: Any, builder: ir.IRBuilder, pointers: dict[str, Any], rows: int, vectors: int
-) -> None:
+def _emit_block(context: Any, builder: ir.IRBuilder, pointers: dict[str, Any], rows: int, vectors: int) -> None:
     """out[row a] += sum_b weight[a * across + b * along] * source[row b], b < count; a < rows; all in
     registers. There may be several sources: then there are ``count`` rows of each, which take turns, and so do their
     weights.
@@ -46,9 +44,7 @@ def _emit_block(
             return place
         return builder.sext(builder.load(builder.gep(listed, [place])), INDEX)
 
-    outs = [
-        builder.gep(pointers["out"], [builder.mul(row_of("out_rows", INDEX(a)), stride)]) for a in range(rows)
-    ]
+    outs = [builder.gep(pointers["out"], [builder.mul(row_of("out_rows", INDEX(a)), stride)]) for a in range(rows)]
 
     def vector_at(base: ir.Value, vector: int) -> ir.Value:
         return builder.bitcast(builder.gep(base, [INDEX(vector * BLOCK)]), BLOCK_IR.as_pointer())
@@ -138,9 +134,7 @@ def _unblend_block(rows: int, vectors: int) -> Any:
             pointers = {
                 "out": _offset(context, builder, signature, arguments, 0),
                 "out_rows": _offset(context, builder, signature, arguments, 2),
-                "sources": [
-                    element(context, builder, signature.args[4], arguments[4], at) for at in arguments[5:7]
-                ],
+                "sources": [element(context, builder, signature.args[4], arguments[4], at) for at in arguments[5:7]],
                 "weights": _offset(context, builder, signature, arguments, 7),
                 "source_rows": None,
                 "count": INDEX(WIDTH // PATCH_HEIGHT),
