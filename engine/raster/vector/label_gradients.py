@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...machine.compiled import Array, part
@@ -21,6 +23,29 @@ from .products import (
     unblend_four_2,
     unblend_four_3,
 )
+
+
+def _row_adder(unblend_3: Any, unblend_2: Any, unblend_1: Any) -> Any:
+    """A function that adds the gradients of some members, those from ``listed`` on, three vectors at a time."""
+
+    @part
+    def add(
+        listed: int, source: Array, upper: int, lower: int, stride: int, scratch: Array, members: Array, padded: int
+    ) -> None:
+        out, w, c = CHUNK_LABELS, WEIGHTS + listed * TILE, 0
+        while c + 3 * BLOCK <= padded:
+            unblend_3(scratch, out + c, members, listed, source, upper + c, lower + c, scratch, w, padded, stride)
+            c += 3 * BLOCK
+        if c + 2 * BLOCK <= padded:
+            unblend_2(scratch, out + c, members, listed, source, upper + c, lower + c, scratch, w, padded, stride)
+        elif c + BLOCK <= padded:
+            unblend_1(scratch, out + c, members, listed, source, upper + c, lower + c, scratch, w, padded, stride)
+
+    return add
+
+
+add_rows = _row_adder(unblend_3, unblend_2, unblend_1)
+add_last_four = _row_adder(unblend_four_3, unblend_four_2, unblend_four_1)
 
 
 @part
@@ -44,26 +69,10 @@ def add_patch_gradients(
         count += 1
     k = 0
     while k + ROWS <= count:
-        m, w = listed + k, WEIGHTS + (listed + k) * TILE
-        out, c = CHUNK_LABELS, 0
-        while c + 3 * BLOCK <= padded:
-            unblend_3(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-            c += 3 * BLOCK
-        if c + 2 * BLOCK <= padded:
-            unblend_2(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-        elif c + BLOCK <= padded:
-            unblend_1(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
+        add_rows(listed + k, source, upper, lower, stride, scratch, members, padded)
         k += ROWS
     if k < count:
-        m, w = listed + k, WEIGHTS + (listed + k) * TILE
-        out, c = CHUNK_LABELS, 0
-        while c + 3 * BLOCK <= padded:
-            unblend_four_3(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-            c += 3 * BLOCK
-        if c + 2 * BLOCK <= padded:
-            unblend_four_2(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
-        elif c + BLOCK <= padded:
-            unblend_four_1(scratch, out + c, members, m, source, upper + c, lower + c, scratch, w, padded, stride)
+        add_last_four(listed + k, source, upper, lower, stride, scratch, members, padded)
 
 
 @part
