@@ -1,8 +1,7 @@
 """Threads that run compiled kernels side by side.
 
-Kernels release the interpreter's lock, so plain Python threads are enough: they need no threading layer of
-Numba's (none of which is both on every system and safe to call from several threads), do not spin for long while they
-wait, and compile far faster.
+They need no threading layer of Numba's (none of which is both on every system and safe to call from several threads),
+do not spin for long while they wait, and compile far faster. ``blackboard`` tells how a call reaches them.
 """
 
 from __future__ import annotations
@@ -16,75 +15,40 @@ from queue import SimpleQueue
 from typing import Any
 
 import torch
+from numba import typeof
 
-from .bell import LOOKS, listen, new_bell
+from .blackboard import CALLED, LOOKS, MOST_WORKERS, STATUS, all_finished, new_board, serve
+from .frames import with_room
 
-Kernel = Callable[..., None]
-Calls = tuple[tuple[Kernel, tuple[Any, ...]], ...]
-"""Kernels and their arguments, but for the first two."""
+Kernel = Callable[..., Any]
+"""A compiled function of a board, a number of workers and a tuple of arguments; returns what ``call_all`` does."""
+NAP = 1e-4
+"""Seconds between looks when others take much longer than the caller."""
 
-
-class _Helper:
-    """A thread and its inbox. ``called`` rings when something was put there, ``finished`` when a kernel is done."""
-
-    def __init__(self, name: str) -> None:
-        self.inbox: SimpleQueue[Any] = SimpleQueue()
-        self.called, self.finished = new_bell(), new_bell()
-        threading.Thread(target=self._work, name=name, daemon=True).start()
-
-    def start(self, job: tuple[Any, ...]) -> None:
-        self.inbox.put(job)
-        self.called[0] += 1
-
-    def _work(self) -> None:
-        heard = 0
-        while True:
-            listen(self.called, heard, LOOKS)
-            worker, workers, calls, done = self.inbox.get()
-            heard += 1
-            mistake: BaseException | None = None
-            try:
-                _run(worker, workers, calls)
-            except BaseException as error:  # handed to the caller, who raises it
-                mistake = error
-            del calls
-            done.put(mistake)
-            self.finished[0] += 1
-
-
-_helpers: list[_Helper] = []
-_owner = 0
-_growing = threading.Lock()
 _stopwatch: dict[str, float] | None = None
 
 
 def worker_count() -> int:
     """As many workers as torch has threads."""
-    return max(1, torch.get_num_threads())
+    return max(1, min(torch.get_num_threads(), MOST_WORKERS))
 
 
 def share(workers: int, kernel: Kernel, *arguments: Any) -> None:
-    """Call ``kernel(worker, workers, *arguments)`` for every worker, on a thread each, and wait for all of
-    them.
+    """Have the kernel done by so many workers, on a thread each, and wait for all of them.
 
-    The first call of a kernel runs here alone, worker after worker: it compiles. Raises what a worker raised.
+    Several threads may call this; they wait for each other. Raises ``RuntimeError`` when a worker failed, which
+    kernels do not do by themselves: only compiled code that raises does.
     """
-    share_all(workers, (kernel, arguments))
-
-
-def share_all(workers: int, *calls: tuple[Kernel, tuple[Any, ...]]) -> None:
-    """As ``share`` of each of these kernels with its arguments, but nobody waits for the others in between."""
     start = time.perf_counter()
-    _share(workers, calls)
+    _crew().run(workers, kernel, arguments)
     if _stopwatch is not None:
-        name = " and ".join(kernel.__name__ for kernel, _ in calls)
+        name = kernel.__name__
         _stopwatch[name] = _stopwatch.get(name, 0.0) + time.perf_counter() - start
 
 
 @contextmanager
 def timed() -> Iterator[dict[str, float]]:
-    """Within, the wall seconds of every kernel add up under its name; of several called at once, under all of
-    them."""
+    """Within, the wall seconds of every kernel add up under its name."""
     global _stopwatch
     _stopwatch = {}
     try:
@@ -93,43 +57,93 @@ def timed() -> Iterator[dict[str, float]]:
         _stopwatch = None
 
 
-def _run(worker: int, workers: int, calls: Calls) -> None:
-    for kernel, arguments in calls:
-        kernel(worker, workers, *arguments)
+class _Crew:
+    """The helpers of one process, and their board."""
+
+    def __init__(self) -> None:
+        self.process = os.getpid()
+        self._board = new_board()
+        self._helpers: list[_Helper] = []
+        self._turn = threading.Lock()
+        # compiled, or loaded, now: when a helper needs them others wait for it
+        serve(self._board, 1, 0, 0)
+        all_finished(self._board, 1, 0)
+
+    def run(self, workers: int, kernel: Any, arguments: tuple[Any, ...]) -> None:
+        with self._turn:
+            while len(self._helpers) < workers - 1:
+                self._helpers.append(_Helper(self._board, len(self._helpers) + 1))
+            if not kernel.overloads:  # helpers that are awake would wait for the compiler
+                with_room(kernel.compile, tuple(map(typeof, (self._board, workers, arguments))))
+            called = self._helpers[: workers - 1]
+            finished = False
+            try:
+                for helper in called:
+                    helper.announce()
+                finished = kernel(self._board, workers, arguments)
+            finally:
+                if not finished:
+                    self._wait(workers)
+                for helper in called:
+                    helper.has_been_called()
+            failed = [worker for worker in range(workers) if self._board[2 * worker + 1, STATUS]]
+        if failed:
+            raise RuntimeError(f"worker {failed[0]} of {workers} failed in the kernel {kernel.__name__}")
+
+    def _wait(self, workers: int) -> None:
+        """The arrays must not go while others write to them, whoever wants to interrupt."""
+        interrupt: KeyboardInterrupt | None = None
+        while not all_finished(self._board, workers, 0):
+            try:
+                time.sleep(NAP)
+            except KeyboardInterrupt as error:
+                interrupt = error
+        if interrupt is not None:
+            raise interrupt
 
 
-def _share(workers: int, calls: Calls) -> None:
-    if workers == 1 or not all(getattr(kernel, "overloads", None) for kernel, _ in calls):
-        for worker in range(workers):
-            _run(worker, workers, calls)
-        return
-    _grow(workers - 1)
-    helpers = _helpers[: workers - 1]
-    heard = [int(helper.finished[0]) for helper in helpers]
-    done: SimpleQueue[BaseException | None] = SimpleQueue()
-    for worker, helper in enumerate(helpers, start=1):
-        helper.start((worker, workers, calls, done))
-    mistakes: list[BaseException | None] = []
-    try:
-        _run(0, workers, calls)
-    finally:
-        # the arrays must not go while others write to them
-        for helper, rings in zip(helpers, heard, strict=True):
-            listen(helper.finished, rings, LOOKS)
-        mistakes = [done.get() for _ in helpers]
-    for mistake in mistakes:
-        if mistake is not None:
-            raise mistake
+class _Helper:
+    """A thread that serves at a board, and falls asleep when no call is on its way. The interpreter's lock orders what
+    the two threads see of ``_announced`` (calls, by now) and ``_asleep``."""
+
+    def __init__(self, board: Any, worker: int) -> None:
+        self._board, self._worker = board, worker
+        self._announced = 0
+        self._asleep = False
+        self._alarm: SimpleQueue[None] = SimpleQueue()
+        threading.Thread(target=self._serve, name=f"plgs-worker-{worker}", daemon=True).start()
+
+    def announce(self) -> None:
+        """A call comes at once."""
+        self._announced += 1
+        if self._asleep:
+            self._alarm.put(None)
+
+    def has_been_called(self) -> None:
+        """Or has not, where something went wrong after the announcement."""
+        self._announced = int(self._board[2 * self._worker, CALLED])
+
+    def _serve(self) -> None:
+        calls = 0
+        while True:
+            calls = serve(self._board, self._worker, calls, LOOKS)
+            self._asleep = True
+            if calls == self._announced:
+                self._alarm.get()
+            self._asleep = False
 
 
-def _grow(count: int) -> None:
-    """At least ``count`` helper threads; a forked process starts its own."""
-    global _owner
-    if _owner == os.getpid() and len(_helpers) >= count:
-        return
-    with _growing:
-        if _owner != os.getpid():
-            _helpers.clear()
-            _owner = os.getpid()
-        while len(_helpers) < count:
-            _helpers.append(_Helper(f"plgs-worker-{len(_helpers) + 1}"))
+_only: _Crew | None = None
+_hiring = threading.Lock()
+
+
+def _crew() -> _Crew:
+    """That of this process; a forked one hires its own."""
+    global _only
+    crew = _only
+    if crew is None or crew.process != os.getpid():
+        with _hiring:
+            crew = _only
+            if crew is None or crew.process != os.getpid():
+                crew = _only = _Crew()
+    return crew

@@ -19,28 +19,22 @@ from torch import Tensor
 ALIGNMENT = 64
 KEPT_CALLS = 400
 """A block that was not used for so many requests is given back to the system when a new one is made."""
+LEAST_STEP = 12
+"""Sizes are multiples of a power of two, of this one at least."""
 
 
 class _Block:
+    __slots__ = ("bytes", "start", "used")
+
     def __init__(self, size: int) -> None:
         self.bytes = np.empty(size + ALIGNMENT, np.uint8)
         self.start = -self.bytes.ctypes.data % ALIGNMENT
         self.used = 0
 
-    def is_free(self) -> bool:
-        return sys.getrefcount(self.bytes) == _UNSHARED
 
-
-def _count_of_unshared() -> int:
-    """What ``is_free`` sees when nobody else holds the block; differs between versions of Python."""
-
-    def count(self: _Block) -> int:
-        return sys.getrefcount(self.bytes)
-
-    return count(_Block(1))
-
-
-_UNSHARED = _count_of_unshared()
+_unshared = _Block(1)
+_REFERENCES = sys.getrefcount(_unshared.bytes)
+"""To the bytes of a block that nobody else holds; differs between versions of Python."""
 _blocks: dict[int, list[_Block]] = {}
 """By size."""
 _calls = 0
@@ -49,25 +43,34 @@ _lock = threading.Lock()
 
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """As ``np.empty``, aligned to a cache line, out of blocks that are used again."""
-    global _calls
     kind = np.dtype(dtype)
-    size = kind.itemsize * (math.prod(shape) if isinstance(shape, tuple) else shape)
+    block = _take(kind.itemsize * (math.prod(shape) if isinstance(shape, tuple) else shape))
+    return np.ndarray(shape, kind, *block)
+
+
+def _take(size: int) -> tuple[NDArray[Any], int]:
+    """The bytes of a block that nobody holds, made where there is none, and the place of the first that is aligned."""
+    global _calls
+    size = _rounded(size)
     with _lock:
         _calls += 1
-        block = _free_block(_rounded(size))
+        for block in _blocks.get(size, ()):
+            if sys.getrefcount(block.bytes) == _REFERENCES:
+                break
+        else:
+            block = _new_block(size)
         block.used = _calls
-        return np.ndarray(shape, kind, block.bytes, block.start)
+        return block.bytes, block.start  # held from here on, so before another thread may look
 
 
-def _free_block(size: int) -> _Block:
-    """One of this size that nobody holds; a new one where there is none, and then those go that were long unused."""
-    for block in _blocks.setdefault(size, []):
-        if block.is_free():
-            return block
+def _new_block(size: int) -> _Block:
+    """And those go that were long unused."""
     for blocks in _blocks.values():
-        blocks[:] = [block for block in blocks if not block.is_free() or block.used > _calls - KEPT_CALLS]
+        blocks[:] = [
+            block for block in blocks if sys.getrefcount(block.bytes) != _REFERENCES or block.used > _calls - KEPT_CALLS
+        ]
     block = _Block(size)
-    _blocks[size].append(block)
+    _blocks.setdefault(size, []).append(block)
     return block
 
 
@@ -78,7 +81,8 @@ def empty_tensor(shape: tuple[int, ...]) -> Tensor:
 
 def _rounded(size: int) -> int:
     """A little more than asked for, so that a slowly growing scene finds its blocks again."""
-    step = 1 << max(12, size.bit_length() - 4)
+    bits = size.bit_length() - 4
+    step = 1 << bits if bits > LEAST_STEP else 1 << LEAST_STEP
     return -(-size // step) * step
 
 

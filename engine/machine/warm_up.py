@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 from .announcing import is_compiled, note_compiled, say_that_it_compiles
 from .companion import Companion, has_room_for_two
+from .frames import with_room
 
 
 class WarmUp:
@@ -23,13 +24,13 @@ class WarmUp:
         self._whole = whole
         self._forward, self._backward = (f"the {way} pass of {self._whole}" for way in ("forward", "backward"))
         self._compile_forward, self._compile_backward, self._apart = compile_forward, compile_backward, apart
-        self._has_forward = self._has_backward = False
+        self.has_forward = self._has_backward = False
         self._has_spoken = False
         self._companion: Companion | None = None
 
     def forward(self, backward_follows: bool) -> None:
         """Before a forward pass."""
-        if self._has_forward:
+        if self.has_forward:
             return
         if backward_follows and not is_compiled(self._forward) and not is_compiled(self._backward):
             say_that_it_compiles(self._whole, "15 s")
@@ -38,9 +39,9 @@ class WarmUp:
                 self._companion = Companion(self._apart)
         elif not is_compiled(self._forward):
             say_that_it_compiles(self._forward, "8 s")
-        self._compile_forward()
+        with_room(self._compile_forward)
         note_compiled(self._forward)
-        self._has_forward = True
+        self.has_forward = True
 
     def backward(self) -> None:
         """Before a backward pass."""
@@ -50,6 +51,6 @@ class WarmUp:
             self._companion.wait()
         if not self._has_spoken and not is_compiled(self._backward):
             say_that_it_compiles(self._backward, "8 s")
-        self._compile_backward()
+        with_room(self._compile_backward)
         note_compiled(self._backward)
         self._has_backward = True

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.compiled import Array, compiled
+from ..machine.blackboard import call_all
+from ..machine.compiled import Array, compiled, part
 
 BLOCK = 128
 """Pixels of one block: its classes and slots together stay in the processor's first cache."""
@@ -60,8 +61,8 @@ class Decided(NamedTuple):
     entropy: NDArray[np.float32]
 
 
-@compiled
-def decide_blocks(
+@part
+def decide_share(
     worker: int, workers: int, pixels: Any, columns: Any, linear_light: Array, scratch: Array, decided: Any
 ) -> None:
     """Every ``workers``-th block. ``linear_light`` float32 [N + 1]: linear values of 0, 1/N, ... 1 (sRGB-encoded);
@@ -79,6 +80,12 @@ def decide_blocks(
         natural_logarithm(share.reshape(-1), exponent.reshape(-1), logarithm.reshape(-1))
         undecidedness(share, logarithm, size, likely, pixels.alpha[start:], decided.entropy[start:])
         combine(pixels, start, size, linear_light, decided.combined)
+
+
+@compiled
+def decide_blocks(board: Array, workers: int, arguments: Any) -> Any:
+    """``decide_share`` for all workers."""
+    return call_all(decide_share, board, workers, arguments)
 
 
 @compiled
@@ -135,9 +142,7 @@ def best_slot(coverage: Array, pixel: int, columns: Any, share: Array, x: int) -
 
 
 @compiled
-def choose(
-    pixels: Any, columns: Any, start: int, size: int, share: Array, likeliest: Array, decided: Any
-) -> None:
+def choose(pixels: Any, columns: Any, start: int, size: int, share: Array, likeliest: Array, decided: Any) -> None:
     """Class, instance, confidence and depth of a block. ``share`` [C, BLOCK], ``likeliest`` [BLOCK] its largest row."""
     for x in range(size):
         pixel, place, instance = start + x, int(likeliest[x]), 0

@@ -10,9 +10,8 @@ from torch import Tensor
 
 from ..machine import memory
 from ..machine.compiled import Array
-from ..machine.crew import share, share_all, worker_count
+from ..machine.crew import share, worker_count
 from .forward_pass import ForwardState, scratch
-from .gather import gather
 from .records import GRADIENT_WIDTH, TILE, padded_channels
 
 
@@ -56,30 +55,36 @@ class SlotGradients:
     values: Array
     labels: Array
 
+    @classmethod
+    def empty(cls, pairs: int, channels: int) -> SlotGradients:
+        return cls(
+            memory.empty(pairs, np.uint8),
+            memory.empty(pairs * GRADIENT_WIDTH, np.float32),
+            memory.empty(pairs * padded_channels(channels), np.float32),
+        )
+
 
 def unblend(
     state: ForwardState, means: Array, scales: Array, quats: Array, d_layers: LayerGradients
 ) -> GaussianGradients:
     """The gradients of all that was blended; means [N, 3], scales [N, 3] and quats [N, 4] as they were then."""
-    workers, channels, lists = worker_count(), d_layers.labels.shape[2], state.lists
-    slots = _unblend_tiles(workers, state, d_layers)
+    workers, channels, pairs = worker_count(), d_layers.labels.shape[2], len(state.lists.ids)
+    slots = SlotGradients.empty(pairs, channels)
     gradients = GaussianGradients.empty(len(state.records), channels)
-    calls = [(gather, _gather_arguments(workers, state, slots, (means, scales, quats), gradients))]
-    if channels > 0:
-        own_labels = gradients.labels.numpy().reshape(-1)
-        own = (lists.slots, slots.touched, slots.labels, channels, own_labels)
-        calls.append((state.kernels.gather_labels, own))
-    share_all(workers, *calls)
+    # all is made ready before the first kernel, which throws what Python needs out of the caches
+    unblending = _unblending(workers, state, d_layers, slots)
+    labels = slots.labels, channels, gradients.labels.numpy().reshape(-1)
+    geometry = _geometry(workers, state, slots, (means, scales, quats), gradients)
+    share(workers, state.kernels.unblend, *unblending)
+    share(workers, state.kernels.gather, state.lists.slots, slots.touched, labels, geometry)
     return gradients
 
 
-def _gather_arguments(
+def _geometry(
     workers: int, state: ForwardState, slots: SlotGradients, scene: tuple[Array, ...], gradients: GaussianGradients
 ) -> tuple[Any, ...]:
-    """All but the first two of ``gather``; ``scene`` is means, scales and quats."""
+    """All but the first four arguments of ``gather_share``; ``scene`` is means, scales and quats."""
     return (
-        state.lists.slots,
-        slots.touched,
         slots.values,
         state.records,
         *scene,
@@ -94,18 +99,11 @@ def _gather_arguments(
     )
 
 
-def _unblend_tiles(workers: int, state: ForwardState, d_layers: LayerGradients) -> SlotGradients:
-    kernels, lists = state.kernels, state.lists
+def _unblending(workers: int, state: ForwardState, d_layers: LayerGradients, slots: SlotGradients) -> tuple[Any, ...]:
+    """The arguments of ``unblend_share``."""
+    lists = state.lists
     height, width, channels = d_layers.labels.shape
-    pairs = len(lists.ids)
-    slots = SlotGradients(
-        memory.empty(pairs, np.uint8),
-        memory.empty(pairs * GRADIENT_WIDTH, np.float32),
-        memory.empty(pairs * padded_channels(channels), np.float32),
-    )
-    share(
-        workers,
-        kernels.unblend,
+    return (
         np.zeros(1, np.int64),
         lists.starts,
         lists.ids,
@@ -123,6 +121,5 @@ def _unblend_tiles(workers: int, state: ForwardState, d_layers: LayerGradients) 
         slots.touched,
         slots.values,
         slots.labels,
-        *scratch(workers, kernels.unblend_scratch(channels), lists.longest),
+        *scratch(workers, state.kernels.unblend_scratch(channels), lists.longest),
     )
-    return slots

@@ -24,7 +24,6 @@ STAGES = {
     "blend_tiles": "blend",
     "unblend_tiles": "unblend",
     "gather": "gather",
-    "gather and gather_labels": "gather",
 }
 
 
@@ -39,9 +38,7 @@ def bench_raster(json_file: Path | None = None, repeats: int = 9) -> list[dict[s
     """
     threads, peak = torch.get_num_threads(), fma_peak()
     kernels = choose_kernels().name
-    print(
-        f"{processor_name()}, {threads} threads, {kernels} kernels; multiply-add peak {peak:.0f} GFLOP/s a thread"
-    )
+    print(f"{processor_name()}, {threads} threads, {kernels} kernels; multiply-add peak {peak:.0f} GFLOP/s a thread")
     print("Gaussians      size  channels  forward  backward   total  processor  GFLOP/s  efficiency  stages")
     rows = []
     for count, width, height in CASES:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..machine.blackboard import call_all
 from ..machine.compiled import Array, compiled, contracted_part, part
 from .blend_forward import ALPHA_LEAST, ONE
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
@@ -120,9 +121,7 @@ def unblend_row(
 
 
 @contracted_part
-def add_moments(
-    d_log_alpha: Array, weight: Array, s1: Array, s2: float, d_planes: Array, r: int, sums: Array
-) -> None:
+def add_moments(d_log_alpha: Array, weight: Array, s1: Array, s2: float, d_planes: Array, r: int, sums: Array) -> None:
     for x in range(TILE):
         g = d_log_alpha[x]
         t = g * s1[x]
@@ -169,8 +168,8 @@ def add_label_gradients(
         counts[r] = 0
 
 
-@compiled
-def unblend_tiles(
+@part
+def unblend_share(
     worker: int,
     workers: int,
     next_tile: Array,
@@ -265,3 +264,9 @@ def unblend_tiles(
                         slot_labels[tile_slots[first + place] * padded + c] = chunk_labels[place - chunk, c]
             else:
                 counts[:] = 0
+
+
+@compiled
+def unblend_tiles(board: Array, workers: int, arguments: Any) -> Any:
+    """``unblend_share`` for all workers."""
+    return call_all(unblend_share, board, workers, arguments)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..machine.blackboard import call_all
 from ..machine.compiled import Array, compiled, part
 from .conventions import ALPHA_MIN, TRANSMITTANCE_END
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
@@ -127,8 +128,8 @@ def write_tile(
                 labels_out[y, left + x, c] = tile_labels[r * TILE + x, c]
 
 
-@compiled
-def blend_tiles(
+@part
+def blend_share(
     worker: int,
     workers: int,
     next_tile: Array,
@@ -203,6 +204,10 @@ def blend_tiles(
             alive = any_alive(through)
             if alive == 0:
                 break
-        write_tile(
-            left, top, through, last, planes, tile_labels, image, labels_out, alpha, depth, rest, last_out
-        )
+        write_tile(left, top, through, last, planes, tile_labels, image, labels_out, alpha, depth, rest, last_out)
+
+
+@compiled
+def blend_tiles(board: Array, workers: int, arguments: Any) -> Any:
+    """``blend_share`` for all workers."""
+    return call_all(blend_share, board, workers, arguments)

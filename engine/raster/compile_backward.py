@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .gather import gather
+from ..machine.blackboard import new_board
+from ..machine.frames import with_room
 from .kernels import Kernels, choose_kernels
 from .projection import CAMERA
 from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE
@@ -16,6 +17,7 @@ from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE
 def compile_backward(kernels: Kernels) -> None:
     """Call every kernel of the backward pass, with the types of arrays that ``backward_pass`` gives it: one pixel, one
     channel, and one Gaussian that no tile draws."""
+    board = new_board()
     floats = {size: np.zeros(size, np.float32) for size in (1, 2, 3, 4, TILE, GRADIENT_WIDTH)}
     places, nobody, untouched = np.zeros(2, np.int64), np.zeros(0, np.int32), np.zeros(0, np.uint8)
     rest, nothing_blended = np.ones(1, np.float32), np.full(1, -1.0, np.float32)
@@ -26,9 +28,7 @@ def compile_backward(kernels: Kernels) -> None:
         np.zeros((1, TILE + 1), np.int64),
     )
     one_of = {columns: np.zeros((1, columns), np.float32) for columns in (2, 3, 4, RECORD)}
-    kernels.unblend(
-        0,
-        1,
+    unblending = (
         np.zeros(1, np.int64),
         places,
         nobody,
@@ -48,12 +48,14 @@ def compile_backward(kernels: Kernels) -> None:
         slot_labels,
         *scratch,
     )
-    kernels.gather_labels(0, 1, places, untouched, slot_labels, 1, floats[1])
+    kernels.unblend(board, 1, unblending)
     scene = (one_of[3], one_of[3], one_of[4])
     gradients = (one_of[3], one_of[3], one_of[4], floats[1], one_of[3], one_of[2])
     sums = np.zeros((1, TILE), np.float64)
-    gather(0, 1, places, untouched, slot_gradients, one_of[RECORD], *scene, np.ones(CAMERA), sums, *gradients)
+    labels = slot_labels, 1, floats[1]
+    geometry = slot_gradients, one_of[RECORD], *scene, np.ones(CAMERA), sums, *gradients
+    kernels.gather(board, 1, (places, untouched, labels, geometry))
 
 
 if __name__ == "__main__":
-    compile_backward(choose_kernels())
+    with_room(compile_backward, choose_kernels())

@@ -55,23 +55,36 @@ class Layers:
         return [layer.numpy().reshape(-1) for layer in (self.image, self.labels, self.alpha, self.depth)]
 
 
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What the forward pass tells of each Gaussian: ``centres`` float32 [N, 2] on the image, and ``visible`` bool
+    [N]."""
+
+    centres: Array
+    visible: Array
+
+
 def as_array(tensor: Tensor) -> Array:
-    return tensor.detach().contiguous().numpy()
+    """The same numbers in one piece, without their history."""
+    return np.ascontiguousarray(tensor.numpy(force=True))
 
 
 def blend(
-    kernels: Kernels, gaussians: list[Array], labels: Array, view: View, centres: Array, visible: Array
+    kernels: Kernels, gaussians: list[Array], labels: Array, view: View, shown: Shown
 ) -> tuple[Layers, ForwardState]:
-    """``gaussians``: means [N, 3], scales [N, 3], quats [N, 4], opacities [N] and colours [N, 3]; labels [N, C]. Fills
-    ``centres`` [N, 2] and ``visible`` bool [N]. All other arrays are float32."""
+    """``gaussians``: means [N, 3], scales [N, 3], quats [N, 4], opacities [N] and colours [N, 3]; labels [N, C], all
+    float32. Fills ``shown``."""
+    # Kernels throw what Python needs out of the caches: what can be made ready before the first of them is.
     workers, camera = worker_count(), camera_array(view)
     count, channels = labels.shape
+    layers = Layers.empty(view.height, view.width, channels)
+    flat_layers = layers.flat()
+    rest, last = memory.empty((2, view.height * view.width), np.float32)
     records, boxes = memory.empty((count, RECORD), np.float32), memory.empty((count, 4), np.int32)
     counts = np.zeros((workers, 2), np.int64)
     share(workers, project, *gaussians, camera, view.width, view.height, records, boxes, counts)
-    lists = list_tiles(workers, Projected(records, boxes, counts), view.width, view.height, centres, visible)
-    layers = Layers.empty(view.height, view.width, channels)
-    rest, last = memory.empty((2, view.height * view.width), np.float32)
+    projected = Projected(records, boxes, counts)
+    lists = list_tiles(workers, projected, view.width, view.height, shown.centres, shown.visible)
     blenders = lists.blenders(workers)
     share(
         blenders,
@@ -84,7 +97,7 @@ def blend(
         channels,
         view.width,
         view.height,
-        *layers.flat(),
+        *flat_layers,
         rest,
         last,
         *scratch(blenders, kernels.blend_scratch(channels, lists.longest), lists.longest),
@@ -111,7 +124,5 @@ def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[
 
     indices, weights = torch.empty(shape, dtype=torch.int32), torch.empty(shape, dtype=torch.float32)
     lists = state.lists
-    share(
-        worker_count(), list_contributors, lists.starts, lists.ids, state.records, indices.numpy(), weights.numpy()
-    )
+    share(worker_count(), list_contributors, lists.starts, lists.ids, state.records, indices.numpy(), weights.numpy())
     return indices, weights

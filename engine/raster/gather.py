@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..machine.blackboard import call_all
 from ..machine.compiled import Array, compiled, part
 from .projection import (
     LOG2_E,
@@ -142,12 +143,8 @@ def chain_to_scene(
     # T = [fx/z (R0 - u R2); fy/z (R1 - v R2)] with the clamped slopes u = x/z, v = y/z
     over_z = 1.0 / z
     jx, jy = camera[12] * over_z, camera[13] * over_z
-    d_u = through_clamp(
-        x * over_z, camera[17], camera[18], -jx * (t0 * camera[6] + t1 * camera[7] + t2 * camera[8])
-    )
-    d_v = through_clamp(
-        y * over_z, camera[19], camera[20], -jy * (t3 * camera[6] + t4 * camera[7] + t5 * camera[8])
-    )
+    d_u = through_clamp(x * over_z, camera[17], camera[18], -jx * (t0 * camera[6] + t1 * camera[7] + t2 * camera[8]))
+    d_v = through_clamp(y * over_z, camera[19], camera[20], -jy * (t3 * camera[6] + t4 * camera[7] + t5 * camera[8]))
     d_z = total[D_DEPTH] - over_z * (t0 * j0 + t1 * j1 + t2 * j2 + t3 * j3 + t4 * j4 + t5 * j5)
     # the centre's own slopes, unclamped
     d_u += camera[12] * d_x2
@@ -181,8 +178,8 @@ def clear(
         d_quats[i, c] = F(0.0)
 
 
-@compiled
-def gather(
+@part
+def gather_share(
     worker: int,
     workers: int,
     slots: Array,
@@ -225,7 +222,7 @@ def gather(
         chain_to_scene(i, total, records, means, scales, quats, camera, d_means, d_scales, d_quats, d_means2d)
 
 
-@compiled
+@part
 def gather_labels(
     worker: int, workers: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
 ) -> None:
@@ -239,3 +236,17 @@ def gather_labels(
             if touched[slot] != 0:
                 for c in range(channels):
                     own[c] += slot_labels[slot * padded + c]
+
+
+@part
+def gather_all_share(worker: int, workers: int, slots: Array, touched: Array, labels: Any, geometry: Any) -> None:
+    """A worker's share of all gradients; ``labels`` and ``geometry`` are the other arguments of ``gather_labels`` and
+    of ``gather_share``."""
+    gather_share(worker, workers, slots, touched, *geometry)
+    gather_labels(worker, workers, slots, touched, *labels)
+
+
+@compiled
+def gather(board: Array, workers: int, arguments: Any) -> Any:
+    """``gather_all_share`` for all workers."""
+    return call_all(gather_all_share, board, workers, arguments)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -61,20 +63,24 @@ def rasterize(
     view = _view(camera_to_world, K, width, height, near)
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
-    name = _pick(backend, means)
-    arguments = (means, scales, quats, opacities, colours, labels, view, top_k, want_means2d_grad)
-    # Imported only when called, so that a program that asks for one back end does not wait for the others.
-    if name == "reference":
+    rasterize_there = _load(_pick(backend, means))
+    return rasterize_there(means, scales, quats, opacities, colours, labels, view, top_k, want_means2d_grad)
+
+
+@cache
+def _load(backend: Backend) -> Callable[..., Rendering]:
+    """Imported only when called, so that a program that asks for one back end does not wait for the others."""
+    if backend == "reference":
         from .reference import rasterize_reference
 
-        return rasterize_reference(*arguments)
-    if name == "gsplat":
+        return rasterize_reference
+    if backend == "gsplat":
         from .cuda import rasterize_gsplat
 
-        return rasterize_gsplat(*arguments)
+        return rasterize_gsplat
     from .native import rasterize_native
 
-    return rasterize_native(*arguments)
+    return rasterize_native
 
 
 def _pick(backend: Backend | None, means: Tensor) -> Backend:
@@ -123,7 +129,7 @@ def _check(
     if labels is not None:
         expected["labels"] = (labels, (count, labels.shape[-1] if labels.ndim else 0))
     for name, (tensor, shape) in expected.items():
-        if tuple(tensor.shape) != shape:
+        if tensor.shape != shape:
             raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected {shape}")
         if tensor.dtype != means.dtype or tensor.device != means.device:
             raise ValueError(

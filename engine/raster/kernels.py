@@ -14,15 +14,15 @@ VARIABLE = "PLGS_RASTER_KERNELS"
 """Environment variable: ``vector``, ``plain``, or unset to let the machine decide."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kernels:
-    """``blend`` and ``unblend`` run one worker's tiles, ``gather_labels`` its Gaussians; the others tell the floats of
+    """``blend`` and ``unblend`` run one worker's tiles, ``gather`` its Gaussians; the others tell the floats of
     scratch for so many channels (and Gaussians in the longest list of a tile)."""
 
     name: str
     blend: Callable[..., None]
     unblend: Callable[..., None]
-    gather_labels: Callable[..., None]
+    gather: Callable[..., None]
     blend_scratch: Callable[[int, int], int]
     unblend_scratch: Callable[[int], int]
 
@@ -43,12 +43,8 @@ def choose_kernels() -> Kernels:
 def _vector_or_plain() -> Kernels:
     try:
         return _vector()
-    except (
-        Exception
-    ) as error:  # a Numba or LLVM that we do not know: any kind of error, and the plain twins still work
-        log.warning(
-            "the vector kernels do not work here (%s); using the plain ones, about five times slower", error
-        )
+    except Exception as error:  # a Numba or LLVM that we do not know: any kind of error, and the plain twins still work
+        log.warning("the vector kernels do not work here (%s); using the plain ones, about five times slower", error)
         return _plain()
 
 
@@ -65,7 +61,7 @@ def _vector() -> Kernels:
         "vector",
         forward.blend_tiles,
         backward.unblend_tiles,
-        gather.gather_labels,
+        gather.gather,
         forward.scratch_size,
         backward_tile.scratch_size,
     )
@@ -78,4 +74,4 @@ def _plain() -> Kernels:
     def none(*sizes: int) -> int:
         return 0
 
-    return Kernels("plain", blend_forward.blend_tiles, blend_backward.unblend_tiles, gather.gather_labels, none, none)
+    return Kernels("plain", blend_forward.blend_tiles, blend_backward.unblend_tiles, gather.gather, none, none)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 from ..machine import memory
-from ..machine.bell import listen, new_bell
+from ..machine.compiled import Array
 from ..machine.crew import worker_count
 from ..machine.warm_up import WarmUp
 from .backward_pass import LayerGradients, unblend
 from .compile_backward import compile_backward
 from .conventions import NEAR, View
-from .forward_pass import as_array, blend, top_contributors
+from .forward_pass import Shown, as_array, blend, top_contributors
 from .kernels import Kernels, choose_kernels
 from .rendering import Rendering
 
@@ -39,18 +39,22 @@ def rasterize_native(
     want_means2d_grad: bool,
 ) -> Rendering:
     """As ``rasterize``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
-    centres = memory.empty_tensor((means.shape[0], 2)).requires_grad_(want_means2d_grad)
-    visible = torch.empty(means.shape[0], dtype=torch.bool)
+    shown = Shown(memory.empty((means.shape[0], 2), np.float32), memory.empty(means.shape[0], np.bool_))
+    centres = torch.from_numpy(shown.centres)
+    if want_means2d_grad:
+        centres.requires_grad_()
     inputs = (means, scales, quats, opacities, colours, labels, centres)
-    differentiable = any(tensor is not None and tensor.requires_grad for tensor in inputs)
-    _warm_up(choose_kernels()).forward(torch.is_grad_enabled() and differentiable)
-    image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, view, visible, top_k)
+    warm_up = _warm_up(choose_kernels())
+    if not warm_up.has_forward:
+        differentiable = any(tensor is not None and tensor.requires_grad for tensor in inputs)
+        warm_up.forward(torch.is_grad_enabled() and differentiable)
+    image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, view, shown, top_k)
     return Rendering(
         image=image,
         labels=labels_out if labels is not None else None,
         alpha=alpha,
         depth=depth,
-        visible=visible,
+        visible=torch.from_numpy(shown.visible),
         means2d=centres,
         top_indices=top[0] if top else None,
         top_weights=top[1] if top else None,
@@ -69,8 +73,7 @@ def _compile_forward() -> None:
     """Call every kernel of the forward pass, with one Gaussian."""
     inputs = [torch.ones(shape) for shape in ((1, 3), (1, 3), (1, 4), (1,), (1, 3), (1, 1), (1, 2))]
     view = View(np.eye(3), np.array([0.0, 0.0, -3.0]), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
-    _Blend.apply(*inputs, view, torch.empty(1, dtype=torch.bool), 0)
-    listen(new_bell(), heard=1, looks=1)  # with one Gaussian nobody had to wait
+    _Blend.apply(*inputs, view, Shown(np.empty((1, 2), np.float32), np.empty(1, np.bool_)), 0)
 
 
 class _Blend(torch.autograd.Function):
@@ -85,30 +88,52 @@ class _Blend(torch.autograd.Function):
         labels: Tensor | None,
         centres: Tensor,
         view: View,
-        visible: Tensor,
+        shown: Shown,
         top_k: int,
     ) -> tuple[Tensor, ...]:
         gaussians = [as_array(tensor) for tensor in (means, scales, quats, opacities, colours)]
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
-        layers, state = blend(choose_kernels(), gaussians, features, view, as_array(centres), visible.numpy())
+        layers, state = blend(choose_kernels(), gaussians, features, view, shown)
         top: tuple[Tensor, ...] = ()
         if top_k:
             top = top_contributors(state, (view.height, view.width, top_k))
             ctx.mark_non_differentiable(*top)
         ctx.save_for_backward(means, scales, quats)
         ctx.state = state
-        ctx.has_labels = labels is not None
+        ctx.size = view.height, view.width
+        ctx.set_materialize_grads(False)
         return layers.image, layers.labels, layers.alpha, layers.depth, *top
 
     @staticmethod
     def backward(
-        ctx: Any, d_image: Tensor, d_labels: Tensor, d_alpha: Tensor, d_depth: Tensor, *_: Tensor
+        ctx: Any,
+        d_image: Tensor | None,
+        d_labels: Tensor | None,
+        d_alpha: Tensor | None,
+        d_depth: Tensor | None,
+        *_: Any,
     ) -> tuple[Tensor | None, ...]:
         _warm_up(ctx.state.kernels).backward()
-        wants_labels = ctx.has_labels and ctx.needs_input_grad[LABELS]
-        own_labels = as_array(d_labels) if wants_labels else np.empty((*d_alpha.shape, 0), np.float32)
-        d_layers = LayerGradients(as_array(d_image), own_labels, as_array(d_alpha), as_array(d_depth))
+        size, needed = ctx.size, list(ctx.needs_input_grad)
+        needed[LABELS] &= d_labels is not None
+        d_layers = LayerGradients(
+            _or_zeros(d_image, (*size, 3)),
+            _or_zeros(d_labels if needed[LABELS] else None, (*size, 0)),
+            _or_zeros(d_alpha, size),
+            _or_zeros(d_depth, size),
+        )
         means, scales, quats = map(as_array, ctx.saved_tensors)
         gradients = unblend(ctx.state, means, scales, quats, d_layers).in_order()
-        wanted = zip(gradients, ctx.needs_input_grad, strict=False)
-        return *(gradient if need else None for gradient, need in wanted), None, None, None
+        wanted = [gradient if need else None for gradient, need in zip(gradients, needed, strict=False)]
+        return *wanted, None, None, None
+
+
+def _or_zeros(gradient: Tensor | None, shape: tuple[int, ...]) -> Array:
+    """That of a layer, of which torch says nothing where no loss looks at it."""
+    return _zeros(shape) if gradient is None else as_array(gradient)
+
+
+@lru_cache(maxsize=8)
+def _zeros(shape: tuple[int, ...]) -> Array:
+    """Made once; who gets them only reads."""
+    return np.zeros(shape, np.float32)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..machine.blackboard import call_all
 from ..machine.compiled import Array, compiled, part
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM, View
 from .records import (
@@ -37,26 +38,15 @@ LOG_ALPHA_MIN = math.log(ALPHA_MIN)
 ROUNDED_UP = 1.0 + 1e-9
 """What double precision may have rounded off is far less."""
 
-# layout of the camera array that the kernels take
-CAMERA_ROTATION = 0  # nine, row by row
-CAMERA_CENTRE = 9
-CAMERA_FOCAL = 12
-CAMERA_PRINCIPAL = 14
-CAMERA_NEAR = 16
-CAMERA_SLOPES = 17  # x low, x high, y low, y high
 CAMERA = 21
+"""Numbers of the camera array that the kernels take: rotation (0 to 8, row by row), centre (9 to 11), focal lengths
+(12, 13), principal point (14, 15), near plane (16), slope limits (17 to 20: x low, x high, y low, y high)."""
 
 
 def camera_array(view: View) -> NDArray[np.float64]:
     """The camera as the kernels take it, float64 [CAMERA]."""
-    camera = np.empty(CAMERA)
-    camera[CAMERA_ROTATION:CAMERA_CENTRE] = view.rotation.ravel()
-    camera[CAMERA_CENTRE:CAMERA_FOCAL] = view.centre
-    camera[CAMERA_FOCAL:CAMERA_PRINCIPAL] = view.focal
-    camera[CAMERA_PRINCIPAL:CAMERA_NEAR] = view.principal
-    camera[CAMERA_NEAR] = view.near
-    camera[CAMERA_SLOPES:] = view.slope_limits()
-    return camera
+    numbers = (*view.focal, *view.principal, view.near, *view.slope_limits())
+    return np.concatenate((view.rotation.ravel(), view.centre, numbers))
 
 
 @part
@@ -123,9 +113,7 @@ def image_jacobian(camera: Array, x: float, y: float, z: float) -> Any:
 
 
 @part
-def axes_on_image(
-    jacobian: tuple[float, ...], rotation: tuple[float, ...], sx: float, sy: float, sz: float
-) -> Any:
+def axes_on_image(jacobian: tuple[float, ...], rotation: tuple[float, ...], sx: float, sy: float, sz: float) -> Any:
     """The 2x3 matrix J R Q diag(s): the Gaussian's axes, scaled, in pixels."""
     j0, j1, j2, j3, j4, j5, _, _ = jacobian
     q0, q1, q2, q3, q4, q5, q6, q7, q8 = rotation
@@ -241,8 +229,8 @@ def project_range(
     return visible, touched
 
 
-@compiled
-def project(
+@part
+def project_share(
     worker: int,
     workers: int,
     means: Array,
@@ -267,3 +255,9 @@ def project(
     )
     counts[worker, 0] = visible
     counts[worker, 1] = touched
+
+
+@compiled
+def project(board: Array, workers: int, arguments: Any) -> Any:
+    """``project_share`` for all workers."""
+    return call_all(project_share, board, workers, arguments)

@@ -7,8 +7,11 @@ before. A worker does its share of a step, a range; the result does not depend o
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from ..machine.blackboard import call_all
 from ..machine.compiled import Array, compiled, part
 from .records import DEPTH
 
@@ -115,9 +118,7 @@ def deal_digits(
 
 
 @part
-def count_tiles(
-    worker: int, workers: int, order: Array, boxes: Array, columns: int, histograms: Array
-) -> None:
+def count_tiles(worker: int, workers: int, order: Array, boxes: Array, columns: int, histograms: Array) -> None:
     count = order.shape[0]
     for tile in range(histograms.shape[1]):
         histograms[worker, tile] = 0
@@ -156,8 +157,8 @@ def deal_tiles(
                 slot += 1
 
 
-@compiled
-def run_tile_steps(
+@part
+def run_share_of_steps(
     worker: int,
     workers: int,
     first: int,
@@ -214,3 +215,9 @@ def run_tile_steps(
             longest[0] = running_starts(histograms, starts)
         elif step == DEAL_TILES:
             deal_tiles(worker, workers, spare_ids, boxes, slots, columns, histograms, tile_ids, tile_slots)
+
+
+@compiled
+def run_tile_steps(board: Array, workers: int, arguments: Any) -> Any:
+    """``run_share_of_steps`` for all workers."""
+    return call_all(run_share_of_steps, board, workers, arguments)

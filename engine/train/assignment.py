@@ -4,13 +4,15 @@ never changes about a view computed once)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from ..instances import best_slots
-from ..machine.compiled import Array, compiled
+from ..machine.blackboard import call_all
+from ..machine.compiled import Array, compiled, part
 from ..machine.crew import share, worker_count
 from .bands import band_count, band_of
 from .label_losses import TINY
@@ -52,8 +54,8 @@ def assigned_slots(coverage: torch.Tensor, alpha: torch.Tensor, first: int, thin
     return torch.from_numpy(slot_of_segment[things.row])  # row -1 is the last entry: no slot
 
 
-@compiled
-def add_slots(
+@part
+def add_share_of_slots(
     worker: int, workers: int, coverage: Array, alpha: Array, first: int, row: Array, sums: Array
 ) -> None:
     """Slot probabilities of every ``workers``-th band of pixels, added up by segment into ``sums`` float64
@@ -67,3 +69,9 @@ def add_slots(
             shown, total = coverage[pixel, first:], sums[band, row[pixel]]  # inner loops over whole arrays are fastest
             for slot in range(len(total)):
                 total[slot] += shown[slot] * share_of_alpha
+
+
+@compiled
+def add_slots(board: Array, workers: int, arguments: Any) -> Any:
+    """``add_share_of_slots`` for all workers."""
+    return call_all(add_share_of_slots, board, workers, arguments)

@@ -10,7 +10,8 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from ..machine import memory
-from ..machine.compiled import Array, compiled
+from ..machine.blackboard import call_all
+from ..machine.compiled import Array, compiled, part
 from ..machine.crew import share, worker_count
 from .bands import band_count, band_of
 
@@ -76,8 +77,8 @@ def judge(shown: float, alpha: float) -> Any:
     return np.float64(probability), -ONE / (probability * visible)
 
 
-@compiled
-def judge_pixels(
+@part
+def judge_share(
     worker: int,
     workers: int,
     coverage: Array,
@@ -121,7 +122,13 @@ def judge_pixels(
 
 
 @compiled
-def spread_slopes(
+def judge_pixels(board: Array, workers: int, arguments: Any) -> Any:
+    """``judge_share`` for all workers."""
+    return call_all(judge_share, board, workers, arguments)
+
+
+@part
+def spread_share(
     worker: int,
     workers: int,
     bands: int,
@@ -146,3 +153,9 @@ def spread_slopes(
                 gradient[pixel, classes + assigned[pixel]] += scales[1] * slopes[pixel, 1]
             if matched[pixel] >= 0:
                 gradient[pixel, classes + matched[pixel]] += scales[1] * slopes[pixel, 2]
+
+
+@compiled
+def spread_slopes(board: Array, workers: int, arguments: Any) -> Any:
+    """``spread_share`` for all workers."""
+    return call_all(spread_share, board, workers, arguments)

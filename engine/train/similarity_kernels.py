@@ -11,10 +11,12 @@ Pictures are float32 [H, 3 W]: the three channels of a pixel stand side by side,
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
-from ..machine.compiled import Array, contracted
+from ..machine.blackboard import call_all
+from ..machine.compiled import Array, contracted, contracted_part
 
 WINDOW, SIGMA = 11, 1.5
 REACH = WINDOW // 2
@@ -111,8 +113,8 @@ def gradient_row(
         difference[i] += abs(off)
 
 
-@contracted
-def compare_strips(
+@contracted_part
+def compare_share(
     worker: int,
     workers: int,
     image: Array,
@@ -145,6 +147,12 @@ def compare_strips(
             for i in range(length):
                 total += rows[3 + kind, i]
             sums[strip, kind] = total
+
+
+@contracted
+def compare_strips(board: Array, workers: int, arguments: Any) -> Any:
+    """``compare_share`` for all workers."""
+    return call_all(compare_share, board, workers, arguments)
 
 
 @contracted

@@ -18,6 +18,6 @@ def test_compiles_what_a_pass_calls(name: str, monkeypatch: pytest.MonkeyPatch) 
     compile_backward.compile_backward(kernels)
     scene = random_scene(0, 30, 4, 20, 16)
     render(scene, "numba")
-    for kernel in (kernels.unblend, kernels.gather_labels, compile_backward.gather):
+    for kernel in (kernels.unblend, kernels.gather):
         assert len(kernel.signatures) == 1  # type: ignore[attr-defined]
     assert np.isfinite(render(scene, "numba")[0].image.detach().numpy()).all()

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...machine.blackboard import call_all
 from ...machine.compiled import Array, compiled, inlined, part
 from ...machine.vector_functions import exp2_of_four, reciprocal
 from ...machine.vector_shuffles import totals
@@ -210,8 +211,8 @@ def unblend_gaussian(
     store_past_cache(gradients, slot * GRADIENT_WIDTH, totals(sums))
 
 
-@compiled
-def unblend_tiles(
+@part
+def unblend_share(
     worker: int,
     workers: int,
     next_tile: Array,
@@ -298,3 +299,9 @@ def unblend_tiles(
                 add_label_gradients(left, top, width, height, d_labels, channels, scratch, counts, members, padded)
                 count = min(CHUNK, far + 1 - chunk)
                 write_label_gradients(chunk, count, first, tile_slots, touched, scratch, slot_labels, padded)
+
+
+@compiled
+def unblend_tiles(board: Array, workers: int, arguments: Any) -> Any:
+    """``unblend_share`` for all workers."""
+    return call_all(unblend_share, board, workers, arguments)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...machine.blackboard import call_all
 from ...machine.compiled import Array, compiled, inlined, part
 from ...machine.vector_functions import exp2_of_four
 from ...machine.vectors import (
@@ -206,8 +207,8 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
     return count, sees
 
 
-@compiled
-def blend_tiles(
+@part
+def blend_share(
     worker: int,
     workers: int,
     next_tile: Array,
@@ -293,3 +294,9 @@ def blend_tiles(
                 strip_labels = 2 * STRIP_LABELS + strip_floats(channels) - strip_labels  # the other one
     flush_all(lines, source, target, row, padded_row, scratch, labels_out)
     take_next(next_tile)  # an atomic operation: all that went past the cache is there before anybody reads it
+
+
+@compiled
+def blend_tiles(board: Array, workers: int, arguments: Any) -> Any:
+    """``blend_share`` for all workers."""
+    return call_all(blend_share, board, workers, arguments)

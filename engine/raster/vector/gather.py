@@ -3,17 +3,21 @@ readable twin, in ``engine/raster/gather.py``."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from ...machine.compiled import Array, compiled
+from ...machine.blackboard import call_all
+from ...machine.compiled import Array, compiled, part
 from ...machine.vectors import get, lane_numbers, load, spread, store, store_some
+from ..gather import gather_share
 from ..records import TILE, padded_channels
 
 F = np.float32
 ZERO = F(0.0)
 
 
-@compiled
+@part
 def gather_labels(
     worker: int, workers: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
 ) -> None:
@@ -34,3 +38,16 @@ def gather_labels(
                 store(d_labels, at, total)  # what is too much, the next Gaussians write over
             else:
                 store_some(d_labels, at, total, in_tail)
+
+
+@part
+def gather_all_share(worker: int, workers: int, slots: Array, touched: Array, labels: Any, geometry: Any) -> None:
+    """As its plain twin."""
+    gather_share(worker, workers, slots, touched, *geometry)
+    gather_labels(worker, workers, slots, touched, *labels)
+
+
+@compiled
+def gather(board: Array, workers: int, arguments: Any) -> Any:
+    """``gather_all_share`` for all workers."""
+    return call_all(gather_all_share, board, workers, arguments)

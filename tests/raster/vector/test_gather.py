@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from engine.raster import gather as plain_gather
+from engine.machine.compiled import compiled
+from engine.raster.gather import gather_labels as plain_gather_labels
 from engine.raster.records import TILE
-from engine.raster.vector import gather
+from engine.raster.vector.gather import gather_labels
 
 GUARD = 64
 UNTOUCHED = np.float32(12345.0)
+
+
+@compiled
+def gather_plainly(
+    worker: int, workers: int, slots: Any, touched: Any, slot_labels: Any, channels: int, d_labels: Any
+) -> None:
+    plain_gather_labels(worker, workers, slots, touched, slot_labels, channels, d_labels)
+
+
+@compiled
+def gather_by_vectors(
+    worker: int, workers: int, slots: Any, touched: Any, slot_labels: Any, channels: int, d_labels: Any
+) -> None:
+    gather_labels(worker, workers, slots, touched, slot_labels, channels, d_labels)
 
 
 @pytest.mark.parametrize("channels", [1, 2, 5, 7, 8, 15, 16, 17, 46])
@@ -21,10 +38,10 @@ def test_a_worker_writes_its_own_share_and_nothing_else(channels: int) -> None:
     touched = (random.random(slots[-1]) < 0.7).astype(np.uint8)
     slot_labels = random.normal(size=slots[-1] * (-(-channels // TILE) * TILE)).astype(np.float32)
     expected = np.empty(count * channels, np.float32)
-    plain_gather.gather_labels(0, 1, slots, touched, slot_labels, channels, expected)
+    gather_plainly(0, 1, slots, touched, slot_labels, channels, expected)
     for worker in range(workers):
         got = np.full(count * channels + GUARD, UNTOUCHED)
-        gather.gather_labels(worker, workers, slots, touched, slot_labels, channels, got)
+        gather_by_vectors(worker, workers, slots, touched, slot_labels, channels, got)
         first, end = (channels * (count * w // workers) for w in (worker, worker + 1))
         np.testing.assert_array_equal(got[first:end], expected[first:end])
         assert (got[:first] == UNTOUCHED).all() and (got[end:] == UNTOUCHED).all()
