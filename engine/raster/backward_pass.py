@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from torch import Tensor
 
 from ..machine import memory
 from ..machine.compiled import Array
@@ -29,20 +28,20 @@ class LayerGradients:
 class GaussianGradients:
     """In the order of ``rasterize``'s arguments, and of the centres on the image [N, 2]."""
 
-    means: Tensor
-    scales: Tensor
-    quats: Tensor
-    opacities: Tensor
-    colours: Tensor
-    labels: Tensor
-    centres: Tensor
+    means: Array
+    scales: Array
+    quats: Array
+    opacities: Array
+    colours: Array
+    labels: Array
+    centres: Array
 
     @classmethod
     def empty(cls, count: int, channels: int) -> GaussianGradients:
         shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels), (count, 2))
-        return cls(*map(memory.empty_tensor, shapes))
+        return cls(*(memory.empty(shape, np.float32) for shape in shapes))
 
-    def in_order(self) -> tuple[Tensor, ...]:
+    def in_order(self) -> tuple[Array, ...]:
         return self.means, self.scales, self.quats, self.opacities, self.colours, self.labels, self.centres
 
 
@@ -73,7 +72,7 @@ def unblend(
     gradients = GaussianGradients.empty(len(state.records), channels)
     # all is made ready before the first kernel, which throws what Python needs out of the caches
     unblending = _unblending(workers, state, d_layers, slots)
-    labels = slots.labels, channels, gradients.labels.numpy().reshape(-1)
+    labels = slots.labels, channels, gradients.labels.reshape(-1)
     geometry = _geometry(workers, state, slots, (means, scales, quats), gradients)
     share(workers, state.kernels.unblend, *unblending)
     share(workers, state.kernels.gather, state.lists.slots, slots.touched, labels, geometry)
@@ -90,12 +89,12 @@ def _geometry(
         *scene,
         state.camera,
         memory.empty((workers, TILE), np.float64),
-        gradients.means.numpy(),
-        gradients.scales.numpy(),
-        gradients.quats.numpy(),
-        gradients.opacities.numpy(),
-        gradients.colours.numpy(),
-        gradients.centres.numpy(),
+        gradients.means,
+        gradients.scales,
+        gradients.quats,
+        gradients.opacities,
+        gradients.colours,
+        gradients.centres,
     )
 
 

@@ -40,19 +40,18 @@ class ForwardState:
 class Layers:
     """Image [H, W, 3], labels [H, W, C], alpha and depth [H, W], float32."""
 
-    image: Tensor
-    labels: Tensor
-    alpha: Tensor
-    depth: Tensor
+    image: Array
+    labels: Array
+    alpha: Array
+    depth: Array
 
     @classmethod
     def empty(cls, height: int, width: int, channels: int) -> Layers:
         shapes = ((height, width, 3), (height, width, channels), (height, width), (height, width))
-        return cls(*map(memory.empty_tensor, shapes))
+        return cls(*(memory.empty(shape, np.float32) for shape in shapes))
 
-    def flat(self) -> list[Array]:
-        """Each as one row of numbers."""
-        return [layer.numpy().reshape(-1) for layer in (self.image, self.labels, self.alpha, self.depth)]
+    def in_order(self) -> tuple[Array, ...]:
+        return self.image, self.labels, self.alpha, self.depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +77,6 @@ def blend(
     workers, camera = worker_count(), camera_array(view)
     count, channels = labels.shape
     layers = Layers.empty(view.height, view.width, channels)
-    flat_layers = layers.flat()
     rest, last = memory.empty((2, view.height * view.width), np.float32)
     records, boxes = memory.empty((count, RECORD), np.float32), memory.empty((count, 4), np.int32)
     counts = np.zeros((workers, 2), np.int64)
@@ -97,7 +95,7 @@ def blend(
         channels,
         view.width,
         view.height,
-        *flat_layers,
+        *(layer.reshape(-1) for layer in layers.in_order()),
         rest,
         last,
         *scratch(blenders, kernels.blend_scratch(channels, lists.longest), lists.longest),

@@ -102,7 +102,7 @@ class _Blend(torch.autograd.Function):
         ctx.state = state
         ctx.size = view.height, view.width
         ctx.set_materialize_grads(False)
-        return layers.image, layers.labels, layers.alpha, layers.depth, *top
+        return *map(torch.from_numpy, layers.in_order()), *top
 
     @staticmethod
     def backward(
@@ -124,8 +124,8 @@ class _Blend(torch.autograd.Function):
         )
         means, scales, quats = map(as_array, ctx.saved_tensors)
         gradients = unblend(ctx.state, means, scales, quats, d_layers).in_order()
-        wanted = [gradient if need else None for gradient, need in zip(gradients, needed, strict=False)]
-        return *wanted, None, None, None
+        wanted = zip(gradients, needed, strict=False)
+        return *(torch.from_numpy(gradient) if need else None for gradient, need in wanted), None, None, None
 
 
 def _or_zeros(gradient: Tensor | None, shape: tuple[int, ...]) -> Array:

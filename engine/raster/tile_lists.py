@@ -52,11 +52,9 @@ def list_tiles(
     workers: int, projected: Projected, width: int, height: int, centres: NDArray[Any], visible: NDArray[Any]
 ) -> PairLists:
     """Of an image of so many pixels. Fills ``centres`` float32 [N, 2] and ``visible`` bool [N]."""
-    shown, touched = (int(total) for total in projected.counts.sum(0))
+    shown, touched = map(sum, zip(*projected.counts.tolist(), strict=True))
     columns, rows = -(-width // TILE), -(-height // TILE)
     listing = workers if max(touched, len(projected.boxes)) >= WORTH_SHARING else 1
-    before = np.cumsum(projected.counts, 0) - projected.counts
-    places, slot_starts = np.ascontiguousarray(before.T)
     slots = memory.empty(len(projected.boxes) + 1, np.int64)
     keys, spare_keys = memory.empty((2, shown), np.uint32)
     ids, spare_ids = memory.empty((2, shown), np.int32)
@@ -67,8 +65,7 @@ def list_tiles(
         projected.boxes,
         projected.records,
         projected.records.view(np.uint32),
-        places,
-        slot_starts,
+        projected.counts,
         slots,
         centres,
         visible,

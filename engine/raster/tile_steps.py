@@ -36,8 +36,7 @@ def list_visible(
     boxes: Array,
     records: Array,
     bits: Array,
-    places: Array,
-    slot_starts: Array,
+    counts: Array,
     keys: Array,
     ids: Array,
     slots: Array,
@@ -47,12 +46,15 @@ def list_visible(
     """keys uint32 [V], ids int32 [V] of the visible in index order; slots int64 [N + 1], running sum of
     touched tiles.
 
-    ``bits`` uint32 [N, RECORD] are those of the records. Also fills ``visible`` bool [N] and
+    ``bits`` uint32 [N, RECORD] are those of the records; ``counts`` int64 [workers, 2] those of ``project``, which may
+    have had more workers. Also fills ``visible`` bool [N] and
     ``centres`` [N, 2] (pixels, zero where not visible).
     """
     count = boxes.shape[0]
-    place = places[worker]
-    slot = slot_starts[worker]
+    place, slot = 0, 0
+    for other in range(worker):
+        place += counts[other, 0]
+        slot += counts[other, 1]
     for i in range(count * worker // workers, count * (worker + 1) // workers):
         slots[i] = slot
         tiles = (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
@@ -166,8 +168,7 @@ def run_share_of_steps(
     boxes: Array,
     records: Array,
     bits: Array,
-    places: Array,
-    slot_starts: Array,
+    counts: Array,
     slots: Array,
     centres: Array,
     visible: Array,
@@ -187,7 +188,7 @@ def run_share_of_steps(
     """A worker's share of the steps from ``first`` to before ``end``: of one, or of all where it works alone.
 
     Of N Gaussians: ``boxes`` int32 [N, 4] in tiles, ``records`` float32 [N, RECORD] and their ``bits`` as uint32;
-    ``places`` and ``slot_starts`` int64 [workers]: visible ones, and pairs of Gaussian and tile, of the workers before.
+    ``counts`` int64 [workers, 2]: visible ones, and pairs of Gaussian and tile, in the share of each.
 
     Filled: ``slots`` int64 [N + 1], ``centres`` float32 [N, 2], ``visible`` bool [N]; ``keys`` uint32 and ``ids`` int32
     of the V visible ones, and spare ones to sort them; ``starts`` int64 [tiles + 1], ``tile_ids`` and ``tile_slots``
@@ -196,7 +197,7 @@ def run_share_of_steps(
     """
     for step in range(first, end):
         if step == LIST_VISIBLE:
-            list_visible(worker, workers, boxes, records, bits, places, slot_starts, keys, ids, slots, centres, visible)
+            list_visible(worker, workers, boxes, records, bits, counts, keys, ids, slots, centres, visible)
         elif step < COUNT_TILES:
             digit_pass, part_of_pass = (step - COUNT_DIGITS) // 3, (step - COUNT_DIGITS) % 3 + COUNT_DIGITS
             shift = np.uint32(DIGIT_BITS * digit_pass)
