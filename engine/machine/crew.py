@@ -18,10 +18,10 @@ import torch
 from numba import typeof
 
 from .blackboard import CALLED, LOOKS, MOST_WORKERS, STATUS, all_finished, new_board, serve
-from .frames import with_room
+from .call_frames import with_room
 
 Kernel = Callable[..., Any]
-"""A compiled function of a board, a number of workers and a tuple of arguments; returns what ``call_all`` does."""
+"""What ``shared`` makes: a compiled function of a board, a number of workers and a tuple of arguments."""
 NAP = 1e-4
 """Seconds between looks when others take much longer than the caller."""
 
@@ -29,16 +29,19 @@ _stopwatch: dict[str, float] | None = None
 
 
 def worker_count() -> int:
-    """As many workers as torch has threads."""
+    """As many workers as torch has threads, ``MOST_WORKERS`` at most."""
     return max(1, min(torch.get_num_threads(), MOST_WORKERS))
 
 
 def share(workers: int, kernel: Kernel, *arguments: Any) -> None:
-    """Have the kernel done by so many workers, on a thread each, and wait for all of them.
+    """Have the kernel done by so many workers (1 to ``MOST_WORKERS``), on a thread each, and wait for all of them.
 
-    Several threads may call this; they wait for each other. Raises ``RuntimeError`` when a worker failed, which
-    kernels do not do by themselves: only compiled code that raises does.
+    One call at a time: of several threads each waits until the kernel of the one before is done, and a kernel cannot
+    call this. Raises ``ValueError`` on a number of workers that cannot be, and ``RuntimeError`` when compiled code
+    raised in a worker; what it said is lost.
     """
+    if not 1 <= workers <= MOST_WORKERS:
+        raise ValueError(f"{workers} workers are asked for; there can be 1 to {MOST_WORKERS}")
     start = time.perf_counter()
     _crew().run(workers, kernel, arguments)
     if _stopwatch is not None:
@@ -61,19 +64,18 @@ class _Crew:
     """The helpers of one process, and their board."""
 
     def __init__(self) -> None:
-        self.process = os.getpid()
         self._board = new_board()
         self._helpers: list[_Helper] = []
         self._turn = threading.Lock()
         # compiled, or loaded, now: when a helper needs them others wait for it
-        serve(self._board, 1, 0, 0)
-        all_finished(self._board, 1, 0)
+        with_room(serve, self._board, 1, 0, 0)
+        with_room(all_finished, self._board, 1, 0)
 
     def run(self, workers: int, kernel: Any, arguments: tuple[Any, ...]) -> None:
         with self._turn:
             while len(self._helpers) < workers - 1:
                 self._helpers.append(_Helper(self._board, len(self._helpers) + 1))
-            if not kernel.overloads:  # helpers that are awake would wait for the compiler
+            if not kernel.overloads:  # helpers to whom a call is announced would look for it all the while
                 with_room(kernel.compile, tuple(map(typeof, (self._board, workers, arguments))))
             called = self._helpers[: workers - 1]
             finished = False
@@ -82,21 +84,25 @@ class _Crew:
                     helper.announce()
                 finished = kernel(self._board, workers, arguments)
             finally:
-                if not finished:
-                    self._wait(workers)
-                for helper in called:
-                    helper.has_been_called()
+                try:
+                    if not finished:
+                        self._wait(workers)
+                finally:
+                    for helper in called:
+                        helper.settle()
             failed = [worker for worker in range(workers) if self._board[2 * worker + 1, STATUS]]
         if failed:
             raise RuntimeError(f"worker {failed[0]} of {workers} failed in the kernel {kernel.__name__}")
 
     def _wait(self, workers: int) -> None:
-        """The arrays must not go while others write to them, whoever wants to interrupt."""
-        interrupt: KeyboardInterrupt | None = None
-        while not all_finished(self._board, workers, 0):
+        """The arrays must not go while others write to them, whoever wants to interrupt, and how often."""
+        interrupt: BaseException | None = None
+        while True:
             try:
-                time.sleep(NAP)
-            except KeyboardInterrupt as error:
+                while not all_finished(self._board, workers, 0):
+                    time.sleep(NAP)
+                break
+            except BaseException as error:  # a signal's; raised when all is done
                 interrupt = error
         if interrupt is not None:
             raise interrupt
@@ -119,8 +125,8 @@ class _Helper:
         if self._asleep:
             self._alarm.put(None)
 
-    def has_been_called(self) -> None:
-        """Or has not, where something went wrong after the announcement."""
+    def settle(self) -> None:
+        """No call comes any more, whether one came or something went wrong after its announcement."""
         self._announced = int(self._board[2 * self._worker, CALLED])
 
     def _serve(self) -> None:
@@ -133,17 +139,25 @@ class _Helper:
             self._asleep = False
 
 
-_only: _Crew | None = None
+_hired: _Crew | None = None
 _hiring = threading.Lock()
 
 
 def _crew() -> _Crew:
-    """That of this process; a forked one hires its own."""
-    global _only
-    crew = _only
-    if crew is None or crew.process != os.getpid():
+    """That of this process."""
+    global _hired
+    if _hired is None:
         with _hiring:
-            crew = _only
-            if crew is None or crew.process != os.getpid():
-                crew = _only = _Crew()
-    return crew
+            if _hired is None:
+                _hired = _Crew()
+    return _hired
+
+
+def _start_anew() -> None:
+    """Threads do not follow into a forked process, which hires its own; locks may be held there for ever."""
+    global _hired, _hiring
+    _hired, _hiring = None, threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_start_anew)

@@ -19,8 +19,8 @@ from torch import Tensor
 ALIGNMENT = 64
 KEPT_CALLS = 400
 """A block that was not used for so many requests is given back to the system when a new one is made."""
-LEAST_STEP = 12
-"""Sizes are multiples of a power of two, of this one at least."""
+LEAST_STEP = 4096
+"""Bytes, a power of two, of which all sizes are multiples."""
 
 
 class _Block:
@@ -44,8 +44,8 @@ _lock = threading.Lock()
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """As ``np.empty``, aligned to a cache line, out of blocks that are used again."""
     kind = np.dtype(dtype)
-    block = _take(kind.itemsize * (math.prod(shape) if isinstance(shape, tuple) else shape))
-    return np.ndarray(shape, kind, *block)
+    buffer, start = _take(kind.itemsize * (math.prod(shape) if isinstance(shape, tuple) else shape))
+    return np.ndarray(shape, kind, buffer, start)
 
 
 def _take(size: int) -> tuple[NDArray[Any], int]:
@@ -81,8 +81,7 @@ def empty_tensor(shape: tuple[int, ...]) -> Tensor:
 
 def _rounded(size: int) -> int:
     """A little more than asked for, so that a slowly growing scene finds its blocks again."""
-    bits = size.bit_length() - 4
-    step = 1 << bits if bits > LEAST_STEP else 1 << LEAST_STEP
+    step = max(LEAST_STEP, 1 << max(0, size.bit_length() - 4))
     return -(-size // step) * step
 
 

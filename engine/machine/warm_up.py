@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from .announcing import is_compiled, note_compiled, say_that_it_compiles
+from .call_frames import with_room
 from .companion import Companion, has_room_for_two
-from .frames import with_room
 
 
 class WarmUp:
@@ -24,7 +24,7 @@ class WarmUp:
         self._whole = whole
         self._forward, self._backward = (f"the {way} pass of {self._whole}" for way in ("forward", "backward"))
         self._compile_forward, self._compile_backward, self._apart = compile_forward, compile_backward, apart
-        self.has_forward = self._has_backward = False
+        self.has_forward = self._has_backward = False  # the first is asked before each forward pass, so it is public
         self._has_spoken = False
         self._companion: Companion | None = None
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, compiled, part
+from ..machine.compiled import Array, compiled
+from ..machine.shared import shared
 
 BLOCK = 128
 """Pixels of one block: its classes and slots together stay in the processor's first cache."""
@@ -61,8 +61,8 @@ class Decided(NamedTuple):
     entropy: NDArray[np.float32]
 
 
-@part
-def decide_share(
+@shared
+def decide_blocks(
     worker: int, workers: int, pixels: Any, columns: Any, linear_light: Array, scratch: Array, decided: Any
 ) -> None:
     """Every ``workers``-th block. ``linear_light`` float32 [N + 1]: linear values of 0, 1/N, ... 1 (sRGB-encoded);
@@ -80,12 +80,6 @@ def decide_share(
         natural_logarithm(share.reshape(-1), exponent.reshape(-1), logarithm.reshape(-1))
         undecidedness(share, logarithm, size, likely, pixels.alpha[start:], decided.entropy[start:])
         combine(pixels, start, size, linear_light, decided.combined)
-
-
-@compiled
-def decide_blocks(board: Array, workers: int, arguments: Any) -> Any:
-    """``decide_share`` for all workers."""
-    return call_all(decide_share, board, workers, arguments)
 
 
 @compiled

@@ -82,7 +82,7 @@ def unblend(
 def _geometry(
     workers: int, state: ForwardState, slots: SlotGradients, scene: tuple[Array, ...], gradients: GaussianGradients
 ) -> tuple[Any, ...]:
-    """All but the first four arguments of ``gather_share``; ``scene`` is means, scales and quats."""
+    """All but the first four arguments of ``gather_geometry``; ``scene`` is means, scales and quats."""
     return (
         slots.values,
         state.records,
@@ -99,7 +99,7 @@ def _geometry(
 
 
 def _unblending(workers: int, state: ForwardState, d_layers: LayerGradients, slots: SlotGradients) -> tuple[Any, ...]:
-    """The arguments of ``unblend_share``."""
+    """The arguments of ``unblend_tiles``."""
     lists = state.lists
     height, width, channels = d_layers.labels.shape
     return (

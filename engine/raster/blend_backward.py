@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, compiled, contracted_part, part
+from ..machine.compiled import Array, contracted_part, part
+from ..machine.shared import shared
 from .blend_forward import ALPHA_LEAST, ONE
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import (
@@ -168,8 +168,8 @@ def add_label_gradients(
         counts[r] = 0
 
 
-@part
-def unblend_share(
+@shared
+def unblend_tiles(
     worker: int,
     workers: int,
     next_tile: Array,
@@ -264,9 +264,3 @@ def unblend_share(
                         slot_labels[tile_slots[first + place] * padded + c] = chunk_labels[place - chunk, c]
             else:
                 counts[:] = 0
-
-
-@compiled
-def unblend_tiles(board: Array, workers: int, arguments: Any) -> Any:
-    """``unblend_share`` for all workers."""
-    return call_all(unblend_share, board, workers, arguments)

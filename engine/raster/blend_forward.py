@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, compiled, part
+from ..machine.compiled import Array, part
+from ..machine.shared import shared
 from .conventions import ALPHA_MIN, TRANSMITTANCE_END
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import BLUE, CHUNK, DEPTH, GREEN, L11, OPACITY, RECORD, RED, TILE
@@ -128,8 +128,8 @@ def write_tile(
                 labels_out[y, left + x, c] = tile_labels[r * TILE + x, c]
 
 
-@part
-def blend_share(
+@shared
+def blend_tiles(
     worker: int,
     workers: int,
     next_tile: Array,
@@ -205,9 +205,3 @@ def blend_share(
             if alive == 0:
                 break
         write_tile(left, top, through, last, planes, tile_labels, image, labels_out, alpha, depth, rest, last_out)
-
-
-@compiled
-def blend_tiles(board: Array, workers: int, arguments: Any) -> Any:
-    """``blend_share`` for all workers."""
-    return call_all(blend_share, board, workers, arguments)

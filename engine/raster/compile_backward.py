@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..machine.blackboard import new_board
-from ..machine.frames import with_room
+from ..machine.call_frames import with_room
 from .kernels import Kernels, choose_kernels
 from .projection import CAMERA
 from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE

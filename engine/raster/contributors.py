@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, compiled, part
+from ..machine.compiled import Array, part
+from ..machine.shared import shared
 from .blend_forward import any_alive, blend_row, start_tile
 from .footprint import F, alpha_row, whiten_rows
 from .records import L11, OPACITY, TILE
@@ -28,8 +26,8 @@ def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -
     indices[place] = gaussian
 
 
-@part
-def list_share(
+@shared
+def list_contributors(
     worker: int, workers: int, starts: Array, tile_ids: Array, records: Array, indices: Array, weights: Array
 ) -> None:
     """Every ``workers``-th tile: indices int32 [H, W, k] and weights [H, W, k]; -1 and 0 where there are
@@ -71,9 +69,3 @@ def list_share(
                             indices[top + r, left + x],
                             weights[top + r, left + x],
                         )
-
-
-@compiled
-def list_contributors(board: Array, workers: int, arguments: Any) -> Any:
-    """``list_share`` for all workers."""
-    return call_all(list_share, board, workers, arguments)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, compiled, part
+from ..machine.compiled import Array, part
+from ..machine.shared import shared
 from .projection import (
     LOG2_E,
     axes_on_image,
@@ -179,7 +179,7 @@ def clear(
 
 
 @part
-def gather_share(
+def gather_geometry(
     worker: int,
     workers: int,
     slots: Array,
@@ -238,15 +238,9 @@ def gather_labels(
                     own[c] += slot_labels[slot * padded + c]
 
 
-@part
-def gather_all_share(worker: int, workers: int, slots: Array, touched: Array, labels: Any, geometry: Any) -> None:
+@shared
+def gather(worker: int, workers: int, slots: Array, touched: Array, labels: Any, geometry: Any) -> None:
     """A worker's share of all gradients; ``labels`` and ``geometry`` are the other arguments of ``gather_labels`` and
-    of ``gather_share``."""
-    gather_share(worker, workers, slots, touched, *geometry)
+    of ``gather_geometry``."""
+    gather_geometry(worker, workers, slots, touched, *geometry)
     gather_labels(worker, workers, slots, touched, *labels)
-
-
-@compiled
-def gather(board: Array, workers: int, arguments: Any) -> Any:
-    """``gather_all_share`` for all workers."""
-    return call_all(gather_all_share, board, workers, arguments)

@@ -7,8 +7,11 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 log = logging.getLogger("plgs.raster")
+
+Kernel = Callable[..., Any]
 
 VARIABLE = "PLGS_RASTER_KERNELS"
 """Environment variable: ``vector``, ``plain``, or unset to let the machine decide."""
@@ -16,13 +19,13 @@ VARIABLE = "PLGS_RASTER_KERNELS"
 
 @dataclass(frozen=True, eq=False)
 class Kernels:
-    """``blend`` and ``unblend`` run one worker's tiles, ``gather`` its Gaussians; the others tell the floats of
-    scratch for so many channels (and Gaussians in the longest list of a tile)."""
+    """``blend``, ``unblend`` and ``gather`` are for ``crew.share``; the others tell the floats of scratch for so many
+    channels (and Gaussians in the longest list of a tile). There is one of each name: compared by identity."""
 
     name: str
-    blend: Callable[..., None]
-    unblend: Callable[..., None]
-    gather: Callable[..., None]
+    blend: Kernel
+    unblend: Kernel
+    gather: Kernel
     blend_scratch: Callable[[int, int], int]
     unblend_scratch: Callable[[int], int]
 

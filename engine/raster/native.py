@@ -40,6 +40,7 @@ def rasterize_native(
 ) -> Rendering:
     """As ``rasterize``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
     shown = Shown(memory.empty((means.shape[0], 2), np.float32), memory.empty(means.shape[0], np.bool_))
+    # the kernels write to the array; the tensor is an input so that a gradient can reach it
     centres = torch.from_numpy(shown.centres)
     if want_means2d_grad:
         centres.requires_grad_()
@@ -100,7 +101,7 @@ class _Blend(torch.autograd.Function):
             ctx.mark_non_differentiable(*top)
         ctx.save_for_backward(means, scales, quats)
         ctx.state = state
-        ctx.size = view.height, view.width
+        ctx.size, ctx.labels_shape = (view.height, view.width), features.shape
         ctx.set_materialize_grads(False)
         return *map(torch.from_numpy, layers.in_order()), *top
 
@@ -114,8 +115,7 @@ class _Blend(torch.autograd.Function):
         *_: Any,
     ) -> tuple[Tensor | None, ...]:
         _warm_up(ctx.state.kernels).backward()
-        size, needed = ctx.size, list(ctx.needs_input_grad)
-        needed[LABELS] &= d_labels is not None
+        size, needed = ctx.size, ctx.needs_input_grad
         d_layers = LayerGradients(
             _or_zeros(d_image, (*size, 3)),
             _or_zeros(d_labels if needed[LABELS] else None, (*size, 0)),
@@ -123,7 +123,9 @@ class _Blend(torch.autograd.Function):
             _or_zeros(d_depth, size),
         )
         means, scales, quats = map(as_array, ctx.saved_tensors)
-        gradients = unblend(ctx.state, means, scales, quats, d_layers).in_order()
+        gradients = list(unblend(ctx.state, means, scales, quats, d_layers).in_order())
+        if d_labels is None:
+            gradients[LABELS] = np.zeros(ctx.labels_shape, np.float32)
         wanted = zip(gradients, needed, strict=False)
         return *(torch.from_numpy(gradient) if need else None for gradient, need in wanted), None, None, None
 
@@ -133,7 +135,8 @@ def _or_zeros(gradient: Tensor | None, shape: tuple[int, ...]) -> Array:
     return _zeros(shape) if gradient is None else as_array(gradient)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=2)
 def _zeros(shape: tuple[int, ...]) -> Array:
-    """Made once; who gets them only reads."""
+    """Made once for passes of one size; who gets them only reads. (Read-only arrays would be another type to Numba, and
+    have kernels compiled anew.)"""
     return np.zeros(shape, np.float32)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, compiled, part
+from ..machine.compiled import Array, part
+from ..machine.shared import shared
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM, View
 from .records import (
     BLUE,
@@ -229,8 +229,8 @@ def project_range(
     return visible, touched
 
 
-@part
-def project_share(
+@shared
+def project(
     worker: int,
     workers: int,
     means: Array,
@@ -255,9 +255,3 @@ def project_share(
     )
     counts[worker, 0] = visible
     counts[worker, 1] = touched
-
-
-@compiled
-def project(board: Array, workers: int, arguments: Any) -> Any:
-    """``project_share`` for all workers."""
-    return call_all(project_share, board, workers, arguments)

@@ -7,12 +7,10 @@ before. A worker does its share of a step, a range; the result does not depend o
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, compiled, part
+from ..machine.compiled import Array, part
+from ..machine.shared import shared
 from .records import DEPTH
 
 DIGIT_BITS = 11
@@ -159,8 +157,8 @@ def deal_tiles(
                 slot += 1
 
 
-@part
-def run_share_of_steps(
+@shared
+def run_tile_steps(
     worker: int,
     workers: int,
     first: int,
@@ -216,9 +214,3 @@ def run_share_of_steps(
             longest[0] = running_starts(histograms, starts)
         elif step == DEAL_TILES:
             deal_tiles(worker, workers, spare_ids, boxes, slots, columns, histograms, tile_ids, tile_slots)
-
-
-@compiled
-def run_tile_steps(board: Array, workers: int, arguments: Any) -> Any:
-    """``run_share_of_steps`` for all workers."""
-    return call_all(run_share_of_steps, board, workers, arguments)

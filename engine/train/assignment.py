@@ -4,16 +4,15 @@ never changes about a view computed once)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from ..instances import best_slots
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, compiled, part
+from ..machine.compiled import Array
 from ..machine.crew import share, worker_count
+from ..machine.shared import shared
 from .bands import band_count, band_of
 from .label_losses import TINY
 
@@ -54,8 +53,8 @@ def assigned_slots(coverage: torch.Tensor, alpha: torch.Tensor, first: int, thin
     return torch.from_numpy(slot_of_segment[things.row])  # row -1 is the last entry: no slot
 
 
-@part
-def add_share_of_slots(
+@shared
+def add_slots(
     worker: int, workers: int, coverage: Array, alpha: Array, first: int, row: Array, sums: Array
 ) -> None:
     """Slot probabilities of every ``workers``-th band of pixels, added up by segment into ``sums`` float64
@@ -69,9 +68,3 @@ def add_share_of_slots(
             shown, total = coverage[pixel, first:], sums[band, row[pixel]]  # inner loops over whole arrays are fastest
             for slot in range(len(total)):
                 total[slot] += shown[slot] * share_of_alpha
-
-
-@compiled
-def add_slots(board: Array, workers: int, arguments: Any) -> Any:
-    """``add_share_of_slots`` for all workers."""
-    return call_all(add_share_of_slots, board, workers, arguments)

@@ -10,9 +10,9 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from ..machine import memory
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, compiled, part
+from ..machine.compiled import Array, compiled
 from ..machine.crew import share, worker_count
+from ..machine.shared import shared
 from .bands import band_count, band_of
 
 TINY = 1e-8
@@ -77,8 +77,8 @@ def judge(shown: float, alpha: float) -> Any:
     return np.float64(probability), -ONE / (probability * visible)
 
 
-@part
-def judge_share(
+@shared
+def judge_pixels(
     worker: int,
     workers: int,
     coverage: Array,
@@ -121,14 +121,8 @@ def judge_share(
         sums[band, 1] -= math.log(alike)
 
 
-@compiled
-def judge_pixels(board: Array, workers: int, arguments: Any) -> Any:
-    """``judge_share`` for all workers."""
-    return call_all(judge_share, board, workers, arguments)
-
-
-@part
-def spread_share(
+@shared
+def spread_slopes(
     worker: int,
     workers: int,
     bands: int,
@@ -153,9 +147,3 @@ def spread_share(
                 gradient[pixel, classes + assigned[pixel]] += scales[1] * slopes[pixel, 1]
             if matched[pixel] >= 0:
                 gradient[pixel, classes + matched[pixel]] += scales[1] * slopes[pixel, 2]
-
-
-@compiled
-def spread_slopes(board: Array, workers: int, arguments: Any) -> Any:
-    """``spread_share`` for all workers."""
-    return call_all(spread_share, board, workers, arguments)

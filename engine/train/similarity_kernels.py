@@ -11,12 +11,11 @@ Pictures are float32 [H, 3 W]: the three channels of a pixel stand side by side,
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
-from ..machine.blackboard import call_all
-from ..machine.compiled import Array, contracted, contracted_part
+from ..machine.compiled import Array, contracted
+from ..machine.shared import shared_contracted
 
 WINDOW, SIGMA = 11, 1.5
 REACH = WINDOW // 2
@@ -113,8 +112,8 @@ def gradient_row(
         difference[i] += abs(off)
 
 
-@contracted_part
-def compare_share(
+@shared_contracted
+def compare_strips(
     worker: int,
     workers: int,
     image: Array,
@@ -147,12 +146,6 @@ def compare_share(
             for i in range(length):
                 total += rows[3 + kind, i]
             sums[strip, kind] = total
-
-
-@contracted
-def compare_strips(board: Array, workers: int, arguments: Any) -> Any:
-    """``compare_share`` for all workers."""
-    return call_all(compare_share, board, workers, arguments)
 
 
 @contracted

@@ -10,27 +10,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from engine.machine.blackboard import call_all
-from engine.machine.compiled import compiled, part
+from engine.machine.blackboard import MOST_WORKERS
 from engine.machine.crew import share, timed
+from engine.machine.shared import shared
 
 
-@part
-def write_share(worker: int, workers: int, numbers: NDArray[Any], at_fault: int) -> None:
+@shared
+def write_numbers(worker: int, workers: int, numbers: NDArray[Any], at_fault: int) -> None:
     if worker == at_fault:
         raise ValueError("this worker fails")
     numbers[worker] = 10 * workers + worker
 
 
-@compiled
-def write_numbers(board: NDArray[Any], workers: int, arguments: Any) -> Any:
-    return call_all(write_share, board, workers, arguments)
-
-
-@part
-def toil_share(worker: int, workers: int, numbers: NDArray[Any], toil: int) -> None:
+def toil_at(worker: int, workers: int, numbers: NDArray[Any], toil: int) -> None:
     """All but the first take long."""
     value = np.int64(worker)
     for _ in range(toil if worker > 0 else 0):
@@ -38,9 +33,7 @@ def toil_share(worker: int, workers: int, numbers: NDArray[Any], toil: int) -> N
     numbers[worker] = value
 
 
-@compiled
-def toil_at_numbers(board: NDArray[Any], workers: int, arguments: Any) -> Any:
-    return call_all(toil_share, board, workers, arguments)
+toil_at_numbers = shared(toil_at)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
@@ -73,7 +66,7 @@ def test_a_workers_mistake_is_raised_when_all_have_ended(at_fault: int) -> None:
 def test_those_who_take_longer_are_waited_for() -> None:
     expected, numbers = np.zeros(4, np.int64), np.zeros(4, np.int64)
     for worker in range(4):
-        toil_share(worker, 4, expected, 1000)  # in Python
+        toil_at(worker, 4, expected, 1000)  # in Python
     share(4, toil_at_numbers, numbers, 1000)
     assert np.array_equal(numbers, expected)
     for _ in range(3):
@@ -88,8 +81,8 @@ def test_an_interrupt_waits_until_nobody_writes_any_more() -> None:
     share(2, toil_at_numbers, numbers, 1)
     numbers[:] = -1
     main = threading.get_ident()
-    alarm = threading.Timer(0.05, lambda: signal.pthread_kill(main, signal.SIGINT))
-    alarm.start()
+    for seconds in (0.05, 0.06, 0.08):
+        threading.Timer(seconds, lambda: signal.pthread_kill(main, signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
         share(2, toil_at_numbers, numbers, 100_000_000)
     assert (numbers >= 0).all()
@@ -121,10 +114,33 @@ def test_a_forked_process_has_helpers_of_its_own() -> None:
     share(2, write_numbers, np.zeros(2, np.int64), -1)
     child = os.fork()
     if child == 0:
-        numbers = np.zeros(2, np.int64)
-        share(2, write_numbers, numbers, -1)
-        os._exit(0 if numbers.tolist() == [20, 21] else 1)
+        try:
+            signal.alarm(20)
+            numbers = np.zeros(2, np.int64)
+            share(2, write_numbers, numbers, -1)
+            os._exit(0 if numbers.tolist() == [20, 21] else 1)
+        finally:
+            os._exit(2)
     assert os.waitpid(child, 0)[1] == 0
+
+
+@pytest.mark.parametrize("workers", [-1, 0, MOST_WORKERS + 1])
+def test_a_number_of_workers_that_cannot_be_is_refused(workers: int) -> None:
+    with pytest.raises(ValueError, match=f"{workers} workers are asked for"):
+        share(workers, write_numbers, np.zeros(1, np.int64), -1)
+
+
+def test_helpers_sleep_even_when_an_announced_call_never_came() -> None:
+    numbers = np.full(3, -1, np.int64)
+    share(3, write_numbers, numbers, -1)
+    with pytest.raises((TypeError, NumbaError)):
+        share(3, write_numbers, [1, 2, 3], -1)
+    time.sleep(0.1)
+    before = time.process_time()
+    time.sleep(0.5)
+    assert time.process_time() - before < 0.1
+    share(3, write_numbers, numbers, -1)
+    assert numbers.tolist() == [30, 31, 32]
 
 
 def test_the_stopwatch_tells_kernels_apart() -> None:

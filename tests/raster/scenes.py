@@ -148,9 +148,10 @@ def steady_pixels(scene: Scene) -> Tensor:
     return ~near.reshape(scene.height, scene.width)
 
 
-def render(scene: Scene, backend: str, where: Tensor | None = None) -> tuple[Rendering, dict[str, Tensor]]:
-    """The rendering, and the gradients of a fixed random loss over all four layers of the pixels
-    ``where``."""
+def render(
+    scene: Scene, backend: str, where: Tensor | None = None, layers: tuple[str, ...] = LAYERS
+) -> tuple[Rendering, dict[str, Tensor]]:
+    """The rendering, and the gradients of a fixed random loss over these layers of the pixels ``where``."""
     tensors = [tensor.clone().requires_grad_() for tensor in scene.tensors]
     out = rasterize(
         *tensors,
@@ -167,6 +168,8 @@ def render(scene: Scene, backend: str, where: Tensor | None = None) -> tuple[Ren
     for name in LAYERS:
         layer = getattr(out, name)
         by = torch.randn(layer.shape, generator=generator) * (kept if layer.ndim == 2 else kept[:, :, None])
+        if name not in layers:
+            continue
         loss = loss + (layer.double() * by.to(layer.device)).sum()
     loss.backward()
     return out, dict(zip(GROUPS, [*(tensor.grad for tensor in tensors), out.means2d.grad], strict=True))

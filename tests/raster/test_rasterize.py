@@ -152,6 +152,18 @@ def test_labels_touch_nothing_but_themselves(backend: str) -> None:
     assert tensors[5].grad is not None and tensors[5].grad.any()
 
 
+@pytest.mark.parametrize("layer", LAYERS)
+def test_a_loss_may_look_at_one_layer_alone(layer: str) -> None:
+    """The others have no gradient then, which is not one of the pass before."""
+    scene = random_scene(9, 100, 4, 30, 20)
+    render(scene, "numba")
+    steady = steady_pixels(scene)
+    got, expected = (render(scene, backend, steady, (layer,))[1] for backend in ("numba", "reference"))
+    for group, gradient in got.items():
+        wanted = torch.zeros_like(gradient) if expected[group] is None else expected[group]
+        assert missed_elements(gradient, wanted) <= 1e-4 * gradient.numel(), group
+
+
 def test_without_labels() -> None:
     scene = random_scene(7, 100, 4, 30, 20)
     bare = rasterize(*scene.tensors[:5], None, scene.pose, scene.intrinsics, 30, 20)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.blackboard import call_all
-from ...machine.compiled import Array, compiled, inlined, part
+from ...machine.compiled import Array, inlined
+from ...machine.shared import shared
 from ...machine.vectors import lane_numbers, load_some, spread, store, take_next
 from .activations import exponential
 from .layers import collect_inputs, fill, head_of, list_anchors, rounded_rows, run_first_layer, run_head, run_head_back
@@ -21,18 +21,12 @@ F = np.float32
 ZERO, ONE = F(0.0), F(1.0)
 
 
-@part
-def clear_share(worker: int, workers: int, values: Array) -> None:
+@shared
+def clear(worker: int, workers: int, values: Array) -> None:
     """This worker's share of the values to 0."""
     count = values.shape[0]
     for i in range(count * worker // workers, count * (worker + 1) // workers):
         values[i] = ZERO
-
-
-@compiled
-def clear(board: Array, workers: int, arguments: Any) -> Any:
-    """``clear_share`` for all workers."""
-    return call_all(clear_share, board, workers, arguments)
 
 
 @inlined
@@ -175,8 +169,8 @@ def classes_back(
                 mine[at + wanted] -= weight
 
 
-@part
-def decode_share_back(
+@shared
+def decode_back(
     worker: int,
     workers: int,
     counter: Array,
@@ -281,9 +275,3 @@ def decode_share_back(
                 to, source = visible[listed[i]] * sizes.features, sizes.d_inputs_at + i * sizes.padded_features
                 for c in range(sizes.features):
                     d_feature[to + c] = mine[source + c]
-
-
-@compiled
-def decode_back(board: Array, workers: int, arguments: Any) -> Any:
-    """``decode_share_back`` for all workers."""
-    return call_all(decode_share_back, board, workers, arguments)

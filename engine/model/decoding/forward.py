@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.blackboard import call_all
-from ...machine.compiled import Array, compiled, inlined, part
+from ...machine.compiled import Array, inlined
+from ...machine.shared import shared
 from ...machine.vectors import WIDTH, lane_numbers, load, load_some, spread, store, take_next
 from .activations import copy, exponential, sigmoid, tanh
 from .layers import collect_inputs, head_of, list_anchors, run_head
@@ -19,8 +19,8 @@ F = np.float32
 ZERO = F(0.0)
 
 
-@part
-def decode_share_of_opacities(
+@shared
+def decode_opacities(
     worker: int,
     workers: int,
     counter: Array,
@@ -60,12 +60,6 @@ def decode_share_of_opacities(
                 if opacity > ZERO:
                     count += 1
         counts[batch] = count
-
-
-@compiled
-def decode_opacities(board: Array, workers: int, arguments: Any) -> Any:
-    """``decode_share_of_opacities`` for all workers."""
-    return call_all(decode_share_of_opacities, board, workers, arguments)
 
 
 @inlined
@@ -205,8 +199,8 @@ def write_classes(
     return loss
 
 
-@part
-def decode_share_of_gaussians(
+@shared
+def decode_gaussians(
     worker: int,
     workers: int,
     counter: Array,
@@ -287,9 +281,3 @@ def decode_share_of_gaussians(
                 )
             else:
                 write_instances(listed, drawn, first, head, opacities, sizes, mine, labels)
-
-
-@compiled
-def decode_gaussians(board: Array, workers: int, arguments: Any) -> Any:
-    """``decode_share_of_gaussians`` for all workers."""
-    return call_all(decode_share_of_gaussians, board, workers, arguments)

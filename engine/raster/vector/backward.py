@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.blackboard import call_all
-from ...machine.compiled import Array, compiled, inlined, part
+from ...machine.compiled import Array, inlined, part
+from ...machine.shared import shared
 from ...machine.vector_functions import exp2_of_four, reciprocal
 from ...machine.vector_shuffles import totals
 from ...machine.vectors import (
@@ -211,8 +211,8 @@ def unblend_gaussian(
     store_past_cache(gradients, slot * GRADIENT_WIDTH, totals(sums))
 
 
-@part
-def unblend_share(
+@shared
+def unblend_tiles(
     worker: int,
     workers: int,
     next_tile: Array,
@@ -299,9 +299,3 @@ def unblend_share(
                 add_label_gradients(left, top, width, height, d_labels, channels, scratch, counts, members, padded)
                 count = min(CHUNK, far + 1 - chunk)
                 write_label_gradients(chunk, count, first, tile_slots, touched, scratch, slot_labels, padded)
-
-
-@compiled
-def unblend_tiles(board: Array, workers: int, arguments: Any) -> Any:
-    """``unblend_share`` for all workers."""
-    return call_all(unblend_share, board, workers, arguments)

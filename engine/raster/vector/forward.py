@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.blackboard import call_all
-from ...machine.compiled import Array, compiled, inlined, part
+from ...machine.compiled import Array, inlined, part
+from ...machine.shared import shared
 from ...machine.vector_functions import exp2_of_four
 from ...machine.vectors import (
     bits_of,
@@ -207,8 +207,8 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
     return count, sees
 
 
-@part
-def blend_share(
+@shared
+def blend_tiles(
     worker: int,
     workers: int,
     next_tile: Array,
@@ -293,10 +293,3 @@ def blend_share(
                 lines = upper, lower
                 strip_labels = 2 * STRIP_LABELS + strip_floats(channels) - strip_labels  # the other one
     flush_all(lines, source, target, row, padded_row, scratch, labels_out)
-    take_next(next_tile)  # an atomic operation: all that went past the cache is there before anybody reads it
-
-
-@compiled
-def blend_tiles(board: Array, workers: int, arguments: Any) -> Any:
-    """``blend_share`` for all workers."""
-    return call_all(blend_share, board, workers, arguments)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.blackboard import call_all
-from ...machine.compiled import Array, compiled, part
+from ...machine.compiled import Array, part
+from ...machine.shared import shared
 from ...machine.vectors import get, lane_numbers, load, spread, store, store_some
-from ..gather import gather_share
+from ..gather import gather_geometry
 from ..records import TILE, padded_channels
 
 F = np.float32
@@ -40,14 +40,8 @@ def gather_labels(
                 store_some(d_labels, at, total, in_tail)
 
 
-@part
-def gather_all_share(worker: int, workers: int, slots: Array, touched: Array, labels: Any, geometry: Any) -> None:
+@shared
+def gather(worker: int, workers: int, slots: Array, touched: Array, labels: Any, geometry: Any) -> None:
     """As its plain twin."""
-    gather_share(worker, workers, slots, touched, *geometry)
+    gather_geometry(worker, workers, slots, touched, *geometry)
     gather_labels(worker, workers, slots, touched, *labels)
-
-
-@compiled
-def gather(board: Array, workers: int, arguments: Any) -> Any:
-    """``gather_all_share`` for all workers."""
-    return call_all(gather_all_share, board, workers, arguments)

@@ -30,7 +30,7 @@ def gather_by_vectors(
     gather_labels(worker, workers, slots, touched, slot_labels, channels, d_labels)
 
 
-@pytest.mark.parametrize("channels", [1, 2, 5, 7, 8, 15, 16, 17, 46])
+@pytest.mark.parametrize("channels", [0, 1, 2, 5, 7, 8, 15, 16, 17, 46])
 def test_a_worker_writes_its_own_share_and_nothing_else(channels: int) -> None:
     random = np.random.default_rng(channels)
     count, workers = 11, 3

@@ -1,9 +1,10 @@
 """Room for Python's frames while a compiler runs.
 
-CPython keeps the frames of calls in blocks of 16 KiB, and gives a block back to the system as soon as its last frame is
-gone. A loop whose calls begin at the edge of a block asks the system for memory at every call. Numba's compiler is deep
-enough for that to happen again and again: compiling the kernels of a forward pass asked 350 000 times, and took up to
-half as long again. A frame that is larger than a block gets a larger one, and those that follow find room in it.
+CPython (since 3.11) keeps the frames of calls in blocks of 16 KiB, and gives a block back to the system as soon as its
+last frame is gone. A loop whose calls begin at the edge of a block asks the system for memory at every call. Numba's
+compiler is deep enough for that to happen again and again: compiling the rasteriser's forward pass asked 350 000 times
+(``strace -c``), 14 s instead of 10 (3.11, Cascade Lake). A frame that is larger than a block gets a larger one, and
+those that follow find room in it.
 """
 
 from __future__ import annotations
@@ -22,4 +23,5 @@ def with_room(function: Callable[..., Result], *arguments: Any) -> Result:
     return function(*arguments)
 
 
+# as if it had so many things to keep on its stack
 with_room.__code__ = with_room.__code__.replace(co_stacksize=_WORDS)
