@@ -33,8 +33,8 @@ FINISHED, STATUS = 0, 1
 """Of its second: how many calls it has done, and what the last one returned (0, or Numba's code of an error)."""
 
 LOOKS = 150_000
-"""How often a worker looks whether something came before it gives up, about a tenth of a millisecond. Longer is no faster
-on a quiet machine, and on a busy one a worker that spins has used up its turn when it is needed."""
+"""How often a worker looks whether something came before it gives up, about a tenth of a millisecond. Longer is no
+faster on a quiet machine, and on a busy one a worker that spins has used up its turn when it is needed."""
 
 WORD = ir.IntType(64)
 RUN = ir.FunctionType(ir.IntType(32), [ir.IntType(8).as_pointer(), WORD, WORD])

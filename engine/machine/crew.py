@@ -73,8 +73,7 @@ class _Crew:
 
     def run(self, workers: int, kernel: Any, arguments: tuple[Any, ...]) -> None:
         with self._turn:
-            while len(self._helpers) < workers - 1:
-                self._helpers.append(_Helper(self._board, len(self._helpers) + 1))
+            self._hire(workers - 1)
             if not kernel.overloads:  # helpers to whom a call is announced would look for it all the while
                 with_room(kernel.compile, tuple(map(typeof, (self._board, workers, arguments))))
             called = self._helpers[: workers - 1]
@@ -93,6 +92,16 @@ class _Crew:
             failed = [worker for worker in range(workers) if self._board[2 * worker + 1, STATUS]]
         if failed:
             raise RuntimeError(f"worker {failed[0]} of {workers} failed in the kernel {kernel.__name__}")
+
+    def _hire(self, count: int) -> None:
+        """So many helpers at least. An interrupt may leave a thread that nobody knows of: it is left alone with its
+        board, and all begin anew at another."""
+        try:
+            while len(self._helpers) < count:
+                self._helpers.append(_Helper(self._board, len(self._helpers) + 1))
+        except BaseException:
+            self._board, self._helpers = new_board(), []
+            raise
 
     def _wait(self, workers: int) -> None:
         """The arrays must not go while others write to them, whoever wants to interrupt, and how often."""

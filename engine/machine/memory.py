@@ -7,6 +7,7 @@ from it counts, so what a caller keeps is never overwritten.
 from __future__ import annotations
 
 import math
+import os
 import sys
 import threading
 from typing import Any
@@ -39,6 +40,16 @@ _blocks: dict[int, list[_Block]] = {}
 """By size."""
 _calls = 0
 _lock = threading.Lock()
+
+
+def _renew_lock() -> None:
+    """In a forked process, where a thread that does not follow may have held it."""
+    global _lock
+    _lock = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_lock)
 
 
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:

@@ -25,6 +25,11 @@ def write_numbers(worker: int, workers: int, numbers: NDArray[Any], at_fault: in
     numbers[worker] = 10 * workers + worker
 
 
+@shared
+def count_runs(worker: int, workers: int, counts: NDArray[Any]) -> None:
+    counts[worker] += 1
+
+
 def toil_at(worker: int, workers: int, numbers: NDArray[Any], toil: int) -> None:
     """All but the first take long."""
     value = np.int64(worker)
@@ -122,6 +127,24 @@ def test_a_forked_process_has_helpers_of_its_own() -> None:
         finally:
             os._exit(2)
     assert os.waitpid(child, 0)[1] == 0
+
+
+def test_an_interrupt_while_helpers_are_hired_leaves_no_second_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    share(2, write_numbers, np.zeros(2, np.int64), -1)
+    start = threading.Thread.start
+
+    def start_and_be_interrupted(thread: threading.Thread) -> None:
+        start(thread)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", start_and_be_interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            share(40, write_numbers, np.zeros(40, np.int64), -1)
+    for _ in range(20):
+        counts = np.zeros(40, np.int64)
+        share(40, count_runs, counts)
+        assert (counts == 1).all()
 
 
 @pytest.mark.parametrize("workers", [-1, 0, MOST_WORKERS + 1])

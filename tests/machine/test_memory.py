@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
+
 import numpy as np
+import pytest
 
 from engine.machine import memory
 
@@ -29,3 +33,18 @@ def test_a_tensor_holds_its_memory() -> None:
     others = [memory.empty_tensor((5, 13)) for _ in range(3)]
     assert tensor.data_ptr() not in {other.data_ptr() for other in others}
     assert tensor.shape == (5, 13) and tensor.data_ptr() % memory.ALIGNMENT == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_fork_while_another_thread_takes_memory() -> None:
+    with memory._lock:  # as if another thread held it, and did not follow
+        child = os.fork()
+        if child == 0:
+            try:
+                signal.alarm(20)
+                memory.empty(10, np.uint8)
+                os._exit(0)
+            finally:
+                os._exit(2)
+    assert os.waitpid(child, 0)[1] == 0
