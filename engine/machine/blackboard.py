@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from .compiled import Array, compiled, part
+from .emitting import element, intrinsic
 
 WORDS = 8
 """Of 8 bytes in a row: a cache line, so that workers do not wait for each other's."""
@@ -50,8 +50,7 @@ def new_board() -> NDArray[np.int64]:
 
 def address_of(context: Any, builder: ir.IRBuilder, board_type: Any, board: ir.Value, row: Any, word: Any) -> ir.Value:
     """Of a word of the board, in code that is being compiled."""
-    data = context.make_array(board_type)(context, builder, board).data
-    return builder.gep(data, [builder.add(builder.mul(row, WORD(WORDS)), word)])
+    return element(context, builder, board_type, board, builder.add(builder.mul(row, WORD(WORDS)), word))
 
 
 def address_of_arguments(context: Any, builder: ir.IRBuilder, board_type: Any, board: ir.Value) -> ir.Value:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from queue import SimpleQueue
 from typing import Any
@@ -19,9 +19,8 @@ from numba import typeof
 
 from .blackboard import CALLED, LOOKS, MOST_WORKERS, STATUS, all_finished, new_board, serve
 from .call_frames import with_room
+from .shared import Kernel
 
-Kernel = Callable[..., Any]
-"""What ``shared`` makes: a compiled function of a board, a number of workers and a tuple of arguments."""
 NAP = 1e-4
 """Seconds between looks when others take much longer than the caller."""
 

@@ -15,10 +15,13 @@ from typing import Any
 from llvmlite import ir
 from numba.core import cgutils, compiler, types
 from numba.core.targetconfig import ConfigStack
-from numba.extending import intrinsic
 
 from .blackboard import CALL_ROWS, RUN, WORD, WORDS, address_of_arguments, post
 from .compiled import Array, compiled, contracted, part
+from .emitting import intrinsic
+
+Kernel = Callable[..., Any]
+"""What ``shared`` makes: a compiled function of a board, a number of workers and a tuple of arguments."""
 
 
 def shared(function: Callable[..., None]) -> Any:
@@ -32,7 +35,7 @@ def shared_contracted(function: Callable[..., None]) -> Any:
 
 
 @intrinsic
-def _call_all(typing_context: Any, share: Any, board: Any, workers: Any, arguments: Any) -> Any:
+def call_all(typing_context: Any, share: Any, board: Any, workers: Any, arguments: Any) -> Any:
     """``share(worker, workers, *arguments)`` for every worker, the caller being number 0; whether all are done."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -86,7 +89,7 @@ def _compile_share(context: Any, module: ir.Module, share: Callable[..., None], 
 
 
 share: Any = None
-call_all: Any = _call_all
+"""In each copy of ``_entry`` another kernel's."""
 
 
 def _entry(board: Array, workers: int, arguments: Any) -> Any:

@@ -8,7 +8,8 @@ from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
 
-from .vectors import FLOAT, INT, INTS_IR, LANES_IR, WIDE, WIDTH, WORD, call, constant, intrinsic, lanes
+from .emitting import intrinsic
+from .vectors import FLOAT, INT, INTS_IR, LANES_IR, WIDE, WIDTH, WORD, call, constant, lanes
 
 # 2^f on [-1/2, 1/2] and on [0, 1], Chebyshev interpolation; relative error 1e-7 in float32
 _EXP2_AROUND_ZERO = (

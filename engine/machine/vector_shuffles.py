@@ -8,7 +8,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from .vectors import FLOAT, INTS_IR, WIDTH, call, constant, intrinsic, lanes
+from .emitting import intrinsic
+from .vectors import FLOAT, INTS_IR, WIDTH, call, constant, lanes
 
 
 @intrinsic

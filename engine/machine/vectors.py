@@ -13,14 +13,12 @@ import operator
 from typing import Any
 
 from llvmlite import ir
-from numba import extending, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import lower_builtin, models, register_model, type_callable
 
 from .compiled import machine_target
-
-intrinsic: Any = extending.intrinsic
-"""Called without the typing context that it is declared with, which no type checker can know."""
+from .emitting import element, intrinsic, is_flat
 
 WIDTH = 16
 
@@ -70,22 +68,10 @@ def call(builder: ir.IRBuilder, name: str, result: ir.Type, arguments: list[ir.V
     return builder.call(cgutils.get_or_insert_function(builder.module, signature, name), arguments)
 
 
-def element(
-    context: Any, builder: ir.IRBuilder, array_type: types.Array, array: ir.Value, index: ir.Value
-) -> ir.Value:
-    """Pointer to ``array[index]`` of a one-dimensional contiguous array, unchecked."""
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.gep(data, [index])
-
-
-def _is_flat(array: types.Type, dtype: types.Type) -> bool:
-    return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C" and array.dtype == dtype
-
-
 @intrinsic
 def load(typing_context: Any, array: Any, index: Any) -> Any:
     """array[index : index + 16] of a flat contiguous float32 array; unchecked, any alignment."""
-    if not _is_flat(array, types.float32):
+    if not is_flat(array, types.float32):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -98,7 +84,7 @@ def load(typing_context: Any, array: Any, index: Any) -> Any:
 @intrinsic
 def store(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
     """array[index : index + 16] = values; unchecked, any alignment."""
-    if not _is_flat(array, types.float32) or values is not lanes:
+    if not is_flat(array, types.float32) or values is not lanes:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -112,7 +98,7 @@ def store(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
 @intrinsic
 def load_some(typing_context: Any, array: Any, index: Any, wanted: Any) -> Any:
     """As ``load`` where wanted, 0 elsewhere; memory outside is not touched."""
-    if not _is_flat(array, types.float32) or wanted is not flags:
+    if not is_flat(array, types.float32) or wanted is not flags:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -127,7 +113,7 @@ def load_some(typing_context: Any, array: Any, index: Any, wanted: Any) -> Any:
 @intrinsic
 def store_some(typing_context: Any, array: Any, index: Any, values: Any, wanted: Any) -> Any:
     """As ``store`` where wanted; memory outside is not touched."""
-    if not _is_flat(array, types.float32) or values is not lanes or wanted is not flags:
+    if not is_flat(array, types.float32) or values is not lanes or wanted is not flags:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -143,7 +129,7 @@ def store_some(typing_context: Any, array: Any, index: Any, values: Any, wanted:
 @intrinsic
 def pairs(typing_context: Any, array: Any, index: Any) -> Any:
     """array[index] of a flat contiguous float32 array in even lanes, array[index + 1] in odd ones; unchecked."""
-    if not _is_flat(array, types.float32):
+    if not is_flat(array, types.float32):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -159,7 +145,7 @@ def pairs(typing_context: Any, array: Any, index: Any) -> Any:
 @intrinsic
 def get(typing_context: Any, array: Any, index: Any) -> Any:
     """array[index] of a flat contiguous array; unchecked, and no negative index."""
-    if not _is_flat(array, array.dtype):
+    if not is_flat(array, array.dtype):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -171,7 +157,7 @@ def get(typing_context: Any, array: Any, index: Any) -> Any:
 @intrinsic
 def put(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
     """array[index] = value of a flat contiguous array, the value already of its type; unchecked."""
-    if not _is_flat(array, array.dtype):
+    if not is_flat(array, array.dtype):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -184,7 +170,7 @@ def put(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
 @intrinsic
 def everywhere(typing_context: Any, array: Any, index: Any) -> Any:
     """array[index] of a flat contiguous float32 array in all lanes; unchecked."""
-    if not _is_flat(array, types.float32):
+    if not is_flat(array, types.float32):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -229,7 +215,7 @@ def is_aligned(typing_context: Any, array: Any, index: Any) -> Any:
 @intrinsic
 def store_past_cache(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
     """As ``store``, at the beginning of a cache line, without reading what was there nor keeping it in the cache."""
-    if not _is_flat(array, types.float32) or values is not lanes:
+    if not is_flat(array, types.float32) or values is not lanes:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -342,19 +328,6 @@ def has_wide_registers() -> bool:
 
 
 WIDE = has_wide_registers()
-
-
-@intrinsic
-def take_next(typing_context: Any, counter: Any) -> Any:
-    """counter[0], raised by one at once for all threads: deals out work."""
-    if not _is_flat(counter, types.int64):
-        return None
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element(context, builder, signature.args[0], arguments[0], ir.IntType(64)(0))
-        return builder.atomic_rmw("add", pointer, ir.IntType(64)(1), "monotonic")
-
-    return types.int64(counter), emit
 
 
 def _register_arithmetic() -> None:

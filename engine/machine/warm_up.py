@@ -24,13 +24,13 @@ class WarmUp:
         self._whole = whole
         self._forward, self._backward = (f"the {way} pass of {self._whole}" for way in ("forward", "backward"))
         self._compile_forward, self._compile_backward, self._apart = compile_forward, compile_backward, apart
-        self.has_forward = self._has_backward = False  # the first is asked before each forward pass, so it is public
+        self._has_forward = self._has_backward = False
         self._has_spoken = False
         self._companion: Companion | None = None
 
     def forward(self, backward_follows: bool) -> None:
         """Before a forward pass."""
-        if self.has_forward:
+        if self._has_forward:
             return
         if backward_follows and not is_compiled(self._forward) and not is_compiled(self._backward):
             say_that_it_compiles(self._whole, "15 s")
@@ -41,7 +41,7 @@ class WarmUp:
             say_that_it_compiles(self._forward, "8 s")
         with_room(self._compile_forward)
         note_compiled(self._forward)
-        self.has_forward = True
+        self._has_forward = True
 
     def backward(self) -> None:
         """Before a backward pass."""

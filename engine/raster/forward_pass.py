@@ -55,7 +55,7 @@ class Layers:
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class OnImage:
     """What the forward pass tells of each Gaussian: ``centres`` float32 [N, 2] on the image, and ``visible`` bool
     [N]."""
 
@@ -69,10 +69,10 @@ def as_array(tensor: Tensor) -> Array:
 
 
 def blend(
-    kernels: Kernels, gaussians: list[Array], labels: Array, view: View, shown: Shown
+    kernels: Kernels, gaussians: list[Array], labels: Array, view: View, on_image: OnImage
 ) -> tuple[Layers, ForwardState]:
     """``gaussians``: means [N, 3], scales [N, 3], quats [N, 4], opacities [N] and colours [N, 3]; labels [N, C], all
-    float32. Fills ``shown``."""
+    float32. Fills ``on_image``."""
     # Kernels throw what Python needs out of the caches: what can be made ready before the first of them is.
     workers, camera = worker_count(), camera_array(view)
     count, channels = labels.shape
@@ -82,7 +82,7 @@ def blend(
     counts = np.zeros((workers, 2), np.int64)
     share(workers, project, *gaussians, camera, view.width, view.height, records, boxes, counts)
     projected = Projected(records, boxes, counts)
-    lists = list_tiles(workers, projected, view.width, view.height, shown.centres, shown.visible)
+    lists = list_tiles(workers, projected, view.width, view.height, on_image.centres, on_image.visible)
     blenders = lists.blenders(workers)
     share(
         blenders,

@@ -7,11 +7,10 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+
+from ..machine.shared import Kernel
 
 log = logging.getLogger("plgs.raster")
-
-Kernel = Callable[..., Any]
 
 VARIABLE = "PLGS_RASTER_KERNELS"
 """Environment variable: ``vector``, ``plain``, or unset to let the machine decide."""

@@ -17,7 +17,7 @@ from ..machine.warm_up import WarmUp
 from .backward_pass import LayerGradients, unblend
 from .compile_backward import compile_backward
 from .conventions import NEAR, View
-from .forward_pass import Shown, as_array, blend, top_contributors
+from .forward_pass import OnImage, as_array, blend, top_contributors
 from .kernels import Kernels, choose_kernels
 from .rendering import Rendering
 
@@ -39,23 +39,21 @@ def rasterize_native(
     want_means2d_grad: bool,
 ) -> Rendering:
     """As ``rasterize``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
-    shown = Shown(memory.empty((means.shape[0], 2), np.float32), memory.empty(means.shape[0], np.bool_))
+    on_image = OnImage(memory.empty((means.shape[0], 2), np.float32), memory.empty(means.shape[0], np.bool_))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it
-    centres = torch.from_numpy(shown.centres)
+    centres = torch.from_numpy(on_image.centres)
     if want_means2d_grad:
         centres.requires_grad_()
     inputs = (means, scales, quats, opacities, colours, labels, centres)
-    warm_up = _warm_up(choose_kernels())
-    if not warm_up.has_forward:
-        differentiable = any(tensor is not None and tensor.requires_grad for tensor in inputs)
-        warm_up.forward(torch.is_grad_enabled() and differentiable)
-    image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, view, shown, top_k)
+    differentiable = any(tensor is not None and tensor.requires_grad for tensor in inputs)
+    _warm_up(choose_kernels()).forward(torch.is_grad_enabled() and differentiable)
+    image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, view, on_image, top_k)
     return Rendering(
         image=image,
         labels=labels_out if labels is not None else None,
         alpha=alpha,
         depth=depth,
-        visible=torch.from_numpy(shown.visible),
+        visible=torch.from_numpy(on_image.visible),
         means2d=centres,
         top_indices=top[0] if top else None,
         top_weights=top[1] if top else None,
@@ -74,7 +72,7 @@ def _compile_forward() -> None:
     """Call every kernel of the forward pass, with one Gaussian."""
     inputs = [torch.ones(shape) for shape in ((1, 3), (1, 3), (1, 4), (1,), (1, 3), (1, 1), (1, 2))]
     view = View(np.eye(3), np.array([0.0, 0.0, -3.0]), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
-    _Blend.apply(*inputs, view, Shown(np.empty((1, 2), np.float32), np.empty(1, np.bool_)), 0)
+    _Blend.apply(*inputs, view, OnImage(np.empty((1, 2), np.float32), np.empty(1, np.bool_)), 0)
 
 
 class _Blend(torch.autograd.Function):
@@ -89,12 +87,12 @@ class _Blend(torch.autograd.Function):
         labels: Tensor | None,
         centres: Tensor,
         view: View,
-        shown: Shown,
+        on_image: OnImage,
         top_k: int,
     ) -> tuple[Tensor, ...]:
         gaussians = [as_array(tensor) for tensor in (means, scales, quats, opacities, colours)]
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
-        layers, state = blend(choose_kernels(), gaussians, features, view, shown)
+        layers, state = blend(choose_kernels(), gaussians, features, view, on_image)
         top: tuple[Tensor, ...] = ()
         if top_k:
             top = top_contributors(state, (view.height, view.width, top_k))

@@ -10,7 +10,7 @@ import pytest
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from engine.machine.blackboard import CALL_ROWS, ROWS, WORDS, new_board
+from engine.machine.blackboard import CALL_ROWS, WORDS, new_board
 from engine.machine.compiled import machine_target
 from engine.machine.shared import shared, shared_contracted
 
@@ -75,11 +75,6 @@ def test_each_has_a_name_and_a_cache_of_its_own() -> None:
     assert (sum_all.__name__, do_nothing.__name__) == ("sum_all", "do_nothing")
     files = {kernel._cache._cache_file._index_path for kernel in (sum_all, do_nothing, multiply_add)}
     assert len(files) == 3
-
-
-def test_a_board_has_whole_cache_lines() -> None:
-    board = new_board()
-    assert board.shape == (ROWS, WORDS) and board.ctypes.data % 64 == 0 and not board.any()
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ...machine.atomics import take_next
 from ...machine.compiled import Array, inlined
 from ...machine.shared import shared
-from ...machine.vectors import lane_numbers, load_some, spread, store, take_next
+from ...machine.vectors import lane_numbers, load_some, spread, store
 from .activations import exponential
 from .layers import collect_inputs, fill, head_of, list_anchors, rounded_rows, run_first_layer, run_head, run_head_back
 from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC

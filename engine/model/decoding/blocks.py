@@ -9,7 +9,8 @@ from numba import types
 from numba.core import cgutils
 
 from ...machine.compiled import Array, part
-from ...machine.vectors import FLOAT, INT, WIDE, call, element, intrinsic
+from ...machine.emitting import element, intrinsic
+from ...machine.vectors import FLOAT, INT, WIDE, call
 
 COLUMNS = 16 if WIDE else 8
 """Columns in one vector of a block: as wide as a register."""

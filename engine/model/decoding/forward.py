@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from ...machine.atomics import take_next
 from ...machine.compiled import Array, inlined
 from ...machine.shared import shared
-from ...machine.vectors import WIDTH, lane_numbers, load, load_some, spread, store, take_next
+from ...machine.vectors import WIDTH, lane_numbers, load, load_some, spread, store
 from .activations import copy, exponential, sigmoid, tanh
 from .layers import collect_inputs, head_of, list_anchors, run_head
 from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC

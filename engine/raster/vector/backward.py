@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...machine.atomics import take_next
 from ...machine.compiled import Array, inlined, part
 from ...machine.shared import shared
 from ...machine.vector_functions import exp2_of_four, reciprocal
@@ -32,7 +33,6 @@ from ...machine.vectors import (
     spread,
     store,
     store_past_cache,
-    take_next,
 )
 from ..records import (
     BLUE,

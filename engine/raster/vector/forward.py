@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...machine.atomics import take_next
 from ...machine.compiled import Array, inlined, part
 from ...machine.shared import shared
 from ...machine.vector_functions import exp2_of_four
@@ -28,7 +29,6 @@ from ...machine.vectors import (
     put,
     spread,
     store,
-    take_next,
 )
 from ..conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
 from ..records import CHUNK, PATCH_HEIGHT, PATCH_WIDTH, TILE, padded_channels

@@ -9,7 +9,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from ...machine.vectors import FLOAT, INT, WIDE, WIDTH, call, element, intrinsic
+from ...machine.emitting import element, intrinsic
+from ...machine.vectors import FLOAT, INT, WIDE, WIDTH, call
 from ..records import PATCH_HEIGHT
 
 INDEX = ir.IntType(64)
