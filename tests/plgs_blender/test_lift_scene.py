@@ -3,35 +3,22 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.job import JobError, write_manifest
+from file_contents import DATA, contents, counts
+from plgs.engine.job import JobError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.cameras import object_matrix
 from plgs.plgs_blender.colour import linear_rgba
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.owned import LIFT
-from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, write_tiny_lift
+from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR, CHAIR_ID
-
-DATA = (
-    "objects",
-    "collections",
-    "cameras",
-    "meshes",
-    "pointclouds",
-    "materials",
-    "node_groups",
-    "images",
-    "scenes",
-)
 
 
 def child(root: bpy.types.Collection, name: str) -> bpy.types.Collection:
@@ -43,14 +30,6 @@ def values(ob: bpy.types.Object, name: str, key: str = "value", width: int = 1) 
     array = np.zeros(len(data) * width, np.int32 if name.endswith("_id") or name == "level" else np.float32)
     data.foreach_get(key, array)
     return array.reshape(-1, width) if width > 1 else array
-
-
-def counts() -> dict[str, int]:
-    return {kind: len(getattr(bpy.data, kind)) for kind in DATA}
-
-
-def contents() -> dict[str, Any]:
-    return {kind: sorted(block.name for block in getattr(bpy.data, kind)) for kind in DATA}
 
 
 def test_one_collection_with_everything(lift: Path) -> None:
@@ -134,11 +113,6 @@ def test_a_box_has_the_rotation_of_the_instance(tmp_path: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     bpy.context.view_layer.update()
     assert child(root, "Instances").objects[0].matrix_world.to_euler().z == pytest.approx(np.pi / 6)
-
-
-def mend_manifest(lift: Path) -> None:
-    (lift / "result" / "manifest.json").unlink()
-    write_manifest(lift / "result", versions={}, seed=0, settings={}, timings={})
 
 
 def test_lifting_again_replaces(lift: Path, tmp_path: Path) -> None:
@@ -335,79 +309,6 @@ def test_the_scene_of_the_passes_is_left_to_them(lift: Path, tmp_path: Path) -> 
     bpy.data.collections.remove(root)
     with pytest.raises(JobError, match="a scene of your own"):
         lift_scene.place_lift(lift, passes)
-
-
-@pytest.mark.parametrize("content", [b"\0", b"v/1\x01\2\0\0\0channels\0chlist"])
-def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
-    lift = write_tiny_lift(tmp_path / "lift", frames=10).path
-    path = next((lift / "result" / "passes").iterdir())
-    path.write_bytes(content.ljust(path.stat().st_size, b"\0"))
-    before = contents()
-    with pytest.raises(JobError, match=path.name):
-        lift_scene.place_lift(lift, bpy.context.scene)
-    assert contents() == before
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("id", -1),
-        ("id", 2**31),
-        ("id", 2),
-        ("id", float("inf")),
-        ("points", 2**40),
-        ("colour", [256, 0, 0]),
-        ("score", float("nan")),
-        ("size", [1.0, 1.0, 3e38]),
-        ("name", "\ud800"),
-        ("segments", [7]),
-        ("segments", ["x"]),
-    ],
-)
-def test_absurd_instances_change_nothing(lift: Path, tmp_path: Path, name: str, value: object) -> None:
-    shutil.copytree(lift, tmp_path / "lift")
-    path = tmp_path / "lift" / "result" / "instances.json"
-    content = json.loads(path.read_text())
-    content["instances"][0][name] = value
-    path.write_text(json.dumps(content))
-    refuses(tmp_path / "lift", "instances.json")
-
-
-def test_endless_brackets_change_nothing(lift: Path, tmp_path: Path) -> None:
-    shutil.copytree(lift, tmp_path / "lift")
-    (tmp_path / "lift" / "result" / "instances.json").write_text("[" * 100_000)
-    refuses(tmp_path / "lift", "instances.json")
-
-
-def test_absurd_positions_change_nothing(lift: Path, tmp_path: Path) -> None:
-    shutil.copytree(lift, tmp_path / "lift")
-    path = tmp_path / "lift" / "result" / "semantic_points.npz"
-    points = dict(np.load(path))
-    points["xyz"][0, 0] = 3e38
-    np.savez(path, **points)
-    refuses(tmp_path / "lift", "semantic_points.npz")
-
-
-def refuses(lift: Path, place: str) -> None:
-    mend_manifest(lift)
-    before = contents()
-    with pytest.raises(JobError, match=place):
-        lift_scene.place_lift(lift, bpy.context.scene)
-    assert contents() == before
-
-
-@pytest.mark.skipif(os.name == "nt", reason="such names exist elsewhere only")
-@pytest.mark.parametrize("name", [b"r\xf6om", b"a\\room"])
-def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: Path, name: bytes) -> None:
-    folder = tmp_path / os.fsdecode(name)
-    try:
-        shutil.copytree(lift.parent / "tiny room", folder)
-    except OSError:
-        pytest.skip("this disk has no such names")
-    before = contents()
-    with pytest.raises(JobError, match="Rename it"):
-        place_scene(folder, bpy.context.scene)
-    assert contents() == before
 
 
 def test_an_override_of_a_linked_lift_is_passed_over(lift: Path, tmp_path: Path) -> None:

@@ -1,0 +1,90 @@
+"""A lift or a scene with something in it that cannot be changes nothing in the open file."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from file_contents import contents
+from plgs.engine.job import JobError
+from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.import_scene import place_scene
+from tiny_lift import mend_manifest, write_tiny_lift
+
+
+@pytest.mark.parametrize("content", [b"\0", b"v/1\x01\2\0\0\0channels\0chlist"])
+def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
+    lift = write_tiny_lift(tmp_path / "lift", frames=10).path
+    path = next((lift / "result" / "passes").iterdir())
+    path.write_bytes(content.ljust(path.stat().st_size, b"\0"))
+    before = contents()
+    with pytest.raises(JobError, match=path.name):
+        lift_scene.place_lift(lift, bpy.context.scene)
+    assert contents() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("id", -1),
+        ("id", 2**31),
+        ("id", 2),
+        ("id", float("inf")),
+        ("points", 2**40),
+        ("colour", [256, 0, 0]),
+        ("score", float("nan")),
+        ("size", [1.0, 1.0, 3e38]),
+        ("name", "\ud800"),
+        ("segments", [7]),
+        ("segments", ["x"]),
+    ],
+)
+def test_absurd_instances_change_nothing(lift: Path, tmp_path: Path, name: str, value: object) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    path = tmp_path / "lift" / "result" / "instances.json"
+    content = json.loads(path.read_text())
+    content["instances"][0][name] = value
+    path.write_text(json.dumps(content))
+    refuses(tmp_path / "lift", "instances.json")
+
+
+def test_endless_brackets_change_nothing(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    (tmp_path / "lift" / "result" / "instances.json").write_text("[" * 100_000)
+    refuses(tmp_path / "lift", "instances.json")
+
+
+def test_absurd_positions_change_nothing(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    path = tmp_path / "lift" / "result" / "semantic_points.npz"
+    points = dict(np.load(path))
+    points["xyz"][0, 0] = 3e38
+    np.savez(path, **points)
+    refuses(tmp_path / "lift", "semantic_points.npz")
+
+
+def refuses(lift: Path, place: str) -> None:
+    mend_manifest(lift)
+    before = contents()
+    with pytest.raises(JobError, match=place):
+        lift_scene.place_lift(lift, bpy.context.scene)
+    assert contents() == before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="such names exist elsewhere only")
+@pytest.mark.parametrize("name", [b"r\xf6om", b"a\\room"])
+def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: Path, name: bytes) -> None:
+    folder = tmp_path / os.fsdecode(name)
+    try:
+        shutil.copytree(lift.parent / "tiny room", folder)
+    except OSError:
+        pytest.skip("this disk has no such names")
+    before = contents()
+    with pytest.raises(JobError, match="Rename it"):
+        place_scene(folder, bpy.context.scene)
+    assert contents() == before
