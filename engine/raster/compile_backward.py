@@ -11,7 +11,7 @@ from ..machine.blackboard import new_board
 from ..machine.call_frames import with_room
 from .kernels import Kernels, choose_kernels
 from .projection import CAMERA
-from .records import CHUNK, GRADIENT_WIDTH, RECORD, TILE
+from .records import GRADIENT_WIDTH, MEMBERS, RECORD, TILE
 
 
 def compile_backward(kernels: Kernels) -> None:
@@ -24,7 +24,7 @@ def compile_backward(kernels: Kernels) -> None:
     slot_gradients, slot_labels = floats[GRADIENT_WIDTH], floats[TILE]
     scratch = (
         np.zeros((1, kernels.unblend_scratch(1)), np.float32),
-        np.zeros((1, (TILE + 1) * CHUNK), np.int32),
+        np.zeros((1, MEMBERS), np.int32),
         np.zeros((1, TILE + 1), np.int64),
     )
     one_of = {columns: np.zeros((1, columns), np.float32) for columns in (2, 3, 4, RECORD)}

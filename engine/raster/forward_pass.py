@@ -14,7 +14,7 @@ from ..machine.crew import share, worker_count
 from .conventions import View
 from .kernels import Kernels
 from .projection import camera_array, project
-from .records import CHUNK, RECORD, TILE
+from .records import CHUNK, MEMBERS, RECORD, TILE
 from .tile_lists import PairLists, Projected, list_tiles
 
 WORDS_OF_LINE = memory.ALIGNMENT // 8
@@ -111,7 +111,7 @@ def scratch(workers: int, floats: int, longest: int) -> tuple[Array, Array, Arra
     words = max(TILE + 1, -(-longest // CHUNK))
     return (
         memory.empty((workers, -(-floats // TILE) * TILE), np.float32),
-        memory.empty((workers, (TILE + 1) * CHUNK), np.int32),
+        memory.empty((workers, MEMBERS), np.int32),
         memory.empty((workers, -(-words // WORDS_OF_LINE) * WORDS_OF_LINE), np.int64),
     )
 

@@ -21,9 +21,16 @@ TILE = 16
 PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
 """What those are: a patch, eight columns of two rows."""
 assert (PATCH_WIDTH, PATCH_HEIGHT) == (8, 2), "the vector kernels take the rows of a patch in turns, in pairs of lanes"
-CHUNK = 48
-"""Gaussians of a tile that are handled together: whole vectors of them, and no more than a word has bits."""
+CHUNK = 64
+"""Gaussians of a tile that are blended together: whole vectors of them, and no more than a word has bits."""
 assert CHUNK % TILE == 0 and CHUNK <= 64
+PENDING = 2 * CHUNK
+"""When more Gaussians than this have been blended on a patch, their labels are added up before others are."""
+BATCH = 96
+"""Gaussians of a tile whose label gradients are added up together."""
+MEMBERS = TILE * (BATCH + 4)
+"""Room for the Gaussians listed on each patch of a tile, and for as many as are missing from the last four."""
+assert 2 * (PENDING + CHUNK + 4) <= MEMBERS, "the two patches of a strip list more of them"
 
 # columns of a record; the centre is the sum of two floats (a double's precision where it matters)
 CENTRE_X, CENTRE_X_LOW, CENTRE_Y, CENTRE_Y_LOW = 0, 1, 2, 3

@@ -35,8 +35,8 @@ from ...machine.vectors import (
     store_past_cache,
 )
 from ..records import (
+    BATCH,
     BLUE,
-    CHUNK,
     DEPTH,
     GRADIENT_WIDTH,
     GREEN,
@@ -52,12 +52,13 @@ from ..records import (
 )
 from .backward_tile import (
     BEHIND,
-    CHUNK_LABELS,
+    BATCH_LABELS,
     COLUMNS,
     D_PLANES,
     EXPONENTS,
     LAST,
     LAST_OF_PATCH,
+    LISTED,
     NO_PATCH,
     OVERS,
     PATCH_STRIDE,
@@ -204,8 +205,8 @@ def unblend_gaussian(
         if labelled:
             # where nothing was blended the next one writes over it: cheaper than a branch that nobody can foresee
             count = get(counts, patch)
-            store(scratch, WEIGHTS + (patch * CHUNK + count) * TILE, weight)
-            put(members, patch * CHUNK + count, np.int32(member))
+            store(scratch, WEIGHTS + (patch * LISTED + count) * TILE, weight)
+            put(members, patch * LISTED + count, np.int32(member))
             put(counts, patch, count + int(bits_of(raw > spread(ZERO)) != 0))
     sums = (g0, g1, g11, g2, g12, g22, d_red, d_green, d_blue, d_depth)
     store_past_cache(gradients, slot * GRADIENT_WIDTH, totals(sums))
@@ -261,10 +262,10 @@ def unblend_tiles(
         # each Gaussian is whitened while the one before is on: which patches it touches is known when its turn comes
         own = 0
         patches = whiten_tile(records, int(get(tile_ids, first + far)) * RECORD, left, top, scratch, own)
-        for chunk in range(far // CHUNK * CHUNK, -1, -CHUNK):
-            for at in range(CHUNK_LABELS, CHUNK_LABELS + CHUNK * padded, TILE):
+        for batch in range(far // BATCH * BATCH, -1, -BATCH):
+            for at in range(BATCH_LABELS, BATCH_LABELS + BATCH * padded, TILE):
                 store(scratch, at, spread(ZERO))
-            for place in range(min(chunk + CHUNK - 1, far), chunk - 1, -1):
+            for place in range(min(batch + BATCH - 1, far), batch - 1, -1):
                 touching = patches & bits_of(load(scratch, LAST_OF_PATCH) >= spread(F(place)))
                 at = int(get(tile_ids, first + place)) * RECORD
                 following = int(get(tile_ids, first + max(place - 1, 0))) * RECORD
@@ -284,7 +285,7 @@ def unblend_tiles(
                     unblend_gaussian(
                         records,
                         at,
-                        place - chunk,
+                        place - batch,
                         touching,
                         channels > 0,
                         scratch,
@@ -297,5 +298,5 @@ def unblend_tiles(
                 own = WHITENED - own
             if channels > 0:
                 add_label_gradients(left, top, width, height, d_labels, channels, scratch, counts, members, padded)
-                count = min(CHUNK, far + 1 - chunk)
-                write_label_gradients(chunk, count, first, tile_slots, touched, scratch, slot_labels, padded)
+                count = min(BATCH, far + 1 - batch)
+                write_label_gradients(batch, count, first, tile_slots, touched, scratch, slot_labels, padded)

@@ -7,7 +7,7 @@ from typing import Any
 from ...machine.compiled import Array, inlined, part
 from ...machine.vector_shuffles import largest, planes_of, zipped
 from ...machine.vectors import choose, lane_numbers, load, load_some, put, spread, store
-from ..records import CHUNK, TILE, padded_channels
+from ..records import BATCH, TILE, padded_channels
 from .chunk import PATCHES
 from .forward_strip import ONE, ZERO, F
 
@@ -25,8 +25,9 @@ LAST = THROUGH + TILE
 BEHIND = LAST + TILE
 D_PLANES = BEHIND + TILE  # gradients of red, green, blue, depth
 WEIGHTS = PATCH_STATE + (PATCHES + 1) * PATCH_STRIDE  # [patch, member, pixel]
-CHUNK_LABELS = (
-    WEIGHTS + PATCHES * CHUNK * TILE
+LISTED = BATCH + 4  # of a patch: its members, and as many as are missing from the last four
+BATCH_LABELS = (
+    WEIGHTS + PATCHES * LISTED * TILE
 )  # [member or nobody, padded], then a patch's gradients [row, pixel, padded]
 NO_PATCH = PATCHES
 """Takes a patch's place where there are not four; nothing was ever blended on it."""
@@ -34,7 +35,7 @@ NO_PATCH = PATCHES
 
 def scratch_size(channels: int) -> int:
     """Floats of scratch that a worker needs."""
-    floats: int = CHUNK_LABELS + (CHUNK + 1 + TILE) * padded_channels(channels)
+    floats: int = BATCH_LABELS + (BATCH + 1 + TILE) * padded_channels(channels)
     return floats
 
 

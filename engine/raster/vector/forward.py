@@ -1,8 +1,8 @@
 """Front-to-back blending, a patch of sixteen pixels at a time. The same steps as ``blend_forward``, its readable
 twin.
 
-A patch takes all members of a chunk one after the other, its state in registers, then adds up their labels while the
-weights are still in the first cache. Two patches side by side make a strip of a tile, which is written row by row.
+A patch takes all members of a chunk one after the other, its state in registers, and keeps a list of those that it sees
+with their weights; the list's labels are added up at once, in registers too. Two patches side by side make a strip of a tile, which is written row by row.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from ...machine.vectors import (
     store,
 )
 from ..conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
-from ..records import CHUNK, PATCH_HEIGHT, PATCH_WIDTH, TILE, padded_channels
+from ..records import CHUNK, PATCH_HEIGHT, PATCH_WIDTH, PENDING, TILE, padded_channels
 from .chunk import (
     BLUES,
     CHUNK_FIELDS,
@@ -49,6 +49,7 @@ from .chunk import (
 from .forward_strip import (
     COLUMNS,
     LAST,
+    LISTED,
     PATCH_STRIDE,
     PLANES,
     REST,
@@ -106,8 +107,10 @@ def seen_alpha(raw: Any) -> Any:
 
 
 @inlined
-def blend_member(m: int, alpha: Any, state: Any, count: int, scratch: Array, fields: int, members: Array) -> Any:
-    """Blend one member; returns the patch's new state, and how many members have been blended so far.
+def blend_member(
+    m: int, alpha: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
+) -> Any:
+    """Blend one member; returns the patch's new state, and the new end of the list of those blended.
 
     A pixel has ended once its transmittance is too small; the product goes on, and says so of all that follow.
     """
@@ -122,9 +125,10 @@ def blend_member(m: int, alpha: Any, state: Any, count: int, scratch: Array, fie
     blue = fma(weight, everywhere(scratch, fields + BLUES + m), blue)
     depth = fma(weight, everywhere(scratch, fields + DEPTHS + m), depth)
     # written over by the next one where nothing was blended: cheaper than a branch that nobody can foresee
-    store(scratch, WEIGHTS + count * TILE, weight)
-    put(members, count, np.int32(m))
-    return (after, rest, last, red, green, blue, depth), count + int(bits_of(blended) != 0)
+    first, vectors = labels
+    store(scratch, WEIGHTS + end * TILE, weight)
+    put(members, end, np.int32(first + m * vectors))
+    return (after, rest, last, red, green, blue, depth), end + int(bits_of(blended) != 0)
 
 
 @inlined
@@ -152,26 +156,31 @@ def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
 
 
 @inlined
-def blend_four(four: Any, alphas: Any, state: Any, count: int, scratch: Array, fields: int, members: Array) -> Any:
+def blend_four(
+    four: Any, alphas: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
+) -> Any:
     """Blend four members, one after the other; as ``blend_member``, and whether the patch still sees anything."""
     m0, m1, m2, m3 = four
     alpha0, alpha1, alpha2, alpha3 = alphas
-    state, count = blend_member(m0, alpha0, state, count, scratch, fields, members)
-    state, count = blend_member(m1, alpha1, state, count, scratch, fields, members)
-    state, count = blend_member(m2, alpha2, state, count, scratch, fields, members)
-    state, count = blend_member(m3, alpha3, state, count, scratch, fields, members)
+    state, end = blend_member(m0, alpha0, state, end, scratch, fields, members, labels)
+    state, end = blend_member(m1, alpha1, state, end, scratch, fields, members, labels)
+    state, end = blend_member(m2, alpha2, state, end, scratch, fields, members, labels)
+    state, end = blend_member(m3, alpha3, state, end, scratch, fields, members, labels)
     through, rest, last, red, green, blue, depth = state
     sees = bits_of(through > spread(ENDED)) != 0
-    return (maximum(through, spread(NEARLY_NOTHING)), rest, last, red, green, blue, depth), count, sees
+    return (maximum(through, spread(NEARLY_NOTHING)), rest, last, red, green, blue, depth), end, sees
 
 
 @part
-def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Array) -> Any:
+def blend_patch(
+    touching: int, at: int, scratch: Array, fields: int, members: Array, end: int, labels: tuple[int, int]
+) -> Any:
     """Blend the members of a mask on the patch whose state lies at scratch[at:], four at a time, so that one does not
     wait for the other's alpha.
 
-    Weights and ``members`` hold those that were blended anywhere, in order; returns how many, and whether the patch
-    still sees anything.
+    Those that are blended anywhere are added, in order, to the list that ends before ``end``: their weights, and in
+    ``members`` where their ``labels`` lie, of which the first member's place and the length are told in vectors. Returns
+    the list's new end, and whether the patch still sees anything.
     """
     columns = load(scratch, at + COLUMNS)
     state = (
@@ -183,7 +192,6 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
         load(scratch, at + PLANES + 2 * TILE),
         load(scratch, at + PLANES + 3 * TILE),
     )
-    count = 0
     sees = bits_of(state[0] > spread(ENDED)) != 0
     if sees and touching != 0:
         four, touching = take_four(touching, NOBODY)
@@ -192,10 +200,10 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
             # the next four's alphas beside the blending of these: neither waits for the other
             next_four, touching = take_four(touching, NOBODY)
             next_alphas = alphas_of(next_four, columns, scratch, fields)
-            state, count, sees = blend_four(four, alphas, state, count, scratch, fields, members)
+            state, end, sees = blend_four(four, alphas, state, end, scratch, fields, members, labels)
             four, alphas = next_four, next_alphas
         if sees:
-            state, count, sees = blend_four(four, alphas, state, count, scratch, fields, members)
+            state, end, sees = blend_four(four, alphas, state, end, scratch, fields, members, labels)
     through, rest, last, red, green, blue, depth = state
     store(scratch, at + THROUGH, through)
     store(scratch, at + REST, rest)
@@ -204,7 +212,19 @@ def blend_patch(touching: int, at: int, scratch: Array, fields: int, members: Ar
     store(scratch, at + PLANES + TILE, green)
     store(scratch, at + PLANES + 2 * TILE, blue)
     store(scratch, at + PLANES + 3 * TILE, depth)
-    return count, sees
+    return end, sees
+
+
+@part
+def add_listed_labels(
+    patch: int, end: int, strip_labels: int, scratch: Array, members: Array, chunks: int, padded: int
+) -> Any:
+    """Add up the labels of those that were blended on a patch, whose list ends before ``end``; returns the end of the
+    empty list."""
+    listed = patch * LISTED
+    labels = strip_labels + patch * PATCH_WIDTH * padded
+    add_patch_labels(end - listed, labels, scratch, WEIGHTS + listed * TILE, members, listed, chunks, padded)
+    return listed
 
 
 @shared
@@ -256,9 +276,12 @@ def blend_tiles(
             for own in range(rows):
                 fetch_row(pixel + own * width, layers)
             start_strip(pixels, rows, strip_labels, channels, scratch)
+            ends = (0, LISTED)
             for place in range(0, total, CHUNK):
                 c = place // CHUNK
                 fields = chunks + c * chunk_floats(channels)
+                own_labels = fields + CHUNK_FIELDS
+                in_vectors = ((own_labels - chunks) // TILE, padded // TILE)
                 count = min(CHUNK, total - place)
                 if place == loaded:
                     if channels > 0:
@@ -269,19 +292,22 @@ def blend_tiles(
                 touching = whiten_strip(r, count, scratch, fields, STRIP)
                 strip_sees = False
                 for patch in range(2):
-                    blended, sees = blend_patch(touching[patch], STATE + patch * PATCH_STRIDE, scratch, fields, members)
+                    before, state = ends[patch], STATE + patch * PATCH_STRIDE
+                    end, sees = blend_patch(touching[patch], state, scratch, fields, members, before, in_vectors)
                     strip_sees |= sees
                     lines = flush_lines(lines, LINES_AT_ONCE, source, target, row, padded_row, scratch, labels_out)
-                    if channels > 0 and blended > 0:
-                        own_labels = fields + CHUNK_FIELDS
+                    if channels > 0 and end > before:
                         copy_touching(
                             touching[patch], first + place, tile_ids, labels, channels, scratch, own_labels, copied, c
                         )
-                        patch_labels = strip_labels + patch * PATCH_WIDTH * padded
-                        add_patch_labels(blended, patch_labels, scratch, own_labels, members, padded)
-                        lines = flush_lines(lines, LINES_AT_ONCE, source, target, row, padded_row, scratch, labels_out)
+                    if end > patch * LISTED + PENDING:
+                        end = add_listed_labels(patch, end, strip_labels, scratch, members, chunks, padded)
+                    ends = (end, ends[1]) if patch == 0 else (ends[0], end)
                 if not strip_sees:
                     break
+            for patch in range(2):
+                add_listed_labels(patch, ends[patch], strip_labels, scratch, members, chunks, padded)
+                lines = flush_lines(lines, LINES_AT_ONCE, source, target, row, padded_row, scratch, labels_out)
             write_strip(pixel, pixels, rows, width, scratch, layers)
             flush_all(lines, source, target, row, padded_row, scratch, labels_out)
             if channels > 0:

@@ -9,7 +9,7 @@ import numpy as np
 from ...machine.compiled import Array, inlined, part
 from ...machine.vector_shuffles import interleaved, unzipped, zipped
 from ...machine.vectors import choose, fetch_to_write, lane_numbers, load, spread, store, store_some
-from ..records import CHUNK, PATCH_HEIGHT, TILE, padded_channels
+from ..records import CHUNK, PATCH_HEIGHT, PENDING, TILE, padded_channels
 from .chunk import STRIP_FIELDS
 
 FlatLayers = tuple[Array, Array, Array, Array, Array]
@@ -20,8 +20,9 @@ ZERO, ONE = F(0.0), F(1.0)
 
 # a worker's scratch, in floats
 STRIP = 0  # of the strip at hand: what its members are there
-WEIGHTS = STRIP + STRIP_FIELDS  # [member, pixel of the patch], with room for those that turn out not to be blended
-STATE = WEIGHTS + (CHUNK + 4) * TILE  # [patch, field, pixel]
+WEIGHTS = STRIP + STRIP_FIELDS  # [patch, blended, pixel], with room for those that turn out not to be blended
+LISTED = PENDING + CHUNK + 4
+STATE = WEIGHTS + 2 * LISTED * TILE  # [patch, field, pixel]
 COLUMNS, THROUGH, REST, LAST = 0, TILE, 2 * TILE, 3 * TILE
 PLANES = 4 * TILE  # red, green, blue, depth
 PATCH_STRIDE = 8 * TILE

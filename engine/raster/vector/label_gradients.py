@@ -1,4 +1,4 @@
-"""The label gradients of a chunk of Gaussians: its weights on each patch times the gradients of the pixels' labels."""
+"""The label gradients of a batch of Gaussians: its weights on each patch times the gradients of the pixels' labels."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from ...machine.compiled import Array, part
 from ...machine.vectors import get, load, put, spread, store, store_past_cache
-from ..records import CHUNK, PATCH_HEIGHT, PATCH_WIDTH, TILE
-from .backward_tile import CHUNK_LABELS, WEIGHTS
-from .chunk import NOBODY, PATCHES
+from ..records import BATCH, PATCH_HEIGHT, PATCH_WIDTH, TILE
+from .backward_tile import BATCH_LABELS, LISTED, WEIGHTS
+from .chunk import PATCHES
 from .forward_strip import ZERO
 from .labels import copy_labels
 from .products import (
@@ -25,27 +25,38 @@ from .products import (
 )
 
 
-def _row_adder(unblend_3: Any, unblend_2: Any, unblend_1: Any) -> Any:
-    """A function that adds the gradients of some members, those from ``listed`` on, three vectors at a time."""
+def _vector_adder(of_rows: Any, of_four: Any) -> Any:
+    """A function that adds the gradients of all members in the vectors from channel ``c`` on."""
 
     @part
     def add(
-        listed: int, source: Array, upper: int, lower: int, stride: int, scratch: Array, members: Array, padded: int
+        c: int,
+        listed: int,
+        count: int,
+        source: Array,
+        upper: int,
+        lower: int,
+        stride: int,
+        scratch: Array,
+        members: Array,
+        padded: int,
     ) -> None:
-        out, w, c = CHUNK_LABELS, WEIGHTS + listed * TILE, 0
-        while c + 3 * BLOCK <= padded:
-            unblend_3(scratch, out + c, members, listed, source, upper + c, lower + c, scratch, w, padded, stride)
-            c += 3 * BLOCK
-        if c + 2 * BLOCK <= padded:
-            unblend_2(scratch, out + c, members, listed, source, upper + c, lower + c, scratch, w, padded, stride)
-        elif c + BLOCK <= padded:
-            unblend_1(scratch, out + c, members, listed, source, upper + c, lower + c, scratch, w, padded, stride)
+        # members in a loop of this function's own: a call for a few of them takes a third as long as their products
+        out, k, end = BATCH_LABELS + c, listed, listed + count
+        while k + ROWS <= end:
+            w = WEIGHTS + k * TILE
+            of_rows(scratch, out, members, k, source, upper + c, lower + c, scratch, w, padded, stride)
+            k += ROWS
+        if k < end:
+            w = WEIGHTS + k * TILE
+            of_four(scratch, out, members, k, source, upper + c, lower + c, scratch, w, padded, stride)
 
     return add
 
 
-add_rows = _row_adder(unblend_3, unblend_2, unblend_1)
-add_last_four = _row_adder(unblend_four_3, unblend_four_2, unblend_four_1)
+add_3 = _vector_adder(unblend_3, unblend_four_3)
+add_2 = _vector_adder(unblend_2, unblend_four_2)
+add_1 = _vector_adder(unblend_1, unblend_four_1)
 
 
 @part
@@ -60,19 +71,21 @@ def add_patch_gradients(
     members: Array,
     padded: int,
 ) -> None:
-    """The chunk's label gradients += the weights of a patch, of so many members, times the label gradients of its
+    """The batch's label gradients += the weights of a patch, of so many members, times the label gradients of its
     pixels: those of its two rows lie at source[upper:] and source[lower:], ``stride`` floats apart."""
-    listed = patch * CHUNK
-    while count % 4 != 0:
-        put(members, listed + count, np.int32(NOBODY))
-        store(scratch, WEIGHTS + (listed + count) * TILE, spread(ZERO))
-        count += 1
-    k = 0
-    while k + ROWS <= count:
-        add_rows(listed + k, source, upper, lower, stride, scratch, members, padded)
-        k += ROWS
-    if k < count:
-        add_last_four(listed + k, source, upper, lower, stride, scratch, members, padded)
+    listed = patch * LISTED
+    for missing in range(count, count + 3):
+        put(members, listed + missing, np.int32(BATCH))
+        store(scratch, WEIGHTS + (listed + missing) * TILE, spread(ZERO))
+    fours = (count + 3) & -4
+    c = 0
+    while c + 3 * BLOCK <= padded:
+        add_3(c, listed, fours, source, upper, lower, stride, scratch, members, padded)
+        c += 3 * BLOCK
+    if c + 2 * BLOCK <= padded:
+        add_2(c, listed, fours, source, upper, lower, stride, scratch, members, padded)
+    elif c + BLOCK <= padded:
+        add_1(c, listed, fours, source, upper, lower, stride, scratch, members, padded)
 
 
 @part
@@ -88,7 +101,7 @@ def add_label_gradients(
     members: Array,
     padded: int,
 ) -> None:
-    """The chunk's label gradients, patch after patch. They are read where they lie, beyond a pixel's own channels too
+    """The batch's label gradients, patch after patch. They are read where they lie, beyond a pixel's own channels too
     (no one looks at what becomes of that); only where that would leave the row or the image are they copied first."""
     for patch in range(PATCHES):
         count = get(counts, patch)
@@ -103,7 +116,7 @@ def add_label_gradients(
             upper, lower = upper * channels, lower * channels
             add_patch_gradients(patch, count, d_labels, upper, lower, channels, scratch, members, padded)
         else:
-            copy = CHUNK_LABELS + (CHUNK + 1) * padded
+            copy = BATCH_LABELS + (BATCH + 1) * padded
             for y in range(PATCH_HEIGHT):
                 for x in range(PATCH_WIDTH):
                     at = copy + (y * PATCH_WIDTH + x) * padded
@@ -118,7 +131,7 @@ def add_label_gradients(
 
 @part
 def write_label_gradients(
-    chunk: int,
+    batch: int,
     count: int,
     first: int,
     tile_slots: Array,
@@ -127,11 +140,11 @@ def write_label_gradients(
     slot_labels: Array,
     padded: int,
 ) -> None:
-    """Those of a chunk of so many members, of which the first has the place ``chunk`` in the tile's list and the list
+    """Those of a batch of so many members, of which the first has the place ``batch`` in the tile's list and the list
     begins at tile_slots[first:], go to their slots, past the cache."""
     for member in range(count):
-        slot = int(get(tile_slots, first + chunk + member))
+        slot = int(get(tile_slots, first + batch + member))
         if get(touched, slot) != 0:
-            source = CHUNK_LABELS + member * padded
+            source = BATCH_LABELS + member * padded
             for c in range(0, padded, TILE):
                 store_past_cache(slot_labels, slot * padded + c, load(scratch, source + c))

@@ -20,7 +20,7 @@ from ...machine.vectors import (
     store_some,
 )
 from ..records import PATCH_HEIGHT, PATCH_WIDTH, TILE, padded_channels
-from .forward_strip import WEIGHTS, F
+from .forward_strip import F
 from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
 
 LINES_AT_ONCE = 12
@@ -72,21 +72,24 @@ def copy_touching(
 
 
 @part
-def add_patch_labels(count: int, patch_labels: int, scratch: Array, labels: int, members: Array, padded: int) -> None:
-    """The labels of a patch's pixels, the first of which lie at scratch[patch_labels:], += its weights times a chunk's
-    labels, a few pixels of a row times three vectors at a time."""
+def add_patch_labels(
+    count: int, patch_labels: int, scratch: Array, weights: int, members: Array, listed: int, labels: int, padded: int
+) -> None:
+    """The labels of a patch's pixels, the first of which lie at scratch[patch_labels:], += the weights of those blended
+    times their labels, a few pixels of a row times three vectors at a time. members[listed:] are so many vectors behind
+    scratch[labels:]."""
     for row in range(PATCH_HEIGHT):
         for x in range(0, PATCH_WIDTH, ROWS):
             out = patch_labels + (row * TILE + x) * padded
-            weights = WEIGHTS + PATCH_HEIGHT * x + row
+            w = weights + PATCH_HEIGHT * x + row
             c = 0
             while c + 3 * BLOCK <= padded:
-                blend_3(scratch, out + c, scratch, labels + c, members, 0, scratch, weights, count, padded)
+                blend_3(scratch, out + c, scratch, labels + c, members, listed, scratch, w, count, padded)
                 c += 3 * BLOCK
             if c + 2 * BLOCK <= padded:
-                blend_2(scratch, out + c, scratch, labels + c, members, 0, scratch, weights, count, padded)
+                blend_2(scratch, out + c, scratch, labels + c, members, listed, scratch, w, count, padded)
             elif c + BLOCK <= padded:
-                blend_1(scratch, out + c, scratch, labels + c, members, 0, scratch, weights, count, padded)
+                blend_1(scratch, out + c, scratch, labels + c, members, listed, scratch, w, count, padded)
 
 
 @part

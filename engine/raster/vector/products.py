@@ -102,7 +102,7 @@ def _blend_block(rows: int, vectors: int) -> Any:
                 "out_rows": None,
                 "count": arguments[8],
                 "stride": arguments[9],
-                "source_stride": arguments[9],
+                "source_stride": INDEX(WIDTH),
                 "across": INDEX(PATCH_HEIGHT),
                 "along": INDEX(WIDTH),
             }
