@@ -51,8 +51,8 @@ from ..records import (
     padded_channels,
 )
 from .backward_tile import (
-    BEHIND,
     BATCH_LABELS,
+    BEHIND,
     COLUMNS,
     D_PLANES,
     EXPONENTS,

@@ -1,8 +1,9 @@
 """Front-to-back blending, a patch of sixteen pixels at a time. The same steps as ``blend_forward``, its readable
 twin.
 
-A patch takes all members of a chunk one after the other, its state in registers, and keeps a list of those that it sees
-with their weights; the list's labels are added up at once, in registers too. Two patches side by side make a strip of a tile, which is written row by row.
+A patch takes all members of a chunk one after the other, its state in registers, and lists those that it sees with
+their weights; the labels of a whole list are added up at once, in registers too. Two patches side by side make a strip
+of a tile, which is written row by row.
 """
 
 from __future__ import annotations
@@ -179,8 +180,8 @@ def blend_patch(
     wait for the other's alpha.
 
     Those that are blended anywhere are added, in order, to the list that ends before ``end``: their weights, and in
-    ``members`` where their ``labels`` lie, of which the first member's place and the length are told in vectors. Returns
-    the list's new end, and whether the patch still sees anything.
+    ``members`` where their labels lie, of which ``labels`` tells the first member's place and the length in vectors.
+    Returns the list's new end, and whether the patch still sees anything.
     """
     columns = load(scratch, at + COLUMNS)
     state = (
