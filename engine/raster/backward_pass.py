@@ -10,6 +10,7 @@ import numpy as np
 from ..machine import memory
 from ..machine.compiled import Array
 from ..machine.crew import share, worker_count
+from .chain_to_scene import BLOCK
 from .forward_pass import ForwardState, scratch
 from .records import GRADIENT_WIDTH, TILE, padded_channels
 
@@ -88,7 +89,8 @@ def _geometry(
         state.records,
         *scene,
         state.camera,
-        memory.empty((workers, TILE), np.float64),
+        np.zeros((workers, TILE)),
+        np.zeros((workers, BLOCK)),
         gradients.means,
         gradients.scales,
         gradients.quats,

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..machine.blackboard import new_board
 from ..machine.call_frames import with_room
+from .chain_to_scene import BLOCK
 from .kernels import Kernels, choose_kernels
 from .projection import CAMERA
 from .records import GRADIENT_WIDTH, MEMBERS, RECORD, TILE
@@ -51,9 +52,9 @@ def compile_backward(kernels: Kernels) -> None:
     kernels.unblend(board, 1, unblending)
     scene = (one_of[3], one_of[3], one_of[4])
     gradients = (one_of[3], one_of[3], one_of[4], floats[1], one_of[3], one_of[2])
-    sums = np.zeros((1, TILE), np.float64)
+    room = np.zeros((1, TILE)), np.zeros((1, BLOCK))
     labels = slot_labels, 1, floats[1]
-    geometry = slot_gradients, one_of[RECORD], *scene, np.ones(CAMERA), sums, *gradients
+    geometry = slot_gradients, one_of[RECORD], *scene, np.ones(CAMERA), *room, *gradients
     kernels.gather(board, 1, (places, untouched, labels, geometry))
 
 
