@@ -39,8 +39,9 @@ class GaussianGradients:
 
     @classmethod
     def empty(cls, count: int, channels: int) -> GaussianGradients:
-        shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels), (count, 2))
-        return cls(*(memory.empty(shape, np.float32) for shape in shapes))
+        shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, 2))
+        *geometry, centres = memory.several(*((shape, np.float32) for shape in shapes))
+        return cls(*geometry, memory.empty((count, channels), np.float32), centres)
 
     def in_order(self) -> tuple[Array, ...]:
         return self.means, self.scales, self.quats, self.opacities, self.colours, self.labels, self.centres
@@ -57,11 +58,8 @@ class SlotGradients:
 
     @classmethod
     def empty(cls, pairs: int, channels: int) -> SlotGradients:
-        return cls(
-            memory.empty(pairs, np.uint8),
-            memory.empty(pairs * GRADIENT_WIDTH, np.float32),
-            memory.empty(pairs * padded_channels(channels), np.float32),
-        )
+        labels = pairs * padded_channels(channels)
+        return cls(*memory.several((pairs, np.uint8), (pairs * GRADIENT_WIDTH, np.float32), (labels, np.float32)))
 
 
 def unblend(

@@ -47,8 +47,9 @@ class Layers:
 
     @classmethod
     def empty(cls, height: int, width: int, channels: int) -> Layers:
-        shapes = ((height, width, 3), (height, width, channels), (height, width), (height, width))
-        return cls(*(memory.empty(shape, np.float32) for shape in shapes))
+        shapes = ((height, width, 3), (height, width), (height, width))
+        image, alpha, depth = memory.several(*((shape, np.float32) for shape in shapes))
+        return cls(image, memory.empty((height, width, channels), np.float32), alpha, depth)
 
     def in_order(self) -> tuple[Array, ...]:
         return self.image, self.labels, self.alpha, self.depth
@@ -77,12 +78,30 @@ def blend(
     workers, camera = worker_count(), camera_array(view)
     count, channels = labels.shape
     layers = Layers.empty(view.height, view.width, channels)
-    rest, last = memory.empty((2, view.height * view.width), np.float32)
-    records, boxes = memory.empty((count, RECORD), np.float32), memory.empty((count, 4), np.int32)
-    counts = np.zeros((workers, 2), np.int64)
-    share(workers, project, *gaussians, camera, view.width, view.height, records, boxes, counts)
-    projected = Projected(records, boxes, counts)
-    lists = list_tiles(workers, projected, view.width, view.height, on_image.centres, on_image.visible)
+    pixels = view.height * view.width
+    rest, last, records, boxes, depths = memory.several(
+        (pixels, np.float32),
+        (pixels, np.float32),
+        ((count, RECORD), np.float32),
+        ((count, 4), np.int32),
+        (count, np.float32),
+    )
+    projected = Projected(boxes, depths, np.zeros((workers, 2), np.int64))
+    share(
+        workers,
+        project,
+        *gaussians,
+        camera,
+        view.width,
+        view.height,
+        records,
+        boxes,
+        depths,
+        on_image.centres,
+        on_image.visible,
+        projected.counts,
+    )
+    lists = list_tiles(workers, projected, view.width, view.height)
     blenders = lists.blenders(workers)
     share(
         blenders,
@@ -103,16 +122,16 @@ def blend(
     return layers, ForwardState(kernels, camera, records, lists, rest, last)
 
 
-def scratch(workers: int, floats: int, longest: int) -> tuple[Array, Array, Array]:
+def scratch(workers: int, floats: int, longest: int) -> tuple[Array, ...]:
     """What each worker of a pass needs for itself: floats, members of a chunk, and a word a patch, row or chunk.
 
     Each has whole cache lines: workers that write to one and the same would wait for each other.
     """
     words = max(TILE + 1, -(-longest // CHUNK))
-    return (
-        memory.empty((workers, -(-floats // TILE) * TILE), np.float32),
-        memory.empty((workers, MEMBERS), np.int32),
-        memory.empty((workers, -(-words // WORDS_OF_LINE) * WORDS_OF_LINE), np.int64),
+    return memory.several(
+        ((workers, -(-floats // TILE) * TILE), np.float32),
+        ((workers, MEMBERS), np.int32),
+        ((workers, -(-words // WORDS_OF_LINE) * WORDS_OF_LINE), np.int64),
     )
 
 

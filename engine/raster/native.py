@@ -39,7 +39,8 @@ def rasterize_native(
     want_means2d_grad: bool,
 ) -> Rendering:
     """As ``rasterize``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
-    on_image = OnImage(memory.empty((means.shape[0], 2), np.float32), memory.empty(means.shape[0], np.bool_))
+    count = means.shape[0]
+    on_image = OnImage(*memory.several(((count, 2), np.float32), (count, np.bool_)))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it
     centres = torch.from_numpy(on_image.centres)
     if want_means2d_grad:

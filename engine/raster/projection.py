@@ -156,17 +156,22 @@ def project_range(
     height: int,
     records: Array,
     boxes: Array,
+    depths: Array,
+    centres: Array,
+    visible: Array,
 ) -> Any:
-    """Fill records [N, RECORD] and boxes int32 [N, 4] (tile columns and rows, last ones excluded) of
-    Gaussians first to last.
+    """Fill records [N, RECORD], boxes int32 [N, 4] (tile columns and rows, last ones excluded), depths [N], centres
+    [N, 2] and visible bool [N] of Gaussians first to last.
 
-    A Gaussian that is not visible gets an empty box. Returns how many are visible and how many tiles they
-    touch.
+    A Gaussian that is not visible gets an empty box, and its centre is zero. Returns how many are visible and how many
+    tiles they touch.
     """
-    visible = 0
+    shown = 0
     touched = 0
     for i in range(first, last):
         boxes[i, 0] = boxes[i, 1] = boxes[i, 2] = boxes[i, 3] = 0
+        centres[i, 0] = centres[i, 1] = np.float32(0.0)
+        visible[i] = False
         opacity = np.float64(opacities[i])
         x, y, z = camera_point(camera, np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2]))
         if not (z > camera[16] and opacity >= ALPHA_MIN):
@@ -203,7 +208,11 @@ def project_range(
         boxes[i, 1] = int(high_x) // TILE + 1
         boxes[i, 2] = int(low_y) // TILE
         boxes[i, 3] = int(high_y) // TILE + 1
-        visible += 1
+        centres[i, 0] = centre_x
+        centres[i, 1] = centre_y
+        depths[i] = z
+        visible[i] = True
+        shown += 1
         touched += (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
 
         root = math.sqrt(cov_yy / determinant)
@@ -226,7 +235,7 @@ def project_range(
         records[i, GREEN] = colours[i, 1]
         records[i, BLUE] = colours[i, 2]
         records[i, DEPTH] = z
-    return visible, touched
+    return shown, touched
 
 
 @shared
@@ -243,6 +252,9 @@ def project(
     height: int,
     records: Array,
     boxes: Array,
+    depths: Array,
+    centres: Array,
+    visible: Array,
     counts: Array,
 ) -> None:
     """A worker's share of ``project_range``; counts int64 [workers, 2] gets its visible Gaussians and touched
@@ -250,8 +262,22 @@ def project(
     count = means.shape[0]
     first = count * worker // workers
     last = count * (worker + 1) // workers
-    visible, touched = project_range(
-        first, last, means, scales, quats, opacities, colours, camera, width, height, records, boxes
+    shown, touched = project_range(
+        first,
+        last,
+        means,
+        scales,
+        quats,
+        opacities,
+        colours,
+        camera,
+        width,
+        height,
+        records,
+        boxes,
+        depths,
+        centres,
+        visible,
     )
-    counts[worker, 0] = visible
+    counts[worker, 0] = shown
     counts[worker, 1] = touched

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from ..machine import memory
 from ..machine.crew import share
 from .records import TILE
-from .tile_steps import DIGITS, STEPS, UNSHARED, run_tile_steps
+from .tile_steps import DIGITS, PROGRESS, run_tile_steps
 
-WORTH_SHARING = 20_000
-"""Fewer Gaussians, and pairs of Gaussian and tile, than this are listed by one worker in one call: a call for every
-step, with Python between them, takes longer."""
+WORTH_SHARING = 1000
+"""Fewer Gaussians than this are listed by one worker: the others would come too late."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,51 +39,54 @@ class PairLists:
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """What ``project`` left: ``records`` float32 [N, RECORD], ``boxes`` int32 [N, 4] in tiles, and ``counts`` int64
-    [workers, 2] of the visible Gaussians in each worker's share, and of the pairs of Gaussian and tile."""
+    """What ``project`` left: ``boxes`` int32 [N, 4] in tiles, ``depths`` float32 [N] of the visible, and ``counts``
+    int64 [workers, 2] of the visible Gaussians in each worker's share, and of the pairs of Gaussian and tile."""
 
-    records: NDArray[Any]
     boxes: NDArray[Any]
+    depths: NDArray[Any]
     counts: NDArray[Any]
 
 
-def list_tiles(
-    workers: int, projected: Projected, width: int, height: int, centres: NDArray[Any], visible: NDArray[Any]
-) -> PairLists:
-    """Of an image of so many pixels. Fills ``centres`` float32 [N, 2] and ``visible`` bool [N]."""
-    shown, touched = map(sum, zip(*projected.counts.tolist(), strict=True))
+def list_tiles(workers: int, projected: Projected, width: int, height: int) -> PairLists:
+    """Of an image of so many pixels."""
+    counts = projected.counts.tolist()
+    shown, pairs = sum(count[0] for count in counts), sum(count[1] for count in counts)
     columns, rows = -(-width // TILE), -(-height // TILE)
-    listing = workers if max(touched, len(projected.boxes)) >= WORTH_SHARING else 1
-    slots = memory.empty(len(projected.boxes) + 1, np.int64)
-    keys, spare_keys = memory.empty((2, shown), np.uint32)
-    ids, spare_ids = memory.empty((2, shown), np.int32)
-    starts = memory.empty(columns * rows + 1, np.int64)
-    tile_ids, tile_slots = memory.empty((2, touched), np.int32)
+    slots, keys, ids, spare_keys, spare_ids, digits, digit_starts, histograms, starts, tile_ids, tile_slots = (
+        memory.several(
+            (len(projected.boxes) + 1, np.int64),
+            (shown, np.uint32),
+            (shown, np.int32),
+            (shown, np.uint32),
+            (shown, np.int32),
+            ((len(counts), DIGITS), np.int64),
+            (DIGITS + 1, np.int64),
+            ((len(counts), columns * rows), np.int64),
+            (columns * rows + 1, np.int64),
+            (pairs, np.int32),
+            (pairs, np.int32),
+        )
+    )
     longest = np.zeros(1, np.int64)
-    arguments = (
+    share(
+        workers if len(projected.boxes) >= WORTH_SHARING else 1,
+        run_tile_steps,
+        np.zeros(PROGRESS, np.int64),
         projected.boxes,
-        projected.records,
-        projected.records.view(np.uint32),
+        projected.depths.view(np.uint32),
         projected.counts,
         slots,
-        centres,
-        visible,
         keys,
         ids,
         spare_keys,
         spare_ids,
-        memory.empty((listing, DIGITS), np.int64),
-        memory.empty(DIGITS + 1, np.int64),
+        digits,
+        digit_starts,
         columns,
-        memory.empty((listing, columns * rows), np.int64),
+        histograms,
         starts,
         tile_ids,
         tile_slots,
         longest,
     )
-    if listing == 1:
-        share(1, run_tile_steps, 0, STEPS, *arguments)
-    else:
-        for step in range(STEPS):
-            share(1 if step in UNSHARED else workers, run_tile_steps, step, step + 1, *arguments)
     return PairLists(slots, starts, tile_ids, tile_slots, int(longest[0]))

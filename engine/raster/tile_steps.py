@@ -1,17 +1,17 @@
-"""The steps from boxes to lists of tiles, front to back; ``tile_lists`` has them done.
+"""From boxes to lists of tiles, front to back, in steps of which each needs all of the one before.
 
 Visible Gaussians are sorted by depth (least significant digit first, stable, so ties keep the order of their
-indices), then dealt out to their tiles in that order. This takes thirteen steps, of which each needs all of the one
-before. A worker does its share of a step, a range; the result does not depend on how many workers there are.
+indices), then dealt out to their tiles in that order. A step is done in portions, ranges of Gaussians; the result does
+not depend on how many there are, nor on who does them: a worker that is late finds them done.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..machine.atomics import raise_by_one, read_counter
 from ..machine.compiled import Array, part
 from ..machine.shared import shared
-from .records import DEPTH
 
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
@@ -23,74 +23,67 @@ LIST_VISIBLE = 0
 COUNT_DIGITS, START_DIGITS, DEAL_DIGITS = 1, 2, 3
 COUNT_TILES = 1 + 3 * DIGIT_PASSES
 START_TILES, DEAL_TILES, STEPS = COUNT_TILES + 1, COUNT_TILES + 2, COUNT_TILES + 3
-UNSHARED = (*range(START_DIGITS, COUNT_TILES, 3), START_TILES)
-"""The steps that are done by one worker, whatever the number of those that share the others."""
+LINE = 8
+"""Words of a cache line: counters have one each."""
+PROGRESS = 2 * STEPS * LINE
+"""Words: of each step, how many portions were taken and how many are done."""
+LOOKS = 20_000
+"""How often a helper looks whether a step is done before it leaves the rest to others, which may not be running. The
+caller stays."""
 
 
 @part
 def list_visible(
-    worker: int,
-    workers: int,
+    portion: int,
     boxes: Array,
-    records: Array,
-    bits: Array,
+    depths: Array,
     counts: Array,
     keys: Array,
     ids: Array,
     slots: Array,
-    centres: Array,
-    visible: Array,
 ) -> None:
-    """keys uint32 [V], ids int32 [V] of the visible in index order; slots int64 [N + 1], running sum of
-    touched tiles.
+    """keys uint32 and ids int32 of the visible in index order; slots int64 [N + 1], running sum of touched tiles.
 
-    ``bits`` uint32 [N, RECORD] are those of the records; ``counts`` int64 [workers, 2] those of ``project``, which may
-    have had more workers. Also fills ``visible`` bool [N] and
-    ``centres`` [N, 2] (pixels, zero where not visible).
+    ``depths`` uint32 [N] are those of the visible, bit by bit; ``counts`` int64 [portions, 2] those of ``project``.
     """
-    count = boxes.shape[0]
+    count, portions = boxes.shape[0], counts.shape[0]
     place, slot = 0, 0
-    for other in range(worker):
+    for other in range(portion):
         place += counts[other, 0]
         slot += counts[other, 1]
-    for i in range(count * worker // workers, count * (worker + 1) // workers):
+    for i in range(count * portion // portions, count * (portion + 1) // portions):
         slots[i] = slot
         tiles = (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
-        visible[i] = tiles > 0
-        centres[i, 0] = np.float32(0.0)
-        centres[i, 1] = np.float32(0.0)
         if tiles > 0:
-            centres[i, 0] = records[i, 0]
-            centres[i, 1] = records[i, 2]
             # depths are positive: their bits sort as they do
-            keys[place] = bits[i, DEPTH]
+            keys[place] = depths[i]
             ids[place] = i
             place += 1
             slot += tiles
-    if worker == workers - 1:
+    if portion == portions - 1:
         slots[count] = slot
 
 
 @part
-def count_digits(worker: int, workers: int, keys: Array, shift: np.uint32, histograms: Array) -> None:
+def count_digits(portion: int, portions: int, keys: Array, shift: np.uint32, histograms: Array) -> None:
     count = keys.shape[0]
     for digit in range(DIGITS):
-        histograms[worker, digit] = 0
-    for i in range(count * worker // workers, count * (worker + 1) // workers):
-        histograms[worker, (keys[i] >> shift) & np.uint32(DIGITS - 1)] += 1
+        histograms[portion, digit] = 0
+    for i in range(count * portion // portions, count * (portion + 1) // portions):
+        histograms[portion, (keys[i] >> shift) & np.uint32(DIGITS - 1)] += 1
 
 
 @part
 def running_starts(histograms: Array, starts: Array) -> int:
-    """Counts [workers, bins] become the places where each worker's share of each bin begins; starts [bins +
+    """Counts [portions, bins] become the places where each portion's share of each bin begins; starts [bins +
     1] the bins'. Returns the largest bin's count."""
-    workers, bins = histograms.shape
+    portions, bins = histograms.shape
     total, largest = 0, 0
     for b in range(bins):
         starts[b] = total
-        for worker in range(workers):
-            own = histograms[worker, b]
-            histograms[worker, b] = total
+        for portion in range(portions):
+            own = histograms[portion, b]
+            histograms[portion, b] = total
             total += own
         largest = max(largest, total - starts[b])
     starts[bins] = total
@@ -99,8 +92,8 @@ def running_starts(histograms: Array, starts: Array) -> int:
 
 @part
 def deal_digits(
-    worker: int,
-    workers: int,
+    portion: int,
+    portions: int,
     keys: Array,
     ids: Array,
     shift: np.uint32,
@@ -109,30 +102,30 @@ def deal_digits(
     ids_out: Array,
 ) -> None:
     count = keys.shape[0]
-    for i in range(count * worker // workers, count * (worker + 1) // workers):
+    for i in range(count * portion // portions, count * (portion + 1) // portions):
         digit = (keys[i] >> shift) & np.uint32(DIGITS - 1)
-        place = places[worker, digit]
-        places[worker, digit] = place + 1
+        place = places[portion, digit]
+        places[portion, digit] = place + 1
         keys_out[place] = keys[i]
         ids_out[place] = ids[i]
 
 
 @part
-def count_tiles(worker: int, workers: int, order: Array, boxes: Array, columns: int, histograms: Array) -> None:
+def count_tiles(portion: int, portions: int, order: Array, boxes: Array, columns: int, histograms: Array) -> None:
     count = order.shape[0]
     for tile in range(histograms.shape[1]):
-        histograms[worker, tile] = 0
-    for k in range(count * worker // workers, count * (worker + 1) // workers):
+        histograms[portion, tile] = 0
+    for k in range(count * portion // portions, count * (portion + 1) // portions):
         i = order[k]
         for row in range(boxes[i, 2], boxes[i, 3]):
             for column in range(boxes[i, 0], boxes[i, 1]):
-                histograms[worker, row * columns + column] += 1
+                histograms[portion, row * columns + column] += 1
 
 
 @part
 def deal_tiles(
-    worker: int,
-    workers: int,
+    portion: int,
+    portions: int,
     order: Array,
     boxes: Array,
     slots: Array,
@@ -144,32 +137,72 @@ def deal_tiles(
     """tile_ids int32 [T] (Gaussian) and tile_slots int32 [T] (where its gradient in that tile goes), tile
     after tile."""
     count = order.shape[0]
-    for k in range(count * worker // workers, count * (worker + 1) // workers):
+    for k in range(count * portion // portions, count * (portion + 1) // portions):
         i = order[k]
         slot = slots[i]
         for row in range(boxes[i, 2], boxes[i, 3]):
             for column in range(boxes[i, 0], boxes[i, 1]):
                 tile = row * columns + column
-                place = places[worker, tile]
-                places[worker, tile] = place + 1
+                place = places[portion, tile]
+                places[portion, tile] = place + 1
                 tile_ids[place] = i
                 tile_slots[place] = slot
                 slot += 1
+
+
+@part
+def portions_of(step: int, portions: int) -> int:
+    """One, where a step is the work of one worker."""
+    is_start_of_digits = COUNT_DIGITS <= step < COUNT_TILES and (step - COUNT_DIGITS) % 3 + COUNT_DIGITS == START_DIGITS
+    return 1 if is_start_of_digits or step == START_TILES else portions
+
+
+@part
+def is_done(step: int, portions: int, progress: Array, helps: bool) -> bool:
+    """Wait until all portions of a step are done; a helper does not wait for long."""
+    looked = 0
+    while read_counter(progress, (2 * step + 1) * LINE) < portions:
+        looked += 1
+        if helps and looked == LOOKS:
+            return False
+    return True
+
+
+@part
+def sort_digit(
+    step: int,
+    portion: int,
+    portions: int,
+    keys: Array,
+    ids: Array,
+    spare_keys: Array,
+    spare_ids: Array,
+    digits: Array,
+    digit_starts: Array,
+) -> None:
+    """A portion of one of the three steps of a digit."""
+    digit_pass, part_of_pass = (step - COUNT_DIGITS) // 3, (step - COUNT_DIGITS) % 3 + COUNT_DIGITS
+    shift = np.uint32(DIGIT_BITS * digit_pass)
+    back = digit_pass % 2 == 1
+    own_keys, own_ids = (spare_keys, spare_ids) if back else (keys, ids)
+    if part_of_pass == COUNT_DIGITS:
+        count_digits(portion, portions, own_keys, shift, digits)
+    elif part_of_pass == START_DIGITS:
+        running_starts(digits, digit_starts)
+    elif part_of_pass == DEAL_DIGITS:
+        keys_out, ids_out = (keys, ids) if back else (spare_keys, spare_ids)
+        deal_digits(portion, portions, own_keys, own_ids, shift, digits, keys_out, ids_out)
 
 
 @shared
 def run_tile_steps(
     worker: int,
     workers: int,
-    first: int,
-    end: int,
+    progress: Array,
     boxes: Array,
-    records: Array,
-    bits: Array,
+    depths: Array,
     counts: Array,
     slots: Array,
-    centres: Array,
-    visible: Array,
     keys: Array,
     ids: Array,
     spare_keys: Array,
@@ -183,34 +216,34 @@ def run_tile_steps(
     tile_slots: Array,
     longest: Array,
 ) -> None:
-    """A worker's share of the steps from ``first`` to before ``end``: of one, or of all where it works alone.
+    """A worker's share of all steps: whatever portions it finds that nobody has taken.
 
-    Of N Gaussians: ``boxes`` int32 [N, 4] in tiles, ``records`` float32 [N, RECORD] and their ``bits`` as uint32;
-    ``counts`` int64 [workers, 2]: visible ones, and pairs of Gaussian and tile, in the share of each.
+    Of N Gaussians: ``boxes`` int32 [N, 4] in tiles, and ``depths`` uint32 [N] of the visible, bit by bit; ``counts``
+    int64 [portions, 2]: visible ones, and pairs of Gaussian and tile, in each portion of them. ``progress`` int64
+    [PROGRESS] begins with zeros.
 
-    Filled: ``slots`` int64 [N + 1], ``centres`` float32 [N, 2], ``visible`` bool [N]; ``keys`` uint32 and ``ids`` int32
-    of the V visible ones, and spare ones to sort them; ``starts`` int64 [tiles + 1], ``tile_ids`` and ``tile_slots``
-    int32 [T], as in ``PairLists``; ``longest`` int64 [1], the length of the longest list. ``digits`` int64 [workers,
-    DIGITS], ``digit_starts`` int64 [DIGITS + 1] and ``histograms`` int64 [workers, tiles] are room to work in.
+    Filled: ``slots`` int64 [N + 1]; ``keys`` uint32 and ``ids`` int32 of the V visible ones, and spare ones to sort
+    them; ``starts`` int64 [tiles + 1], ``tile_ids`` and ``tile_slots`` int32 [T], as in ``PairLists``; ``longest``
+    int64 [1], the length of the longest list. ``digits`` int64 [portions, DIGITS], ``digit_starts`` int64 [DIGITS + 1]
+    and ``histograms`` int64 [portions, tiles] are room to work in.
     """
-    for step in range(first, end):
-        if step == LIST_VISIBLE:
-            list_visible(worker, workers, boxes, records, bits, counts, keys, ids, slots, centres, visible)
-        elif step < COUNT_TILES:
-            digit_pass, part_of_pass = (step - COUNT_DIGITS) // 3, (step - COUNT_DIGITS) % 3 + COUNT_DIGITS
-            shift = np.uint32(DIGIT_BITS * digit_pass)
-            back = digit_pass % 2 == 1
-            own_keys, own_ids = (spare_keys, spare_ids) if back else (keys, ids)
-            if part_of_pass == COUNT_DIGITS:
-                count_digits(worker, workers, own_keys, shift, digits)
-            elif part_of_pass == START_DIGITS:
-                running_starts(digits, digit_starts)
-            elif part_of_pass == DEAL_DIGITS:
-                keys_out, ids_out = (keys, ids) if back else (spare_keys, spare_ids)
-                deal_digits(worker, workers, own_keys, own_ids, shift, digits, keys_out, ids_out)
-        elif step == COUNT_TILES:  # the order ends in the spare ones: the number of passes is odd
-            count_tiles(worker, workers, spare_ids, boxes, columns, histograms)
-        elif step == START_TILES:
-            longest[0] = running_starts(histograms, starts)
-        elif step == DEAL_TILES:
-            deal_tiles(worker, workers, spare_ids, boxes, slots, columns, histograms, tile_ids, tile_slots)
+    all_portions = counts.shape[0]
+    for step in range(STEPS):
+        portions = portions_of(step, all_portions)
+        while True:
+            portion = raise_by_one(progress, 2 * step * LINE)
+            if portion >= portions:
+                break
+            if step == LIST_VISIBLE:
+                list_visible(portion, boxes, depths, counts, keys, ids, slots)
+            elif step < COUNT_TILES:
+                sort_digit(step, portion, portions, keys, ids, spare_keys, spare_ids, digits, digit_starts)
+            elif step == COUNT_TILES:  # the order ends in the spare ones: the number of passes is odd
+                count_tiles(portion, portions, spare_ids, boxes, columns, histograms)
+            elif step == START_TILES:
+                longest[0] = running_starts(histograms, starts)
+            elif step == DEAL_TILES:
+                deal_tiles(portion, portions, spare_ids, boxes, slots, columns, histograms, tile_ids, tile_slots)
+            raise_by_one(progress, (2 * step + 1) * LINE)
+        if not is_done(step, portions, progress, worker > 0):
+            break

@@ -27,6 +27,27 @@ def test_what_nobody_holds_is_given_out_again() -> None:
     assert address in {memory.empty((7, 11), np.float64).ctypes.data for _ in range(2)}
 
 
+def test_several_arrays_in_one_block() -> None:
+    wanted = (((3, 5), np.float32), (7, np.bool_), (0, np.int64), ((2, 2), np.float64))
+    arrays = memory.several(*wanted)
+    assert [(array.shape, array.dtype) for array in arrays] == [
+        (shape if isinstance(shape, tuple) else (shape,), np.dtype(dtype)) for shape, dtype in wanted
+    ]
+    assert all(array.ctypes.data % memory.ALIGNMENT == 0 for array in arrays)
+    for number, array in enumerate(arrays):
+        array[...] = number
+    assert [np.unique(array).tolist() for array in arrays] == [[0.0], [True], [], [3.0]]
+
+
+def test_several_arrays_are_given_out_again_when_none_is_held() -> None:
+    first, second = memory.several((5000, np.float32), (6000, np.float32))
+    address = first.ctypes.data
+    del first
+    assert memory.several((5000, np.float32), (6000, np.float32))[0].ctypes.data != address, "one of them is still held"
+    del second
+    assert address in {memory.several((5000, np.float32), (6000, np.float32))[0].ctypes.data for _ in range(2)}
+
+
 def test_a_tensor_holds_its_memory() -> None:
     tensor = memory.empty_tensor((5, 13))
     tensor.fill_(1.0)

@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from engine.raster import tile_lists
-from engine.raster.records import DEPTH, RECORD, TILE
+from engine.raster.records import TILE
 from engine.raster.tile_lists import PairLists, Projected, list_tiles
-from engine.raster.tile_steps import LIST_VISIBLE, run_tile_steps
+from engine.raster.tile_steps import run_tile_steps
 
 WIDTH, HEIGHT = 90, 50
 COLUMNS, ROWS = -(-WIDTH // TILE), -(-HEIGHT // TILE)
@@ -22,33 +21,16 @@ def projected(count: int, workers: int, seed: int) -> Projected:
     random = np.random.default_rng(seed)
     ends = np.sort(random.integers(0, [[COLUMNS + 1], [ROWS + 1]], (count, 2, 2)), axis=2)
     boxes = ends.reshape(count, 4).astype(np.int32)
-    records = random.random((count, RECORD), np.float32)
-    records[:, DEPTH] = random.choice(np.geomspace(0.02, 300.0, 40).astype(np.float32), count)
+    depths = random.choice(np.geomspace(0.02, 300.0, 40).astype(np.float32), count)
     pairs = (ends[:, 0, 1] - ends[:, 0, 0]) * (ends[:, 1, 1] - ends[:, 1, 0])
     shares = [slice(count * worker // workers, count * (worker + 1) // workers) for worker in range(workers)]
     counts = [(np.count_nonzero(pairs[share]), pairs[share].sum()) for share in shares]
-    return Projected(records, boxes, np.array(counts, np.int64))
+    return Projected(boxes, depths, np.array(counts, np.int64))
 
 
-def listed(given: Projected, workers: int) -> tuple[PairLists, NDArray[np.float32], NDArray[np.bool_]]:
-    count = len(given.boxes)
-    centres, visible = np.full((count, 2), np.nan, np.float32), np.zeros(count, np.bool_)
-    return list_tiles(workers, given, WIDTH, HEIGHT, centres, visible), centres, visible
-
-
-@pytest.mark.parametrize("worth_sharing", [0, 10**9])
-@pytest.mark.parametrize(("count", "workers"), [(0, 2), (1, 1), (1, 3), (700, 1), (700, 2), (700, 5)])
-def test_lists_are_those_of_a_stable_sort(
-    count: int, workers: int, worth_sharing: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tile_lists, "WORTH_SHARING", worth_sharing)
-    given = projected(count, workers, seed=count)
-    lists, centres, visible = listed(given, workers)
+def assert_lists_of_a_stable_sort(lists: PairLists, given: Projected) -> None:
     left, right, top, bottom = given.boxes.T
-    shown = (right > left) & (bottom > top)
-    assert np.array_equal(visible, shown)
-    assert np.array_equal(centres, np.where(shown[:, None], given.records[:, [0, 2]], 0.0))
-    order = np.argsort(given.records[:, DEPTH], kind="stable")
+    order = np.argsort(given.depths, kind="stable")
     lengths = []
     for tile in range(COLUMNS * ROWS):
         column, row = tile % COLUMNS, tile // COLUMNS
@@ -63,20 +45,35 @@ def test_lists_are_those_of_a_stable_sort(
     assert lists.blenders(10**6) == max(1, math.ceil(sum(lengths) / max(1, max(lengths))))
 
 
+@pytest.mark.parametrize("worth_sharing", [0, 10**9])
+@pytest.mark.parametrize(("count", "workers"), [(0, 2), (1, 1), (1, 3), (700, 1), (700, 2), (700, 5)])
+def test_lists_are_those_of_a_stable_sort(
+    count: int, workers: int, worth_sharing: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tile_lists, "WORTH_SHARING", worth_sharing)
+    given = projected(count, workers, seed=count)
+    assert_lists_of_a_stable_sort(list_tiles(workers, given, WIDTH, HEIGHT), given)
+
+
+def test_more_workers_than_processors() -> None:
+    """Steps need all of the one before: whoever comes late, nothing is done twice, left out, or done too early."""
+    for seed in range(30):
+        given = projected(3000, workers=4, seed=seed)
+        assert_lists_of_a_stable_sort(list_tiles(4, given, WIDTH, HEIGHT), given)
+
+
 def test_one_kernel_serves_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another one, for arrays of another type, would be compiled in the midst of a pass."""
     for worth_sharing in (0, 10**9):
         monkeypatch.setattr(tile_lists, "WORTH_SHARING", worth_sharing)
-        listed(projected(50, 2, seed=1), workers=2)
+        list_tiles(2, projected(50, 2, seed=1), WIDTH, HEIGHT)
     assert len(run_tile_steps.signatures) == 1
 
 
-def test_many_gaussians_are_shared_however_few_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    count = tile_lists.WORTH_SHARING
-    records, boxes = np.zeros((count, RECORD), np.float32), np.zeros((count, 4), np.int32)
-    nothing = Projected(records, boxes, counts=np.zeros((2, 2), np.int64))
+@pytest.mark.parametrize(("count", "sharing"), [(tile_lists.WORTH_SHARING - 1, 1), (tile_lists.WORTH_SHARING, 2)])
+def test_few_gaussians_are_listed_by_one_worker(count: int, sharing: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = Projected(np.zeros((count, 4), np.int32), np.zeros(count, np.float32), np.zeros((2, 2), np.int64))
     shares: list[int] = []
     share = tile_lists.share
     monkeypatch.setattr(tile_lists, "share", lambda workers, *rest: (shares.append(workers), share(workers, *rest)))
-    lists, _, visible = listed(nothing, workers=2)
-    assert shares[LIST_VISIBLE] == 2 and not visible.any() and len(lists.ids) == 0
+    assert len(list_tiles(2, nothing, WIDTH, HEIGHT).ids) == 0 and shares == [sharing]
