@@ -27,6 +27,8 @@ LINE = 8
 """Words of a cache line: counters have one each."""
 PROGRESS = 2 * STEPS * LINE
 """Words: of each step, how many portions were taken and how many are done."""
+WORTH_SHARING = 10_000
+"""Fewer keys than this are sorted by one worker: in turns, two processors would wait for what the other has written."""
 LOOKS = 20_000
 """How often a helper looks whether a step is done before it leaves the rest to others, which may not be running. The
 caller stays."""
@@ -151,10 +153,11 @@ def deal_tiles(
 
 
 @part
-def portions_of(step: int, portions: int) -> int:
-    """One, where a step is the work of one worker."""
-    is_start_of_digits = COUNT_DIGITS <= step < COUNT_TILES and (step - COUNT_DIGITS) % 3 + COUNT_DIGITS == START_DIGITS
-    return 1 if is_start_of_digits or step == START_TILES else portions
+def portions_of(step: int, portions: int, sorting: int) -> int:
+    """So many of a step, of which some are the work of one worker."""
+    if COUNT_DIGITS <= step < COUNT_TILES:
+        return 1 if (step - COUNT_DIGITS) % 3 + COUNT_DIGITS == START_DIGITS else sorting
+    return 1 if step == START_TILES else portions
 
 
 @part
@@ -227,9 +230,9 @@ def run_tile_steps(
     int64 [1], the length of the longest list. ``digits`` int64 [portions, DIGITS], ``digit_starts`` int64 [DIGITS + 1]
     and ``histograms`` int64 [portions, tiles] are room to work in.
     """
-    all_portions = counts.shape[0]
+    sorting = counts.shape[0] if keys.shape[0] >= WORTH_SHARING else 1
     for step in range(STEPS):
-        portions = portions_of(step, all_portions)
+        portions = portions_of(step, counts.shape[0], sorting)
         while True:
             portion = raise_by_one(progress, 2 * step * LINE)
             if portion >= portions:
@@ -237,7 +240,8 @@ def run_tile_steps(
             if step == LIST_VISIBLE:
                 list_visible(portion, boxes, depths, counts, keys, ids, slots)
             elif step < COUNT_TILES:
-                sort_digit(step, portion, portions, keys, ids, spare_keys, spare_ids, digits, digit_starts)
+                own_digits = digits[:sorting]
+                sort_digit(step, portion, portions, keys, ids, spare_keys, spare_ids, own_digits, digit_starts)
             elif step == COUNT_TILES:  # the order ends in the spare ones: the number of passes is odd
                 count_tiles(portion, portions, spare_ids, boxes, columns, histograms)
             elif step == START_TILES:
