@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 NEAR = 0.01
 """Metres: nothing at or before this depth is drawn."""
 BLUR = 0.3
@@ -27,12 +24,12 @@ TINY_NORM = 1e-12
 class View:
     """A pinhole camera.
 
-    ``rotation`` float64 [3, 3], world to camera (OpenCV axes); ``centre`` float64 [3], metres, world;
-    ``focal`` and ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres.
+    ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world; ``focal`` and
+    ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres.
     """
 
-    rotation: NDArray[np.float64]
-    centre: NDArray[np.float64]
+    rotation: tuple[float, ...]
+    centre: tuple[float, float, float]
     focal: tuple[float, float]
     principal: tuple[float, float]
     width: int

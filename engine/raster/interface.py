@@ -147,28 +147,30 @@ def _view(
 ) -> View:
     if width < 1 or height < 1:
         raise ValueError(f"the image is {width}x{height}; both must be at least 1")
-    pose = _as_float64(camera_to_world)
-    matrix = _as_float64(intrinsics)
-    if pose.shape != (4, 4):
-        raise ValueError(f"camera_to_world has shape {pose.shape}, expected (4, 4)")
-    if matrix.shape != (3, 3):
-        raise ValueError(f"K has shape {matrix.shape}, expected (3, 3)")
-    if matrix[0, 1] != 0.0:
+    pose = _rows(camera_to_world, "camera_to_world", (4, 4))
+    (fx, skew, cx), (_, fy, cy), _ = _rows(intrinsics, "K", (3, 3))
+    if skew != 0.0:
         raise ValueError("K has skew; only fx, fy, cx, cy are supported")
     if not near > 0.0:
         raise ValueError(f"near is {near}; it must be positive")
+    x_axis, y_axis, z_axis, centre = zip(*pose[:3], strict=True)
     return View(
-        rotation=np.ascontiguousarray(pose[:3, :3].T),
-        centre=np.ascontiguousarray(pose[:3, 3]),
-        focal=(float(matrix[0, 0]), float(matrix[1, 1])),
-        principal=(float(matrix[0, 2]), float(matrix[1, 2])),
+        rotation=(*x_axis, *y_axis, *z_axis),
+        centre=centre,
+        focal=(fx, fy),
+        principal=(cx, cy),
         width=int(width),
         height=int(height),
         near=float(near),
     )
 
 
-def _as_float64(values: Tensor | NDArray[Any]) -> NDArray[np.float64]:
+def _rows(values: Tensor | NDArray[Any], name: str, shape: tuple[int, int]) -> list[list[float]]:
+    """The numbers of a matrix, in double."""
     if isinstance(values, Tensor):
         values = values.detach().cpu().numpy()
-    return np.asarray(values, dtype=np.float64)
+    values = np.asarray(values, dtype=np.float64)
+    if values.shape != shape:
+        raise ValueError(f"{name} has shape {values.shape}, expected {shape}")
+    rows: list[list[float]] = values.tolist()
+    return rows

@@ -72,7 +72,7 @@ def _warm_up(kernels: Kernels) -> WarmUp:
 def _compile_forward() -> None:
     """Call every kernel of the forward pass, with one Gaussian."""
     inputs = [torch.ones(shape) for shape in ((1, 3), (1, 3), (1, 4), (1,), (1, 3), (1, 1), (1, 2))]
-    view = View(np.eye(3), np.array([0.0, 0.0, -3.0]), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
+    view = View((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, -3.0), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
     _Blend.apply(*inputs, view, OnImage(np.empty((1, 2), np.float32), np.empty(1, np.bool_)), 0)
 
 

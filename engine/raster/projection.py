@@ -46,7 +46,7 @@ CAMERA = 21
 def camera_array(view: View) -> NDArray[np.float64]:
     """The camera as the kernels take it, float64 [CAMERA]."""
     numbers = (*view.focal, *view.principal, view.near, *view.slope_limits())
-    return np.concatenate((view.rotation.ravel(), view.centre, numbers))
+    return np.array((*view.rotation, *view.centre, *numbers))
 
 
 @part

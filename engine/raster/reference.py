@@ -63,7 +63,7 @@ def project(means: Tensor, scales: Tensor, quats: Tensor, view: View) -> tuple[T
     Rows at or behind the near plane are computed for a point at depth 1, so that no infinity enters the
     gradients.
     """
-    rotation = torch.as_tensor(view.rotation, dtype=means.dtype, device=means.device)
+    rotation = torch.as_tensor(view.rotation, dtype=means.dtype, device=means.device).reshape(3, 3)
     centre = torch.as_tensor(view.centre, dtype=means.dtype, device=means.device)
     x, y, z = ((means - centre) @ rotation.T).unbind(-1)
     safe = torch.where(z > view.near, z, torch.ones_like(z))
