@@ -26,11 +26,9 @@ from .records import (
     L12_LOW,
     L22,
     L22_LOW,
+    LANES,
     WHITENING,
 )
-
-LANES = 16
-"""Gaussians of a block."""
 
 # the rows of a block, from which place on, in doubles; each has a place for every lane
 MEAN, SCALE, QUAT = 0, 3 * LANES, 6 * LANES
@@ -103,7 +101,7 @@ def through_clamp(value: float, low: float, high: float, d_clamped: float) -> An
 
 @part
 def chain_to_scene(camera: Array, block: Array) -> None:
-    """The chain rule of ``project_range`` for all lanes of a block; those that nobody has taken come to no harm."""
+    """The chain rule of ``projection`` for all lanes of a block; those that nobody has taken come to no harm."""
     for lane in range(LANES):
         d_x2, d_y2, d_xx, d_xy, d_yy = gradient_on_image(lane, block)
         block[D_CENTRE + lane] = d_x2

@@ -13,7 +13,7 @@ from ..machine.compiled import Array
 from ..machine.crew import share, worker_count
 from .conventions import View
 from .kernels import Kernels
-from .projection import camera_array, project
+from .projection import BLOCK, camera_array, project
 from .records import CHUNK, MEMBERS, RECORD, TILE
 from .tile_lists import PairLists, Projected, list_tiles
 
@@ -94,6 +94,7 @@ def blend(
         camera,
         view.width,
         view.height,
+        np.zeros((workers, BLOCK)),
         records,
         boxes,
         depths,

@@ -1,5 +1,8 @@
-"""3D Gaussians to records on the image plane (EWA splatting), and the chain rule back. All in double: it is
-cheap beside the blending, and thin Gaussians need it."""
+"""3D Gaussians to records on the image plane (EWA splatting), sixteen side by side.
+
+All in double: it is cheap beside the blending, and thin Gaussians need it. A loop over lanes that lie together, without
+a branch, is one that LLVM makes vectors of.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +29,7 @@ from .records import (
     L12_LOW,
     L22,
     L22_LOW,
+    LANES,
     LOG_OPACITY,
     OPACITY,
     RED,
@@ -35,8 +39,18 @@ from .records import (
 
 LOG2_E = math.log2(math.e)
 LOG_ALPHA_MIN = math.log(ALPHA_MIN)
-ROUNDED_UP = 1.0 + 1e-9
-"""What double precision may have rounded off is far less."""
+
+# the rows of a block, from which place on, in doubles; each has a place for every lane
+MEAN, SCALE, QUAT = 0, 3 * LANES, 6 * LANES
+REACH = 10 * LANES  # ln(opacity / ALPHA_MIN)
+Z = 11 * LANES
+WHO = 12 * LANES  # the Gaussian's number, which a double holds
+SEEN = 13 * LANES  # one or zero
+LOW, HIGH = 14 * LANES, 16 * LANES  # the first and last pixels of the footprint, x and y
+CENTRE = 18 * LANES
+WHITENED = 20 * LANES  # L11, L12, L22
+BLOCK = 23 * LANES
+"""Doubles of a block."""
 
 CAMERA = 21
 """Numbers of the camera array that the kernels take: rotation (0 to 8, row by row), centre (9 to 11), focal lengths
@@ -128,101 +142,95 @@ def axes_on_image(jacobian: tuple[float, ...], rotation: tuple[float, ...], sx: 
 
 
 @part
-def is_out_of_reach(
-    centre: float, size: int, jacobian: tuple[float, float, float], longest: float, reach: float
-) -> bool:
-    """Whether no pixel centre along a side of the image can be reached, whichever way the Gaussian is turned.
-
-    Its variance along that side, metres brought to pixels by a row of the Jacobian, is at most that of a ball with its
-    ``longest`` standard deviation. ``reach`` is ln(opacity / ALPHA_MIN).
-    """
-    beyond = max(0.5 - centre, centre - (size - 0.5))
-    j0, j1, j2 = jacobian
-    variance = longest * longest * (j0 * j0 + j1 * j1 + j2 * j2) + BLUR
-    return beyond > 0.0 and beyond * beyond > ROUNDED_UP * 2.0 * reach * variance
+def enter(
+    i: int, lane: int, means: Array, scales: Array, quats: Array, opacity: float, depth: float, block: Array
+) -> None:
+    """Gaussian i takes a lane; ``depth`` is that of its centre."""
+    for c in range(3):
+        block[MEAN + c * LANES + lane] = means[i, c]
+        block[SCALE + c * LANES + lane] = scales[i, c]
+    for c in range(4):
+        block[QUAT + c * LANES + lane] = quats[i, c]
+    block[REACH + lane] = math.log(opacity / ALPHA_MIN)
+    block[Z + lane] = depth
+    block[WHO + lane] = i
 
 
 @part
-def project_range(
-    first: int,
-    last: int,
-    means: Array,
-    scales: Array,
-    quats: Array,
+def project_block(camera: Array, width: int, height: int, block: Array) -> None:
+    """The projection of all lanes of a block; those that nobody has taken come to no harm."""
+    right, bottom = width - 1.0, height - 1.0
+    for lane in range(LANES):
+        mean_x, mean_y, mean_z = block[MEAN + lane], block[MEAN + LANES + lane], block[MEAN + 2 * LANES + lane]
+        x, y, z = camera_point(camera, mean_x, mean_y, mean_z)
+        jacobian = image_jacobian(camera, x, y, z)
+        centre_x = camera[12] * x / z + camera[14]
+        centre_y = camera[13] * y / z + camera[15]
+        w, qx, qy, qz, _ = unit_quaternion(
+            block[QUAT + lane],
+            block[QUAT + LANES + lane],
+            block[QUAT + 2 * LANES + lane],
+            block[QUAT + 3 * LANES + lane],
+        )
+        rotation = rotation_of(w, qx, qy, qz)
+        sx, sy, sz = block[SCALE + lane], block[SCALE + LANES + lane], block[SCALE + 2 * LANES + lane]
+        a0, a1, a2, b0, b1, b2 = axes_on_image(jacobian, rotation, sx, sy, sz)
+        cov_xx = a0 * a0 + a1 * a1 + a2 * a2 + BLUR
+        cov_xy = a0 * b0 + a1 * b1 + a2 * b2
+        cov_yy = b0 * b0 + b1 * b1 + b2 * b2 + BLUR
+        determinant = cov_xx * cov_yy - cov_xy * cov_xy
+        reach = block[REACH + lane]
+        extent_x = math.sqrt(2.0 * reach * cov_xx)
+        extent_y = math.sqrt(2.0 * reach * cov_yy)
+        low_x, high_x = max(np.ceil(centre_x - extent_x - 0.5), 0.0), min(np.floor(centre_x + extent_x - 0.5), right)
+        low_y, high_y = max(np.ceil(centre_y - extent_y - 0.5), 0.0), min(np.floor(centre_y + extent_y - 0.5), bottom)
+        seen = (determinant > 0.0) & (low_x <= high_x) & (low_y <= high_y)
+        root = math.sqrt(cov_yy / determinant)
+        block[SEEN + lane] = 1.0 if seen else 0.0
+        block[LOW + lane] = low_x
+        block[LOW + LANES + lane] = low_y
+        block[HIGH + lane] = high_x
+        block[HIGH + LANES + lane] = high_y
+        block[CENTRE + lane] = centre_x
+        block[CENTRE + LANES + lane] = centre_y
+        block[WHITENED + lane] = WHITENING * root
+        block[WHITENED + LANES + lane] = -WHITENING * cov_xy / (determinant * root)
+        block[WHITENED + 2 * LANES + lane] = WHITENING / math.sqrt(cov_yy)
+
+
+@part
+def leave(
+    lanes: int,
+    block: Array,
     opacities: Array,
     colours: Array,
-    camera: Array,
-    width: int,
-    height: int,
     records: Array,
     boxes: Array,
     depths: Array,
     centres: Array,
     visible: Array,
 ) -> Any:
-    """Fill records [N, RECORD], boxes int32 [N, 4] (tile columns and rows, last ones excluded), depths [N], centres
-    [N, 2] and visible bool [N] of Gaussians first to last.
-
-    A Gaussian that is not visible gets an empty box, and its centre is zero. Returns how many are visible and how many
-    tiles they touch.
-    """
-    shown = 0
-    touched = 0
-    for i in range(first, last):
-        boxes[i, 0] = boxes[i, 1] = boxes[i, 2] = boxes[i, 3] = 0
-        centres[i, 0] = centres[i, 1] = np.float32(0.0)
-        visible[i] = False
-        opacity = np.float64(opacities[i])
-        x, y, z = camera_point(camera, np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2]))
-        if not (z > camera[16] and opacity >= ALPHA_MIN):
+    """What is visible of so many Gaussians goes to its place; returns how many that are, and how many tiles they
+    touch."""
+    shown, touched = 0, 0
+    for lane in range(lanes):
+        if block[SEEN + lane] == 0.0:
             continue
-        jacobian = image_jacobian(camera, x, y, z)
-        centre_x = camera[12] * x / z + camera[14]
-        centre_y = camera[13] * y / z + camera[15]
-        sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-        longest = max(abs(sx), abs(sy), abs(sz))
-        reach = math.log(opacity / ALPHA_MIN)
-        # most that are not visible need no more than this
-        if is_out_of_reach(centre_x, width, jacobian[:3], longest, reach):
-            continue
-        if is_out_of_reach(centre_y, height, jacobian[3:6], longest, reach):
-            continue
-        w, qx, qy, qz, _ = unit_quaternion(
-            np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
-        )
-        rotation = rotation_of(w, qx, qy, qz)
-        a0, a1, a2, b0, b1, b2 = axes_on_image(jacobian, rotation, sx, sy, sz)
-        cov_xx = a0 * a0 + a1 * a1 + a2 * a2 + BLUR
-        cov_xy = a0 * b0 + a1 * b1 + a2 * b2
-        cov_yy = b0 * b0 + b1 * b1 + b2 * b2 + BLUR
-        determinant = cov_xx * cov_yy - cov_xy * cov_xy
-        extent_x = math.sqrt(2.0 * reach * cov_xx)
-        extent_y = math.sqrt(2.0 * reach * cov_yy)
-        low_x = max(math.ceil(centre_x - extent_x - 0.5), 0.0)
-        low_y = max(math.ceil(centre_y - extent_y - 0.5), 0.0)
-        high_x = min(math.floor(centre_x + extent_x - 0.5), width - 1.0)
-        high_y = min(math.floor(centre_y + extent_y - 0.5), height - 1.0)
-        if not (determinant > 0.0 and low_x <= high_x and low_y <= high_y):
-            continue
-        boxes[i, 0] = int(low_x) // TILE
-        boxes[i, 1] = int(high_x) // TILE + 1
-        boxes[i, 2] = int(low_y) // TILE
-        boxes[i, 3] = int(high_y) // TILE + 1
-        centres[i, 0] = centre_x
-        centres[i, 1] = centre_y
-        depths[i] = z
-        visible[i] = True
+        i = int(block[WHO + lane])
+        boxes[i, 0] = int(block[LOW + lane]) // TILE
+        boxes[i, 1] = int(block[HIGH + lane]) // TILE + 1
+        boxes[i, 2] = int(block[LOW + LANES + lane]) // TILE
+        boxes[i, 3] = int(block[HIGH + LANES + lane]) // TILE + 1
         shown += 1
         touched += (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
-
-        root = math.sqrt(cov_yy / determinant)
-        records[i, CENTRE_X] = centre_x
+        depths[i] = block[Z + lane]
+        visible[i] = True
+        centre_x, centre_y = block[CENTRE + lane], block[CENTRE + LANES + lane]
+        l11, l12, l22 = block[WHITENED + lane], block[WHITENED + LANES + lane], block[WHITENED + 2 * LANES + lane]
+        centres[i, 0] = records[i, CENTRE_X] = centre_x
+        centres[i, 1] = records[i, CENTRE_Y] = centre_y
         records[i, CENTRE_X_LOW] = centre_x - np.float64(records[i, CENTRE_X])
-        records[i, CENTRE_Y] = centre_y
         records[i, CENTRE_Y_LOW] = centre_y - np.float64(records[i, CENTRE_Y])
-        l11 = WHITENING * root
-        l12 = -WHITENING * cov_xy / (determinant * root)
-        l22 = WHITENING / math.sqrt(cov_yy)
         records[i, L11] = l11
         records[i, L12] = l12
         records[i, L22] = l22
@@ -230,11 +238,11 @@ def project_range(
         records[i, L12_LOW] = l12 - np.float64(records[i, L12])
         records[i, L22_LOW] = l22 - np.float64(records[i, L22])
         records[i, OPACITY] = opacities[i]
-        records[i, LOG_OPACITY] = (reach + LOG_ALPHA_MIN) * LOG2_E
+        records[i, LOG_OPACITY] = (block[REACH + lane] + LOG_ALPHA_MIN) * LOG2_E
         records[i, RED] = colours[i, 0]
         records[i, GREEN] = colours[i, 1]
         records[i, BLUE] = colours[i, 2]
-        records[i, DEPTH] = z
+        records[i, DEPTH] = block[Z + lane]
     return shown, touched
 
 
@@ -250,6 +258,7 @@ def project(
     camera: Array,
     width: int,
     height: int,
+    blocks: Array,
     records: Array,
     boxes: Array,
     depths: Array,
@@ -257,27 +266,29 @@ def project(
     visible: Array,
     counts: Array,
 ) -> None:
-    """A worker's share of ``project_range``; counts int64 [workers, 2] gets its visible Gaussians and touched
-    tiles."""
-    count = means.shape[0]
-    first = count * worker // workers
-    last = count * (worker + 1) // workers
-    shown, touched = project_range(
-        first,
-        last,
-        means,
-        scales,
-        quats,
-        opacities,
-        colours,
-        camera,
-        width,
-        height,
-        records,
-        boxes,
-        depths,
-        centres,
-        visible,
-    )
-    counts[worker, 0] = shown
-    counts[worker, 1] = touched
+    """Fill records [N, RECORD], boxes int32 [N, 4] (tile columns and rows, last ones excluded), depths [N], centres
+    [N, 2] and visible bool [N] of a worker's share of the Gaussians.
+
+    A Gaussian that is not visible gets an empty box, and its centre is zero. counts int64 [workers, 2] gets how many
+    are visible, and how many tiles they touch; ``blocks`` float64 [workers, BLOCK] is room to work in.
+    """
+    count, block = means.shape[0], blocks[worker]
+    shown, touched, lanes = 0, 0, 0
+    for i in range(count * worker // workers, count * (worker + 1) // workers):
+        boxes[i, 0] = boxes[i, 1] = boxes[i, 2] = boxes[i, 3] = 0
+        centres[i, 0] = centres[i, 1] = np.float32(0.0)
+        visible[i] = False
+        opacity = np.float64(opacities[i])
+        _, _, z = camera_point(camera, np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2]))
+        if not (z > camera[16] and opacity >= ALPHA_MIN):
+            continue
+        enter(i, lanes, means, scales, quats, opacity, z, block)
+        lanes += 1
+        if lanes == LANES:
+            project_block(camera, width, height, block)
+            now = leave(lanes, block, opacities, colours, records, boxes, depths, centres, visible)
+            shown, touched, lanes = shown + now[0], touched + now[1], 0
+    project_block(camera, width, height, block)
+    now = leave(lanes, block, opacities, colours, records, boxes, depths, centres, visible)
+    counts[worker, 0] = shown + now[0]
+    counts[worker, 1] = touched + now[1]

@@ -1,0 +1,52 @@
+"""The loops over sixteen Gaussians side by side: as vectors, and each for itself."""
+
+from __future__ import annotations
+
+import platform
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from engine.raster import chain_to_scene, projection
+from engine.raster.records import LANES
+
+CAMERA = np.linspace(0.5, 1.5, projection.CAMERA)
+
+
+@numba.njit(error_model="numpy")
+def project_all(camera: Any, block: Any) -> None:
+    projection.project_block(camera, 64, 48, block)
+
+
+@numba.njit(error_model="numpy")
+def chain_all(camera: Any, block: Any) -> None:
+    chain_to_scene.chain_to_scene(camera, block)
+
+
+WAYS = [(project_all, projection.BLOCK), (chain_all, chain_to_scene.BLOCK)]
+
+
+def random_block(size: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0.5, 2.0, size)
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="looks for instructions of x86")
+@pytest.mark.parametrize(("way", "size"), WAYS)
+def test_llvm_makes_vectors_of_the_loop(way: Any, size: int) -> None:
+    """A branch, or a call that is not inlined, and it goes through the lanes one by one."""
+    way(CAMERA, random_block(size))
+    (code,) = way.inspect_asm().values()
+    assert "vdivpd" in code and "vsqrtpd" in code
+
+
+@pytest.mark.parametrize(("way", "size"), WAYS)
+def test_a_lane_is_the_same_whatever_the_others_hold(way: Any, size: int) -> None:
+    block = random_block(size)
+    alone = np.full(size, np.nan)
+    alone[3::LANES] = block[5::LANES]
+    way(CAMERA, block)
+    way(CAMERA, alone)
+    assert np.isfinite(block).all()
+    np.testing.assert_array_equal(alone[3::LANES], block[5::LANES])
