@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
 ALIGNMENT = 64
-KEPT_CALLS = 400
+KEPT_CALLS = 150
 """A block that was not used for so many requests is given back to the system when a new one is made."""
 LEAST_STEP = 4096
 """Bytes, a power of two, of which all sizes are multiples."""
@@ -82,13 +82,16 @@ def _take(size: int) -> tuple[NDArray[Any], int]:
     size = _rounded(size)
     with _lock:
         _calls += 1
-        for block in _blocks.get(size, ()):
-            if sys.getrefcount(block.bytes) == _REFERENCES:
-                break
-        else:
-            block = _new_block(size)
+        block = _free_block(size) or _free_block(_rounded(size + 1)) or _new_block(size)
         block.used = _calls
         return block.bytes, block.start  # held from here on, so before another thread may look
+
+
+def _free_block(size: int) -> _Block | None:
+    for block in _blocks.get(size, ()):
+        if sys.getrefcount(block.bytes) == _REFERENCES:
+            return block
+    return None
 
 
 def _new_block(size: int) -> _Block:
@@ -108,7 +111,8 @@ def empty_tensor(shape: tuple[int, ...]) -> Tensor:
 
 
 def _rounded(size: int) -> int:
-    """A little more than asked for, so that a slowly growing scene finds its blocks again."""
+    """A little more than asked for, so that a slowly growing scene finds its blocks again; one that shrinks finds them
+    under the next size."""
     step = max(LEAST_STEP, 1 << max(0, size.bit_length() - 4))
     return -(-size // step) * step
 

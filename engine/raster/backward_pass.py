@@ -10,7 +10,7 @@ import numpy as np
 from ..machine import memory
 from ..machine.compiled import Array
 from ..machine.crew import share, worker_count
-from .chain_to_scene import BLOCK
+from .chain_to_scene import CHAIN_BLOCK
 from .forward_pass import ForwardState, scratch
 from .records import GRADIENT_WIDTH, TILE, padded_channels
 
@@ -87,8 +87,7 @@ def _geometry(
         state.records,
         *scene,
         state.camera,
-        np.zeros((workers, TILE)),
-        np.zeros((workers, BLOCK)),
+        *memory.several(((workers, TILE), np.float64), ((workers, CHAIN_BLOCK), np.float64)),
         gradients.means,
         gradients.scales,
         gradients.quats,

@@ -37,7 +37,7 @@ TOTAL = 13 * LANES  # as summed over tiles: GRADIENT rows
 D_MEAN = TOTAL + GRADIENT * LANES
 D_SCALE, D_QUAT, D_CENTRE = D_MEAN + 3 * LANES, D_MEAN + 6 * LANES, D_MEAN + 10 * LANES
 WHO = D_MEAN + 12 * LANES  # the Gaussian's number, which a double holds
-BLOCK = WHO + LANES
+CHAIN_BLOCK = WHO + LANES
 """Doubles of a block."""
 
 
@@ -181,5 +181,3 @@ def chain_to_scene(camera: Array, block: Array) -> None:
         block[D_MEAN + lane] = camera[0] * d_x + camera[3] * d_y + camera[6] * d_z
         block[D_MEAN + LANES + lane] = camera[1] * d_x + camera[4] * d_y + camera[7] * d_z
         block[D_MEAN + 2 * LANES + lane] = camera[2] * d_x + camera[5] * d_y + camera[8] * d_z
-
-

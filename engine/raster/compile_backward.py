@@ -9,7 +9,7 @@ import numpy as np
 
 from ..machine.blackboard import new_board
 from ..machine.call_frames import with_room
-from .chain_to_scene import BLOCK
+from .chain_to_scene import CHAIN_BLOCK
 from .kernels import Kernels, choose_kernels
 from .projection import CAMERA
 from .records import GRADIENT_WIDTH, MEMBERS, RECORD, TILE
@@ -52,7 +52,7 @@ def compile_backward(kernels: Kernels) -> None:
     kernels.unblend(board, 1, unblending)
     scene = (one_of[3], one_of[3], one_of[4])
     gradients = (one_of[3], one_of[3], one_of[4], floats[1], one_of[3], one_of[2])
-    room = np.zeros((1, TILE)), np.zeros((1, BLOCK))
+    room = np.zeros((1, TILE)), np.zeros((1, CHAIN_BLOCK))
     labels = slot_labels, 1, floats[1]
     geometry = slot_gradients, one_of[RECORD], *scene, np.ones(CAMERA), *room, *gradients
     kernels.gather(board, 1, (places, untouched, labels, geometry))

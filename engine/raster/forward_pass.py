@@ -13,7 +13,7 @@ from ..machine.compiled import Array
 from ..machine.crew import share, worker_count
 from .conventions import View
 from .kernels import Kernels
-from .projection import BLOCK, camera_array, project
+from .projection import PROJECTION_BLOCK, camera_array, project
 from .records import CHUNK, MEMBERS, RECORD, TILE
 from .tile_lists import PairLists, Projected, list_tiles
 
@@ -79,13 +79,9 @@ def blend(
     count, channels = labels.shape
     layers = Layers.empty(view.height, view.width, channels)
     pixels = view.height * view.width
-    rest, last, records, boxes, depths = memory.several(
-        (pixels, np.float32),
-        (pixels, np.float32),
-        ((count, RECORD), np.float32),
-        ((count, 4), np.int32),
-        (count, np.float32),
-    )
+    rest, last, records = memory.several((pixels, np.float32), (pixels, np.float32), ((count, RECORD), np.float32))
+    # apart from what is kept for the backward pass
+    boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
     projected = Projected(boxes, depths, np.zeros((workers, 2), np.int64))
     share(
         workers,
@@ -94,7 +90,7 @@ def blend(
         camera,
         view.width,
         view.height,
-        np.zeros((workers, BLOCK)),
+        memory.empty((workers, PROJECTION_BLOCK), np.float64),
         records,
         boxes,
         depths,
@@ -124,7 +120,7 @@ def blend(
 
 
 def scratch(workers: int, floats: int, longest: int) -> tuple[Array, ...]:
-    """What each worker of a pass needs for itself: floats, members of a chunk, and a word a patch, row or chunk.
+    """What each worker of a pass needs for itself: floats, lists of members, and a word a patch, row or chunk.
 
     Each has whole cache lines: workers that write to one and the same would wait for each other.
     """

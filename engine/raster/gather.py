@@ -67,7 +67,7 @@ def gather_geometry(
     d_means2d: Array,
 ) -> None:
     """A worker's share of the gradients of all N Gaussians but for their labels, zeros included; ``sums`` float64
-    [workers, TILE] and ``blocks`` [workers, BLOCK] are room to work in."""
+    [workers, TILE] and ``blocks`` [workers, CHAIN_BLOCK] are room to work in."""
     count = means.shape[0]
     total, block = sums[worker], blocks[worker]
     lanes = 0

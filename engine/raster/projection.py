@@ -49,7 +49,7 @@ SEEN = 13 * LANES  # one or zero
 LOW, HIGH = 14 * LANES, 16 * LANES  # the first and last pixels of the footprint, x and y
 CENTRE = 18 * LANES
 WHITENED = 20 * LANES  # L11, L12, L22
-BLOCK = 23 * LANES
+PROJECTION_BLOCK = 23 * LANES
 """Doubles of a block."""
 
 CAMERA = 21
@@ -270,7 +270,7 @@ def project(
     [N, 2] and visible bool [N] of a worker's share of the Gaussians.
 
     A Gaussian that is not visible gets an empty box, and its centre is zero. counts int64 [workers, 2] gets how many
-    are visible, and how many tiles they touch; ``blocks`` float64 [workers, BLOCK] is room to work in.
+    are visible, and how many tiles they touch; ``blocks`` float64 [workers, PROJECTION_BLOCK] is room to work in.
     """
     count, block = means.shape[0], blocks[worker]
     shown, touched, lanes = 0, 0, 0

@@ -27,7 +27,7 @@ CHUNK = 64
 """Gaussians of a tile that are blended together: whole vectors of them, and no more than a word has bits."""
 assert CHUNK % TILE == 0 and CHUNK <= 64
 PENDING = 2 * CHUNK
-"""When more Gaussians than this have been blended on a patch, their labels are added up before others are."""
+"""When more Gaussians than this are listed as blended on a patch, their labels are added up before the next chunk."""
 BATCH = 96
 """Gaussians of a tile whose label gradients are added up together."""
 MEMBERS = TILE * (BATCH + 4)

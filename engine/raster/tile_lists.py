@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from ..machine import memory
 from ..machine.crew import share
 from .records import TILE
-from .tile_steps import DIGITS, PROGRESS, run_tile_steps
+from .tile_steps import DIGITS, LOOKS, PROGRESS, run_tile_steps
 
-WORTH_SHARING = 1000
-"""Fewer Gaussians than this are listed by one worker: the others would come too late."""
+WORTH_LISTING_TOGETHER = 1000
+"""Fewer Gaussians, and pairs of Gaussian and tile, than this are listed by one worker: the others would come too
+late."""
+WORTH_SORTING_TOGETHER = 10_000
+"""Fewer visible Gaussians than this are sorted by one worker: two would wait for what the other has just written."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,26 +55,27 @@ def list_tiles(workers: int, projected: Projected, width: int, height: int) -> P
     counts = projected.counts.tolist()
     shown, pairs = sum(count[0] for count in counts), sum(count[1] for count in counts)
     columns, rows = -(-width // TILE), -(-height // TILE)
-    slots, keys, ids, spare_keys, spare_ids, digits, digit_starts, histograms, starts, tile_ids, tile_slots = (
-        memory.several(
-            (len(projected.boxes) + 1, np.int64),
-            (shown, np.uint32),
-            (shown, np.int32),
-            (shown, np.uint32),
-            (shown, np.int32),
-            ((len(counts), DIGITS), np.int64),
-            (DIGITS + 1, np.int64),
-            ((len(counts), columns * rows), np.int64),
-            (columns * rows + 1, np.int64),
-            (pairs, np.int32),
-            (pairs, np.int32),
-        )
+    listing = workers if max(pairs, len(projected.boxes)) >= WORTH_LISTING_TOGETHER else 1
+    sorting = listing if shown >= WORTH_SORTING_TOGETHER else 1
+    slots, starts, tile_ids, tile_slots = memory.several(
+        (len(projected.boxes) + 1, np.int64), (columns * rows + 1, np.int64), (pairs, np.int32), (pairs, np.int32)
+    )
+    # apart from what is kept
+    keys, ids, spare_keys, spare_ids, digits, digit_starts, histograms = memory.several(
+        (shown, np.uint32),
+        (shown, np.int32),
+        (shown, np.uint32),
+        (shown, np.int32),
+        ((sorting, DIGITS), np.int64),
+        (DIGITS + 1, np.int64),
+        ((listing, columns * rows), np.int64),
     )
     longest = np.zeros(1, np.int64)
     share(
-        workers if len(projected.boxes) >= WORTH_SHARING else 1,
+        listing,
         run_tile_steps,
         np.zeros(PROGRESS, np.int64),
+        LOOKS,
         projected.boxes,
         projected.depths.view(np.uint32),
         projected.counts,

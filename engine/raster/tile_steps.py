@@ -27,11 +27,9 @@ LINE = 8
 """Words of a cache line: counters have one each."""
 PROGRESS = 2 * STEPS * LINE
 """Words: of each step, how many portions were taken and how many are done."""
-WORTH_SHARING = 10_000
-"""Fewer keys than this are sorted by one worker: in turns, two processors would wait for what the other has written."""
-LOOKS = 20_000
-"""How often a helper looks whether a step is done before it leaves the rest to others, which may not be running. The
-caller stays."""
+LOOKS = 1_000_000
+"""How often a helper looks whether a step is done, about half a millisecond, before it leaves the rest to the caller,
+who stays: more workers than processors would keep each other from running."""
 
 
 @part
@@ -153,20 +151,29 @@ def deal_tiles(
 
 
 @part
-def portions_of(step: int, portions: int, sorting: int) -> int:
-    """So many of a step, of which some are the work of one worker."""
-    if COUNT_DIGITS <= step < COUNT_TILES:
-        return 1 if (step - COUNT_DIGITS) % 3 + COUNT_DIGITS == START_DIGITS else sorting
-    return 1 if step == START_TILES else portions
+def part_of_digit(step: int) -> int:
+    """Which of the three steps of a digit one of them is."""
+    return (step - COUNT_DIGITS) % 3 + COUNT_DIGITS
 
 
 @part
-def is_done(step: int, portions: int, progress: Array, helps: bool) -> bool:
-    """Wait until all portions of a step are done; a helper does not wait for long."""
+def portions_of(step: int, listing: int, sorting: int, dealing: int) -> int:
+    """How many portions a step has: as many as the visible are listed, digits are sorted or tiles are dealt in. Running
+    starts of bins are found in one."""
+    if step == LIST_VISIBLE:
+        return listing
+    if step < COUNT_TILES:
+        return 1 if part_of_digit(step) == START_DIGITS else sorting
+    return 1 if step == START_TILES else dealing
+
+
+@part
+def wait_for(step: int, portions: int, progress: Array, looks: int) -> bool:
+    """Until all portions of a step are done, or for so many looks (for ever with 0); whether they are."""
     looked = 0
     while read_counter(progress, (2 * step + 1) * LINE) < portions:
         looked += 1
-        if helps and looked == LOOKS:
+        if looked == looks:
             return False
     return True
 
@@ -184,7 +191,7 @@ def sort_digit(
     digit_starts: Array,
 ) -> None:
     """A portion of one of the three steps of a digit."""
-    digit_pass, part_of_pass = (step - COUNT_DIGITS) // 3, (step - COUNT_DIGITS) % 3 + COUNT_DIGITS
+    digit_pass, part_of_pass = (step - COUNT_DIGITS) // 3, part_of_digit(step)
     shift = np.uint32(DIGIT_BITS * digit_pass)
     back = digit_pass % 2 == 1
     own_keys, own_ids = (spare_keys, spare_ids) if back else (keys, ids)
@@ -202,6 +209,7 @@ def run_tile_steps(
     worker: int,
     workers: int,
     progress: Array,
+    looks: int,
     boxes: Array,
     depths: Array,
     counts: Array,
@@ -223,16 +231,15 @@ def run_tile_steps(
 
     Of N Gaussians: ``boxes`` int32 [N, 4] in tiles, and ``depths`` uint32 [N] of the visible, bit by bit; ``counts``
     int64 [portions, 2]: visible ones, and pairs of Gaussian and tile, in each portion of them. ``progress`` int64
-    [PROGRESS] begins with zeros.
+    [PROGRESS] begins with zeros; ``looks`` as ``LOOKS``.
 
     Filled: ``slots`` int64 [N + 1]; ``keys`` uint32 and ``ids`` int32 of the V visible ones, and spare ones to sort
     them; ``starts`` int64 [tiles + 1], ``tile_ids`` and ``tile_slots`` int32 [T], as in ``PairLists``; ``longest``
-    int64 [1], the length of the longest list. ``digits`` int64 [portions, DIGITS], ``digit_starts`` int64 [DIGITS + 1]
-    and ``histograms`` int64 [portions, tiles] are room to work in.
+    int64 [1], the length of the longest list. Room to work in, which also tells in how many portions: ``digits`` int64
+    [portions, DIGITS], ``digit_starts`` int64 [DIGITS + 1], ``histograms`` int64 [portions, tiles].
     """
-    sorting = counts.shape[0] if keys.shape[0] >= WORTH_SHARING else 1
     for step in range(STEPS):
-        portions = portions_of(step, counts.shape[0], sorting)
+        portions = portions_of(step, counts.shape[0], digits.shape[0], histograms.shape[0])
         while True:
             portion = raise_by_one(progress, 2 * step * LINE)
             if portion >= portions:
@@ -240,8 +247,7 @@ def run_tile_steps(
             if step == LIST_VISIBLE:
                 list_visible(portion, boxes, depths, counts, keys, ids, slots)
             elif step < COUNT_TILES:
-                own_digits = digits[:sorting]
-                sort_digit(step, portion, portions, keys, ids, spare_keys, spare_ids, own_digits, digit_starts)
+                sort_digit(step, portion, portions, keys, ids, spare_keys, spare_ids, digits, digit_starts)
             elif step == COUNT_TILES:  # the order ends in the spare ones: the number of passes is odd
                 count_tiles(portion, portions, spare_ids, boxes, columns, histograms)
             elif step == START_TILES:
@@ -249,5 +255,5 @@ def run_tile_steps(
             elif step == DEAL_TILES:
                 deal_tiles(portion, portions, spare_ids, boxes, slots, columns, histograms, tile_ids, tile_slots)
             raise_by_one(progress, (2 * step + 1) * LINE)
-        if not is_done(step, portions, progress, worker > 0):
+        if not wait_for(step, portions, progress, looks if worker > 0 else 0):
             break

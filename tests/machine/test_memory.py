@@ -48,6 +48,14 @@ def test_several_arrays_are_given_out_again_when_none_is_held() -> None:
     assert address in {memory.several((5000, np.float32), (6000, np.float32))[0].ctypes.data for _ in range(2)}
 
 
+def test_a_scene_that_shrinks_a_little_finds_its_blocks_again() -> None:
+    size = 3 << 20
+    address = memory.empty(size, np.uint8).ctypes.data
+    held = memory.held_bytes()
+    assert memory._rounded(size - (size >> 4)) != memory._rounded(size)
+    assert memory.empty(size - (size >> 4), np.uint8).ctypes.data == address and memory.held_bytes() == held
+
+
 def test_a_tensor_holds_its_memory() -> None:
     tensor = memory.empty_tensor((5, 13))
     tensor.fill_(1.0)

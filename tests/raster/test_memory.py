@@ -12,6 +12,8 @@ from scenes import LAYERS, random_scene, render
 
 from engine.machine import memory
 from engine.raster import rasterize
+from engine.raster.records import MEMBERS
+from engine.raster.vector.backward_tile import scratch_size
 from engine.raster.workload import Workload, room_workload
 
 
@@ -110,8 +112,8 @@ def test_stays_within_its_bound_when_one_tile_has_them_all() -> None:
         torch.autograd.backward([out.image, out.labels], [out.image.detach(), out.labels.detach()])
     finally:
         torch.set_num_threads(threads)
-    backward_scratch = 16 * 4 * (17 * 48 * 16 + 65 * 48)  # a worker's own, whatever the scene
-    assert memory.held_bytes() <= 2500 * count + 450 * 48 * 48 + backward_scratch
+    scratch = 16 * 4 * (scratch_size(work.labels.shape[1]) + MEMBERS)  # each worker's on the way back
+    assert memory.held_bytes() <= 2500 * count + 450 * 48 * 48 + scratch
 
 
 @pytest.mark.parametrize("kernels", ["vector", "plain"])

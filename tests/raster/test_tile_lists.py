@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from engine.raster import tile_lists
 from engine.raster.records import TILE
 from engine.raster.tile_lists import PairLists, Projected, list_tiles
-from engine.raster.tile_steps import run_tile_steps
+from engine.raster.tile_steps import LOOKS, run_tile_steps
 
 WIDTH, HEIGHT = 90, 50
 COLUMNS, ROWS = -(-WIDTH // TILE), -(-HEIGHT // TILE)
@@ -45,35 +46,48 @@ def assert_lists_of_a_stable_sort(lists: PairLists, given: Projected) -> None:
     assert lists.blenders(10**6) == max(1, math.ceil(sum(lengths) / max(1, max(lengths))))
 
 
-@pytest.mark.parametrize("worth_sharing", [0, 10**9])
+@pytest.fixture(params=[0, 10**9])
+def worth_sharing(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every step is shared, or none."""
+    monkeypatch.setattr(tile_lists, "WORTH_LISTING_TOGETHER", request.param)
+    monkeypatch.setattr(tile_lists, "WORTH_SORTING_TOGETHER", request.param)
+
+
+@pytest.mark.usefixtures("worth_sharing")
 @pytest.mark.parametrize(("count", "workers"), [(0, 2), (1, 1), (1, 3), (700, 1), (700, 2), (700, 5)])
-def test_lists_are_those_of_a_stable_sort(
-    count: int, workers: int, worth_sharing: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tile_lists, "WORTH_SHARING", worth_sharing)
+def test_lists_are_those_of_a_stable_sort(count: int, workers: int) -> None:
     given = projected(count, workers, seed=count)
     assert_lists_of_a_stable_sort(list_tiles(workers, given, WIDTH, HEIGHT), given)
 
 
-def test_more_workers_than_processors() -> None:
-    """Steps need all of the one before: whoever comes late, nothing is done twice, left out, or done too early."""
-    for seed in range(30):
-        given = projected(3000, workers=4, seed=seed)
-        assert_lists_of_a_stable_sort(list_tiles(4, given, WIDTH, HEIGHT), given)
+@pytest.mark.parametrize("looks", [1, 100, LOOKS])
+def test_helpers_may_leave_or_come_late(looks: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice as many workers as processors: nothing is done twice, left out, or done too early."""
+    monkeypatch.setattr(tile_lists, "LOOKS", looks)
+    monkeypatch.setattr(tile_lists, "WORTH_SORTING_TOGETHER", 0)
+    workers = 2 * (os.cpu_count() or 1)
+    for seed in range(10):
+        given = projected(3000, workers, seed=seed)
+        assert_lists_of_a_stable_sort(list_tiles(workers, given, WIDTH, HEIGHT), given)
 
 
 def test_one_kernel_serves_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another one, for arrays of another type, would be compiled in the midst of a pass."""
-    for worth_sharing in (0, 10**9):
-        monkeypatch.setattr(tile_lists, "WORTH_SHARING", worth_sharing)
+    for least in (0, 10**9):
+        monkeypatch.setattr(tile_lists, "WORTH_LISTING_TOGETHER", least)
         list_tiles(2, projected(50, 2, seed=1), WIDTH, HEIGHT)
     assert len(run_tile_steps.signatures) == 1
 
 
-@pytest.mark.parametrize(("count", "sharing"), [(tile_lists.WORTH_SHARING - 1, 1), (tile_lists.WORTH_SHARING, 2)])
-def test_few_gaussians_are_listed_by_one_worker(count: int, sharing: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = Projected(np.zeros((count, 4), np.int32), np.zeros(count, np.float32), np.zeros((2, 2), np.int64))
+@pytest.mark.parametrize(("count", "pairs", "sharing"), [(10, 10, 1), (10, 1000, 2), (1000, 0, 2)])
+def test_few_gaussians_on_few_tiles_are_listed_by_one_worker(
+    count: int, pairs: int, sharing: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boxes = np.zeros((count, 4), np.int32)
+    boxes[: count if pairs else 0] = [0, 10, 0, pairs // count // 10] if pairs > count else [0, 1, 0, 1]
+    counts = np.array([[count // 2 * (pairs > 0), pairs // 2]] * 2, np.int64)
+    given = Projected(boxes, np.ones(count, np.float32), counts)
     shares: list[int] = []
     share = tile_lists.share
     monkeypatch.setattr(tile_lists, "share", lambda workers, *rest: (shares.append(workers), share(workers, *rest)))
-    assert len(list_tiles(2, nothing, WIDTH, HEIGHT).ids) == 0 and shares == [sharing]
+    assert len(list_tiles(2, given, 10 * TILE, 10 * TILE).ids) == pairs and shares == [sharing]

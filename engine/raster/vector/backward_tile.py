@@ -7,7 +7,7 @@ from typing import Any
 from ...machine.compiled import Array, inlined, part
 from ...machine.vector_shuffles import largest, planes_of, zipped
 from ...machine.vectors import choose, lane_numbers, load, load_some, put, spread, store
-from ..records import BATCH, TILE, padded_channels
+from ..records import BATCH, MEMBERS, TILE, padded_channels
 from .chunk import PATCHES
 from .forward_strip import ONE, ZERO, F
 
@@ -29,6 +29,7 @@ LISTED = BATCH + 4  # of a patch: its members, and as many as are missing from t
 BATCH_LABELS = (
     WEIGHTS + PATCHES * LISTED * TILE
 )  # [member or nobody, padded], then a patch's gradients [row, pixel, padded]
+assert PATCHES * LISTED <= MEMBERS
 NO_PATCH = PATCHES
 """Takes a patch's place where there are not four; nothing was ever blended on it."""
 

@@ -24,6 +24,9 @@ from .products import (
     unblend_four_3,
 )
 
+NOBODY = BATCH
+"""Stands for a member where there is none. Its place among the labels is nobody's, and no one reads it."""
+
 
 def _vector_adder(of_rows: Any, of_four: Any) -> Any:
     """A function that adds the gradients of all members in the vectors from channel ``c`` on."""
@@ -75,7 +78,7 @@ def add_patch_gradients(
     pixels: those of its two rows lie at source[upper:] and source[lower:], ``stride`` floats apart."""
     listed = patch * LISTED
     for missing in range(count, count + 3):
-        put(members, listed + missing, np.int32(BATCH))
+        put(members, listed + missing, np.int32(NOBODY))
         store(scratch, WEIGHTS + (listed + missing) * TILE, spread(ZERO))
     fours = (count + 3) & -4
     c = 0

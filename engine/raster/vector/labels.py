@@ -1,4 +1,5 @@
-"""The labels of a strip: a chunk's are copied side by side, added up by their weights, and written past the cache."""
+"""The labels of a strip: those of its Gaussians are copied side by side, chunk by chunk, added up by their weights
+on each patch, and written past the cache."""
 
 from __future__ import annotations
 
