@@ -49,11 +49,12 @@ def test_several_arrays_are_given_out_again_when_none_is_held() -> None:
 
 
 def test_a_scene_that_shrinks_a_little_finds_its_blocks_again() -> None:
-    size = 3 << 20
+    memory._blocks.clear()
+    size, smaller = 3 << 20, 11 << 18
     address = memory.empty(size, np.uint8).ctypes.data
     held = memory.held_bytes()
-    assert memory._rounded(size - (size >> 4)) != memory._rounded(size)
-    assert memory.empty(size - (size >> 4), np.uint8).ctypes.data == address and memory.held_bytes() == held
+    assert memory._rounded(smaller) != memory._rounded(size)
+    assert memory.empty(smaller, np.uint8).ctypes.data == address and memory.held_bytes() == held
 
 
 def test_a_tensor_holds_its_memory() -> None:
