@@ -1,8 +1,4 @@
-"""From a Gaussian's gradients on the image back to those of its 3D parameters, sixteen Gaussians side by side.
-
-All in double, as the projection is. A loop over lanes that lie together, without a branch, is one that LLVM makes
-vectors of.
-"""
+"""From a Gaussian's gradients on the image back to those of its 3D parameters, sixteen Gaussians side by side."""
 
 from __future__ import annotations
 
@@ -11,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..machine.compiled import Array, part
+from .lanes import LANES, MEAN, OTHERS, SCALE, WHO, enter_lane, quaternion_in, three_of
 from .projection import LOG2_E, axes_on_image, camera_point, image_jacobian, rotation_of, unit_quaternion
 from .records import (
     D_DEPTH,
@@ -26,18 +23,15 @@ from .records import (
     L12_LOW,
     L22,
     L22_LOW,
-    LANES,
     WHITENING,
 )
 
-# the rows of a block, from which place on, in doubles; each has a place for every lane
-MEAN, SCALE, QUAT = 0, 3 * LANES, 6 * LANES
-WHITENED = 10 * LANES  # L11, L12, L22
-TOTAL = 13 * LANES  # as summed over tiles: GRADIENT rows
+# the other rows of a block, from which place on
+WHITENED = OTHERS  # L11, L12, L22
+TOTAL = WHITENED + 3 * LANES  # as summed over tiles: GRADIENT rows
 D_MEAN = TOTAL + GRADIENT * LANES
 D_SCALE, D_QUAT, D_CENTRE = D_MEAN + 3 * LANES, D_MEAN + 6 * LANES, D_MEAN + 10 * LANES
-WHO = D_MEAN + 12 * LANES  # the Gaussian's number, which a double holds
-CHAIN_BLOCK = WHO + LANES
+CHAIN_BLOCK = D_MEAN + 12 * LANES
 """Doubles of a block."""
 
 
@@ -46,17 +40,12 @@ def enter(
     i: int, lane: int, total: Array, records: Array, means: Array, scales: Array, quats: Array, block: Array
 ) -> None:
     """Gaussian i takes a lane, with its summed tile gradients [GRADIENT] (double)."""
-    for c in range(3):
-        block[MEAN + c * LANES + lane] = means[i, c]
-        block[SCALE + c * LANES + lane] = scales[i, c]
-    for c in range(4):
-        block[QUAT + c * LANES + lane] = quats[i, c]
+    enter_lane(i, lane, means, scales, quats, block)
     block[WHITENED + lane] = np.float64(records[i, L11]) + np.float64(records[i, L11_LOW])
     block[WHITENED + LANES + lane] = np.float64(records[i, L12]) + np.float64(records[i, L12_LOW])
     block[WHITENED + 2 * LANES + lane] = np.float64(records[i, L22]) + np.float64(records[i, L22_LOW])
     for c in range(GRADIENT):
         block[TOTAL + c * LANES + lane] = total[c]
-    block[WHO + lane] = i
 
 
 @part
@@ -80,7 +69,7 @@ def gradient_on_image(lane: int, block: Array) -> Any:
     With A = WHITENING * L, s = A d and g = dL/d(ln alpha): ln alpha = -|s|^2 / log2(e), so
     dL/dcentre = 2 / log2(e) * A^T sum(g s) and dL/dcov = A^T sum(g s s^T) A / (log2(e) * WHITENING^2).
     """
-    a, b, c = (block[WHITENED + lane], block[WHITENED + LANES + lane], block[WHITENED + 2 * LANES + lane])
+    a, b, c = three_of(WHITENED, lane, block)
     s1, s2 = block[TOTAL + G_S1 * LANES + lane], block[TOTAL + G_S2 * LANES + lane]
     s11, s12 = block[TOTAL + G_S1S1 * LANES + lane], block[TOTAL + G_S1S2 * LANES + lane]
     s22 = block[TOTAL + G_S2S2 * LANES + lane]
@@ -106,19 +95,14 @@ def chain_to_scene(camera: Array, block: Array) -> None:
         d_x2, d_y2, d_xx, d_xy, d_yy = gradient_on_image(lane, block)
         block[D_CENTRE + lane] = d_x2
         block[D_CENTRE + LANES + lane] = d_y2
-        mean_x, mean_y, mean_z = block[MEAN + lane], block[MEAN + LANES + lane], block[MEAN + 2 * LANES + lane]
+        mean_x, mean_y, mean_z = three_of(MEAN, lane, block)
         x, y, z = camera_point(camera, mean_x, mean_y, mean_z)
         jacobian = image_jacobian(camera, x, y, z)
         j0, j1, j2, j3, j4, j5, u, v = jacobian
-        w, qx, qy, qz, over_norm = unit_quaternion(
-            block[QUAT + lane],
-            block[QUAT + LANES + lane],
-            block[QUAT + 2 * LANES + lane],
-            block[QUAT + 3 * LANES + lane],
-        )
+        w, qx, qy, qz, over_norm = unit_quaternion(*quaternion_in(lane, block))
         rotation = rotation_of(w, qx, qy, qz)
         q0, q1, q2, q3, q4, q5, q6, q7, q8 = rotation
-        sx, sy, sz = block[SCALE + lane], block[SCALE + LANES + lane], block[SCALE + 2 * LANES + lane]
+        sx, sy, sz = three_of(SCALE, lane, block)
         a0, a1, a2, b0, b1, b2 = axes_on_image(jacobian, rotation, sx, sy, sz)
 
         # cov = X X^T with X = [a; b] (2x3): dX = 2 dcov X

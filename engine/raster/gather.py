@@ -9,13 +9,13 @@ import numpy as np
 from ..machine.compiled import Array, part
 from ..machine.shared import shared
 from .chain_to_scene import chain_to_scene, enter, leave
+from .lanes import LANES
 from .records import (
     D_BLUE,
     D_GREEN,
     D_RED,
     GRADIENT,
     GRADIENT_WIDTH,
-    LANES,
     OPACITY,
     G,
     padded_channels,

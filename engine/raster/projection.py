@@ -1,8 +1,4 @@
-"""3D Gaussians to records on the image plane (EWA splatting), sixteen side by side.
-
-All in double: it is cheap beside the blending, and thin Gaussians need it. A loop over lanes that lie together, without
-a branch, is one that LLVM makes vectors of.
-"""
+"""3D Gaussians to records on the image plane (EWA splatting), sixteen side by side."""
 
 from __future__ import annotations
 
@@ -15,6 +11,7 @@ from numpy.typing import NDArray
 from ..machine.compiled import Array, part
 from ..machine.shared import shared
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM, View
+from .lanes import LANES, MEAN, OTHERS, SCALE, WHO, enter_lane, quaternion_in, three_of
 from .records import (
     BLUE,
     CENTRE_X,
@@ -29,7 +26,6 @@ from .records import (
     L12_LOW,
     L22,
     L22_LOW,
-    LANES,
     LOG_OPACITY,
     OPACITY,
     RED,
@@ -40,16 +36,15 @@ from .records import (
 LOG2_E = math.log2(math.e)
 LOG_ALPHA_MIN = math.log(ALPHA_MIN)
 
-# the rows of a block, from which place on, in doubles; each has a place for every lane
-MEAN, SCALE, QUAT = 0, 3 * LANES, 6 * LANES
-REACH = 10 * LANES  # ln(opacity / ALPHA_MIN)
-Z = 11 * LANES
-WHO = 12 * LANES  # the Gaussian's number, which a double holds
-SEEN = 13 * LANES  # one or zero
-LOW, HIGH = 14 * LANES, 16 * LANES  # the first and last pixels of the footprint, x and y
-CENTRE = 18 * LANES
-WHITENED = 20 * LANES  # L11, L12, L22
-PROJECTION_BLOCK = 23 * LANES
+# the other rows of a block, from which place on
+REACH = OTHERS  # ln(opacity / ALPHA_MIN)
+Z = REACH + LANES
+SEEN = Z + LANES  # one or zero
+LOW = SEEN + LANES  # the first pixels of the footprint, x and y
+HIGH = LOW + 2 * LANES  # the last ones
+CENTRE = HIGH + 2 * LANES
+WHITENED = CENTRE + 2 * LANES  # L11, L12, L22
+PROJECTION_BLOCK = WHITENED + 3 * LANES
 """Doubles of a block."""
 
 CAMERA = 21
@@ -142,38 +137,18 @@ def axes_on_image(jacobian: tuple[float, ...], rotation: tuple[float, ...], sx: 
 
 
 @part
-def enter(
-    i: int, lane: int, means: Array, scales: Array, quats: Array, opacity: float, depth: float, block: Array
-) -> None:
-    """Gaussian i takes a lane; ``depth`` is that of its centre."""
-    for c in range(3):
-        block[MEAN + c * LANES + lane] = means[i, c]
-        block[SCALE + c * LANES + lane] = scales[i, c]
-    for c in range(4):
-        block[QUAT + c * LANES + lane] = quats[i, c]
-    block[REACH + lane] = math.log(opacity / ALPHA_MIN)
-    block[Z + lane] = depth
-    block[WHO + lane] = i
-
-
-@part
 def project_block(camera: Array, width: int, height: int, block: Array) -> None:
     """The projection of all lanes of a block; those that nobody has taken come to no harm."""
     right, bottom = width - 1.0, height - 1.0
     for lane in range(LANES):
-        mean_x, mean_y, mean_z = block[MEAN + lane], block[MEAN + LANES + lane], block[MEAN + 2 * LANES + lane]
+        mean_x, mean_y, mean_z = three_of(MEAN, lane, block)
         x, y, z = camera_point(camera, mean_x, mean_y, mean_z)
         jacobian = image_jacobian(camera, x, y, z)
         centre_x = camera[12] * x / z + camera[14]
         centre_y = camera[13] * y / z + camera[15]
-        w, qx, qy, qz, _ = unit_quaternion(
-            block[QUAT + lane],
-            block[QUAT + LANES + lane],
-            block[QUAT + 2 * LANES + lane],
-            block[QUAT + 3 * LANES + lane],
-        )
+        w, qx, qy, qz, _ = unit_quaternion(*quaternion_in(lane, block))
         rotation = rotation_of(w, qx, qy, qz)
-        sx, sy, sz = block[SCALE + lane], block[SCALE + LANES + lane], block[SCALE + 2 * LANES + lane]
+        sx, sy, sz = three_of(SCALE, lane, block)
         a0, a1, a2, b0, b1, b2 = axes_on_image(jacobian, rotation, sx, sy, sz)
         cov_xx = a0 * a0 + a1 * a1 + a2 * a2 + BLUR
         cov_xy = a0 * b0 + a1 * b1 + a2 * b2
@@ -226,7 +201,7 @@ def leave(
         depths[i] = block[Z + lane]
         visible[i] = True
         centre_x, centre_y = block[CENTRE + lane], block[CENTRE + LANES + lane]
-        l11, l12, l22 = block[WHITENED + lane], block[WHITENED + LANES + lane], block[WHITENED + 2 * LANES + lane]
+        l11, l12, l22 = three_of(WHITENED, lane, block)
         centres[i, 0] = records[i, CENTRE_X] = centre_x
         centres[i, 1] = records[i, CENTRE_Y] = centre_y
         records[i, CENTRE_X_LOW] = centre_x - np.float64(records[i, CENTRE_X])
@@ -282,7 +257,9 @@ def project(
         _, _, z = camera_point(camera, np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2]))
         if not (z > camera[16] and opacity >= ALPHA_MIN):
             continue
-        enter(i, lanes, means, scales, quats, opacity, z, block)
+        enter_lane(i, lanes, means, scales, quats, block)
+        block[REACH + lanes] = math.log(opacity / ALPHA_MIN)
+        block[Z + lanes] = z
         lanes += 1
         if lanes == LANES:
             project_block(camera, width, height, block)

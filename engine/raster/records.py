@@ -21,8 +21,6 @@ TILE = 16
 PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
 """What those are: a patch, eight columns of two rows."""
 assert (PATCH_WIDTH, PATCH_HEIGHT) == (8, 2), "the vector kernels take the rows of a patch in turns, in pairs of lanes"
-LANES = 16
-"""Gaussians that are projected, and whose gradients are brought back, side by side."""
 CHUNK = 64
 """Gaussians of a tile that are blended together: whole vectors of them, and no more than a word has bits."""
 assert CHUNK % TILE == 0 and CHUNK <= 64

@@ -11,7 +11,7 @@ import pytest
 
 from engine.machine.compiled import machine_target
 from engine.raster import chain_to_scene, projection
-from engine.raster.records import LANES
+from engine.raster.lanes import LANES
 
 CAMERA = np.linspace(0.5, 1.5, projection.CAMERA)
 
