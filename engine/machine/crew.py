@@ -18,8 +18,8 @@ import torch
 from numba import typeof
 
 from .blackboard import CALLED, LOOKS, MOST_WORKERS, STATUS, all_finished, new_board, serve
-from .call_frames import with_room
 from .shared import Kernel
+from .undisturbed import undisturbed
 
 NAP = 1e-4
 """Seconds between looks when others take much longer than the caller."""
@@ -67,14 +67,14 @@ class _Crew:
         self._helpers: list[_Helper] = []
         self._turn = threading.Lock()
         # compiled, or loaded, now: when a helper needs them others wait for it
-        with_room(serve, self._board, 1, 0, 0)
-        with_room(all_finished, self._board, 1, 0)
+        undisturbed(serve, self._board, 1, 0, 0)
+        undisturbed(all_finished, self._board, 1, 0)
 
     def run(self, workers: int, kernel: Any, arguments: tuple[Any, ...]) -> None:
         with self._turn:
             self._hire(workers - 1)
             if not kernel.overloads:  # helpers to whom a call is announced would look for it all the while
-                with_room(kernel.compile, tuple(map(typeof, (self._board, workers, arguments))))
+                undisturbed(kernel.compile, tuple(map(typeof, (self._board, workers, arguments))))
             called = self._helpers[: workers - 1]
             finished = False
             try:

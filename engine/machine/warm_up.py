@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from .announcing import is_compiled, note_compiled, say_that_it_compiles
-from .call_frames import with_room
 from .companion import Companion, has_room_for_two
+from .undisturbed import undisturbed
 
 
 class WarmUp:
@@ -39,7 +39,7 @@ class WarmUp:
                 self._companion = Companion(self._apart)
         elif not is_compiled(self._forward):
             say_that_it_compiles(self._forward, "8 s")
-        with_room(self._compile_forward)
+        undisturbed(self._compile_forward)
         note_compiled(self._forward)
         self._has_forward = True
 
@@ -51,6 +51,6 @@ class WarmUp:
             self._companion.wait()
         if not self._has_spoken and not is_compiled(self._backward):
             say_that_it_compiles(self._backward, "8 s")
-        with_room(self._compile_backward)
+        undisturbed(self._compile_backward)
         note_compiled(self._backward)
         self._has_backward = True

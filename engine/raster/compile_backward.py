@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..machine.blackboard import new_board
-from ..machine.call_frames import with_room
+from ..machine.undisturbed import undisturbed
 from .chain_to_scene import CHAIN_BLOCK
 from .kernels import Kernels, choose_kernels
 from .projection import CAMERA
@@ -59,4 +59,4 @@ def compile_backward(kernels: Kernels) -> None:
 
 
 if __name__ == "__main__":
-    with_room(compile_backward, choose_kernels())
+    undisturbed(compile_backward, choose_kernels())

@@ -67,7 +67,7 @@ from .forward_strip import (
     write_strip,
 )
 from .labels import (
-    LINES_AT_ONCE,
+    Leaving,
     add_patch_labels,
     copy_touching,
     fetch_labels,
@@ -218,14 +218,25 @@ def blend_patch(
 
 @part
 def add_listed_labels(
-    patch: int, end: int, strip_labels: int, scratch: Array, members: Array, chunks: int, padded: int
+    patch: int,
+    end: int,
+    strip_labels: int,
+    scratch: Array,
+    members: Array,
+    chunks: int,
+    padded: int,
+    lines: Any,
+    leaving: Leaving,
+    labels_out: Array,
 ) -> Any:
     """Add up the labels of those that were blended on a patch, whose list ends before ``end``; returns the end of the
-    empty list."""
+    empty list, and the lines of the strip before that are left."""
     listed = patch * LISTED
-    labels = strip_labels + patch * PATCH_WIDTH * padded
-    add_patch_labels(end - listed, labels, scratch, WEIGHTS + listed * TILE, members, listed, chunks, padded)
-    return listed
+    labels, weights = strip_labels + patch * PATCH_WIDTH * padded, WEIGHTS + listed * TILE
+    lines = add_patch_labels(
+        end - listed, labels, scratch, weights, members, listed, chunks, padded, lines, leaving, labels_out
+    )
+    return listed, lines
 
 
 @shared
@@ -260,8 +271,8 @@ def blend_tiles(
     chunks = STRIP_LABELS + 2 * strip_floats(channels)
     strip_labels = STRIP_LABELS
     # the labels of the strip before: they go to memory, a few lines at a time, while this one is computed
-    lines, source, target = (0, 0), 0, 0
     row, padded_row = width * channels, TILE * padded
+    lines, leaving = (0, 0), (0, 0, padded_row, row)
     while True:
         tile = take_next(next_tile)
         if tile >= tiles:
@@ -296,27 +307,30 @@ def blend_tiles(
                     before, state = ends[patch], STATE + patch * PATCH_STRIDE
                     end, sees = blend_patch(touching[patch], state, scratch, fields, members, before, in_vectors)
                     strip_sees |= sees
-                    lines = flush_lines(lines, LINES_AT_ONCE, source, target, row, padded_row, scratch, labels_out)
+                    lines = flush_lines(lines, leaving, scratch, labels_out)
                     if channels > 0 and end > before:
                         copy_touching(
                             touching[patch], first + place, tile_ids, labels, channels, scratch, own_labels, copied, c
                         )
                     if end > patch * LISTED + PENDING:
-                        end = add_listed_labels(patch, end, strip_labels, scratch, members, chunks, padded)
+                        end, lines = add_listed_labels(
+                            patch, end, strip_labels, scratch, members, chunks, padded, lines, leaving, labels_out
+                        )
                     ends = (end, ends[1]) if patch == 0 else (ends[0], end)
                 if not strip_sees:
                     break
             for patch in range(2):
-                add_listed_labels(patch, ends[patch], strip_labels, scratch, members, chunks, padded)
-                lines = flush_lines(lines, LINES_AT_ONCE, source, target, row, padded_row, scratch, labels_out)
+                _, lines = add_listed_labels(
+                    patch, ends[patch], strip_labels, scratch, members, chunks, padded, lines, leaving, labels_out
+                )
             write_strip(pixel, pixels, rows, width, scratch, layers)
-            flush_all(lines, source, target, row, padded_row, scratch, labels_out)
+            flush_all(lines, leaving, scratch, labels_out)
             if channels > 0:
-                source, target = strip_labels, pixel * channels
-                upper = pack_labels(target, pixels, channels, source, scratch, labels_out)
+                target = pixel * channels
+                upper = pack_labels(target, pixels, channels, strip_labels, scratch, labels_out)
                 lower = 0
                 if rows > 1:
-                    lower = pack_labels(target + row, pixels, channels, source + padded_row, scratch, labels_out)
-                lines = upper, lower
+                    lower = pack_labels(target + row, pixels, channels, strip_labels + padded_row, scratch, labels_out)
+                lines, leaving = (upper, lower), (strip_labels, target, padded_row, row)
                 strip_labels = 2 * STRIP_LABELS + strip_floats(channels) - strip_labels  # the other one
-    flush_all(lines, source, target, row, padded_row, scratch, labels_out)
+    flush_all(lines, leaving, scratch, labels_out)

@@ -26,6 +26,12 @@ from .products import BLOCK, ROWS, blend_1, blend_2, blend_3
 
 LINES_AT_ONCE = 12
 """Cache lines that a core can have under way to memory: with more of them it waits."""
+LINES_BETWEEN = LINES_AT_ONCE // 2
+"""So many of a strip are written between steps of the next one, which has lines under way itself."""
+
+Leaving = tuple[int, int, int, int]
+"""Where the labels of a strip that is done lie in the scratch, and where they go; how far its two rows are apart in
+the one, and in the other."""
 
 
 @part
@@ -72,13 +78,52 @@ def copy_touching(
         copy_labels(gaussian, labels, channels, scratch, at + m * padded_channels(channels))
 
 
+@inlined
+def flush_some(lines: int, most: int, source: int, target: int, scratch: Array, labels_out: Array) -> Any:
+    """Write at most so many of the ``lines`` whose first is scratch[source], the last ones first, past the cache.
+    Returns how many are left."""
+    left = max(lines - most, 0)
+    for line in range(left, lines):
+        store_past_cache(labels_out, target + line * TILE, load(scratch, source + line * TILE))
+    return left
+
+
+@part
+def flush_lines(lines: Any, leaving: Leaving, scratch: Array, labels_out: Array) -> Any:
+    """Write a few lines of a strip, the lower row's first; the lines that are left of each."""
+    upper, lower = lines
+    source, target, padded_row, row = leaving
+    if lower > 0:
+        return upper, flush_some(lower, LINES_BETWEEN, source + padded_row, target + row, scratch, labels_out)
+    return flush_some(upper, LINES_BETWEEN, source, target, scratch, labels_out), lower
+
+
+@inlined
+def flush_all(lines: Any, leaving: Leaving, scratch: Array, labels_out: Array) -> None:
+    """All that is left of a strip."""
+    upper, lower = lines
+    source, target, padded_row, row = leaving
+    flush_some(lower, lower, source + padded_row, target + row, scratch, labels_out)
+    flush_some(upper, upper, source, target, scratch, labels_out)
+
+
 @part
 def add_patch_labels(
-    count: int, patch_labels: int, scratch: Array, weights: int, members: Array, listed: int, labels: int, padded: int
-) -> None:
+    count: int,
+    patch_labels: int,
+    scratch: Array,
+    weights: int,
+    members: Array,
+    listed: int,
+    labels: int,
+    padded: int,
+    lines: Any,
+    leaving: Leaving,
+    labels_out: Array,
+) -> Any:
     """The labels of a patch's pixels, the first of which lie at scratch[patch_labels:], += the weights of those blended
     times their labels, a few pixels of a row times three vectors at a time. members[listed:] are so many vectors behind
-    scratch[labels:]."""
+    scratch[labels:]. Between rows, some of the ``lines`` of the strip before are written; returns how many are left."""
     for row in range(PATCH_HEIGHT):
         for x in range(0, PATCH_WIDTH, ROWS):
             out = patch_labels + (row * TILE + x) * padded
@@ -91,6 +136,8 @@ def add_patch_labels(
                 blend_2(scratch, out + c, scratch, labels + c, members, listed, scratch, w, count, padded)
             elif c + BLOCK <= padded:
                 blend_1(scratch, out + c, scratch, labels + c, members, listed, scratch, w, count, padded)
+        lines = flush_lines(lines, leaving, scratch, labels_out)
+    return lines
 
 
 @part
@@ -107,34 +154,3 @@ def pack_labels(target: int, pixels: int, channels: int, row_labels: int, scratc
         rest = lane_numbers() < spread(F(floats - at))
         store_some(labels_out, target + at, load(scratch, row_labels + at), rest)
     return lines
-
-
-@inlined
-def flush_some(lines: int, most: int, source: int, target: int, scratch: Array, labels_out: Array) -> Any:
-    """Write at most so many of the ``lines`` whose first is scratch[source], the last ones first, past the cache.
-    Returns how many are left."""
-    left = max(lines - most, 0)
-    for line in range(left, lines):
-        store_past_cache(labels_out, target + line * TILE, load(scratch, source + line * TILE))
-    return left
-
-
-@part
-def flush_lines(
-    lines: Any, most: int, source: int, target: int, row: int, padded_row: int, scratch: Array, labels_out: Array
-) -> Any:
-    """As ``flush_some`` for the two rows of a strip, the lower one first; the lines that are left of each."""
-    upper, lower = lines
-    if lower > 0:
-        return upper, flush_some(lower, most, source + padded_row, target + row, scratch, labels_out)
-    return flush_some(upper, most, source, target, scratch, labels_out), lower
-
-
-@inlined
-def flush_all(
-    lines: Any, source: int, target: int, row: int, padded_row: int, scratch: Array, labels_out: Array
-) -> None:
-    """All that is left of a strip."""
-    upper, lower = lines
-    flush_some(lower, lower, source + padded_row, target + row, scratch, labels_out)
-    flush_some(upper, upper, source, target, scratch, labels_out)

@@ -1,12 +1,13 @@
-"""With room for frames, no call asks the system for memory."""
+"""With room for frames no call asks the system for memory, and no search for dead cycles comes between."""
 
 from __future__ import annotations
 
+import gc
 import sys
 
 import pytest
 
-from engine.machine.call_frames import with_room
+from engine.machine.undisturbed import undisturbed
 
 resource = pytest.importorskip("resource", reason="needs the count of page faults")
 
@@ -30,10 +31,28 @@ def _faults() -> int:
 
 
 def test_room_ends_the_asking() -> None:
-    assert with_room(leaf, 2, 3) == 5
-    assert with_room(call_often_below, 300) < 50
+    assert undisturbed(leaf, 2, 3) == 5
+    assert undisturbed(call_often_below, 300) < 50
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="versions before keep frames elsewhere")
 def test_without_it_some_call_asks_every_time() -> None:
     assert call_often_below(300) >= 500
+
+
+def test_nobody_looks_for_cycles_meanwhile() -> None:
+    assert gc.isenabled()
+    assert not undisturbed(gc.isenabled)
+    assert gc.isenabled()
+
+
+def test_afterwards_all_is_as_before_whatever_happened() -> None:
+    with pytest.raises(ZeroDivisionError):
+        undisturbed(divmod, 1, 0)
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        undisturbed(leaf, 1, 2)
+        assert not gc.isenabled()
+    finally:
+        gc.enable()

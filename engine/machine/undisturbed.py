@@ -1,14 +1,18 @@
-"""Room for Python's frames while a compiler runs.
+"""A compiler that Python's management of memory does not disturb.
 
 CPython (since 3.11) keeps the frames of calls in blocks of 16 KiB, and gives a block back to the system as soon as its
 last frame is gone. A loop whose calls begin at the edge of a block asks the system for memory at every call. Numba's
 compiler is deep enough for that to happen again and again: compiling the rasteriser's forward pass asked 350 000 times
 (``strace -c``), 14 s instead of 10 (3.11, Cascade Lake). A frame that is larger than a block gets a larger one, and
 those that follow find room in it.
+
+It also makes so many objects that live on that the search for cycles of dead ones takes a twelfth of its time
+(``gc.callbacks``: 1.3 of 16 s in 769 searches). Without it the process holds 55 MB more for a while.
 """
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -18,10 +22,17 @@ _WORDS = 33_000
 """A little more than 256 KiB: the block is then 512 KiB, of which the rest is left."""
 
 
-def with_room(function: Callable[..., Result], *arguments: Any) -> Result:
-    """The function's result; what it calls finds room for some 250 KiB of frames."""
-    return function(*arguments)
+def undisturbed(function: Callable[..., Result], *arguments: Any) -> Result:
+    """The function's result; nobody looks for dead cycles meanwhile, and what it calls finds room for some 250 KiB of
+    frames."""
+    looks_for_cycles = gc.isenabled()
+    gc.disable()
+    try:
+        return function(*arguments)
+    finally:
+        if looks_for_cycles:
+            gc.enable()
 
 
 # as if it had so many things to keep on its stack
-with_room.__code__ = with_room.__code__.replace(co_stacksize=_WORDS)
+undisturbed.__code__ = undisturbed.__code__.replace(co_stacksize=_WORDS)
