@@ -62,18 +62,14 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
 def several(*wanted: tuple[int | tuple[int, ...], DTypeLike]) -> tuple[NDArray[Any], ...]:
     """Arrays of these shapes and dtypes as ``empty`` makes them, out of one block, which is free again when none of
     them is held any more. Cheaper than one by one."""
-    kinds, starts, size = [], [], 0
+    pieces, size = [], 0
     for shape, dtype in wanted:
         kind = np.dtype(dtype)
-        kinds.append(kind)
-        starts.append(size)
+        pieces.append((shape, kind, size))
         length = math.prod(shape) if isinstance(shape, tuple) else shape
         size += -(-kind.itemsize * length // ALIGNMENT) * ALIGNMENT
     buffer, first = _take(size)
-    return tuple(
-        np.ndarray(shape, kind, buffer, first + start)
-        for (shape, _), kind, start in zip(wanted, kinds, starts, strict=True)
-    )
+    return tuple([np.ndarray(shape, kind, buffer, first + start) for shape, kind, start in pieces])
 
 
 def _take(size: int) -> tuple[NDArray[Any], int]:
@@ -119,4 +115,5 @@ def _rounded(size: int) -> int:
 
 def held_bytes() -> int:
     """All that is held, free or not."""
-    return sum(block.bytes.size for blocks in _blocks.values() for block in blocks)
+    with _lock:
+        return sum(block.bytes.size for blocks in _blocks.values() for block in blocks)

@@ -72,16 +72,17 @@ def unblend(
     # all is made ready before the first kernel, which throws what Python needs out of the caches
     unblending = _unblending(workers, state, d_layers, slots)
     labels = slots.labels, channels, gradients.labels.reshape(-1)
+    next_portion = np.zeros(1, np.int64)
     geometry = _geometry(workers, state, slots, (means, scales, quats), gradients)
     share(workers, state.kernels.unblend, *unblending)
-    share(workers, state.kernels.gather, state.lists.slots, slots.touched, labels, geometry)
+    share(workers, state.kernels.gather, next_portion, state.lists.slots, slots.touched, labels, geometry)
     return gradients
 
 
 def _geometry(
     workers: int, state: ForwardState, slots: SlotGradients, scene: tuple[Array, ...], gradients: GaussianGradients
 ) -> tuple[Any, ...]:
-    """All but the first four arguments of ``gather_geometry``; ``scene`` is means, scales and quats."""
+    """All but the first five arguments of ``gather_geometry``; ``scene`` is means, scales and quats."""
     return (
         slots.values,
         state.records,

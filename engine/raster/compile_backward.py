@@ -55,7 +55,7 @@ def compile_backward(kernels: Kernels) -> None:
     room = np.zeros((1, TILE)), np.zeros((1, CHAIN_BLOCK))
     labels = slot_labels, 1, floats[1]
     geometry = slot_gradients, one_of[RECORD], *scene, np.ones(CAMERA), *room, *gradients
-    kernels.gather(board, 1, (places, untouched, labels, geometry))
+    kernels.gather(board, 1, (np.zeros(1, np.int64), places, untouched, labels, geometry))
 
 
 if __name__ == "__main__":

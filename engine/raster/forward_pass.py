@@ -13,6 +13,7 @@ from ..machine.compiled import Array
 from ..machine.crew import share, worker_count
 from .conventions import View
 from .kernels import Kernels
+from .portions import portion_count
 from .projection import PROJECTION_BLOCK, camera_array, project
 from .records import CHUNK, MEMBERS, RECORD, TILE
 from .tile_lists import PairLists, Projected, list_tiles
@@ -82,10 +83,11 @@ def blend(
     rest, last, records = memory.several((pixels, np.float32), (pixels, np.float32), ((count, RECORD), np.float32))
     # apart from what is kept for the backward pass
     boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
-    projected = Projected(boxes, depths, np.zeros((workers, 2), np.int64))
+    projected = Projected(boxes, depths, np.empty((portion_count(count), 2), np.int64))
     share(
         workers,
         project,
+        np.zeros(1, np.int64),
         *gaussians,
         camera,
         view.width,

@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from ..machine.atomics import take_next
 from ..machine.compiled import Array, part
 from ..machine.shared import shared
 from .chain_to_scene import chain_to_scene, enter, leave
 from .lanes import LANES
+from .portions import portion_count, range_of
 from .records import (
     D_BLUE,
     D_GREEN,
@@ -48,7 +50,8 @@ def clear(
 @part
 def gather_geometry(
     worker: int,
-    workers: int,
+    first: int,
+    end: int,
     slots: Array,
     touched: Array,
     slot_gradients: Array,
@@ -66,12 +69,11 @@ def gather_geometry(
     d_colours: Array,
     d_means2d: Array,
 ) -> None:
-    """A worker's share of the gradients of all N Gaussians but for their labels, zeros included; ``sums`` float64
-    [workers, TILE] and ``blocks`` [workers, CHAIN_BLOCK] are room to work in."""
-    count = means.shape[0]
+    """The gradients of the Gaussians from ``first`` to before ``end`` but for their labels, zeros included; ``sums``
+    float64 [workers, TILE] and ``blocks`` [workers, CHAIN_BLOCK] are room to work in."""
     total, block = sums[worker], blocks[worker]
     lanes = 0
-    for i in range(count * worker // workers, count * (worker + 1) // workers):
+    for i in range(first, end):
         hit = False
         for c in range(GRADIENT):
             total[c] = 0.0
@@ -100,12 +102,11 @@ def gather_geometry(
 
 @part
 def gather_labels(
-    worker: int, workers: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
+    first: int, end: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
 ) -> None:
-    """A worker's share of the label gradients of all N Gaussians, zeros included: d_labels [N * C]."""
-    count = slots.shape[0] - 1
+    """The label gradients of the Gaussians from ``first`` to before ``end``, zeros included: of d_labels [N * C]."""
     padded = padded_channels(channels)
-    for i in range(count * worker // workers, count * (worker + 1) // workers):
+    for i in range(first, end):
         own = d_labels[i * channels : (i + 1) * channels]
         own[:] = F(0.0)
         for slot in range(slots[i], slots[i + 1]):
@@ -115,8 +116,16 @@ def gather_labels(
 
 
 @shared
-def gather(worker: int, workers: int, slots: Array, touched: Array, labels: Any, geometry: Any) -> None:
-    """A worker's share of all gradients; ``labels`` and ``geometry`` are the other arguments of ``gather_labels`` and
-    of ``gather_geometry``."""
-    gather_geometry(worker, workers, slots, touched, *geometry)
-    gather_labels(worker, workers, slots, touched, *labels)
+def gather(
+    worker: int, workers: int, next_portion: Array, slots: Array, touched: Array, labels: Any, geometry: Any
+) -> None:
+    """Portion after portion until none is left: the gradients of all N Gaussians. ``labels`` and ``geometry`` are the
+    other arguments of ``gather_labels`` and of ``gather_geometry``."""
+    count = slots.shape[0] - 1
+    while True:
+        portion = take_next(next_portion)
+        if portion >= portion_count(count):
+            break
+        first, end = range_of(portion, count)
+        gather_geometry(worker, first, end, slots, touched, *geometry)
+        gather_labels(first, end, slots, touched, *labels)

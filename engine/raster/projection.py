@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..machine.atomics import take_next
 from ..machine.compiled import Array, part
 from ..machine.shared import shared
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM, View
 from .lanes import LANES, MEAN, OTHERS, SCALE, WHO, enter_lane, quaternion_in, three_of
+from .portions import range_of
 from .records import (
     BLUE,
     CENTRE_X,
@@ -221,10 +223,9 @@ def leave(
     return shown, touched
 
 
-@shared
-def project(
-    worker: int,
-    workers: int,
+@part
+def project_portion(
+    portion: int,
     means: Array,
     scales: Array,
     quats: Array,
@@ -233,23 +234,17 @@ def project(
     camera: Array,
     width: int,
     height: int,
-    blocks: Array,
+    block: Array,
     records: Array,
     boxes: Array,
     depths: Array,
     centres: Array,
     visible: Array,
-    counts: Array,
-) -> None:
-    """Fill records [N, RECORD], boxes int32 [N, 4] (tile columns and rows, last ones excluded), depths [N], centres
-    [N, 2] and visible bool [N] of a worker's share of the Gaussians.
-
-    A Gaussian that is not visible gets an empty box, and its centre is zero. counts int64 [workers, 2] gets how many
-    are visible, and how many tiles they touch; ``blocks`` float64 [workers, PROJECTION_BLOCK] is room to work in.
-    """
-    count, block = means.shape[0], blocks[worker]
+) -> Any:
+    """As ``project``, of one portion; returns how many are visible, and how many tiles they touch."""
     shown, touched, lanes = 0, 0, 0
-    for i in range(count * worker // workers, count * (worker + 1) // workers):
+    first, end = range_of(portion, means.shape[0])
+    for i in range(first, end):
         boxes[i, 0] = boxes[i, 1] = boxes[i, 2] = boxes[i, 3] = 0
         centres[i, 0] = centres[i, 1] = np.float32(0.0)
         visible[i] = False
@@ -267,5 +262,55 @@ def project(
             shown, touched, lanes = shown + now[0], touched + now[1], 0
     project_block(camera, width, height, block)
     now = leave(lanes, block, opacities, colours, records, boxes, depths, centres, visible)
-    counts[worker, 0] = shown + now[0]
-    counts[worker, 1] = touched + now[1]
+    return shown + now[0], touched + now[1]
+
+
+@shared
+def project(
+    worker: int,
+    workers: int,
+    next_portion: Array,
+    means: Array,
+    scales: Array,
+    quats: Array,
+    opacities: Array,
+    colours: Array,
+    camera: Array,
+    width: int,
+    height: int,
+    blocks: Array,
+    records: Array,
+    boxes: Array,
+    depths: Array,
+    centres: Array,
+    visible: Array,
+    counts: Array,
+) -> None:
+    """Portion after portion until none is left: fill records [N, RECORD], boxes int32 [N, 4] (tile columns and rows,
+    last ones excluded), depths [N], centres [N, 2] and visible bool [N].
+
+    A Gaussian that is not visible gets an empty box, and its centre is zero. counts int64 [portions, 2] gets how many
+    of a portion are visible, and how many tiles they touch; ``blocks`` float64 [workers, PROJECTION_BLOCK] is room to
+    work in.
+    """
+    while True:
+        portion = take_next(next_portion)
+        if portion >= counts.shape[0]:
+            break
+        counts[portion, 0], counts[portion, 1] = project_portion(
+            portion,
+            means,
+            scales,
+            quats,
+            opacities,
+            colours,
+            camera,
+            width,
+            height,
+            blocks[worker],
+            records,
+            boxes,
+            depths,
+            centres,
+            visible,
+        )

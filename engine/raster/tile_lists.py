@@ -43,7 +43,7 @@ class PairLists:
 @dataclass(frozen=True, eq=False)
 class Projected:
     """What ``project`` left: ``boxes`` int32 [N, 4] in tiles, ``depths`` float32 [N] of the visible, and ``counts``
-    int64 [workers, 2] of the visible Gaussians in each worker's share, and of the pairs of Gaussian and tile."""
+    int64 [portions, 2] of the visible Gaussians in each portion, and of the pairs of Gaussian and tile."""
 
     boxes: NDArray[Any]
     depths: NDArray[Any]
@@ -52,8 +52,7 @@ class Projected:
 
 def list_tiles(workers: int, projected: Projected, width: int, height: int) -> PairLists:
     """Of an image of so many pixels."""
-    counts = projected.counts.tolist()
-    shown, pairs = sum(count[0] for count in counts), sum(count[1] for count in counts)
+    shown, pairs = projected.counts.sum(axis=0).tolist()
     columns, rows = -(-width // TILE), -(-height // TILE)
     listing = workers if max(pairs, len(projected.boxes)) >= WORTH_LISTING_TOGETHER else 1
     sorting = listing if shown >= WORTH_SORTING_TOGETHER else 1

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from ...machine.atomics import take_next
 from ...machine.compiled import Array, part
 from ...machine.shared import shared
 from ...machine.vectors import get, lane_numbers, load, spread, store, store_some
 from ..gather import gather_geometry
+from ..portions import portion_count, range_of
 from ..records import TILE, padded_channels
 
 F = np.float32
@@ -19,18 +21,16 @@ ZERO = F(0.0)
 
 @part
 def gather_labels(
-    worker: int, workers: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
+    first: int, end: int, slots: Array, touched: Array, slot_labels: Array, channels: int, d_labels: Array
 ) -> None:
-    """A worker's share of the label gradients of all N Gaussians, zeros included: d_labels [N * C]."""
-    count = slots.shape[0] - 1
+    """The label gradients of the Gaussians from ``first`` to before ``end``, zeros included: of d_labels [N * C]."""
     padded = padded_channels(channels)
-    end = count * (worker + 1) // workers
     in_tail = lane_numbers() < spread(F(channels - padded + TILE))
-    for i in range(count * worker // workers, end):
-        first, last = get(slots, i), get(slots, i + 1)
+    for i in range(first, end):
+        first_slot, last_slot = get(slots, i), get(slots, i + 1)
         for c in range(0, padded, TILE):
             total = spread(ZERO)
-            for slot in range(first, last):
+            for slot in range(first_slot, last_slot):
                 if get(touched, slot) != 0:
                     total = total + load(slot_labels, slot * padded + c)
             at = i * channels + c
@@ -41,7 +41,15 @@ def gather_labels(
 
 
 @shared
-def gather(worker: int, workers: int, slots: Array, touched: Array, labels: Any, geometry: Any) -> None:
+def gather(
+    worker: int, workers: int, next_portion: Array, slots: Array, touched: Array, labels: Any, geometry: Any
+) -> None:
     """As its plain twin."""
-    gather_geometry(worker, workers, slots, touched, *geometry)
-    gather_labels(worker, workers, slots, touched, *labels)
+    count = slots.shape[0] - 1
+    while True:
+        portion = take_next(next_portion)
+        if portion >= portion_count(count):
+            break
+        first, end = range_of(portion, count)
+        gather_geometry(worker, first, end, slots, touched, *geometry)
+        gather_labels(first, end, slots, touched, *labels)

@@ -18,30 +18,31 @@ UNTOUCHED = np.float32(12345.0)
 
 @compiled
 def gather_plainly(
-    worker: int, workers: int, slots: Any, touched: Any, slot_labels: Any, channels: int, d_labels: Any
+    first: int, end: int, slots: Any, touched: Any, slot_labels: Any, channels: int, d_labels: Any
 ) -> None:
-    plain_gather_labels(worker, workers, slots, touched, slot_labels, channels, d_labels)
+    plain_gather_labels(first, end, slots, touched, slot_labels, channels, d_labels)
 
 
 @compiled
 def gather_by_vectors(
-    worker: int, workers: int, slots: Any, touched: Any, slot_labels: Any, channels: int, d_labels: Any
+    first: int, end: int, slots: Any, touched: Any, slot_labels: Any, channels: int, d_labels: Any
 ) -> None:
-    gather_labels(worker, workers, slots, touched, slot_labels, channels, d_labels)
+    gather_labels(first, end, slots, touched, slot_labels, channels, d_labels)
 
 
 @pytest.mark.parametrize("channels", [0, 1, 2, 5, 7, 8, 15, 16, 17, 46])
-def test_a_worker_writes_its_own_share_and_nothing_else(channels: int) -> None:
+def test_the_gaussians_of_a_portion_and_no_others_are_written(channels: int) -> None:
     random = np.random.default_rng(channels)
-    count, workers = 11, 3
+    count = 11
     slots = np.concatenate([[0], np.cumsum(random.integers(0, 4, count))]).astype(np.int64)
     touched = (random.random(slots[-1]) < 0.7).astype(np.uint8)
     slot_labels = random.normal(size=slots[-1] * (-(-channels // TILE) * TILE)).astype(np.float32)
     expected = np.empty(count * channels, np.float32)
-    gather_plainly(0, 1, slots, touched, slot_labels, channels, expected)
-    for worker in range(workers):
+    gather_plainly(0, count, slots, touched, slot_labels, channels, expected)
+    for first, end in ((0, 3), (3, 7), (7, count), (5, 5)):
         got = np.full(count * channels + GUARD, UNTOUCHED)
-        gather_by_vectors(worker, workers, slots, touched, slot_labels, channels, got)
-        first, end = (channels * (count * w // workers) for w in (worker, worker + 1))
-        np.testing.assert_array_equal(got[first:end], expected[first:end])
-        assert (got[:first] == UNTOUCHED).all() and (got[end:] == UNTOUCHED).all()
+        gather_by_vectors(first, end, slots, touched, slot_labels, channels, got)
+        own = slice(first * channels, end * channels)
+        np.testing.assert_array_equal(got[own], expected[own])
+        got[own] = UNTOUCHED
+        assert (got == UNTOUCHED).all()
