@@ -115,5 +115,5 @@ def _rounded(size: int) -> int:
 
 def held_bytes() -> int:
     """All that is held, free or not."""
-    with _lock:
+    with _lock:  # other threads make and drop blocks
         return sum(block.bytes.size for blocks in _blocks.values() for block in blocks)

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.atomics import take_next
 from ..machine.compiled import Array, part
 from ..machine.shared import shared
 from .chain_to_scene import chain_to_scene, enter, leave
 from .lanes import LANES
-from .portions import portion_count, range_of
+from .portions import portion_count, take_portion
 from .records import (
     D_BLUE,
     D_GREEN,
@@ -96,8 +95,9 @@ def gather_geometry(
             chain_to_scene(camera, block)
             leave(lanes, block, d_means, d_scales, d_quats, d_means2d)
             lanes = 0
-    chain_to_scene(camera, block)
-    leave(lanes, block, d_means, d_scales, d_quats, d_means2d)
+    if lanes > 0:
+        chain_to_scene(camera, block)
+        leave(lanes, block, d_means, d_scales, d_quats, d_means2d)
 
 
 @part
@@ -122,10 +122,9 @@ def gather(
     """Portion after portion until none is left: the gradients of all N Gaussians. ``labels`` and ``geometry`` are the
     other arguments of ``gather_labels`` and of ``gather_geometry``."""
     count = slots.shape[0] - 1
-    while True:
-        portion = take_next(next_portion)
-        if portion >= portion_count(count):
-            break
-        first, end = range_of(portion, count)
+    portions = portion_count(count)
+    first, end = take_portion(next_portion, portions, count)
+    while first < end:
         gather_geometry(worker, first, end, slots, touched, *geometry)
         gather_labels(first, end, slots, touched, *labels)
+        first, end = take_portion(next_portion, portions, count)

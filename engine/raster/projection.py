@@ -226,6 +226,7 @@ def leave(
 @part
 def project_portion(
     portion: int,
+    portions: int,
     means: Array,
     scales: Array,
     quats: Array,
@@ -241,9 +242,9 @@ def project_portion(
     centres: Array,
     visible: Array,
 ) -> Any:
-    """As ``project``, of one portion; returns how many are visible, and how many tiles they touch."""
+    """As ``project``, of one portion of so many; returns how many are visible, and how many tiles they touch."""
     shown, touched, lanes = 0, 0, 0
-    first, end = range_of(portion, means.shape[0])
+    first, end = range_of(portion, portions, means.shape[0])
     for i in range(first, end):
         boxes[i, 0] = boxes[i, 1] = boxes[i, 2] = boxes[i, 3] = 0
         centres[i, 0] = centres[i, 1] = np.float32(0.0)
@@ -260,9 +261,11 @@ def project_portion(
             project_block(camera, width, height, block)
             now = leave(lanes, block, opacities, colours, records, boxes, depths, centres, visible)
             shown, touched, lanes = shown + now[0], touched + now[1], 0
-    project_block(camera, width, height, block)
-    now = leave(lanes, block, opacities, colours, records, boxes, depths, centres, visible)
-    return shown + now[0], touched + now[1]
+    if lanes > 0:
+        project_block(camera, width, height, block)
+        now = leave(lanes, block, opacities, colours, records, boxes, depths, centres, visible)
+        shown, touched = shown + now[0], touched + now[1]
+    return shown, touched
 
 
 @shared
@@ -293,12 +296,14 @@ def project(
     of a portion are visible, and how many tiles they touch; ``blocks`` float64 [workers, PROJECTION_BLOCK] is room to
     work in.
     """
+    portions = counts.shape[0]
     while True:
         portion = take_next(next_portion)
-        if portion >= counts.shape[0]:
+        if portion >= portions:
             break
         counts[portion, 0], counts[portion, 1] = project_portion(
             portion,
+            portions,
             means,
             scales,
             quats,

@@ -12,6 +12,7 @@ import numpy as np
 from ..machine.atomics import raise_by_one, read_counter
 from ..machine.compiled import Array, part
 from ..machine.shared import shared
+from .portions import range_of
 
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
@@ -47,11 +48,12 @@ def list_visible(
     ``depths`` uint32 [N] are those of the visible, bit by bit; ``counts`` int64 [portions, 2] those of ``project``.
     """
     count, portions = boxes.shape[0], counts.shape[0]
+    first, end = range_of(portion, portions, count)
     place, slot = 0, 0
     for other in range(portion):
         place += counts[other, 0]
         slot += counts[other, 1]
-    for i in range(count * portion // portions, count * (portion + 1) // portions):
+    for i in range(first, end):
         slots[i] = slot
         tiles = (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
         if tiles > 0:
@@ -66,10 +68,10 @@ def list_visible(
 
 @part
 def count_digits(portion: int, portions: int, keys: Array, shift: np.uint32, histograms: Array) -> None:
-    count = keys.shape[0]
     for digit in range(DIGITS):
         histograms[portion, digit] = 0
-    for i in range(count * portion // portions, count * (portion + 1) // portions):
+    first, end = range_of(portion, portions, keys.shape[0])
+    for i in range(first, end):
         histograms[portion, (keys[i] >> shift) & np.uint32(DIGITS - 1)] += 1
 
 
@@ -101,8 +103,8 @@ def deal_digits(
     keys_out: Array,
     ids_out: Array,
 ) -> None:
-    count = keys.shape[0]
-    for i in range(count * portion // portions, count * (portion + 1) // portions):
+    first, end = range_of(portion, portions, keys.shape[0])
+    for i in range(first, end):
         digit = (keys[i] >> shift) & np.uint32(DIGITS - 1)
         place = places[portion, digit]
         places[portion, digit] = place + 1
@@ -112,10 +114,10 @@ def deal_digits(
 
 @part
 def count_tiles(portion: int, portions: int, order: Array, boxes: Array, columns: int, histograms: Array) -> None:
-    count = order.shape[0]
     for tile in range(histograms.shape[1]):
         histograms[portion, tile] = 0
-    for k in range(count * portion // portions, count * (portion + 1) // portions):
+    first, end = range_of(portion, portions, order.shape[0])
+    for k in range(first, end):
         i = order[k]
         for row in range(boxes[i, 2], boxes[i, 3]):
             for column in range(boxes[i, 0], boxes[i, 1]):
@@ -136,8 +138,8 @@ def deal_tiles(
 ) -> None:
     """tile_ids int32 [T] (Gaussian) and tile_slots int32 [T] (where its gradient in that tile goes), tile
     after tile."""
-    count = order.shape[0]
-    for k in range(count * portion // portions, count * (portion + 1) // portions):
+    first, end = range_of(portion, portions, order.shape[0])
+    for k in range(first, end):
         i = order[k]
         slot = slots[i]
         for row in range(boxes[i, 2], boxes[i, 3]):

@@ -9,7 +9,10 @@ import pytest
 
 from engine.machine.undisturbed import undisturbed
 
-resource = pytest.importorskip("resource", reason="needs the count of page faults")
+if sys.platform != "win32":
+    import resource
+
+counts_faults = pytest.mark.skipif(sys.platform == "win32", reason="needs the count of page faults")
 
 
 def leaf(a: int, b: int) -> int:
@@ -30,11 +33,13 @@ def _faults() -> int:
     return int(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 
 
+@counts_faults
 def test_room_ends_the_asking() -> None:
     assert undisturbed(leaf, 2, 3) == 5
     assert undisturbed(call_often_below, 300) < 50
 
 
+@counts_faults
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="versions before keep frames elsewhere")
 def test_without_it_some_call_asks_every_time() -> None:
     assert call_often_below(300) >= 500

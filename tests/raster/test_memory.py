@@ -120,7 +120,7 @@ def test_stays_within_its_bound_when_one_tile_has_them_all() -> None:
 def test_reads_nothing_that_was_left_behind(kernels: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Free memory full of NaN changes no bit, whatever the count of Gaussians leaves unused of it."""
     monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
-    for count in (1, 3, 17, 50, 130):
+    for count in (1, 3, 17, 50, 130, 700):
         scene = random_scene(count, count, 5, 33, 18)
         clean, clean_gradients = render(scene, "numba")
         kept = [getattr(clean, layer).clone() for layer in LAYERS], {k: v.clone() for k, v in clean_gradients.items()}

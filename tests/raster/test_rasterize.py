@@ -103,7 +103,7 @@ def test_the_same_bits_with_any_number_of_threads(
     kernels: str, channels: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
-    scene = random_scene(5, 500, channels, 70, 50)
+    scene = random_scene(5, 1100, channels, 70, 50)
     before = torch.get_num_threads()
     results = []
     try:

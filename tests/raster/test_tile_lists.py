@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from engine.raster import tile_lists
+from engine.raster.portions import range_of
 from engine.raster.records import TILE
 from engine.raster.tile_lists import PairLists, Projected, list_tiles
 from engine.raster.tile_steps import LOOKS, run_tile_steps
@@ -17,15 +18,15 @@ WIDTH, HEIGHT = 90, 50
 COLUMNS, ROWS = -(-WIDTH // TILE), -(-HEIGHT // TILE)
 
 
-def projected(count: int, workers: int, seed: int) -> Projected:
+def projected(count: int, portions: int, seed: int) -> Projected:
     """Boxes of tiles anywhere in the image, some of them empty; depths of which many are equal."""
     random = np.random.default_rng(seed)
     ends = np.sort(random.integers(0, [[COLUMNS + 1], [ROWS + 1]], (count, 2, 2)), axis=2)
     boxes = ends.reshape(count, 4).astype(np.int32)
     depths = random.choice(np.geomspace(0.02, 300.0, 40).astype(np.float32), count)
     pairs = (ends[:, 0, 1] - ends[:, 0, 0]) * (ends[:, 1, 1] - ends[:, 1, 0])
-    shares = [slice(count * worker // workers, count * (worker + 1) // workers) for worker in range(workers)]
-    counts = [(np.count_nonzero(pairs[share]), pairs[share].sum()) for share in shares]
+    own = [slice(*range_of(portion, portions, count)) for portion in range(portions)]
+    counts = [(np.count_nonzero(pairs[range_]), pairs[range_].sum()) for range_ in own]
     return Projected(boxes, depths, np.array(counts, np.int64))
 
 
@@ -54,9 +55,10 @@ def worth_sharing(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.usefixtures("worth_sharing")
-@pytest.mark.parametrize(("count", "workers"), [(0, 2), (1, 1), (1, 3), (700, 1), (700, 2), (700, 5)])
-def test_lists_are_those_of_a_stable_sort(count: int, workers: int) -> None:
-    given = projected(count, workers, seed=count)
+@pytest.mark.parametrize("workers", [1, 2, 5])
+@pytest.mark.parametrize(("count", "portions"), [(0, 1), (1, 1), (1, 3), (700, 1), (700, 3), (700, 40)])
+def test_lists_are_those_of_a_stable_sort(count: int, portions: int, workers: int) -> None:
+    given = projected(count, portions, seed=count)
     assert_lists_of_a_stable_sort(list_tiles(workers, given, WIDTH, HEIGHT), given)
 
 
@@ -67,7 +69,7 @@ def test_helpers_may_leave_or_come_late(looks: int, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(tile_lists, "WORTH_SORTING_TOGETHER", 0)
     workers = 2 * (os.cpu_count() or 1)
     for seed in range(10):
-        given = projected(3000, workers, seed=seed)
+        given = projected(3000, 12, seed=seed)
         assert_lists_of_a_stable_sort(list_tiles(workers, given, WIDTH, HEIGHT), given)
 
 

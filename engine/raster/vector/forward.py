@@ -67,7 +67,8 @@ from .forward_strip import (
     write_strip,
 )
 from .labels import (
-    Leaving,
+    FinishedStrip,
+    Lines,
     add_patch_labels,
     copy_touching,
     fetch_labels,
@@ -225,8 +226,8 @@ def add_listed_labels(
     members: Array,
     chunks: int,
     padded: int,
-    lines: Any,
-    leaving: Leaving,
+    lines: Lines,
+    finished: FinishedStrip,
     labels_out: Array,
 ) -> Any:
     """Add up the labels of those that were blended on a patch, whose list ends before ``end``; returns the end of the
@@ -234,7 +235,7 @@ def add_listed_labels(
     listed = patch * LISTED
     labels, weights = strip_labels + patch * PATCH_WIDTH * padded, WEIGHTS + listed * TILE
     lines = add_patch_labels(
-        end - listed, labels, scratch, weights, members, listed, chunks, padded, lines, leaving, labels_out
+        end - listed, labels, scratch, weights, members, listed, chunks, padded, lines, finished, labels_out
     )
     return listed, lines
 
@@ -272,7 +273,7 @@ def blend_tiles(
     strip_labels = STRIP_LABELS
     # the labels of the strip before: they go to memory, a few lines at a time, while this one is computed
     row, padded_row = width * channels, TILE * padded
-    lines, leaving = (0, 0), (0, 0, padded_row, row)
+    lines, finished = (0, 0), (0, 0, padded_row, row)
     while True:
         tile = take_next(next_tile)
         if tile >= tiles:
@@ -307,30 +308,30 @@ def blend_tiles(
                     before, state = ends[patch], STATE + patch * PATCH_STRIDE
                     end, sees = blend_patch(touching[patch], state, scratch, fields, members, before, in_vectors)
                     strip_sees |= sees
-                    lines = flush_lines(lines, leaving, scratch, labels_out)
+                    lines = flush_lines(lines, finished, scratch, labels_out)
                     if channels > 0 and end > before:
                         copy_touching(
                             touching[patch], first + place, tile_ids, labels, channels, scratch, own_labels, copied, c
                         )
                     if end > patch * LISTED + PENDING:
                         end, lines = add_listed_labels(
-                            patch, end, strip_labels, scratch, members, chunks, padded, lines, leaving, labels_out
+                            patch, end, strip_labels, scratch, members, chunks, padded, lines, finished, labels_out
                         )
                     ends = (end, ends[1]) if patch == 0 else (ends[0], end)
                 if not strip_sees:
                     break
             for patch in range(2):
                 _, lines = add_listed_labels(
-                    patch, ends[patch], strip_labels, scratch, members, chunks, padded, lines, leaving, labels_out
+                    patch, ends[patch], strip_labels, scratch, members, chunks, padded, lines, finished, labels_out
                 )
             write_strip(pixel, pixels, rows, width, scratch, layers)
-            flush_all(lines, leaving, scratch, labels_out)
+            flush_all(lines, finished, scratch, labels_out)
             if channels > 0:
                 target = pixel * channels
                 upper = pack_labels(target, pixels, channels, strip_labels, scratch, labels_out)
                 lower = 0
                 if rows > 1:
                     lower = pack_labels(target + row, pixels, channels, strip_labels + padded_row, scratch, labels_out)
-                lines, leaving = (upper, lower), (strip_labels, target, padded_row, row)
+                lines, finished = (upper, lower), (strip_labels, target, padded_row, row)
                 strip_labels = 2 * STRIP_LABELS + strip_floats(channels) - strip_labels  # the other one
-    flush_all(lines, leaving, scratch, labels_out)
+    flush_all(lines, finished, scratch, labels_out)

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.atomics import take_next
 from ...machine.compiled import Array, part
 from ...machine.shared import shared
 from ...machine.vectors import get, lane_numbers, load, spread, store, store_some
 from ..gather import gather_geometry
-from ..portions import portion_count, range_of
+from ..portions import portion_count, take_portion
 from ..records import TILE, padded_channels
 
 F = np.float32
@@ -46,10 +45,9 @@ def gather(
 ) -> None:
     """As its plain twin."""
     count = slots.shape[0] - 1
-    while True:
-        portion = take_next(next_portion)
-        if portion >= portion_count(count):
-            break
-        first, end = range_of(portion, count)
+    portions = portion_count(count)
+    first, end = take_portion(next_portion, portions, count)
+    while first < end:
         gather_geometry(worker, first, end, slots, touched, *geometry)
         gather_labels(first, end, slots, touched, *labels)
+        first, end = take_portion(next_portion, portions, count)

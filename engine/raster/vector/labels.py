@@ -29,9 +29,11 @@ LINES_AT_ONCE = 12
 LINES_BETWEEN = LINES_AT_ONCE // 2
 """So many of a strip are written between steps of the next one, which has lines under way itself."""
 
-Leaving = tuple[int, int, int, int]
-"""Where the labels of a strip that is done lie in the scratch, and where they go; how far its two rows are apart in
-the one, and in the other."""
+Lines = tuple[int, int]
+"""How many cache lines of a strip's upper row, and of its lower one, have yet to be written."""
+FinishedStrip = tuple[int, int, int, int]
+"""In floats: where its labels lie in the scratch, and where they go among labels_out; from one of its rows to the other
+in the scratch, and in labels_out."""
 
 
 @part
@@ -89,20 +91,21 @@ def flush_some(lines: int, most: int, source: int, target: int, scratch: Array, 
 
 
 @part
-def flush_lines(lines: Any, leaving: Leaving, scratch: Array, labels_out: Array) -> Any:
-    """Write a few lines of a strip, the lower row's first; the lines that are left of each."""
+def flush_lines(lines: Lines, finished: FinishedStrip, scratch: Array, labels_out: Array) -> Any:
+    """Write at most ``LINES_BETWEEN`` lines of a strip, none of the upper row before all of the lower one; the lines
+    that are left of each."""
     upper, lower = lines
-    source, target, padded_row, row = leaving
+    source, target, padded_row, row = finished
     if lower > 0:
         return upper, flush_some(lower, LINES_BETWEEN, source + padded_row, target + row, scratch, labels_out)
     return flush_some(upper, LINES_BETWEEN, source, target, scratch, labels_out), lower
 
 
 @inlined
-def flush_all(lines: Any, leaving: Leaving, scratch: Array, labels_out: Array) -> None:
+def flush_all(lines: Lines, finished: FinishedStrip, scratch: Array, labels_out: Array) -> None:
     """All that is left of a strip."""
     upper, lower = lines
-    source, target, padded_row, row = leaving
+    source, target, padded_row, row = finished
     flush_some(lower, lower, source + padded_row, target + row, scratch, labels_out)
     flush_some(upper, upper, source, target, scratch, labels_out)
 
@@ -117,13 +120,14 @@ def add_patch_labels(
     listed: int,
     labels: int,
     padded: int,
-    lines: Any,
-    leaving: Leaving,
+    lines: Lines,
+    finished: FinishedStrip,
     labels_out: Array,
 ) -> Any:
     """The labels of a patch's pixels, the first of which lie at scratch[patch_labels:], += the weights of those blended
     times their labels, a few pixels of a row times three vectors at a time. members[listed:] are so many vectors behind
-    scratch[labels:]. Between rows, some of the ``lines`` of the strip before are written; returns how many are left."""
+    scratch[labels:]. After each row, whether anything was blended or not, some ``lines`` of the strip before are
+    written; returns those that are left."""
     for row in range(PATCH_HEIGHT):
         for x in range(0, PATCH_WIDTH, ROWS):
             out = patch_labels + (row * TILE + x) * padded
@@ -136,7 +140,7 @@ def add_patch_labels(
                 blend_2(scratch, out + c, scratch, labels + c, members, listed, scratch, w, count, padded)
             elif c + BLOCK <= padded:
                 blend_1(scratch, out + c, scratch, labels + c, members, listed, scratch, w, count, padded)
-        lines = flush_lines(lines, leaving, scratch, labels_out)
+        lines = flush_lines(lines, finished, scratch, labels_out)
     return lines
 
 
