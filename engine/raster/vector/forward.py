@@ -234,9 +234,10 @@ def add_listed_labels(
     empty list, and the lines of the strip before that are left."""
     listed = patch * LISTED
     labels, weights = strip_labels + patch * PATCH_WIDTH * padded, WEIGHTS + listed * TILE
-    lines = add_patch_labels(
-        end - listed, labels, scratch, weights, members, listed, chunks, padded, lines, finished, labels_out
-    )
+    if padded > 0:
+        lines = add_patch_labels(
+            end - listed, labels, scratch, weights, members, listed, chunks, padded, lines, finished, labels_out
+        )
     return listed, lines
 
 
