@@ -14,6 +14,7 @@ it the process holds 55 MB more until the next search.
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -26,14 +27,30 @@ _WORDS = 33_000
 def undisturbed(function: Callable[..., Result], *arguments: Any) -> Result:
     """The function's result; nobody looks for dead cycles meanwhile, and what it calls finds room for some 250 KiB of
     frames."""
-    looks_for_cycles = gc.isenabled()
-    gc.disable()
-    try:
+    looked_for_cycles = gc.isenabled()
+    try:  # an interrupt may come as soon as it is switched off
+        if looked_for_cycles:
+            _switched_off.append(True)
+            gc.disable()
         return function(*arguments)
     finally:
-        if looks_for_cycles:
+        if looked_for_cycles:
+            _switched_off.clear()
             gc.enable()
 
 
 # as if it had so many things to keep on its stack
 undisturbed.__code__ = undisturbed.__code__.replace(co_stacksize=_WORDS)
+
+_switched_off: list[bool] = []
+"""Something while a call has it switched off."""
+
+
+def _switch_on() -> None:
+    """In a forked process, where the thread that would does not follow."""
+    if _switched_off:
+        gc.enable()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_switch_on)

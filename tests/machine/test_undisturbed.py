@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -61,3 +64,34 @@ def test_afterwards_all_is_as_before_whatever_happened() -> None:
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no processes are forked here")
+def test_a_process_forked_meanwhile_looks_again() -> None:
+    def fork() -> int:
+        child = os.fork()
+        if child == 0:
+            os._exit(0 if gc.isenabled() else 1)
+        return os.waitpid(child, 0)[1]
+
+    with ThreadPoolExecutor(1) as pool:
+        began, end = threading.Event(), threading.Event()
+        compiling = pool.submit(undisturbed, lambda: (began.set(), end.wait(10)))
+        began.wait()
+        status = fork()
+        end.set()
+        compiling.result()
+    assert status == 0
+
+
+def test_an_interrupt_leaves_nothing_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    switch_off = gc.disable
+
+    def interrupted() -> None:
+        switch_off()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gc, "disable", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        undisturbed(leaf, 1, 2)
+    assert gc.isenabled()
