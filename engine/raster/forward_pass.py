@@ -83,22 +83,16 @@ def blend(
     rest, last, records = memory.several((pixels, np.float32), (pixels, np.float32), ((count, RECORD), np.float32))
     # apart from what is kept for the backward pass
     boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
+    results = records, boxes, depths, on_image.centres, on_image.visible
+    portion_arguments = *gaussians, camera, view.width, view.height, *results
     projected = Projected(boxes, depths, np.empty((portion_count(count), 2), np.int64))
     share(
         workers,
         project,
         np.zeros(1, np.int64),
-        *gaussians,
-        camera,
-        view.width,
-        view.height,
-        memory.empty((workers, PROJECTION_BLOCK), np.float64),
-        records,
-        boxes,
-        depths,
-        on_image.centres,
-        on_image.visible,
         projected.counts,
+        memory.empty((workers, PROJECTION_BLOCK), np.float64),
+        portion_arguments,
     )
     lists = list_tiles(workers, projected, view.width, view.height)
     blenders = lists.blenders(workers)

@@ -227,6 +227,7 @@ def leave(
 def project_portion(
     portion: int,
     portions: int,
+    block: Array,
     means: Array,
     scales: Array,
     quats: Array,
@@ -235,14 +236,19 @@ def project_portion(
     camera: Array,
     width: int,
     height: int,
-    block: Array,
     records: Array,
     boxes: Array,
     depths: Array,
     centres: Array,
     visible: Array,
 ) -> Any:
-    """As ``project``, of one portion of so many; returns how many are visible, and how many tiles they touch."""
+    """Of the Gaussians of one portion of so many, fill records [N, RECORD], boxes int32 [N, 4] (tile columns and rows,
+    last ones excluded), depths [N], centres [N, 2] and visible bool [N]; returns how many are visible, and how many
+    tiles they touch.
+
+    A Gaussian that is not visible gets an empty box, and its centre is zero. ``block`` float64 [PROJECTION_BLOCK] is
+    room to work in.
+    """
     shown, touched, lanes = 0, 0, 0
     first, end = range_of(portion, portions, means.shape[0])
     for i in range(first, end):
@@ -270,52 +276,14 @@ def project_portion(
 
 @shared
 def project(
-    worker: int,
-    workers: int,
-    next_portion: Array,
-    means: Array,
-    scales: Array,
-    quats: Array,
-    opacities: Array,
-    colours: Array,
-    camera: Array,
-    width: int,
-    height: int,
-    blocks: Array,
-    records: Array,
-    boxes: Array,
-    depths: Array,
-    centres: Array,
-    visible: Array,
-    counts: Array,
+    worker: int, workers: int, next_portion: Array, counts: Array, blocks: Array, portion_arguments: Any
 ) -> None:
-    """Portion after portion until none is left: fill records [N, RECORD], boxes int32 [N, 4] (tile columns and rows,
-    last ones excluded), depths [N], centres [N, 2] and visible bool [N].
-
-    A Gaussian that is not visible gets an empty box, and its centre is zero. counts int64 [portions, 2] gets how many
-    of a portion are visible, and how many tiles they touch; ``blocks`` float64 [workers, PROJECTION_BLOCK] is room to
-    work in.
-    """
+    """Portion after portion until none is left. counts int64 [portions, 2] gets what ``project_portion`` returns of
+    each, ``blocks`` [workers, PROJECTION_BLOCK] is room to work in, and ``portion_arguments`` are its other
+    arguments."""
     portions = counts.shape[0]
     while True:
         portion = take_next(next_portion)
         if portion >= portions:
             break
-        counts[portion, 0], counts[portion, 1] = project_portion(
-            portion,
-            portions,
-            means,
-            scales,
-            quats,
-            opacities,
-            colours,
-            camera,
-            width,
-            height,
-            blocks[worker],
-            records,
-            boxes,
-            depths,
-            centres,
-            visible,
-        )
+        counts[portion, 0], counts[portion, 1] = project_portion(portion, portions, blocks[worker], *portion_arguments)

@@ -26,7 +26,7 @@ def projected(count: int, portions: int, seed: int) -> Projected:
     depths = random.choice(np.geomspace(0.02, 300.0, 40).astype(np.float32), count)
     pairs = (ends[:, 0, 1] - ends[:, 0, 0]) * (ends[:, 1, 1] - ends[:, 1, 0])
     own = [slice(*range_of(portion, portions, count)) for portion in range(portions)]
-    counts = [(np.count_nonzero(pairs[range_]), pairs[range_].sum()) for range_ in own]
+    counts = [(np.count_nonzero(pairs[places]), pairs[places].sum()) for places in own]
     return Projected(boxes, depths, np.array(counts, np.int64))
 
 
