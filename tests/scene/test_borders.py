@@ -48,14 +48,13 @@ def test_an_undistorted_photo(bend: float) -> None:
     assert not found[~near].any()
 
 
-def test_straight_bars() -> None:
-    photo = room()
-    photo[:24], photo[:, -9:] = 0, 0
-    expected = np.zeros((HEIGHT, WIDTH), bool)
-    expected[:26], expected[:, -11:] = True, True
-    found = border_mask(photo)
-    found[:26, -11:] = True  # where two meet, each of them reaches too far in for the other
-    np.testing.assert_array_equal(found, expected)
+@pytest.mark.parametrize("thick", [1, 24])
+def test_a_straight_bar_and_the_seam_beside_it(thick: int) -> None:
+    for turns in range(4):
+        photo, expected = room(), np.zeros((HEIGHT, WIDTH), bool)
+        np.rot90(photo, turns)[:thick] = 0
+        np.rot90(expected, turns)[: thick + 2] = True
+        np.testing.assert_array_equal(border_mask(photo), expected)
 
 
 def test_a_photo_without() -> None:
