@@ -26,7 +26,7 @@ def code_of(*arguments: str | Path) -> int:
         return error.code
 
 
-@pytest.mark.parametrize("command", [[], ["lift"], ["evaluate"], ["inspect"], ["warm-up"], ["bench"]])
+@pytest.mark.parametrize("command", [[], ["lift"], ["evaluate"], ["inspect"], ["experiments"], ["warm-up"], ["bench"]])
 def test_help_is_fast(root: Path, command: list[str]) -> None:
     code = (
         "import sys\n"
