@@ -43,7 +43,8 @@ class DepthErrors:
         """Metres, to the width of a bin; None when no pixel was counted."""
         if not self._pixels:
             return None
-        return (int(np.searchsorted(np.cumsum(self._counts), self._pixels / 2)) + 0.5) * BIN
+        middle = int(np.searchsorted(np.cumsum(self._counts), self._pixels / 2))
+        return round((middle + 0.5) * BIN, 5)
 
     @property
     def close_share(self) -> float | None:
