@@ -60,7 +60,7 @@ class ColourCamera(NamedTuple):
     def depth(self, depth: NDArray[np.uint16], intrinsics: NDArray[np.float64]) -> NDArray[np.uint16]:
         """Depth as this camera sees it, uint16 [H, W] millimetres (0 = none).
 
-        Each pixel goes where its point is seen; of several the nearest stays. ``intrinsics`` [3, 3]: the depth camera's.
+        Each pixel goes where its point is seen; of several the nearest stays. ``intrinsics`` [3, 3] are the depth's.
         """
         rows, columns = np.nonzero(depth)
         z = depth[rows, columns]
