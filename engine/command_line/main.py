@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .. import __version__
-from ..job import PRESETS, ExitCode, JobError
+from ..job import PRESETS, UPS, ExitCode, JobError
 from ..job.options import add_lift_options, add_scene_options, readable
 
 
@@ -40,6 +40,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_bake(commands.add_parser("bake", help="render more frames of a finished lift as passes"))
     _add_evaluate(commands.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(commands.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
+    _add_experiments(commands.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     handshake = commands.add_parser("handshake", help="tell at once what this engine is and what it lacks")
     handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to mend it."
     handshake.set_defaults(run=_handshake)
@@ -92,6 +93,30 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_inspect)
 
 
+def _add_experiments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Lift every scene in a process of its own, without passes, and print one table in Markdown: machine masks, "
+        "voxel vote and the lifted model. What is finished in FOLDER is not lifted again, what was stopped goes on."
+    )
+    parser.add_argument(
+        "scenes", nargs="+", metavar="SCENE[:up=AXIS]", help=f"a scene's folder; AXIS is one of {', '.join(UPS)}"
+    )
+    parser.add_argument("--names", type=_names, metavar="A,B,..", help="what to call them (default: as their folders)")
+    parser.add_argument("--preset", choices=PRESETS, default="preview", help="as for lift (default: preview)")
+    parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="start of all chance (default: 0)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",
+        help="where the lifts, results.json and results.md go (default: lifts/experiments)",
+    )  # fmt: skip
+    parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier results.json: before -> after")
+    parser.set_defaults(run=_experiments)
+
+
+def _names(text: str) -> list[str]:
+    return text.split(",")
+
+
 # The commands' modules load numpy and more; --help and a typing error need none of it.
 
 
@@ -111,6 +136,12 @@ def _evaluate(options: argparse.Namespace) -> ExitCode:
     from .evaluate import evaluate
 
     return evaluate(options.lift, per_class=options.classes)
+
+
+def _experiments(options: argparse.Namespace) -> int:
+    from .experiments import experiments
+
+    return experiments(options)
 
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:

@@ -9,18 +9,28 @@ from .folder import LiftFolder
 from .json_file import Json, read_object
 
 _SHARES = (("miou", "mIoU %"), ("pq", "PQ %"), ("sq", "SQ %"), ("rq", "RQ %"))
+_RENDERED = (
+    ("psnr", "PSNR dB", 1.0, 2),
+    ("psnr_fitted", "fitted", 1.0, 2),
+    ("ssim", "SSIM", 1.0, 3),
+    ("ssim_fitted", "fitted", 1.0, 3),
+    ("depth_error_m", "depth cm", 100.0, 1),
+    ("depth_within_5cm", "in 5 cm %", 100.0, 1),
+)
 _CLASS_SHARES = (("iou", "IoU %"), *_SHARES[1:])
 _COUNTS = ("tp", "fp", "fn")
 _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.json", "previews", "passes")
 
 
 def metrics_table(lift: LiftFolder) -> str:
-    """metrics.json, a line for each method and mode: shares in per cent, PSNR in dB. Raises JobError."""
-    rows = [["", "mode", *(heading for _, heading in _SHARES), "PSNR dB", "SSIM"]]
+    """metrics.json, a line for each method and mode: shares in per cent, PSNR in dB, the median error of depth in cm,
+    "fitted": after a fit of the colours. Raises JobError.
+    """
+    rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _RENDERED)]]
     for table in _tables(lift):
         shares = [_number(table.get(key), 100.0, 1) for key, _ in _SHARES]
-        pictures = [_number(table.get("psnr"), 1.0, 2), _number(table.get("ssim"), 1.0, 3)]
-        rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *pictures])
+        rendered = [_number(table.get(key), factor, digits) for key, _, factor, digits in _RENDERED]
+        rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *rendered])
     return _aligned(rows, left=2) if len(rows) > 1 else "No metrics: they need held-out frames that have ground truth."
 
 

@@ -62,6 +62,13 @@ def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]
     return folder.passes_path / f"{frame}.exr", colour, semantic, instance
 
 
+def predicted(layers: PanopticLayers) -> PredictedView:
+    """A lifted view as the report scores it."""
+    return PredictedView(
+        layers.semantic, layers.instance, colour_picture(layers), layers.depth, alpha=layers.combined[..., 3]
+    )
+
+
 def bake_and_evaluate(
     folder: LiftFolder, baker: FrameBaker, wanted: Sequence[Frame], events: EventWriter, stages: StageReporter
 ) -> None:
@@ -80,7 +87,7 @@ def bake_and_evaluate(
             if frame.name in baked_names:
                 baker.write(folder, frame, rendering, layers, events)
             if frame.held_out:
-                report.add(LIFTED, frame, PredictedView(layers.semantic, layers.instance, colour_picture(layers)))
+                report.add(LIFTED, frame, predicted(layers))
             if frame.name in shown:
                 photo, mask = frame.read_colour(frame.size), frame.read_mask(frame.size)
                 rows.append(SheetRow(frame.name, photo, mask.class_map(), layers))

@@ -1,11 +1,14 @@
-"""How close a rendered picture comes to the photo: PSNR and SSIM."""
+"""How close a rendered picture comes to the photo: PSNR and SSIM, as it is and after a fit of its colours."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..scene.borders import border_mask
 
 BEST_PSNR = 100.0
 """Decibels given to equal pictures, so that a mean over frames and a JSON file stay finite."""
@@ -14,13 +17,55 @@ WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
 
-def psnr(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
-    """-10 log10(MSE) in decibels of two pictures [H, W, 3], uint8 or floats in [0, 1]. ValueError when shapes
-    differ.
+class PictureScores(NamedTuple):
+    """PSNR in decibels and SSIM of one view; ``_fitted``: after `fit_colours`."""
+
+    psnr: float
+    ssim: float
+    psnr_fitted: float
+    ssim_fitted: float
+
+
+def score_picture(rendered: NDArray[np.generic], photo: NDArray[np.uint8]) -> PictureScores:
+    """Score a picture [H, W, 3], uint8 or floats in [0, 1], against the frame's photo uint8 [H, W, 3].
+
+    A camera with auto exposure shows one surface in many colours: the fitted scores forgive what a gain and an offset
+    explain. Black borders that an undistortion left in the photo count neither in the fit nor in PSNR; SSIM takes the
+    whole picture. Raises ValueError when shapes differ.
+    """
+    valid = ~border_mask(photo)
+    fitted = fit_colours(rendered, photo, valid)
+    return PictureScores(
+        psnr(rendered, photo, valid), ssim(rendered, photo), psnr(fitted, photo, valid), ssim(fitted, photo)
+    )
+
+
+def fit_colours(
+    rendered: NDArray[np.generic], photo: NDArray[np.generic], valid: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """``rendered`` after the affine fit to ``photo``: a gain and an offset a channel, least squares over the ``valid``
+    pixels.
+
+    Pictures [H, W, 3], uint8 or floats in [0, 1]; ``valid`` bool [H, W]; the answer is float64, clipped to [0, 1], so
+    its PSNR is never lower than that of ``rendered``. Raises ValueError when shapes differ.
+    """
+    x, y = _unit(rendered), _unit(photo)
+    _same_shape(x, y)
+    here, there = x[valid], y[valid]
+    mean_here, mean_there = here.mean(axis=0), there.mean(axis=0)
+    variance = ((here - mean_here) ** 2).mean(axis=0)
+    covariance = ((here - mean_here) * (there - mean_there)).mean(axis=0)
+    gain = np.divide(covariance, variance, out=np.zeros(3), where=variance > 0)
+    return np.clip((x - mean_here) * gain + mean_there, 0.0, 1.0)
+
+
+def psnr(a: NDArray[np.generic], b: NDArray[np.generic], valid: NDArray[np.bool_] | None = None) -> float:
+    """-10 log10(MSE) in decibels of two pictures [H, W, 3], uint8 or floats in [0, 1], over all pixels or the ``valid``
+    ones, bool [H, W]. ValueError when shapes differ.
     """
     x, y = _unit(a), _unit(b)
     _same_shape(x, y)
-    error = float(np.mean((x - y) ** 2))
+    error = float(np.mean((x - y) ** 2 if valid is None else (x - y)[valid] ** 2))
     return BEST_PSNR if error < 10 ** (-BEST_PSNR / 10) else -10.0 * math.log10(error)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import ClassTable, Frame, GroundTruth, PanopticMask, Scene, load_view
-from .images import psnr, ssim
+from .depths import DepthErrors
+from .images import PictureScores, score_picture
 from .panoptic import MODES, PanopticEvaluation, PanopticScores
 from .voxel_vote import VoxelMap, VoxelVote
 
@@ -23,6 +24,8 @@ VOTING_WIDTH = 320
 """Training views vote at most this wide: a pixel is still far smaller than a voxel, and rooms take seconds.
 """
 
+_NO_LABEL_SCORES: dict[str, object] = {"mode": None, "miou": None, "pq": None, "sq": None, "rq": None, "per_class": []}
+
 Progress = Callable[[int, int], None]
 """Called with (done, total) after each view; may raise to stop."""
 
@@ -32,12 +35,15 @@ class PredictedView:
     """What a method says about one frame, at the frame's own size.
 
     ``semantic`` and ``instance`` int32 [H, W] (0 = void, none); ``image`` [H, W, 3], uint8 or floats in [0,
-    1], sRGB-encoded, or None when the method renders no picture.
+    1], sRGB-encoded, or None when the method renders no picture; ``depth``, planar metres, and ``alpha``, coverage in
+    [0, 1], float32 [H, W], or None when it renders no depth.
     """
 
     semantic: NDArray[np.int32]
     instance: NDArray[np.int32]
     image: NDArray[np.generic] | None = None
+    depth: NDArray[np.float32] | None = None
+    alpha: NDArray[np.float32] | None = None
 
 
 class Report:
@@ -46,20 +52,24 @@ class Report:
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
         self._labels: dict[str, list[PanopticEvaluation]] = {}
-        self._images: dict[str, list[tuple[float, float]]] = {}
+        self._pictures: dict[str, list[PictureScores]] = {}
+        self._depths: dict[str, DepthErrors] = {}
         self._frames: list[str] = []
 
     def add(self, method: str, frame: Frame, view: PredictedView) -> None:
-        """Score one held-out view: its labels where the frame has ground truth, its picture if it has one.
+        """Score one held-out view: its labels where the frame has ground truth, its picture and its depth if it has
+        them.
 
         Raises ValueError when the view has not the frame's size, SceneError when a file is bad.
         """
         if frame.name not in self._frames:
             self._frames.append(frame.name)
         if view.image is not None:
-            photo = frame.read_colour(frame.size)
-            scores = psnr(view.image, photo), ssim(view.image, photo)
-            self._images.setdefault(method, []).append(scores)
+            scores = score_picture(view.image, frame.read_colour(frame.size))
+            self._pictures.setdefault(method, []).append(scores)
+        if view.depth is not None and view.alpha is not None:
+            errors = self._depths.setdefault(method, DepthErrors())
+            errors.add(view.depth, view.alpha, frame.read_depth(frame.size))
         if frame.read_ground_truth is not None:
             self._add_labels(method, view, frame.read_ground_truth(frame.size))
 
@@ -70,8 +80,8 @@ class Report:
             evaluation.add(view.semantic, view.instance, truth.semantic, truth.instance)
 
     def to_json(self) -> dict[str, object]:
-        """metrics.json: shares in [0, 1] (percent nowhere), decibels, null where something was not measured."""
-        methods = sorted({*self._labels, *self._images}, key=_place)
+        """metrics.json: shares in [0, 1] (percent nowhere), decibels, metres, null where something was not measured."""
+        methods = sorted({*self._labels, *self._pictures, *self._depths}, key=_place)
         return {
             "format": FORMAT,
             "test_frames": list(self._frames),
@@ -80,24 +90,24 @@ class Report:
 
     def _tables(self, method: str) -> Iterator[dict[str, object]]:
         """One table a mode; just one, without a mode, when no labels could be scored."""
-        pictures = self._images.get(method, [])
-        image_scores = {
-            "psnr": sum(p for p, _ in pictures) / len(pictures) if pictures else None,
-            "ssim": sum(s for _, s in pictures) / len(pictures) if pictures else None,
-        }
+        rendered = {**self._picture_scores(method), **self._depth_scores(method)}
         scores = [evaluation.result() for evaluation in self._labels.get(method, []) if not evaluation.is_empty]
         for score in scores:
-            yield {"name": method, **_label_scores(score), **image_scores}
-        if not scores and pictures:
-            nothing: dict[str, object] = {
-                "mode": None,
-                "miou": None,
-                "pq": None,
-                "sq": None,
-                "rq": None,
-                "per_class": [],
-            }
-            yield {"name": method, **nothing, **image_scores}
+            yield {"name": method, **_label_scores(score), **rendered}
+        if not scores and any(value is not None for value in rendered.values()):
+            yield {"name": method, **_NO_LABEL_SCORES, **rendered}
+
+    def _picture_scores(self, method: str) -> dict[str, float | None]:
+        """Means over the views."""
+        pictures = self._pictures.get(method, [])
+        if not pictures:
+            return dict.fromkeys(PictureScores._fields)
+        means = [sum(of_views) / len(pictures) for of_views in zip(*pictures, strict=True)]
+        return PictureScores(*means)._asdict()
+
+    def _depth_scores(self, method: str) -> dict[str, float | None]:
+        errors = self._depths.get(method, DepthErrors())
+        return {"depth_error_m": errors.median, "depth_within_5cm": errors.close_share}
 
 
 def _label_scores(scores: PanopticScores) -> dict[str, object]:

@@ -167,7 +167,9 @@ def test_metrics_compare_three_ways(lifts: Lifts) -> None:
     assert {name.partition(" (")[0] for name, _ in rows} == {"machine masks", "lifted", "voxel vote"}
     for table in rows.values():
         assert all(0 <= table[figure] <= 1 for figure in ("miou", "pq", "sq", "rq"))
-    assert rows["lifted", "strict"]["psnr"] > 10
+    lifted = rows["lifted", "strict"]
+    assert lifted["psnr_fitted"] > lifted["psnr"] > 10
+    assert 0 < lifted["depth_error_m"] < 1 and 0 < lifted["depth_within_5cm"] < 1
 
 
 def test_same_seed_same_bytes(lifts: Lifts) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.metrics import psnr, ssim
+from engine.metrics import fit_colours, psnr, score_picture, ssim
 
 
 def _picture(seed: int) -> np.ndarray:
@@ -52,3 +52,34 @@ def test_shapes_must_agree() -> None:
         psnr(_picture(1), _picture(1)[1:])
     with pytest.raises(ValueError, match="differ in shape"):
         ssim(_picture(1), _picture(1)[1:])
+
+
+def test_a_fit_takes_a_gain_and_an_offset_out() -> None:
+    rendered = _picture(1) / 255.0
+    photo = rendered * [0.5, 0.7, 0.9] + [0.3, 0.1, 0.0]
+    everywhere = np.ones(rendered.shape[:2], bool)
+    np.testing.assert_allclose(fit_colours(rendered, photo, everywhere), photo, atol=1e-12)
+    np.testing.assert_allclose(fit_colours(np.full_like(photo, 0.2), photo, everywhere)[0, 0], photo.mean((0, 1)))
+
+
+def test_a_fit_looks_at_valid_pixels_only() -> None:
+    rendered = _picture(1) / 255.0
+    photo, valid = 0.5 * rendered, np.ones(rendered.shape[:2], bool)
+    photo[:10], valid[:10] = 1.0, False
+    np.testing.assert_allclose(fit_colours(rendered, photo, valid), 0.5 * rendered, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_fit_never_lowers_psnr(seed: int) -> None:
+    scores = score_picture(_picture(seed), _picture(seed + 50))
+    assert scores.psnr_fitted >= scores.psnr
+
+
+def test_psnr_leaves_black_borders_out() -> None:
+    truth = np.full((200, 200, 3), 150, np.uint8)
+    photo, rendered = truth.copy(), truth + np.uint8(10)
+    photo[:12] = 0
+    scores = score_picture(rendered, photo)
+    assert scores.psnr == pytest.approx(psnr(rendered, truth))
+    assert scores.psnr_fitted == 100.0
+    assert psnr(rendered, photo) < scores.psnr - 5

@@ -66,7 +66,8 @@ def test_three_methods_in_two_modes() -> None:
     assert (lifted["miou"], lifted["pq"], lifted["psnr"]) == (1.0, 1.0, 100.0)
     # Ids are new in every view: each true chair spans two views, so no segment covers more than half of it.
     assert masks["per_class"][1]["pq"] == 0.0
-    assert masks["psnr"] is None
+    assert {masks[key] for key in ("psnr", "ssim_fitted", "depth_error_m", "depth_within_5cm")} == {None}
+    assert (lifted["psnr_fitted"], lifted["depth_error_m"]) == (100.0, None)
     assert masks["miou"] < tables[VOXEL_VOTE, "strict"]["miou"] < 1.0
     assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
 
@@ -76,6 +77,16 @@ def test_without_ground_truth_only_pictures_are_scored() -> None:
     metrics = _report_of_a_perfect_lift(scene)
     (table,) = metrics["tables"]  # type: ignore[misc]
     assert (table["name"], table["mode"], table["miou"], table["psnr"]) == (LIFTED, None, None, 100.0)
+
+
+def test_rendered_depth_is_scored() -> None:
+    report, depth = Report(CLASSES), np.full((40, 60), 2.03, np.float32)
+    depth[:4] = 3.0
+    for frame in SCENE.test_frames:
+        report.add(LIFTED, frame, PredictedView(TRUE_CLASS, TRUE_ID, PHOTO, depth, np.ones_like(depth)))
+    for table in report.to_json()["tables"]:  # type: ignore[attr-defined]
+        assert table["depth_error_m"] == pytest.approx(0.03, abs=1e-4)
+        assert table["depth_within_5cm"] == pytest.approx(0.9)
 
 
 def test_void_ground_truth_gives_no_table() -> None:

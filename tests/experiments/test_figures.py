@@ -1,0 +1,62 @@
+"""The figures of a finished lift."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from engine.experiments.figures import Figures, lifting_seconds, read_result, scores_by_method
+from engine.job import Event, LiftFolder, LiftRequest, write_atomically, write_manifest
+from engine.metrics import LIFTED, MACHINE_MASKS
+
+RENDERED = {"psnr": 20.0, "psnr_fitted": 22.0, "ssim": 0.5, "ssim_fitted": 0.6, "depth_error_m": 0.02}
+
+
+def test_both_modes_make_one_row() -> None:
+    rows = scores_by_method(
+        [
+            {"name": MACHINE_MASKS, "mode": "strict", "miou": 0.1, "pq": 0.2, "psnr": None},
+            {"name": MACHINE_MASKS, "mode": "pl_compat", "miou": 0.3, "pq": 0.4, "psnr": None},
+            {"name": LIFTED, "mode": "strict", "miou": 0.5, "pq": 0.6, **RENDERED},
+            {"name": LIFTED, "mode": "pl_compat", "miou": 0.7, "pq": 0.8, **RENDERED},
+        ]
+    )
+    assert rows == {
+        MACHINE_MASKS: Figures(0.1, 0.2, 0.3, 0.4),
+        LIFTED: Figures(0.5, 0.6, 0.7, 0.8, 20.0, 22.0, 0.5, 0.02),
+    }
+
+
+def test_without_ground_truth_there_are_no_shares() -> None:
+    rows = scores_by_method([{"name": LIFTED, "mode": None, "miou": None, "pq": None, **RENDERED}])
+    assert rows == {LIFTED: Figures(None, None, None, None, 20.0, 22.0, 0.5, 0.02)}
+
+
+def _events(*told: tuple[float, str, dict[str, str]]) -> list[Event]:
+    return [Event(seq, time, kind, dict(data)) for seq, (time, kind, data) in enumerate(told, start=1)]
+
+
+def test_a_lift_takes_the_time_of_all_its_runs() -> None:
+    """One run was killed while it trained, the next one finished, a third baked more frames."""
+    events = _events(
+        (100.0, "hello", {}),
+        (101.0, "stage", {"name": "train"}),
+        (130.0, "progress", {"stage": "train"}),
+        (500.0, "hello", {}),
+        (502.0, "stage", {"name": "train"}),
+        (540.0, "stage", {"name": "bake"}),
+        (560.0, "stage", {"name": "evaluate"}),
+        (590.0, "done", {"state": "finished"}),
+        (900.0, "hello", {"task": "bake"}),
+        (950.0, "done", {"state": "finished"}),
+    )
+    assert lifting_seconds(events) == 30.0 + 40.0
+    assert lifting_seconds([]) is None
+
+
+def test_a_lift_on_disk(tmp_path: Path) -> None:
+    lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path, preset="standard", seed=4))
+    write_atomically(lift.result_path / "metrics.json", '{"format": 1, "test_frames": [], "tables": []}')
+    write_manifest(lift.result_path, versions={}, seed=4, settings={"steps": 70}, timings={})
+    result = read_result("room", lift)
+    assert (result.scene, result.preset, result.steps, result.seed) == ("room", "standard", 70, 4)
+    assert result.rows == {LIFTED: Figures()}
