@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from .consensus import ConsensusOptions, MemberMask, ObjectMasks, ViewPoints, find_objects, shown_classes
+from .agreement import ViewPoints, shown_classes
+from .consensus import ConsensusOptions, MemberMask, ObjectMasks, find_objects
 from .linear_assignment import assign_slots, best_slots
 from .masks import instance_map, restrict_to_things, vote_instances
 from .matching import Evidence, GlobalInstance, MatchingOptions, limit_instances, match_views
-from .objects import object_instances, without_strays
+from .objects import object_instances
 from .oriented_box import OrientedBox, fit_box, intersection_volume
+from .pieces import PieceRules, regroup_pieces
 from .segments import LocalInstance, MaskExtent, SegmentOptions, local_instances, mask_extents
 
 __all__ = [
@@ -20,6 +22,7 @@ __all__ = [
     "MatchingOptions",
     "ObjectMasks",
     "OrientedBox",
+    "PieceRules",
     "SegmentOptions",
     "ViewPoints",
     "assign_slots",
@@ -33,8 +36,8 @@ __all__ = [
     "mask_extents",
     "match_views",
     "object_instances",
+    "regroup_pieces",
     "restrict_to_things",
     "shown_classes",
     "vote_instances",
-    "without_strays",
 ]

@@ -12,6 +12,7 @@ class Effort:
 
     ``size_within`` (width, height): pictures are brought into this box, never enlarged; ``voxel_size`` metres between
     anchors; ``most_points`` and ``most_anchors`` cap cloud and model; ``self_training_every`` is a share of the steps.
+    With many views there are ``steps_a_view`` steps for each.
     """
 
     name: str
@@ -22,13 +23,18 @@ class Effort:
     most_points: int = 200_000
     most_anchors: int = 400_000
     self_training_every: float = 1 / 6
+    steps_a_view: float = 0.0
+
+    def steps_for(self, views: int) -> int:
+        """Training steps of a scene with so many training views."""
+        return max(self.steps, round(self.steps_a_view * views))
 
 
 EFFORTS = {
     effort.name: effort
     for effort in (
-        Effort("preview", steps=500, size_within=(200, 200), voxel_size=0.06, gaussians_per_anchor=4),
-        Effort("standard", steps=1500, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=4),
+        Effort("preview", steps=500, size_within=(200, 200), voxel_size=0.06, gaussians_per_anchor=4, steps_a_view=5),
+        Effort("standard", steps=1500, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=4, steps_a_view=15),
         Effort(
             "paper",
             steps=30_000,
@@ -46,5 +52,5 @@ def chosen_effort(name: str, steps: int | None = None, size: tuple[int, int] | N
     """The preset's effort with the user's steps and size. Raises KeyError for a name that is none."""
     effort = EFFORTS[name]
     if steps is not None:
-        effort = replace(effort, steps=steps)
+        effort = replace(effort, steps=steps, steps_a_view=0.0)
     return effort if size is None else replace(effort, size_within=size)

@@ -29,6 +29,7 @@ from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .live_previews import LivePreviews
 from .scene_files import shown_instances, write_scene_files
+from .voting import vote_labels
 
 log = logging.getLogger("plgs.lift")
 
@@ -69,6 +70,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
             progress(len(views), len(scene.train_frames))
         refuse_empty(views, scene)
 
+    preset = preset.for_views(len(views))
     prepared = prepare(views, scene.classes, preset, request.seed, stages)
     trainer = Trainer(prepared.scene, prepared.targets, views, preset, request.seed)
     checkpoint = folder.checkpoints.latest() if resume else None
@@ -79,7 +81,9 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     previews = LivePreviews(folder, scene, instances, events)
     paces = train(trainer, folder, stages, previews)
 
-    with stages.stage("result"):
+    with stages.stage("result") as progress:
+        if preset.labels == "votes" and prepared.label_maps is not None:
+            trainer.scene.voted = vote_labels(trainer.scene, scene.train_frames, prepared.label_maps, preset, progress)
         write_scene_files(folder, scene, views, prepared, trainer.scene, events)
     baker = FrameBaker(scene, trainer.scene, instances)
     bake_and_evaluate(folder, baker, frames_to_bake(scene, request.bake), events, stages)

@@ -34,7 +34,7 @@ def write_scene_files(
     result = folder.result_path
     cloud = prepared.cloud
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
-    gaussians, anchors = bake(lifted, viewpoint, scene.classes.thing_ids, prepared.class_of_instance)
+    gaussians, anchors = bake(lifted, viewpoint, scene.classes.thing_ids)
     write_semantic_points(
         result / "semantic_points.npz",
         xyz=cloud.xyz,

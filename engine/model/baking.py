@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from .gaussians import decode_rows
-from .structured import StructuredScene
+from .scene_labels import LEAST_OF_CLASS, scene_labels, shown_probabilities
+from .structured import LabelChannels, StructuredScene
 
 CHUNK = 65536
 """Anchors decoded at a time, which bounds the memory."""
@@ -44,40 +44,29 @@ class BakedAnchors:
 
 
 def decided_labels(
-    scene: StructuredScene,
-    labels: NDArray[np.float32],
-    thing_ids: frozenset[int],
-    instance_classes: Mapping[int, int] | None,
+    shown: NDArray[np.float32], channels: LabelChannels, thing_ids: frozenset[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Class and instance ids, int32 [N] each, from label probabilities [N, C + S]; spare slots are left out, stuff has
-    instance 0. With ``instance_classes`` (instance id to class id) an instance is of one class throughout, as in the
-    passes."""
-    channels = scene.channels
+    """Class and instance ids, int32 [N] each, from what ``shown_probabilities`` gave, [N, C + U]; decided as a pixel of
+    the passes is: what no object owns has its own class and instance 0."""
     classes = len(channels.class_ids)
-    class_id = np.array(channels.class_ids, np.int32)[labels[:, :classes].argmax(axis=1)]
-    slots = np.array(channels.slot_ids, np.int32)
-    used = np.flatnonzero(slots)
-    if not len(used):
+    by_class, owned = shown[:, :classes], shown[:, classes:].copy()
+    place = by_class.argmax(axis=1)
+    class_id = np.array(channels.class_ids, np.int32)[place]
+    if not owned.shape[1]:
         return class_id, np.zeros(len(class_id), np.int32)
-    weights = labels[:, classes + used]
-    if instance_classes:
-        columns = np.searchsorted(channels.class_ids, [instance_classes[int(slot)] for slot in slots[used]])
-        weights = weights * labels[:, columns]
-    instance_id = slots[used][weights.argmax(axis=1)]
-    instance_id = np.where(np.isin(class_id, sorted(thing_ids)), instance_id, 0).astype(np.int32)
-    if instance_classes:
-        class_of = np.zeros(max(instance_classes) + 1, np.int32)
-        class_of[list(instance_classes)] = list(instance_classes.values())
-        class_id = np.where(instance_id > 0, class_of[instance_id], class_id).astype(np.int32)
-    return class_id, instance_id
+    alone = by_class.sum(axis=1) - owned.sum(axis=1)
+    if channels.class_of_slot:
+        own_class = np.array([channels.class_of_slot[slot] for slot in channels.instance_slots])
+        owned[own_class[None] != class_id[:, None]] = 0.0
+        alone = LEAST_OF_CLASS * by_class[np.arange(len(place)), place]
+    best = owned.argmax(axis=1)
+    is_owned = (owned[np.arange(len(best)), best] > alone) & np.isin(class_id, sorted(thing_ids))
+    return class_id, np.where(is_owned, np.array(channels.shown_ids, np.int32)[best], 0).astype(np.int32)
 
 
 @torch.no_grad()
 def bake(
-    scene: StructuredScene,
-    viewpoint: NDArray[np.float64],
-    thing_ids: frozenset[int],
-    instance_classes: Mapping[int, int] | None = None,
+    scene: StructuredScene, viewpoint: NDArray[np.float64], thing_ids: frozenset[int]
 ) -> tuple[BakedGaussians, BakedAnchors]:
     """Decode every anchor as seen from ``viewpoint`` [3] metres.
 
@@ -87,12 +76,17 @@ def bake(
     centre = torch.from_numpy(viewpoint.copy()).float()
     parts: list[dict[str, NDArray]] = []
     anchor_parts: list[dict[str, NDArray]] = []
-    k = scene.anchors.gaussians_per_anchor
+    k, classes = scene.anchors.gaussians_per_anchor, len(scene.channels.class_ids)
+    table = scene_labels(scene)
+    known = None if table is None else table.probabilities
     for start in range(0, len(scene.anchors), CHUNK):
         rows = torch.arange(start, min(start + CHUNK, len(scene.anchors)))
-        decoded = decode_rows(scene.anchors, scene.decoders, rows, centre)
-        labels = decoded.labels.numpy()
-        class_id, instance_id = decided_labels(scene, labels, thing_ids, instance_classes)
+        decoded = decode_rows(scene.anchors, scene.decoders, rows, centre, known_labels=known)
+        shown = decoded.labels
+        if known is None:
+            shown = shown_probabilities(shown[:, :classes], shown[:, classes:], scene.channels)
+        labels = shown.numpy()
+        class_id, instance_id = decided_labels(labels, scene.channels, thing_ids)
         parts.append(
             {
                 "means": decoded.means.numpy(),
@@ -110,7 +104,7 @@ def bake(
         anchor_parts[-1]["opacity"] = decoded.all_opacities.clamp_min(0).mean(dim=1).numpy()
     gaussians = BakedGaussians(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
     joined = {name: np.concatenate([part[name] for part in anchor_parts]) for name in anchor_parts[0]}
-    class_id, instance_id = decided_labels(scene, joined["labels"], thing_ids, instance_classes)
+    class_id, instance_id = decided_labels(joined["labels"], scene.channels, thing_ids)
     anchors = BakedAnchors(
         xyz=scene.anchors.position.numpy(),
         class_id=np.where(joined["weight"] > 0, class_id, 0).astype(np.int32),

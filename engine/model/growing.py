@@ -26,7 +26,8 @@ class GrowthRules:
 
     ``gradient`` is the first level's threshold on the mean gradient of the projected centre in NDC units; level i takes
     2^i times that and cells of ``cell_voxels[i]`` voxels. ``opacity`` is the mean summed opacity below which an
-    anchor goes.
+    anchor goes. ``least_visits``: so many visits are enough however many steps there are between two rounds, since in a
+    short lift of many views an anchor that few of them see would else never be judged; None waits for the shares.
     """
 
     gradient: float = 2e-4
@@ -35,6 +36,12 @@ class GrowthRules:
     seen_share: float = 0.4
     visited_share: float = 0.8
     opacity: float = 0.005
+    least_visits: int | None = None
+
+    def enough(self, share: float, steps_between: int) -> float:
+        """Visits beyond which is judged, from the share of the steps between two rounds."""
+        wanted = share * steps_between
+        return wanted if self.least_visits is None else min(wanted, self.least_visits * share / self.visited_share)
 
 
 @dataclass
@@ -132,9 +139,9 @@ def grow_and_prune(
 
     Growing stops at ``most_anchors`` in all; which candidates fall out then is decided by ``random`` as well.
     """
-    judged = statistics.visits > rules.visited_share * steps_between
+    judged = statistics.visits > rules.enough(rules.visited_share, steps_between)
     keep = ~(judged & (statistics.opacity < rules.opacity * statistics.visits))
-    seen = statistics.drawn > rules.seen_share * steps_between
+    seen = statistics.drawn > rules.enough(rules.seen_share, steps_between)
     mean_gradient = (statistics.gradient / statistics.drawn.clamp_min(1)).numpy() * seen.numpy()
     reach = anchors.log_scale.detach()[:, None, :3].exp()
     centres = (anchors.position[:, None] + anchors.offset.detach() * reach).numpy()

@@ -9,16 +9,18 @@ from ..raster import rasterize
 from ..scene import Camera
 from .gaussians import decode
 from .rendering import PanopticRendering
-from .scene_labels import SceneLabels
+from .scene_labels import SceneLabels, scene_labels, shown_probabilities
 from .structured import StructuredScene
 
 
 @torch.no_grad()
 def render_view(scene: StructuredScene, camera: Camera, labels: SceneLabels | None = None) -> PanopticRendering:
-    """Colour, depth and label coverage of one view, at the camera's size. Spare instance slots are left out.
+    """Colour, depth and label coverage of one view, at the camera's size.
 
     ``labels``: what ``scene_labels`` made of this very scene, which saves decoding them for each view.
     """
+    if labels is None and scene.voted is not None:
+        labels = scene_labels(scene)
     known = None if labels is None else labels.probabilities
     gaussians = decode(scene.anchors, scene.decoders, camera, known_labels=known)
     rendering = rasterize(
@@ -35,18 +37,16 @@ def render_view(scene: StructuredScene, camera: Camera, labels: SceneLabels | No
     )
     alpha = rendering.alpha.numpy()
     assert rendering.labels is not None  # drawn with labels
-    coverage = rendering.labels.numpy()
-    classes, slot_ids = len(scene.channels.class_ids), scene.channels.slot_ids
-    used = [column for column, slot in enumerate(slot_ids) if slot]
-    if labels is None and used != list(range(len(used))):
-        coverage = coverage[..., [*range(classes), *(classes + column for column in used)]]
+    classes, coverage = len(scene.channels.class_ids), rendering.labels
+    if labels is None:
+        coverage = shown_probabilities(coverage[..., :classes], coverage[..., classes:], scene.channels)
     return PanopticRendering(
         camera=camera,
         image=rendering.image.clamp_(0.0, 1.0).numpy(),
         alpha=alpha,
         depth=np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 1e-3),
-        class_coverage=coverage[..., :classes],
-        instance_coverage=coverage[..., classes : classes + len(used)],
+        class_coverage=coverage[..., :classes].numpy(),
+        instance_coverage=coverage[..., classes:].numpy(),
         class_ids=scene.channels.class_ids,
-        instance_ids=tuple(slot_ids[column] for column in used),
+        instance_ids=scene.channels.shown_ids,
     )

@@ -10,36 +10,71 @@ from .anchors import Anchors
 from .decoders import Decoders, DecoderShape
 
 
+FORMAT = 2
+"""Of model.safetensors; 1 had no slot for "no object"."""
+NO_OBJECT, SPARE = 0, -1
+"""What a slot that is no instance's means: "no object", which is learnt like any object; and one of the paper's 25 that
+no instance was found for."""
+
+
 @dataclass(frozen=True)
 class LabelChannels:
-    """Meaning of the label channels: class id of each semantic channel, instance id of each slot (0 = spare slot).
+    """Meaning of the label channels: class id of each semantic channel, ascending; instance id of each slot,
+    ``NO_OBJECT`` or ``SPARE``. Spare slots take part in training and are never shown.
 
-    Spare slots take part in training, as in the paper's 25, but are never shown.
+    ``class_of_slot``: where an object is of one class throughout, the class of each slot's instance (0 for the other
+    slots); empty where every pixel decides for itself.
     """
 
     class_ids: tuple[int, ...]
     slot_ids: tuple[int, ...]
+    class_of_slot: tuple[int, ...] = ()
+
+    @property
+    def instance_slots(self) -> tuple[int, ...]:
+        """The slots that stand for instances."""
+        return tuple(slot for slot, instance in enumerate(self.slot_ids) if instance > 0)
+
+    @property
+    def shown_ids(self) -> tuple[int, ...]:
+        """The instance ids of ``instance_slots``."""
+        return tuple(self.slot_ids[slot] for slot in self.instance_slots)
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianLabels:
+    """What the views voted every Gaussian to be: its few likeliest labels, most likely first. ``label`` int16 [G, K]:
+    0..C-1 a class without an object, C.. the ``shown_ids`` in their order; ``share`` float32 [G, K], in all at most 1.
+    """
+
+    label: torch.Tensor
+    share: torch.Tensor
 
 
 @dataclass
 class StructuredScene:
-    """A lifted (or half lifted) scene. ``voxel_size`` in metres."""
+    """A lifted (or half lifted) scene. ``voxel_size`` in metres. ``voted``: labels of all Gaussians (anchor i's are rows
+    i k to i k + k - 1) that take the place of the label decoders'; None while it is trained, or where they serve."""
 
     anchors: Anchors
     decoders: Decoders
     channels: LabelChannels
     voxel_size: float
+    voted: GaussianLabels | None = None
 
 
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:
     """Named tensors and JSON-ready facts that ``from_tensors`` makes the scene from again."""
     tensors = {f"anchors.{name}": tensor for name, tensor in scene.anchors.tensors().items()}
     tensors |= {f"decoders.{name}": tensor.detach() for name, tensor in scene.decoders.state_dict().items()}
+    if scene.voted is not None:
+        tensors |= {"voted.label": scene.voted.label, "voted.share": scene.voted.share}
     facts: dict[str, object] = {
-        "format": 1,
+        "format": FORMAT,
         "voxel_size": scene.voxel_size,
         "class_ids": list(scene.channels.class_ids),
         "slot_ids": list(scene.channels.slot_ids),
+        "class_of_slot": list(scene.channels.class_of_slot),
         "decoders": asdict(scene.decoders.shape),
     }
     return tensors, facts
@@ -47,11 +82,12 @@ def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[st
 
 def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredScene:
     """The inverse of ``to_tensors``. Raises ValueError for a format this version does not know."""
-    if facts.get("format") != 1:
+    if facts.get("format") != FORMAT:
         raise ValueError(f"model format {facts.get('format')!r} is not known to this version; lift again or update")
     anchors = Anchors(**{name: tensors[f"anchors.{name}"].clone() for name in (*Anchors.LEARNT, *Anchors.FIXED)})
     decoders = Decoders(DecoderShape(**facts["decoders"]), seed=0)
     weights = {name: tensor for name, tensor in tensors.items() if name.startswith("decoders.")}
     decoders.load_state_dict({name.removeprefix("decoders."): tensor for name, tensor in weights.items()})
-    channels = LabelChannels(tuple(facts["class_ids"]), tuple(facts["slot_ids"]))
-    return StructuredScene(anchors, decoders, channels, float(facts["voxel_size"]))
+    meaning = (tuple(facts[name]) for name in ("class_ids", "slot_ids", "class_of_slot"))
+    voted = GaussianLabels(tensors["voted.label"], tensors["voted.share"]) if "voted.label" in tensors else None
+    return StructuredScene(anchors, decoders, LabelChannels(*meaning), float(facts["voxel_size"]), voted)

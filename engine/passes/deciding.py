@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from ..machine.compiled import Array, compiled
 from ..machine.shared import shared
+from ..model.scene_labels import LEAST_OF_CLASS
 
 BLOCK = 128
 """Pixels of one block: its classes and slots together stay in the processor's first cache."""
 NOTHING = 1e-3
 """Below this alpha nothing was rendered: the pixel's labels, depth and confidence are 0."""
+
+LEAST_SHARE_OF_CLASS = np.float32(LEAST_OF_CLASS)
 
 FAINT, LEAST_TOTAL, LEAST_SHARE = np.float32(NOTHING), np.float32(1e-8), np.float32(1e-12)
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
@@ -28,7 +31,7 @@ class Columns(NamedTuple):
     """What the channels mean, in the order in which ties are decided. ``of_class`` int64 [C]: the channel of each class
     but void; ``class_ids`` int32 [C]; ``is_thing`` bool [C]; ``of_slot`` int64 [S]: the channel of each slot but spare
     ones; ``slot_ids`` int32 [S]; ``class_of_slot`` int64 [S]: place among the classes, -1 = none; ``one_class``:
-    whether an object shows its own class throughout."""
+    whether an object is of one class throughout."""
 
     of_class: NDArray[np.int64]
     class_ids: NDArray[np.int32]
@@ -121,18 +124,24 @@ def largest(rows: Array, size: int, value: Array, place: Array) -> None:
 
 
 @compiled
-def best_slot(coverage: Array, pixel: int, columns: Any, share: Array, x: int) -> int:
-    """The slot that the pixel shows, the first of several, -1 where there is none: the one of largest coverage, or of
-    coverage times the probability of its class."""
-    best, most = -1, ZERO
+def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
+    """The slot that a pixel of class ``place`` shows, the first of several, -1 for no object.
+
+    Where objects are of one class throughout, it is the one of largest coverage of those of this class, if it has more
+    than LEAST_OF_CLASS of the class's coverage. Else it is the one of largest coverage, if no object has less.
+    """
+    coverage, best, most, instances = pixels.slots, -1, ZERO, ZERO
     for slot in range(len(columns.of_slot)):
         weight = coverage[pixel, columns.of_slot[slot]]
-        if columns.one_class:
-            place = columns.class_of_slot[slot]
-            weight = weight * share[place, x] if place >= 0 else ZERO
+        instances += weight
+        if columns.one_class and columns.class_of_slot[slot] != place:
+            continue
         if weight > most:
             best, most = slot, weight
-    return best
+    alone = pixels.alpha[pixel] - instances
+    if columns.one_class:
+        alone = LEAST_SHARE_OF_CLASS * pixels.classes[pixel, columns.of_class[place]]
+    return best if most > alone else -1
 
 
 @compiled
@@ -141,13 +150,9 @@ def choose(pixels: Any, columns: Any, start: int, size: int, share: Array, likel
     for x in range(size):
         pixel, place, instance = start + x, int(likeliest[x]), 0
         if columns.is_thing[place]:
-            slot = best_slot(pixels.slots, pixel, columns, share, x)
+            slot = best_slot(pixels, columns, pixel, place)
             if slot >= 0:
                 instance = columns.slot_ids[slot]
-                if columns.one_class and columns.class_of_slot[slot] >= 0:
-                    place = columns.class_of_slot[slot]
-                if not columns.is_thing[place]:
-                    instance = 0
         rendered = pixels.alpha[pixel] >= FAINT
         decided.semantic[pixel] = columns.class_ids[place] if rendered else 0
         decided.instance[pixel] = instance if rendered else 0

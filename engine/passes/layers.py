@@ -45,11 +45,10 @@ def decide(
     """Decide every pixel of a rendering.
 
     The class is the one of largest coverage (void never, ties to the lower id), its probability the share of
-    the classes' coverage. A pixel of a thing class shows the instance of largest coverage (spare slots, id 0,
-    never). With ``instance_classes`` (instance id to class id) an object is of one class throughout, since
-    views have voted on objects and pixels have not: such a pixel shows the instance whose coverage times the
-    probability of its class is largest, and takes that class. So where no instance was found, an instance
-    that no one believes in there cannot impose its class.
+    the classes' coverage. A pixel of a thing class shows the instance of largest coverage, or none where no object has
+    more. With ``instance_classes`` (instance id to class id) an object is of one class throughout: its coverage is
+    part of its class's (see ``scene_labels``), and only the instances of the pixel's class are asked, those with
+    LEAST_OF_CLASS of its coverage. So what no object owns shows its own class and no instance.
     """
     height, width = rendering.alpha.shape
     columns = _columns(rendering, classes, instance_classes or {})

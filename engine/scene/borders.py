@@ -26,6 +26,9 @@ def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """
     import cv2
 
+    sides = (colour[0], colour[-1], colour[:, 0], colour[:, -1])
+    if all((side.max(axis=1) <= JPEG_BLACK).mean() < SHORTEST for side in sides):
+        return np.zeros(colour.shape[:2], np.bool_)
     brightest = colour.max(axis=2)
     dark = cv2.medianBlur(brightest, 3) <= JPEG_BLACK  # the median: single pixels that JPEG made brighter
     border = np.zeros(dark.shape, np.bool_)

@@ -18,12 +18,17 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class Segment:
-    """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1]."""
+    """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1].
+
+    ``is_group``: a region of a thing's class that may be several objects (COCO's crowd, or a thing without an
+    instance): it tells the class, and founds no object.
+    """
 
     id: int
     class_id: int
     is_thing: bool
     score: float = 1.0
+    is_group: bool = False
 
 
 @dataclass(frozen=True, eq=False)

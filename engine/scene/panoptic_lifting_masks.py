@@ -60,7 +60,10 @@ class PanopticLiftingMaskReader:
             class_id, instance_id = pair >> 16, pair & 0xFFFF
             if class_id != 0:
                 number[pair] = len(segments) + 1
-                segments.append(Segment(len(segments) + 1, class_id, class_id in _THINGS and instance_id != 0))
+                group = class_id in _THINGS and instance_id == 0
+                segments.append(
+                    Segment(len(segments) + 1, class_id, class_id in _THINGS and not group, is_group=group)
+                )
         mask = number[pairs]
         return PanopticMask(resize_nearest(mask, size) if size else mask, tuple(segments))
 

@@ -8,9 +8,16 @@ from .similarity import PhotoMoments, compare
 
 
 def reconstruction_loss(
-    image: torch.Tensor, photo: PhotoMoments, scales: torch.Tensor, *, ssim_weight: float, volume_weight: float
+    image: torch.Tensor,
+    photo: PhotoMoments,
+    scales: torch.Tensor,
+    *,
+    photo_weight: float,
+    ssim_weight: float,
+    volume_weight: float,
 ) -> torch.Tensor:
     """L_recon: L1 + lambda_ssim (1 - SSIM) + lambda_vol sum of prod(scales), of a picture float32 [H, W, 3] in [0, 1]
-    and scales [N, 3] in metres."""
+    and scales [N, 3] in metres. ``photo_weight`` (1 in the paper) is that of the first two."""
     volume = (scales[:, 0] * scales[:, 1] * scales[:, 2]).sum()
-    return compare(image, photo, 1.0, -ssim_weight) + ssim_weight + volume_weight * volume
+    picture = compare(image, photo, 1.0, -ssim_weight) + ssim_weight
+    return photo_weight * picture + volume_weight * volume

@@ -10,7 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from ..job.effort import EFFORTS, Effort
+from ..instances.consensus import ConsensusOptions
 from ..model.growing import GrowthRules
+from ..model.label_voting import VotingOptions
+from ..semantics.segment_votes import SegmentVoting
 
 
 @dataclass(frozen=True)
@@ -45,12 +48,14 @@ class LearningRates:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """lambda_ssim, lambda_vol, lambda_sem, lambda_ins of the paper's section "Implementation Details"."""
+    """lambda_ssim, lambda_vol, lambda_sem, lambda_ins of the paper's section "Implementation Details"; ``depth`` is
+    ours (see ``depth_loss``)."""
 
     ssim: float = 0.2
     volume: float = 0.001
     semantic: float = 0.2
     instance: float = 0.2
+    depth: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,14 @@ class Preset:
     ``most_instances`` caps them. ``one_class_an_object``: what is shown of an instance has the instance's class.
     ``most_points`` caps the semantic point cloud. ``seeded_features``: start features from colour and label of the
     anchors instead of zero; ``warm_start`` fits the decoders to them.
+
+    ``steps_a_view``: where there are many views, the steps are as many as let each be seen so often.
+    ``fill_holes``: planar holes of the depth are filled before anything is placed in space. ``segment_voting``: how
+    segments and points vote on the labels of objects found by consent. ``linear_assignment``: whether a view's
+    segments are assigned to slots in each step. ``fit_exposure``: each photo is compared after the model's picture was
+    brought to its exposure; ``weigh_sharpness``: blurred photos count less. ``labels``: what the finished scene shows,
+    what the label decoders say, or what the views vote on its Gaussians ("votes", masks read within
+    ``vote_size_within``), in ``vote_rounds``.
     """
 
     name: str
@@ -102,7 +115,22 @@ class Preset:
     schedule: Schedule = Schedule()
     rates: LearningRates = LearningRates()
     weights: LossWeights = LossWeights()
-    growth: GrowthRules = GrowthRules()
+    growth: GrowthRules = GrowthRules(least_visits=10)
+    steps_a_view: float = 0.0
+    fill_holes: bool = True
+    consensus: ConsensusOptions = ConsensusOptions()
+    segment_voting: SegmentVoting = SegmentVoting()
+    linear_assignment: bool = False
+    fit_exposure: bool = True
+    weigh_sharpness: bool = True
+    labels: Literal["decoders", "votes"] = "votes"
+    vote_size_within: tuple[int, int] = (320, 320)
+    vote_rounds: int = 1
+    voting: VotingOptions = VotingOptions()
+
+    def for_views(self, views: int) -> Preset:
+        """With as many steps as so many views need."""
+        return replace(self, steps=max(self.steps, round(self.steps_a_view * views)))
 
 
 def _of_effort(effort: Effort, **others: Any) -> Preset:
@@ -115,6 +143,7 @@ def _of_effort(effort: Effort, **others: Any) -> Preset:
         most_points=effort.most_points,
         most_anchors=effort.most_anchors,
         schedule=Schedule(self_training_every=effort.self_training_every),
+        steps_a_view=effort.steps_a_view,
         **others,
     )
 
@@ -123,7 +152,7 @@ PRESETS = {
     preset.name: preset
     for preset in (
         _of_effort(EFFORTS["preview"]),
-        _of_effort(EFFORTS["standard"]),
+        _of_effort(EFFORTS["standard"], vote_size_within=(640, 640)),
         _of_effort(
             EFFORTS["paper"],
             distance_input=True,
@@ -135,6 +164,13 @@ PRESETS = {
             majority=0.5,
             seeded_features=False,
             warm_start=None,
+            weights=LossWeights(depth=0.0),
+            growth=GrowthRules(),
+            fill_holes=False,
+            linear_assignment=True,
+            fit_exposure=False,
+            weigh_sharpness=False,
+            labels="decoders",
         ),
     )
 }
@@ -144,7 +180,7 @@ def chosen_preset(name: str, steps: int | None = None, size: tuple[int, int] | N
     """The preset of that name with the user's steps and size. Raises KeyError for a name that is none."""
     preset = PRESETS[name]
     if steps is not None:
-        preset = replace(preset, steps=steps)
+        preset = replace(preset, steps=steps, steps_a_view=0.0)
     if size is not None:
         preset = replace(preset, size_within=size)
     return preset

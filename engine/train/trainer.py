@@ -9,22 +9,26 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..model.baking import decided_labels
 from ..model.gaussians import decode
 from ..model.growing import GrowthStatistics, grow_and_prune
 from ..model.neural_gaussians import NeuralGaussians
 from ..model.render import render_view
+from ..model.rendering import PanopticRendering
 from ..model.scene_labels import scene_labels
 from ..model.structured import StructuredScene
 from ..raster import Rendering, rasterize
-from ..scene import VOID, View
-from ..semantics.pseudo_labels import pseudo_labels
+from ..scene import VOID, PanopticMask, View
+from ..semantics import UNKNOWN_LABEL, PanopticLabels, pseudo_labels, segment_labels
 from .assignment import assigned_slots
+from .depth_loss import depth_loss
 from .label_losses import label_losses
 from .losses import reconstruction_loss
 from .optimiser import Optimiser
+from .photos import exposure_gain
 from .presets import Preset
 from .step_clock import StepClock
-from .targets import ViewTargets, columns_of
+from .targets import ViewTargets, columns_of, slots_of
 
 LARGEST_SCALE = 1.0
 """Metres. Scales are brought back to this at each round of growth, as Scaffold-GS does in its own units."""
@@ -55,6 +59,9 @@ class Trainer:
         schedule = preset.schedule
         self.growth_steps = max(round(schedule.grow_every * preset.steps), schedule.grow_every_at_least_steps)
         self.pseudo_label_steps = pseudo_label_steps(schedule.self_training_every, preset.steps)
+        self.gains = torch.ones(len(targets), 3)
+        """The last gain of each photo against the model (``exposure_gain``)."""
+        self._number = {target.name: number for number, target in enumerate(targets)}
         self.optimiser = Optimiser(scene.anchors, scene.decoders, preset.rates, _extent(targets))
         self.statistics = GrowthStatistics.empty(scene.anchors)
         self.follow_anchors()
@@ -89,15 +96,19 @@ class Trainer:
         self.clock.lap("rasterise, forward")
         weights = self.preset.weights
         reconstruction = reconstruction_loss(
-            rendering.image,
+            self._as_photographed(rendering.image, target),
             target.photo,
             gaussians.scales,
+            photo_weight=target.weight,
             ssim_weight=weights.ssim,
             volume_weight=weights.volume,
         )
         self.clock.lap("SSIM, L1, volume")
         semantic, instance = self._label_losses(gaussians, rendering, target)
         loss = reconstruction + weights.semantic * semantic + weights.instance * instance
+        if weights.depth:
+            loss = loss + weights.depth * depth_loss(rendering.depth, rendering.alpha, target.depth)
+            self.clock.lap("depth loss")
         if not bool(torch.isfinite(loss)):
             raise FloatingPointError(f"the loss of step {self.step_number + 1} is {loss.item()}; the scene diverged")
         self._descend(loss, gaussians, rendering)
@@ -138,6 +149,18 @@ class Trainer:
             want_means2d_grad=True,
         )
 
+    def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> torch.Tensor:
+        """The rendered picture with the photo's exposure, and with its black border, which then has no gradient."""
+        photo = target.photo.values
+        if self.preset.fit_exposure:
+            number = self._number[target.name]
+            self.gains[number] = exposure_gain(image, photo, target.border)
+            # What all photos have in common is for the model to learn.
+            image = image * (self.gains[number] / self.gains.log().mean(dim=0).exp())
+        if target.border is not None:
+            image = torch.where(target.border[..., None], torch.from_numpy(photo), image)
+        return image
+
     def _descend(self, loss: torch.Tensor, gaussians: NeuralGaussians, rendering: Rendering) -> None:
         """The backward pass."""
         drawn = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.colours)
@@ -157,10 +180,13 @@ class Trainer:
         """
         classes = len(self.scene.channels.class_ids)
         assert rendering.labels is not None  # drawn with labels
-        assigned = assigned_slots(rendering.labels, rendering.alpha, classes, target.things)
-        self.clock.lap("linear assignment")
+        if self.preset.linear_assignment:
+            assigned = assigned_slots(rendering.labels, rendering.alpha, classes, target.things)
+            self.clock.lap("linear assignment")
+        else:
+            assigned = torch.full_like(target.slot, -1)
         semantic, instance = label_losses(
-            rendering.labels, rendering.alpha, classes, target.semantic, (assigned, target.matched)
+            rendering.labels, rendering.alpha, classes, target.semantic, (assigned, target.slot)
         )
         self.clock.lap("label losses")
         return semantic + gaussians.cluster_loss, instance
@@ -199,21 +225,43 @@ class Trainer:
         self.follow_anchors()
 
     def refresh_pseudo_labels(self, check: Callable[[], None] = lambda: None) -> None:
-        """Self-training: give each region of the machine's masks the class most of its pixels are rendered with.
+        """Self-training: give each region of the machine's masks the label most of its pixels are rendered with.
 
-        All views or, when ``check`` raises, none. Pixels where nothing is rendered have no say.
+        The paper's regions take a class; where an object is of one class throughout, segments take class and object
+        together. All views or, when ``check`` raises, none. Pixels where nothing is rendered have no say.
         """
-        class_ids = np.array(self.scene.channels.class_ids, np.int32)
         shown = scene_labels(self.scene)
+        relabel = self._panoptic_pseudo_labels if self.scene.channels.class_of_slot else self._class_pseudo_labels
         fresh = []
         for target, view in zip(self.targets, self.views, strict=True):
             check()
-            coverage = render_view(self.scene, target.camera, shown).class_coverage
-            rendered = np.where(coverage.any(axis=2), class_ids[coverage.argmax(axis=2)], VOID).astype(np.int32)
-            columns = columns_of(pseudo_labels(view.mask, rendered), self.scene.channels.class_ids)
-            fresh.append(columns.to(torch.int16))
-        for target, labels in zip(self.targets, fresh, strict=True):
-            target.pseudo = labels
+            fresh.append(relabel(view.mask, render_view(self.scene, target.camera, shown)))
+        for target, (classes, slots) in zip(self.targets, fresh, strict=True):
+            target.pseudo, target.pseudo_slot = classes, slots
+
+    def _class_pseudo_labels(
+        self, mask: PanopticMask, rendering: PanopticRendering
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        class_ids = np.array(self.scene.channels.class_ids, np.int32)
+        coverage = rendering.class_coverage
+        rendered = np.where(coverage.any(axis=2), class_ids[coverage.argmax(axis=2)], VOID).astype(np.int32)
+        return columns_of(pseudo_labels(mask, rendered), self.scene.channels.class_ids).to(torch.int16), None
+
+    def _panoptic_pseudo_labels(
+        self, mask: PanopticMask, rendering: PanopticRendering
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        channels = self.scene.channels
+        things = frozenset(channels.class_of_slot) - {VOID}
+        covered = np.concatenate([rendering.class_coverage, rendering.instance_coverage], axis=2)
+        class_id, instance = decided_labels(covered.reshape(-1, covered.shape[2]), channels, things)
+        # The instances are numbered 1.. in the order of their slots.
+        labels = PanopticLabels(channels.class_ids, tuple(channels.class_of_slot[s] for s in channels.instance_slots))
+        label = labels.of_points(class_id, instance).reshape(rendering.alpha.shape)
+        label[rendering.alpha <= 0] = UNKNOWN_LABEL
+        agreed = segment_labels(mask, label, len(labels), self.preset.segment_voting.agreement)
+        classes, instances = labels.classes(agreed), labels.objects(agreed)
+        semantic = columns_of(classes, channels.class_ids).to(torch.int16)
+        return semantic, slots_of(instances, classes != VOID, channels)
 
 
 def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:

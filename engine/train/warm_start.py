@@ -11,9 +11,10 @@ import numpy as np
 import torch
 from torch.nn import functional
 
+from ..model.anchors import UNKNOWN_CLASS
 from ..model.structured import StructuredScene
 from .presets import WarmStart
-from .targets import columns_of
+from .targets import columns_of, slots_of
 
 
 def warm_start(
@@ -31,8 +32,9 @@ def warm_start(
     """
     anchors, decoders = scene.anchors, scene.decoders
     random = np.random.default_rng([seed, 3])
-    classes = columns_of(anchors.initial_class.numpy(), scene.channels.class_ids)
-    slots = columns_of(instance_id, scene.channels.slot_ids)
+    initial = anchors.initial_class.numpy()
+    classes = columns_of(initial, scene.channels.class_ids)
+    slots = slots_of(instance_id, initial != UNKNOWN_CLASS, scene.channels).long()
     target_colour = torch.from_numpy(colour.astype(np.float32) / 255.0)
     centres = torch.from_numpy(viewpoints.astype(np.float32))
     k = anchors.gaussians_per_anchor

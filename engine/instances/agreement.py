@@ -1,0 +1,182 @@
+"""What the views say of each other's masks: which of them judge a mask, and in which of their own masks it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene import Segment, View
+from .segments import edge_distance
+
+
+@dataclass(frozen=True, eq=False)
+class ViewPoints:
+    """What one view says of the points it sees: ``row`` int32 [n] in the cloud, ascending; ``segment`` int32
+    [n], the id of the segment most of the point's pixels show (0 = void); ``pixels`` int32 [n].
+    """
+
+    row: NDArray[np.int32]
+    segment: NDArray[np.int32]
+    pixels: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class MasksInSpace:
+    """M masks of V views. ``masks``: frame name and segment; ``view`` int64 [M], the view of each; ``is_thing`` bool
+    [M]; ``holds`` sparse 0/1 [M, N], the points of the cloud in each mask; ``sight`` sparse 0/1 [V, N], the points that
+    each view sees."""
+
+    masks: list[tuple[str, Segment]]
+    view: NDArray[np.int64]
+    is_thing: NDArray[np.bool_]
+    holds: Any
+    sight: Any
+
+    @property
+    def size(self) -> NDArray[np.int64]:
+        """Points of each mask, int64 [M]."""
+        return np.diff(self.holds.indptr).astype(np.int64)
+
+    def select(self, rows: NDArray[np.intp]) -> MasksInSpace:
+        """The masks of these rows, seen by the same views."""
+        chosen = [self.masks[row] for row in rows]
+        return MasksInSpace(chosen, self.view[rows], self.is_thing[rows], self.holds[rows], self.sight)
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """``inside`` sparse 0/1 [M, M]: mask i lies inside mask k of another view (or of its own). ``judges`` 0/1
+    float32 [M, V]: the view says something about mask i. ``contained`` 0/1 float32 [M, V]: it shows it inside one
+    mask."""
+
+    inside: Any
+    judges: NDArray[np.float32]
+    contained: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class JudgingRules:
+    """A view judges a mask when it sees at least ``visible`` of the mask's points, ``min_points`` at least, and shows
+    no void on most of them. A mask is inside another when that one holds ``contained`` of the points seen and labelled.
+    A mask that more than ``under_segmented`` of its judges do not show inside one mask covers several objects. A
+    stuff mask swallows a thing's mask when it has more than ``swallowing`` times the points that both have."""
+
+    visible: float = 0.2
+    contained: float = 0.7
+    under_segmented: float = 0.5
+    swallowing: float = 2.0
+    min_points: int = 3
+
+
+def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
+    """Sum up one view; ``point_of_pixel`` int32 [H, W], -1 = none. Pixels at a mask's ragged edge count only
+    where a point has no others.
+    """
+    seen = point_of_pixel >= 0
+    row = point_of_pixel[seen].astype(np.int64)
+    segment = view.mask.ids[seen].astype(np.int64)
+    weight = np.where(edge_distance(view.mask.ids)[seen] > 1.5, 1.0, 0.01)
+    pairs, inverse = np.unique((row << 32) | segment, return_inverse=True)
+    total = np.bincount(inverse.reshape(-1), weight, len(pairs))
+    rows, segments = pairs >> 32, pairs & 0xFFFFFFFF
+    order = np.lexsort((segments, -np.round(total, 6), rows))
+    points, first = np.unique(rows[order], return_index=True)
+    pixels = np.bincount(row, minlength=int(points[-1]) + 1 if len(points) else 0)[points]
+    return ViewPoints(points.astype(np.int32), segments[order][first].astype(np.int32), pixels.astype(np.int32))
+
+
+def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
+    """The class that a view shows at each of its points, int32 [n], 0 = none."""
+    class_of = {segment.id: segment.class_id for segment in view.mask.segments}
+    present, inverse = np.unique(summary.segment, return_inverse=True)
+    return np.array([class_of.get(int(segment), 0) for segment in present], np.int32)[inverse.reshape(-1)]
+
+
+def masks_in_space(
+    views: Sequence[View], summaries: Sequence[ViewPoints], points: int, min_points: int
+) -> MasksInSpace:
+    """All masks that have at least ``min_points`` of the cloud's ``points``. A region that may be several objects
+    (a thing's class without an instance) takes no part."""
+    masks: list[tuple[str, Segment]] = []
+    view_of_mask: list[int] = []
+    held: list[NDArray[np.int32]] = []
+    for number, (view, summary) in enumerate(zip(views, summaries, strict=True)):
+        for segment in sorted(view.mask.segments, key=lambda each: each.id):
+            rows = summary.row[summary.segment == segment.id]
+            if segment.id > 0 and len(rows) >= min_points and not segment.is_group:
+                masks.append((view.name, segment))
+                view_of_mask.append(number)
+                held.append(rows)
+    is_thing = np.array([segment.is_thing for _, segment in masks], bool)
+    holds = _rows_of_ones(held, points)
+    sight = _rows_of_ones([summary.row for summary in summaries], points)
+    return MasksInSpace(masks, np.array(view_of_mask, np.int64), is_thing, holds, sight)
+
+
+def _rows_of_ones(columns: Sequence[NDArray[np.int32]], width: int) -> Any:
+    """Sparse 0/1 [len(columns), width] with ones at each row's columns."""
+    from scipy import sparse
+
+    ends = np.cumsum([0, *map(len, columns)])
+    joined = np.concatenate([np.zeros(0, np.int32), *columns])
+    return sparse.csr_matrix((np.ones(len(joined), np.float32), joined, ends), (len(columns), width))
+
+
+def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, NDArray[np.bool_]]:
+    """What all views say of all masks, and which masks are sound, bool [M]: shown inside one mask by most judges.
+
+    A view abstains on a mask that it shows inside a mask of several objects, or swallowed by stuff where most views
+    show a thing: such a view has missed the object, and does not say what belongs together.
+    """
+    first = _first_judgement(space, rules)
+    judged = first.judges.sum(1)
+    sound = judged - first.contained.sum(1) <= rules.under_segmented * judged
+    inside = first.inside.tocoo()
+    row, column = inside.row, inside.col
+    swallowed = _swallowed(space, row, column, rules)
+    # Where most views see no thing, it is the thing that was invented.
+    swallowing = np.zeros_like(first.judges)
+    swallowing[row[swallowed], space.view[column[swallowed]]] = 1
+    swallowed &= (swallowing.sum(1) <= 0.5 * judged)[row]
+    abstains = swallowed | ~sound[column]
+    judges = first.judges.copy()
+    judges[row[abstains], space.view[column[abstains]]] = 0
+    return _agreement(row[~abstains], column[~abstains], judges, space.view), sound
+
+
+def _swallowed(
+    space: MasksInSpace, row: NDArray[np.intp], column: NDArray[np.intp], rules: JudgingRules
+) -> NDArray[np.bool_]:
+    """Whether the stuff masks ``column`` swallow the things' masks ``row``, bool [n]."""
+    common = np.asarray(space.holds[row].multiply(space.holds[column]).sum(1)).reshape(-1)
+    is_pair = space.is_thing[row] & ~space.is_thing[column]
+    return is_pair & (space.size[column] > rules.swallowing * common)
+
+
+def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:
+    """Before anybody abstains."""
+    common = (space.holds @ space.holds.T).tocoo()
+    seen = (space.holds @ space.sight.T).toarray()
+    labelled = np.zeros_like(seen)
+    np.add.at(labelled, (common.row, space.view[common.col]), common.data)
+    size = space.size.reshape(-1, 1)
+    judges = (seen >= np.maximum(rules.visible * size, rules.min_points)) & (labelled >= 0.5 * seen)
+    column_view = space.view[common.col]
+    lies_inside = common.data >= rules.contained * labelled[common.row, column_view]
+    lies_inside &= judges[common.row, column_view]
+    return _agreement(common.row[lies_inside], common.col[lies_inside], judges.astype(np.float32), space.view)
+
+
+def _agreement(
+    row: NDArray[np.intp], column: NDArray[np.intp], judges: NDArray[np.float32], view: NDArray[np.int64]
+) -> Agreement:
+    from scipy import sparse
+
+    inside = sparse.csr_matrix((np.ones(len(row), np.float32), (row, column)), (len(view), len(view)))
+    contained = np.zeros_like(judges)
+    contained[row, view[column]] = 1
+    return Agreement(inside, judges, contained)

@@ -1,0 +1,33 @@
+"""Keyframes of a long scan: views whose masks are enough to find the objects."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .agreement import MasksInSpace
+
+SIGHTINGS = 5
+"""Every point shall be seen by so many keyframes, where so many views see it at all."""
+WORTH_IT = 0.25
+"""A view is added when more than this share of its points lacks sightings."""
+
+
+def choose_keyframes(space: MasksInSpace, most_masks: int) -> NDArray[np.int64]:
+    """The numbers of the views whose masks are joined to objects, ascending: all views where they have at most
+    ``most_masks`` masks together; else evenly chosen ones, and every view without which surfaces would be seen too
+    rarely, so that there may be some more masks than that."""
+    views = space.sight.shape[0]
+    if len(space.masks) <= most_masks:
+        return np.arange(views)
+    wanted = max(1, views * most_masks // len(space.masks))
+    chosen = np.zeros(views, bool)
+    chosen[np.linspace(0, views - 1, wanted).round().astype(np.int64)] = True
+    seen = np.asarray(space.sight.sum(0)).reshape(-1)
+    lacking = np.minimum(seen, SIGHTINGS) - np.asarray(space.sight[chosen].sum(0)).reshape(-1)
+    for view in np.flatnonzero(~chosen):
+        points = space.sight[view].indices
+        if len(points) and (lacking[points] > 0).mean() > WORTH_IT:
+            chosen[view] = True
+            lacking[points] -= 1
+    return np.flatnonzero(chosen)

@@ -1,0 +1,184 @@
+"""Labels voted onto the Gaussians by their blending weights, over all views.
+
+The label decoders are small networks that smear what is small: taps, switches, the edge of a stair. Where things are is
+better said by the masks themselves: a pixel's label is a vote for the Gaussians that the pixel is blended from, as much
+as each takes part in it (as in LUDVIG, Marrie et al. 2024, which averages a network's features this way). The decoders
+serve where nothing was seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numba import njit
+from numpy.typing import NDArray
+
+from ..raster import rasterize
+from ..scene import Camera
+from .gaussians import decode
+from .scene_labels import LEAST_OF_CLASS, scene_labels
+from .structured import GaussianLabels, StructuredScene
+
+
+@dataclass(frozen=True)
+class VotingOptions:
+    """``contributors`` of a pixel that get its vote. In each view a Gaussian has (summed weight)^``power`` votes.
+    Pixels whose rendered depth is more than ``depth_gap_m`` metres and ``depth_gap_share`` of the depth off the
+    sensor's abstain. The decoders have ``prior`` votes on each Gaussian. The ``kept`` likeliest labels are kept."""
+
+    contributors: int = 8
+    power: float = 0.5
+    depth_gap_m: float = 0.15
+    depth_gap_share: float = 0.05
+    prior: float = 0.3
+    kept: int = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Contributors:
+    """Of one view, at P pixels: ``gaussian`` int64 [H, W, K], rows of the scene's labels (-1 = none), ``weight``
+    float32 [H, W, K], largest first, and ``depth`` float32 [H, W] metres, 0 where (nearly) nothing is drawn."""
+
+    gaussian: NDArray[np.int64]
+    weight: NDArray[np.float32]
+    depth: NDArray[np.float32]
+
+
+@torch.no_grad()
+def contributors(scene: StructuredScene, camera: Camera, count: int) -> Contributors:
+    """The ``count`` Gaussians with the largest blending weights of each pixel."""
+    k = scene.anchors.gaussians_per_anchor
+    unlabelled = torch.zeros(len(scene.anchors) * k, 1)
+    drawn = decode(scene.anchors, scene.decoders, camera, known_labels=unlabelled)
+    rendering = rasterize(
+        drawn.means,
+        drawn.scales,
+        drawn.quats,
+        drawn.opacities,
+        drawn.colours,
+        None,
+        torch.from_numpy(camera.camera_to_world).float(),
+        torch.from_numpy(camera.K).float(),
+        camera.width,
+        camera.height,
+        top_k=count,
+    )
+    assert rendering.top_indices is not None and rendering.top_weights is not None  # asked for
+    row = torch.cat([drawn.visible[drawn.kept // k] * k + drawn.kept % k, torch.tensor([-1])])
+    alpha = rendering.alpha.numpy()
+    depth = np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0.3)
+    return Contributors(row[rendering.top_indices.long()].numpy(), rendering.top_weights.numpy(), depth)
+
+
+class LabelVotes:
+    """Collects the votes of view after view for the G Gaussians of a finished scene."""
+
+    def __init__(self, scene: StructuredScene, options: VotingOptions) -> None:
+        self.scene, self.options = scene, options
+        channels = scene.channels
+        self._labels = len(channels.class_ids) + len(channels.instance_slots)
+        gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
+        self._votes = np.zeros((gaussians, self._labels), np.float32)
+        self._seen = np.zeros(gaussians, np.float32)
+
+    def add(self, view: Contributors, label: NDArray[np.int16], sensor: NDArray[np.float32]) -> None:
+        """A view's labels int16 [H, W] (-1 abstains), and its depth float32 [H, W] metres (0 = unknown)."""
+        options = self.options
+        gap = np.maximum(options.depth_gap_m, options.depth_gap_share * sensor)
+        votes = (label >= 0) & ((sensor <= 0) | (np.abs(view.depth - sensor) <= gap))
+        shown = np.where(votes, label, -1).astype(np.int16)
+        _add_votes(view.gaussian, view.weight, shown, np.float32(options.power), self._seen, self._votes)
+
+    def result(self) -> GaussianLabels:
+        """The likeliest labels of every Gaussian, the decoders' among them."""
+        table = scene_labels(self.scene)
+        if table is not None and self.options.prior > 0:
+            classes = len(self.scene.channels.class_ids)
+            self._votes += self.options.prior * _apart(table.probabilities, self.scene, classes).numpy()
+        votes = torch.from_numpy(self._votes)
+        share = votes / votes.sum(dim=1, keepdim=True).clamp_min(1e-8)
+        most = share.topk(min(self.options.kept, self._labels), dim=1)
+        return GaussianLabels(most.indices.to(torch.int16), most.values.contiguous())
+
+
+def _apart(shown: torch.Tensor, scene: StructuredScene, classes: int) -> torch.Tensor:
+    """What ``shown_probabilities`` gave, with the classes' share of no object instead of their whole share."""
+    channels = scene.channels
+    of_class = torch.tensor([channels.class_ids.index(channels.class_of_slot[s]) for s in channels.instance_slots])
+    owned = shown[:, classes:]
+    if not owned.shape[1]:
+        return shown
+    alone = shown[:, :classes].index_add(1, of_class, owned, alpha=-1).clamp_min(0)
+    return torch.cat([alone, owned], dim=1)
+
+
+def shown_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributors) -> NDArray[np.int16]:
+    """The label of each pixel, int16 [H, W], -1 where (nearly) nothing is drawn: class first, then the object of that
+    class, as a pixel of the passes is decided."""
+    channels = scene.channels
+    classes = len(channels.class_ids)
+    of_instance = [channels.class_ids.index(channels.class_of_slot[slot]) for slot in channels.instance_slots]
+    class_of_label = np.array([*range(classes), *of_instance], np.int64)
+    out = np.full(view.depth.shape, -1, np.int16)
+    few = voted.label.numpy(), voted.share.numpy()
+    _show_labels(view.gaussian, view.weight, *few, class_of_label, classes, np.float32(LEAST_OF_CLASS), out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, votes: Any) -> None:
+    """Add each pixel's weights to ``votes`` [G, L], scaled so that a Gaussian has (its weight in the view)^power votes;
+    ``seen`` [G] holds zeros before and after."""
+    height, width, count = weight.shape
+    for y in range(height):
+        for x in range(width):
+            if label[y, x] >= 0:
+                for c in range(count):
+                    if gaussian[y, x, c] >= 0:
+                        seen[gaussian[y, x, c]] += weight[y, x, c]
+    for y in range(height):
+        for x in range(width):
+            if label[y, x] >= 0:
+                for c in range(count):
+                    row = gaussian[y, x, c]
+                    if row >= 0 and seen[row] > 0:
+                        votes[row, label[y, x]] += weight[y, x, c] * seen[row] ** (power - np.float32(1))
+    for y in range(height):
+        for x in range(width):
+            for c in range(count):
+                if gaussian[y, x, c] >= 0:
+                    seen[gaussian[y, x, c]] = 0
+
+
+@njit(cache=True, nogil=True)
+def _show_labels(
+    gaussian: Any, weight: Any, label: Any, share: Any, class_of_label: Any, classes: Any, least: Any, out: Any
+) -> None:
+    """The loop behind ``shown_labels``."""
+    height, width, count = weight.shape
+    total = np.zeros(len(class_of_label), np.float32)
+    by_class = np.zeros(classes, np.float32)
+    for y in range(height):
+        for x in range(width):
+            total[:] = 0
+            by_class[:] = 0
+            for c in range(count):
+                row = gaussian[y, x, c]
+                if row < 0:
+                    break
+                for n in range(label.shape[1]):
+                    amount = weight[y, x, c] * share[row, n]
+                    total[label[row, n]] += amount
+                    by_class[class_of_label[label[row, n]]] += amount
+            best = by_class.argmax()
+            if by_class[best] <= 0:
+                continue
+            out[y, x] = best
+            most = least * by_class[best]
+            for place in range(classes, len(total)):
+                if class_of_label[place] == best and total[place] > most:
+                    most = total[place]
+                    out[y, x] = place

@@ -1,0 +1,93 @@
+"""Filling the holes that a depth sensor leaves on dark, shiny, grazing and far surfaces.
+
+A surface without depth has no points, so no anchors and no labels. Most holes lie in a plane with what surrounds them:
+a screen on a wall, the far end of a floor. The inverse depth of a plane is an affine function of the pixel, so a hole
+is filled from the ring of measured pixels around it, of its own segment where that has enough of them. A hole whose
+ring is no plane stays a hole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class HoleFilling:
+    """``ring`` pixels around a hole are looked at, of which at least ``least_ring`` must have depth. ``flatness``: the
+    median residual of the plane in shares of the depth, above which the hole stays. Filled depth is within
+    ``stretch`` times the ring's nearest and farthest."""
+
+    ring: int = 6
+    least_ring: int = 12
+    flatness: float = 0.02
+    stretch: float = 2.5
+
+
+def fill_holes(
+    depth: NDArray[np.float32], segments: NDArray[np.int32], options: HoleFilling | None = None
+) -> NDArray[np.float32]:
+    """Depth with planar holes filled, float32 [H, W] metres, 0 where it stays unknown. ``segments`` int32 [H, W] are the
+    mask's ids: a hole ends where its segment does. What was measured is never changed."""
+    import cv2
+
+    rules = options or HoleFilling()
+    filled = depth.copy()
+    hole = depth <= 0
+    if not hole.any() or hole.all():
+        return filled
+    reach = rules.ring
+    for segment in np.unique(segments[hole]):
+        own = segments == segment
+        count, component, boxes, _ = cv2.connectedComponentsWithStats((hole & own).astype(np.uint8), connectivity=4)
+        for number in range(1, count):
+            left, top, width, height = boxes[number, :4]
+            rows = slice(max(top - reach, 0), top + height + reach)
+            columns = slice(max(left - reach, 0), left + width + reach)
+            inside = component[rows, columns] == number
+            _fill_one(filled[rows, columns], depth[rows, columns], inside, own[rows, columns], rules)
+    return filled
+
+
+def _fill_one(
+    filled: NDArray[np.float32],
+    depth: NDArray[np.float32],
+    inside: NDArray[np.bool_],
+    own: NDArray[np.bool_],
+    rules: HoleFilling,
+) -> None:
+    """Fill one hole, ``inside`` bool [h, w], in place; the arrays are cut out around it."""
+    import cv2
+
+    size = 2 * rules.ring + 1
+    near = cv2.dilate(inside.astype(np.uint8), np.ones((size, size), np.uint8)).astype(bool) & (depth > 0)
+    ring = near & own
+    if ring.sum() < rules.least_ring:
+        ring = near
+    if ring.sum() < rules.least_ring:
+        return
+    y, x = np.nonzero(ring)
+    measured = depth[ring].astype(np.float64)
+    plane = _plane(x, y, 1.0 / measured)
+    fitted = plane[0] * x + plane[1] * y + plane[2]
+    if np.median(np.abs(fitted * measured - 1.0)) > rules.flatness:
+        return
+    y, x = np.nonzero(inside)
+    inverse = plane[0] * x + plane[1] * y + plane[2]
+    lowest, highest = 1.0 / (measured.max() * rules.stretch), rules.stretch / measured.min()
+    usable = (inverse > lowest) & (inverse < highest)
+    filled[y[usable], x[usable]] = 1.0 / inverse[usable]
+
+
+def _plane(x: NDArray[np.intp], y: NDArray[np.intp], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients of x, y and 1 that fit the inverse depth, by least squares that a few outliers do not move."""
+    system = np.column_stack([x, y, np.ones(len(x))])
+    weight = np.ones(len(x))
+    solution = np.zeros(3)
+    for _ in range(4):
+        solution = np.linalg.lstsq(system * weight[:, None], inverse * weight, rcond=None)[0]
+        residual = np.abs(system @ solution - inverse)
+        weight = 1.0 / np.sqrt(1.0 + (residual / max(2.0 * float(np.median(residual)), 1e-6)) ** 2)
+    return solution

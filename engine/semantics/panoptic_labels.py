@@ -1,0 +1,85 @@
+"""One label for class and object together, so that views can vote on both at once.
+
+A thing that belongs to an object carries the object's label, which implies the object's class. Everything else, stuff
+and things that no object owns, carries its class alone: "no object" is a label like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+UNKNOWN_LABEL = -1
+"""Of a pixel or point that nobody labelled."""
+
+
+@dataclass(frozen=True)
+class PanopticLabels:
+    """Labels 0..C-1 are the classes ``class_ids`` without an object, C..C+U-1 the objects 1..U in their order, of the
+    classes ``class_of_object`` (length U, each in ``class_ids``)."""
+
+    class_ids: tuple[int, ...]
+    class_of_object: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return len(self.class_ids) + len(self.class_of_object)
+
+    @property
+    def class_column(self) -> NDArray[np.int64]:
+        """Place of each label's class in ``class_ids``, int64 [C + U]."""
+        objects = np.searchsorted(self.class_ids, self.class_of_object)
+        return np.concatenate([np.arange(len(self.class_ids)), objects]).astype(np.int64)
+
+    def of_class(self, class_id: int) -> int:
+        """The label of a class without an object; ``UNKNOWN_LABEL`` for one that is not here."""
+        return self.class_ids.index(class_id) if class_id in self.class_ids else UNKNOWN_LABEL
+
+    def of_object(self, number: int) -> int:
+        """The label of object 1..U."""
+        return len(self.class_ids) + number - 1
+
+    def of_points(self, class_id: NDArray[np.int32], number: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The labels of points with a class int32 [N] (0 = unknown) and an object int32 [N] (0 = none)."""
+        place = np.minimum(np.searchsorted(self.class_ids, class_id), len(self.class_ids) - 1)
+        of_class = np.where(np.asarray(self.class_ids)[place] == class_id, place, UNKNOWN_LABEL)
+        return np.where(number > 0, number + len(self.class_ids) - 1, of_class).astype(np.int32)
+
+    def classes(self, labels: NDArray[np.integer]) -> NDArray[np.int32]:
+        """Class id of each label [...], int32, 0 for unknown."""
+        table = np.append(np.asarray(self.class_ids, np.int32)[self.class_column], 0).astype(np.int32)
+        return table[labels]
+
+    def objects(self, labels: NDArray[np.integer]) -> NDArray[np.int32]:
+        """Object number of each label [...], int32, 0 for none and for unknown."""
+        found = np.asarray(labels, np.int32) - (len(self.class_ids) - 1)
+        return np.maximum(found, 0)
+
+
+
+def decide_labels(
+    votes: NDArray[np.floating], labels: PanopticLabels, least_share: float
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The label of each row of votes [N, C + U], int32 [N], and the winning class's share of the votes, float32 [N].
+
+    The class with the most votes wins, objects voting for their own class. Then the best object of that class is
+    shown if it has more than ``least_share`` of the class's votes, else no object. Ties go to the lower label; rows
+    without votes are unknown.
+    """
+    classes, column = len(labels.class_ids), labels.class_column
+    by_class = np.array(votes[:, :classes], np.float32)
+    for place in range(classes, len(labels)):
+        by_class[:, column[place]] += votes[:, place]
+    winner = by_class.argmax(1)
+    most = by_class[np.arange(len(votes)), winner]
+    total = by_class.sum(1)
+    label = winner.astype(np.int32)
+    best = least_share * most
+    for place in range(classes, len(labels)):
+        better = (winner == column[place]) & (votes[:, place] > best)
+        label[better] = place
+        best = np.where(better, votes[:, place], best)
+    label[total <= 0] = UNKNOWN_LABEL
+    return label, (most / np.maximum(total, 1e-12)).astype(np.float32)

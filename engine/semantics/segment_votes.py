@@ -1,0 +1,129 @@
+"""Panoptic labels that follow the evidence of all views, at the resolution of the masks (ours, beyond the paper).
+
+Each view says of each pixel which object its mask belongs to, or else its class. The points of the cloud collect these
+votes. Then every segment takes the label that most of its points were given, and votes again: the paper's
+self-training, "Self-training with Consistency-enhanced Segments", without a rendering in between. A segment whose
+points agree on no label votes point by point. So outlines stay those of the masks, and what they are is decided by all
+views together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene import PanopticMask, View
+from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
+
+ROWS_AT_A_TIME = 32768
+"""Points whose votes are made dense at a time, which bounds the memory."""
+
+
+@dataclass(frozen=True)
+class SegmentVoting:
+    """``rounds`` in which segments take the label of their points and vote again. A segment does so when at least
+    ``agreement`` of its labelled points agree. ``least_share``: see ``decide_labels``."""
+
+    rounds: int = 2
+    agreement: float = 0.5
+    least_share: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class VotedLabels:
+    """``label`` int32 [N] of each point, ``confidence`` float32 [N], and ``maps``, the label that each view's pixels
+    were given in the end, int16 [H, W] a view (-1 = unknown)."""
+
+    label: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+    maps: list[NDArray[np.int16]]
+
+
+def vote_panoptic_labels(
+    views: Sequence[View],
+    point_of_pixel: Sequence[NDArray[np.int32]],
+    points: int,
+    labels: PanopticLabels,
+    object_of_segment: Mapping[tuple[str, int], int],
+    options: SegmentVoting,
+) -> VotedLabels:
+    """Labels of a cloud of ``points`` points, which pixels of the views show (int32 [H, W] a view, -1 = none).
+
+    ``object_of_segment``: frame and segment id to the object 1..U that the mask is one of.
+    """
+    maps = [member_labels(view, labels, object_of_segment) for view in views]
+    label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels, options)
+    for _ in range(options.rounds):
+        maps = [
+            segment_labels(view.mask, np.append(label, UNKNOWN_LABEL)[rows], len(labels), options.agreement)
+            for view, rows in zip(views, point_of_pixel, strict=True)
+        ]
+        label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels, options)
+    return VotedLabels(label, confidence, maps)
+
+
+def member_labels(
+    view: View, labels: PanopticLabels, object_of_segment: Mapping[tuple[str, int], int]
+) -> NDArray[np.int16]:
+    """What a view's own mask says: the label of the segment's object, or of its class; int16 [H, W]."""
+    table = np.full(int(view.mask.ids.max(initial=0)) + 1, UNKNOWN_LABEL, np.int16)
+    for segment in view.mask.segments:
+        if 0 < segment.id < len(table):
+            number = object_of_segment.get((view.name, segment.id), 0)
+            table[segment.id] = labels.of_object(number) if number else labels.of_class(segment.class_id)
+    return table[view.mask.ids]
+
+
+def segment_labels(
+    mask: PanopticMask, shown: NDArray[np.integer], count: int, agreement: float
+) -> NDArray[np.int16]:
+    """Each segment with the label that at least ``agreement`` of its labelled pixels show; the other segments' pixels
+    as they are ``shown``, int [H, W] of ``count`` labels (-1 = unknown). Void stays unknown. int16 [H, W]."""
+    segments = int(mask.ids.max(initial=0)) + 1
+    voting = (shown >= 0) & (mask.ids > 0)
+    pairs = mask.ids[voting].astype(np.int64) * count + shown[voting]
+    pairs, pixels = np.unique(pairs, return_counts=True)
+    segment = pairs // count
+    total = np.bincount(segment, pixels, segments)
+    order = np.lexsort((pairs, -pixels, segment))
+    first = np.unique(segment[order], return_index=True)[1]
+    best = order[first]
+    agreed = pixels[best] >= agreement * total[segment[best]]
+    winner = np.full(segments, UNKNOWN_LABEL, np.int16)
+    winner[segment[best][agreed]] = (pairs[best] % count)[agreed]
+    relabelled = winner[mask.ids]
+    kept = np.where(relabelled >= 0, relabelled, shown)
+    return np.where(mask.ids > 0, kept, UNKNOWN_LABEL).astype(np.int16)
+
+
+def _votes(
+    maps: Sequence[NDArray[np.int16]], point_of_pixel: Sequence[NDArray[np.int32]], points: int, count: int
+) -> Any:
+    """Sparse float32 [points, count]: in each view a point's pixels share sqrt(pixels) votes, so that a near view
+    cannot outvote the others by its mass of pixels."""
+    from scipy import sparse
+
+    total = sparse.csr_matrix((points, count), dtype=np.float32)
+    for labels, rows in zip(maps, point_of_pixel, strict=True):
+        seen = rows >= 0
+        pixels = np.bincount(rows[seen], minlength=points)
+        voting = seen & (labels >= 0)
+        pairs, shown = np.unique(rows[voting].astype(np.int64) * count + labels[voting], return_counts=True)
+        row = pairs // count
+        weight = (shown / np.sqrt(pixels[row])).astype(np.float32)
+        total = total + sparse.csr_matrix((weight, (row, pairs % count)), shape=total.shape)
+    return total
+
+
+def _decided(
+    votes: Any, labels: PanopticLabels, options: SegmentVoting
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    parts = [
+        decide_labels(votes[start : start + ROWS_AT_A_TIME].toarray(), labels, options.least_share)
+        for start in range(0, votes.shape[0], ROWS_AT_A_TIME)
+    ]
+    return np.concatenate([label for label, _ in parts]), np.concatenate([share for _, share in parts])
