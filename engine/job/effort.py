@@ -34,7 +34,9 @@ EFFORTS = {
     effort.name: effort
     for effort in (
         Effort("preview", steps=500, size_within=(200, 200), voxel_size=0.06, gaussians_per_anchor=4, steps_a_view=5),
-        Effort("standard", steps=1500, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=4, steps_a_view=15),
+        Effort(
+            "standard", steps=1500, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=4, steps_a_view=15
+        ),
         Effort(
             "paper",
             steps=30_000,

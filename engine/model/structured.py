@@ -9,7 +9,6 @@ import torch
 from .anchors import Anchors
 from .decoders import Decoders, DecoderShape
 
-
 FORMAT = 2
 """Of model.safetensors; 1 had no slot for "no object"."""
 NO_OBJECT, SPARE = 0, -1
@@ -53,8 +52,8 @@ class GaussianLabels:
 
 @dataclass
 class StructuredScene:
-    """A lifted (or half lifted) scene. ``voxel_size`` in metres. ``voted``: labels of all Gaussians (anchor i's are rows
-    i k to i k + k - 1) that take the place of the label decoders'; None while it is trained, or where they serve."""
+    """A lifted (or half lifted) scene. ``voxel_size`` in metres. ``voted``: labels of all Gaussians, those of anchor i
+    in rows i k to i k + k - 1, in place of what the label decoders say; None where these serve."""
 
     anchors: Anchors
     decoders: Decoders

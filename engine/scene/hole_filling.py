@@ -29,8 +29,10 @@ class HoleFilling:
 def fill_holes(
     depth: NDArray[np.float32], segments: NDArray[np.int32], options: HoleFilling | None = None
 ) -> NDArray[np.float32]:
-    """Depth with planar holes filled, float32 [H, W] metres, 0 where it stays unknown. ``segments`` int32 [H, W] are the
-    mask's ids: a hole ends where its segment does. What was measured is never changed."""
+    """Depth with planar holes filled, float32 [H, W] metres, 0 where it stays unknown.
+
+    ``segments`` int32 [H, W] are the mask's ids: a hole ends where its segment does. What was measured never changes.
+    """
     import cv2
 
     rules = options or HoleFilling()

@@ -6,7 +6,6 @@ and things that no object owns, carries its class alone: "no object" is a label 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np

@@ -52,7 +52,7 @@ from ..semantics import (
     vote_panoptic_labels,
     voxelise,
 )
-from .photos import sharpness_weights
+from .photos import exposure_gains, sharpness_weights
 from .presets import Preset
 from .progress import StageProgress, StageReporter
 from .targets import ViewTargets, view_targets
@@ -247,12 +247,26 @@ def targets_of(
     mask and M_match. ``placed`` are the views with the depth that places pixels in space."""
     photos = [view.colour for view in views]
     weights = sharpness_weights(photos) if preset.weigh_sharpness else np.ones(len(views))
+    gains = _exposures(views, placed, matching.cloud) if preset.fit_exposure else None
     project = _voted_masks(matching) if matching.label_maps is not None else _projected_masks(matching, classes, preset)
     for number, view in enumerate(views):
         projected, matched = project(number, placed[number])
         yield view_targets(
-            view, channels, projected_class=projected, matched_instance=matched, weight=float(weights[number])
+            view,
+            channels,
+            projected_class=projected,
+            matched_instance=matched,
+            weight=float(weights[number]),
+            gain=None if gains is None else gains[number],
         )
+
+
+def _exposures(
+    views: Sequence[View], placed: Sequence[View], cloud: SemanticPointCloud
+) -> NDArray[np.float64]:
+    index, reach = cloud.index(), 2 * cloud.spacing
+    rows = [index.nearest_of_pixels(view.camera, view.depth, reach)[::2, ::2] for view in placed]
+    return exposure_gains([view.colour[::2, ::2] for view in views], rows, len(cloud))
 
 
 Masks = tuple[NDArray[np.int32], NDArray[np.int32]]

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from ..job.effort import EFFORTS, Effort
 from ..instances.consensus import ConsensusOptions
+from ..job.effort import EFFORTS, Effort
 from ..model.growing import GrowthRules
 from ..model.label_voting import VotingOptions
 from ..semantics.segment_votes import SegmentVoting
@@ -97,7 +97,7 @@ class Preset:
     voxel_size: float
     gaussians_per_anchor: int
     features: int = 32
-    instance_slots: int = 25
+    instance_slots: int = 0
     most_anchors: int = Effort.most_anchors
     distance_input: bool = False
     label_view_input: bool = False
@@ -168,6 +168,7 @@ PRESETS = {
             growth=GrowthRules(),
             fill_holes=False,
             linear_assignment=True,
+            instance_slots=25,
             fit_exposure=False,
             weigh_sharpness=False,
             labels="decoders",

@@ -23,7 +23,6 @@ def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, 
             tensors[f"pseudo.{number}"] = target.pseudo
         if target.pseudo_slot is not None:
             tensors[f"pseudo_slot.{number}"] = target.pseudo_slot
-    tensors["gains"] = trainer.gains
     return tensors, {"step": trainer.step_number, "optimiser_steps": trainer.optimiser.count, "model": facts}
 
 
@@ -38,7 +37,6 @@ def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mappin
         pseudo, slot = (tensors.get(f"{name}.{number}") for name in ("pseudo", "pseudo_slot"))
         target.pseudo = None if pseudo is None else pseudo.clone()
         target.pseudo_slot = None if slot is None else slot.clone()
-    trainer.gains = tensors["gains"].clone()
     trainer.step_number = facts["step"]
     trainer.follow_anchors()
 

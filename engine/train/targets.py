@@ -25,7 +25,8 @@ class ViewTargets:
     as well, which then takes the place of ``matched``.
 
     ``depth`` float32 [H, W] is the sensor's, metres (0 = none); ``border`` bool [H, W], or None, where the photo shows
-    nothing but a black border; ``weight`` how much the photo counts beside sharper ones.
+    nothing but a black border; ``weight`` how much the photo counts beside sharper ones; ``gain`` float32 [3], or None,
+    its exposure against the room's.
     """
 
     name: str
@@ -37,6 +38,7 @@ class ViewTargets:
     depth: torch.Tensor
     border: torch.Tensor | None = None
     weight: float = 1.0
+    gain: torch.Tensor | None = None
     pseudo: torch.Tensor | None = None
     pseudo_slot: torch.Tensor | None = None
 
@@ -75,6 +77,7 @@ def view_targets(
     projected_class: NDArray[np.int32],
     matched_instance: NDArray[np.int32],
     weight: float = 1.0,
+    gain: NDArray[np.float64] | None = None,
 ) -> ViewTargets:
     """Targets of ``view`` from class ids and instance ids, int32 [H, W] each. Where a class is known (not 0), instance
     0 is no object."""
@@ -90,4 +93,5 @@ def view_targets(
         depth=torch.from_numpy(np.ascontiguousarray(view.depth)),
         border=None if view.border is None else torch.from_numpy(view.border),
         weight=weight,
+        gain=None if gain is None else torch.from_numpy(gain).float(),
     )

@@ -25,7 +25,6 @@ from .depth_loss import depth_loss
 from .label_losses import label_losses
 from .losses import reconstruction_loss
 from .optimiser import Optimiser
-from .photos import exposure_gain
 from .presets import Preset
 from .step_clock import StepClock
 from .targets import ViewTargets, columns_of, slots_of
@@ -59,9 +58,6 @@ class Trainer:
         schedule = preset.schedule
         self.growth_steps = max(round(schedule.grow_every * preset.steps), schedule.grow_every_at_least_steps)
         self.pseudo_label_steps = pseudo_label_steps(schedule.self_training_every, preset.steps)
-        self.gains = torch.ones(len(targets), 3)
-        """The last gain of each photo against the model (``exposure_gain``)."""
-        self._number = {target.name: number for number, target in enumerate(targets)}
         self.optimiser = Optimiser(scene.anchors, scene.decoders, preset.rates, _extent(targets))
         self.statistics = GrowthStatistics.empty(scene.anchors)
         self.follow_anchors()
@@ -152,11 +148,8 @@ class Trainer:
     def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> torch.Tensor:
         """The rendered picture with the photo's exposure, and with its black border, which then has no gradient."""
         photo = target.photo.values
-        if self.preset.fit_exposure:
-            number = self._number[target.name]
-            self.gains[number] = exposure_gain(image, photo, target.border)
-            # What all photos have in common is for the model to learn.
-            image = image * (self.gains[number] / self.gains.log().mean(dim=0).exp())
+        if target.gain is not None:
+            image = (image * target.gain).clamp_max(1.0)
         if target.border is not None:
             image = torch.where(target.border[..., None], torch.from_numpy(photo), image)
         return image
