@@ -1,0 +1,55 @@
+"""A lift must be better than what it was given: the sample room as a hand-held camera would have taken it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.lift import run_lift
+
+ROOT = Path(__file__).resolve().parents[2]
+STEPS, SIZE = 60, (160, 120)
+"""Little work; a real preview reaches more."""
+
+
+@pytest.fixture(scope="module")
+def scores(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[str, float]]:
+    """The tables of a short lift, ``strict``, by method."""
+    folder = tmp_path_factory.mktemp("quality")
+    scene = folder / "scene"
+    made = [sys.executable, "sample/hand_held.py", "sample/room", str(scene), "--seed", "0"]
+    subprocess.run(made, cwd=ROOT, check=True, capture_output=True)
+    request = LiftRequest(scene=scene, preset="preview", steps=STEPS, size=SIZE, bake="none")
+    lift = LiftFolder.create(folder / "lift", request)
+    events = EventWriter(lift.events_path)
+    try:
+        run_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
+    finally:
+        events.close()
+    tables = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
+    return {table["name"]: table for table in tables if table["mode"] == "strict"}
+
+
+def test_it_beats_the_masks_it_was_given(scores: Mapping[str, Mapping[str, float]]) -> None:
+    masks, lifted = scores["machine masks"], scores["lifted"]
+    print(masks["miou"], masks["pq"], lifted["miou"], lifted["pq"], lifted["depth_error_m"])
+    assert lifted["miou"] > masks["miou"] + 0.18
+    assert lifted["pq"] > masks["pq"] + 0.38
+
+
+def test_it_beats_a_vote_in_voxels(scores: Mapping[str, Mapping[str, float]]) -> None:
+    vote, lifted = scores["voxel vote (with test depth)"], scores["lifted"]
+    print(vote["miou"], vote["pq"])
+    assert lifted["miou"] > vote["miou"] + 0.12
+    assert lifted["pq"] > vote["pq"] + 0.25
+
+
+def test_its_surfaces_are_where_the_sensor_saw_them(scores: Mapping[str, Mapping[str, float]]) -> None:
+    print(scores["lifted"]["depth_error_m"])
+    assert scores["lifted"]["depth_error_m"] < 0.06
