@@ -39,6 +39,12 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """How to read the scene's folder."""
     parser.add_argument("--masks", type=Path, metavar="PATH", help="panoptic masks, where not in SCENE itself")
     parser.add_argument("--up", choices=UPS, help=f"the axis of the poses that points up (default: {_DEFAULTS.up})")
+    parser.add_argument(
+        "--format",
+        dest="scene_format",
+        metavar="NAME",
+        help="how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its looks)",
+    )
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
@@ -65,7 +71,7 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 
     Raises JobError when a value is out of range.
     """
-    names = ("preset", "steps", "size", "seed", "up", "bake")
+    names = ("preset", "steps", "size", "seed", "up", "scene_format", "bake")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     if options.masks is not None:
         given["masks"] = options.masks.resolve()

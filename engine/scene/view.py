@@ -23,14 +23,16 @@ class View:
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
-    """Read a frame at ``size`` (width, height), or at its own size. Raises SceneError when a file is bad."""
+    """Read a frame at ``size`` (width, height), or at its own size. Raises SceneError when a file is bad, or when
+    the frame has no depth or no mask.
+    """
     width, height = size or frame.size
     return View(
         name=frame.name,
         camera=frame.camera.resized(width, height),
         colour=frame.read_colour((width, height)),
-        depth=frame.read_depth((width, height)),
-        mask=frame.read_mask((width, height)),
+        depth=frame.depth((width, height)),
+        mask=frame.mask((width, height)),
     )
 
 

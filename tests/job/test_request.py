@@ -19,6 +19,7 @@ FULL = LiftRequest(
     seed=3,
     up="-y",
     bake="all",
+    scene_format="tum",
 )
 
 
@@ -67,6 +68,7 @@ def test_has_the_documented_form() -> None:
         ({"preset": "best"}, "preview, standard, paper"),
         ({"preset": None}, "'preset'"),
         ({"up": "x"}, "z, y, -y"),
+        ({"scene_format": 5}, "'scene_format'"),
         ({"bake": "some"}, "test, all, none"),
         ({"engine_version": 1}, "'engine_version'"),
     ],
@@ -94,5 +96,6 @@ def test_tells_what_differs() -> None:
         "steps",
         "size",
         "up",
+        "scene_format",
         "bake",
     ]

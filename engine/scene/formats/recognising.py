@@ -1,0 +1,53 @@
+"""Which format is it? Each is recognised by the names of its files; nothing is decoded for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..frame import SceneError
+from ..layout import shown
+from . import folders
+from .capture import Capture
+
+
+@dataclass(frozen=True)
+class SceneFormat:
+    """A format: the ``name`` that users give, what is looked for, whether a place has it, and its reader.
+
+    ``read`` raises SceneError.
+    """
+
+    name: str
+    looks_for: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path], Capture]
+
+
+FORMATS: tuple[SceneFormat, ...] = (SceneFormat("scannet", folders.LOOKS_FOR, folders.recognises, folders.read),)
+
+
+def find_format(place: Path, name: str | None = None) -> SceneFormat:
+    """The format called ``name``, or the one that ``place``, a folder or file, has by its looks.
+
+    Raises SceneError for an unknown name, and when no format or more than one is recognised.
+    """
+    if not place.exists():
+        raise SceneError("there is no such folder", place, "Name the folder of a scene.")
+    known = {each.name: each for each in FORMATS}
+    if name is not None:
+        if name not in known:
+            raise SceneError(f'no format is called "{shown(name)}"', place, f"Choose one of {', '.join(known)}.")
+        return known[name]
+    try:
+        found = [each for each in FORMATS if each.recognises(place)]
+    except OSError as error:
+        raise SceneError(f"the folder cannot be read ({error.strerror})", place, "Check its permissions.") from error
+    if len(found) > 1:
+        names = " and ".join(each.name for each in found)
+        raise SceneError(f"this looks like {names}", place, f"Say which one it is, such as --format {found[0].name}.")
+    if not found:
+        wanted = "; ".join(f"{each.name}: {each.looks_for}" for each in FORMATS)
+        raise SceneError("no scene of a known format is here", place, f"Looked for {wanted}.")
+    return found[0]
