@@ -7,6 +7,9 @@ import unicodedata
 from pathlib import Path, PureWindowsPath
 from typing import Any, NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .frame import SceneError
 from .layout import shown
 
@@ -70,6 +73,29 @@ def take_whole_number(entry: dict[str, Any], key: str, context: str, path: Path)
     if isinstance(value, bool) or not whole:
         raise wrong_type(key, "a whole number", value, context, path)
     return int(value)
+
+
+def take_number(entry: dict[str, Any], key: str, context: str, path: Path) -> float:
+    """``entry[key]`` as a finite number. Raises SceneError."""
+    value = _take(entry, key, context, path)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
+        raise wrong_type(key, "a number", value, context, path)
+    return float(value)
+
+
+def take_matrix(
+    entry: dict[str, Any], key: str, context: str, path: Path, shapes: tuple[tuple[int, int], ...]
+) -> NDArray[np.float64]:
+    """``entry[key]``, a list of rows, as a matrix of one of ``shapes``; it may hold inf. Raises SceneError."""
+    value = take_list(entry, key, context, path)
+    wanted = " or ".join(f"{rows}x{columns}" for rows, columns in shapes)
+    try:
+        matrix = np.array(value, np.float64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise wrong_type(key, f"{wanted} numbers", value, context, path) from error
+    if matrix.shape not in shapes:
+        raise wrong_type(key, f"{wanted} numbers", value, context, path)
+    return matrix
 
 
 def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:

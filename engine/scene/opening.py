@@ -98,7 +98,8 @@ def _turn_upright(capture: Capture, up: UpAxis) -> tuple[NDArray[np.float64], li
     poses = [shot.camera.camera_to_world for shot in capture.shots]
     axis = capture.up if up == "z" else up
     if axis is None:
-        return upright_rotation(poses), [_UNKNOWN_UP]
+        turn = upright_rotation(poses)
+        return turn, [] if np.array_equal(turn, np.eye(3)) else [_UNKNOWN_UP]
     turn = to_z_up(axis)
     tilted = up_axis_warning([turned(pose, turn) for pose in poses], axis)
     return turn, [tilted] if tilted else []

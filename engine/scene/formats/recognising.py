@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..frame import SceneError
 from ..layout import shown
-from . import folders
+from . import folders, nerfstudio
 from .capture import Capture
 
 
@@ -25,7 +25,10 @@ class SceneFormat:
     read: Callable[[Path], Capture]
 
 
-FORMATS: tuple[SceneFormat, ...] = (SceneFormat("scannet", folders.LOOKS_FOR, folders.recognises, folders.read),)
+FORMATS: tuple[SceneFormat, ...] = (
+    SceneFormat("scannet", folders.LOOKS_FOR, folders.recognises, folders.read),
+    SceneFormat("nerfstudio", nerfstudio.LOOKS_FOR, nerfstudio.recognises, nerfstudio.read),
+)
 
 
 def find_format(place: Path, name: str | None = None) -> SceneFormat:
