@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..frame import SceneError
 from ..layout import shown
-from . import folders, nerfstudio
+from . import colmap, folders, nerfstudio
 from .capture import Capture
 
 
@@ -28,6 +28,7 @@ class SceneFormat:
 FORMATS: tuple[SceneFormat, ...] = (
     SceneFormat("scannet", folders.LOOKS_FOR, folders.recognises, folders.read),
     SceneFormat("nerfstudio", nerfstudio.LOOKS_FOR, nerfstudio.recognises, nerfstudio.read),
+    SceneFormat("colmap", colmap.LOOKS_FOR, colmap.recognises, colmap.read),
 )
 
 

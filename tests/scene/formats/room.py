@@ -159,8 +159,10 @@ def check_on_room(scene: Scene, tolerance: float = 0.004, share: float = 0.99, c
     check_colours(scene, colour_step)
 
 
-def check_colours(scene: Scene, colour_step: float = 0.0) -> None:
-    """Assert that pictures show, through each frame's camera, the colours that the room has there."""
+def check_colours(scene: Scene, colour_step: float = 0.0, share: float = 0.97) -> None:
+    """Assert that ``share`` of each picture's pixels show the colours that the room has there, through the frame's
+    camera, within ``colour_step``.
+    """
     turn, shift = _about_z(scene)
     for frame in scene.frames:
         camera = frame.camera
@@ -171,7 +173,7 @@ def check_colours(scene: Scene, colour_step: float = 0.0) -> None:
         shown = frame.read_colour(None).astype(int)
         assert shown.shape == expected.shape
         right = (np.abs(shown - expected).max(-1) <= colour_step).mean()
-        assert right > 0.97, f"{frame.name} shows the room's colours on {right:.1%} of its pixels"
+        assert right > share, f"{frame.name} shows the room's colours on {right:.1%} of its pixels"
 
 
 def distance_to_room(points: NDArray[np.float64]) -> NDArray[np.float64]:
