@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..frame import SceneError
 from ..layout import shown
-from . import colmap, folders, nerfstudio
+from . import colmap, folders, nerfstudio, tum
 from .capture import Capture
 
 
@@ -29,6 +29,8 @@ FORMATS: tuple[SceneFormat, ...] = (
     SceneFormat("scannet", folders.LOOKS_FOR, folders.recognises, folders.read),
     SceneFormat("nerfstudio", nerfstudio.LOOKS_FOR, nerfstudio.recognises, nerfstudio.read),
     SceneFormat("colmap", colmap.LOOKS_FOR, colmap.recognises, colmap.read),
+    SceneFormat("tum", tum.LOOKS_FOR, tum.recognises, tum.read),
+    SceneFormat("icl", tum.LOOKS_FOR_ICL, tum.recognises_icl, tum.read_icl),
 )
 
 
