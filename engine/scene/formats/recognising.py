@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..frame import SceneError
 from ..layout import shown
-from . import colmap, folders, nerfstudio, tum
+from . import colmap, folders, nerfstudio, replica, seven_scenes, tum
 from .capture import Capture
 
 
@@ -31,6 +31,10 @@ FORMATS: tuple[SceneFormat, ...] = (
     SceneFormat("colmap", colmap.LOOKS_FOR, colmap.recognises, colmap.read),
     SceneFormat("tum", tum.LOOKS_FOR, tum.recognises, tum.read),
     SceneFormat("icl", tum.LOOKS_FOR_ICL, tum.recognises_icl, tum.read_icl),
+    SceneFormat("7scenes", seven_scenes.LOOKS_FOR, seven_scenes.recognises, seven_scenes.read),
+    SceneFormat("tsdf-fusion", seven_scenes.LOOKS_FOR_TSDF, seven_scenes.recognises_tsdf, seven_scenes.read_tsdf),
+    SceneFormat("replica", replica.LOOKS_FOR, replica.recognises, replica.read),
+    SceneFormat("vmap", replica.LOOKS_FOR_VMAP, replica.recognises_vmap, replica.read_vmap),
 )
 
 

@@ -55,7 +55,7 @@ def views(count: int = 6) -> list[View]:
     """Cameras along a curve in front of the box, held upright, each with another heading and pitch."""
     made = []
     for i in range(count):
-        eye = np.array([-0.6 + 0.25 * i, -1.6 + 0.3 * np.sin(i), 1.4 + 0.12 * i])
+        eye = np.array([-0.6 + 0.25 * i, -1.6 + 0.3 * np.sin(i), 1.4 + 0.12 * (i % 6)])
         heading, pitch = np.radians(62.0 - 14.0 * i), np.radians(-12.0 - 3.0 * (i % 3))
         forward = np.array([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)])
         right = np.cross(forward, UP)
