@@ -89,6 +89,12 @@ def check_depth_header(path: Path, lens: Camera) -> Size:
     return header.size
 
 
+def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
+    """Where a depth camera with the same centre sees what the colour camera does; None when no sensor is built so."""
+    alignment = _alignment(colour, depth)
+    return alignment if _is_plausible(alignment) else None
+
+
 def _alignment(colour: Camera, depth: Camera) -> Alignment:
     """Both see the ray (x, y, 1): u = f x + c in either, so that depth's u is a linear function of colour's."""
     x_scale = (depth.fx / depth.width) / (colour.fx / colour.width)

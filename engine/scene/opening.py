@@ -25,6 +25,7 @@ from .upright import upright_rotation
 
 _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
+_READABLE = "Check that it exists, and its permissions."
 _UNKNOWN_UP = "the format does not say which way is up: the world is turned so that the cameras stand upright"
 
 
@@ -40,7 +41,10 @@ def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z", scene_
     """
     place, masks = Path(folder), None if masks is None else Path(masks)
     reader = find_format(place, scene_format)
-    capture = reader.read(place)
+    try:
+        capture = reader.read(place)
+    except OSError as error:
+        raise SceneError(f"this cannot be read ({error.strerror})", error.filename or place, _READABLE) from error
     _refuse_repeated_names(capture.shots, place)
     beside = place if place.is_dir() else place.with_suffix("")
     split = capture.split or find_split(beside, [shot.name for shot in capture.shots], capture.lost)

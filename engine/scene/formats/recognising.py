@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..frame import SceneError
 from ..layout import shown
-from . import colmap, folders, nerfstudio, replica, seven_scenes, tum
+from . import colmap, folders, nerfstudio, replica, sens, seven_scenes, tum
 from .capture import Capture
 
 
@@ -35,13 +35,15 @@ FORMATS: tuple[SceneFormat, ...] = (
     SceneFormat("tsdf-fusion", seven_scenes.LOOKS_FOR_TSDF, seven_scenes.recognises_tsdf, seven_scenes.read_tsdf),
     SceneFormat("replica", replica.LOOKS_FOR, replica.recognises, replica.read),
     SceneFormat("vmap", replica.LOOKS_FOR_VMAP, replica.recognises_vmap, replica.read_vmap),
+    SceneFormat("sens", sens.LOOKS_FOR, sens.recognises, sens.read),
 )
 
 
 def find_format(place: Path, name: str | None = None) -> SceneFormat:
     """The format called ``name``, or the one that ``place``, a folder or file, has by its looks.
 
-    Raises SceneError for an unknown name, and when no format or more than one is recognised.
+    The first format comes before all others: prepared folders often hold what they were made from as well. Raises
+    SceneError for an unknown name, and when no other format or more than one is recognised.
     """
     if not place.exists():
         raise SceneError("there is no such folder", place, "Name the folder of a scene.")
@@ -54,7 +56,7 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
         found = [each for each in FORMATS if each.recognises(place)]
     except OSError as error:
         raise SceneError(f"the folder cannot be read ({error.strerror})", place, "Check its permissions.") from error
-    if len(found) > 1:
+    if len(found) > 1 and found[0] is not FORMATS[0]:
         names = " and ".join(each.name for each in found)
         raise SceneError(f"this looks like {names}", place, f"Say which one it is, such as --format {found[0].name}.")
     if not found:
