@@ -17,9 +17,16 @@ from .layout import shown
 def read_json_object(path: Path) -> dict[str, Any]:
     """Read a file that holds one JSON object. Raises SceneError when it is missing, cut off or of another kind."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        data = path.read_bytes()
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    return parse_json_object(data, path)
+
+
+def parse_json_object(data: bytes, path: Path) -> dict[str, Any]:
+    """``read_json_object`` for bytes that come out of the file ``path``. Raises SceneError."""
+    try:
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SceneError("this is not a JSON text", path, "Write it as UTF-8.") from error
     if not text.strip():

@@ -105,6 +105,8 @@ def _turn_upright(capture: Capture, up: UpAxis) -> tuple[NDArray[np.float64], li
         turn = upright_rotation(poses)
         return turn, [] if np.array_equal(turn, np.eye(3)) else [_UNKNOWN_UP]
     turn = to_z_up(axis)
+    if capture.up_is_known and axis == capture.up:
+        return turn, []
     tilted = up_axis_warning([turned(pose, turn) for pose in poses], axis)
     return turn, [tilted] if tilted else []
 

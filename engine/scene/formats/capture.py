@@ -33,7 +33,8 @@ class Shot:
 class Capture:
     """All shots in recording order.
 
-    ``up`` is the axis of the format's world that points up, None where the format does not say. ``lost`` names pictures
+    ``up`` is the axis of the format's world that points up, None where the format does not say; ``up_is_known`` when it
+    was measured, so that cameras held sideways mean nothing. ``lost`` names pictures
     without a pose, which are left out. ``split`` is there where the reader had to know it.
     """
 
@@ -43,3 +44,4 @@ class Capture:
     warnings: tuple[str, ...] = ()
     points: SparsePoints | None = None
     split: Split | None = None
+    up_is_known: bool = False

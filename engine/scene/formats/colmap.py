@@ -1,7 +1,7 @@
 """A COLMAP reconstruction: a sparse model beside the folder ``images``.
 
-World-to-camera poses, OpenCV axes, pixel centres at +0.5; the world is turned and scaled as the reconstruction left it.
-Pictures of lenses that bend are undistorted on reading. A dense workspace has depth as well:
+World-to-camera poses, OpenCV axes, pixel centres at +0.5; the world is turned and scaled as the reconstruction left
+it. Pictures of lenses that bend are undistorted on reading. A dense workspace has depth as well:
 ``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the reconstruction's lengths.
 """
 

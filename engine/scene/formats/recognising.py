@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..frame import SceneError
 from ..layout import shown
-from . import colmap, folders, nerfstudio, replica, sens, seven_scenes, tum
+from . import colmap, folders, nerfstudio, polycam, record3d, replica, sens, seven_scenes, stray, tum
 from .capture import Capture
 
 
@@ -36,6 +36,9 @@ FORMATS: tuple[SceneFormat, ...] = (
     SceneFormat("replica", replica.LOOKS_FOR, replica.recognises, replica.read),
     SceneFormat("vmap", replica.LOOKS_FOR_VMAP, replica.recognises_vmap, replica.read_vmap),
     SceneFormat("sens", sens.LOOKS_FOR, sens.recognises, sens.read),
+    SceneFormat("polycam", polycam.LOOKS_FOR, polycam.recognises, polycam.read),
+    SceneFormat("record3d", record3d.LOOKS_FOR, record3d.recognises, record3d.read),
+    SceneFormat("stray", stray.LOOKS_FOR, stray.recognises, stray.read),
 )
 
 

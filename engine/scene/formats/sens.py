@@ -1,8 +1,8 @@
 """ScanNet's ``.sens``: one file with a header, then frames of a pose, a JPEG or PNG, and compressed depth.
 
 Camera-to-world, OpenCV axes, metres, z up; -inf where tracking was lost. Intrinsics of colour and of depth, with
-integer pixel centres; depth is planar, 16 bits, ``depth_shift`` steps a metre, and read through its own lens. Frames are
-called by their number, as ScanNet's labels are.
+integer pixel centres; depth is planar, 16 bits, ``depth_shift`` steps a metre, and read through its own lens. Frames
+are called by their number, as ScanNet's labels are.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """``frame-000000.{color,depth,pose}``: 7-Scenes, and tsdf-fusion's and 3DMatch's layout, which has intrinsics.
 
-Frames lie in the folder or in its folders ``seq-01``, ... Poses are camera-to-world, 4x4, OpenCV axes, metres. Depth is
-a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the first camera did.
+Frames lie in the folder or in its folders ``seq-01``, ... Poses are camera-to-world, 4x4, OpenCV axes, metres. Depth
+is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the first camera did.
 
 * With ``camera-intrinsics.txt`` (tsdf-fusion, 3DMatch): 3x3, integer pixel centres, for colour and depth alike.
-* Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f 525,
-  stands 2.5 cm beside it. Depth is registered to colour with a Kinect's calibration (LIRIS), as ACE does, or read from
-  ``frame-000000.depth.proj.png`` where somebody has done it already.
+* Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f
+  525, stands 2.5 cm beside it. Depth is registered to colour with a Kinect's calibration (LIRIS), as ACE does, or
+  read from ``frame-000000.depth.proj.png`` where somebody has done it already.
 """
 
 from __future__ import annotations

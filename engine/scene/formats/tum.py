@@ -1,13 +1,15 @@
 """TUM RGB-D sequences, those recorded in their layout (Bonn, ETH3D SLAM), and ICL-NUIM's TUM-compatible ones.
 
-* ``rgb.txt`` and ``depth.txt``: a time stamp and a file name a line; or ``associations.txt`` (``associated.txt``) with
-  a colour and a depth image a line. Without either, the names of the images in ``rgb/`` and ``depth/`` are the stamps.
+* ``rgb.txt`` and ``depth.txt``: a time stamp and a file name a line; or ``associations.txt`` (``associated.txt``)
+  with a colour and a depth image a line. Without either, the names of the images in ``rgb/`` and ``depth/`` are the
+  stamps.
 * ``groundtruth.txt`` (ICL: ``*.gt.freiburg``): ``t tx ty tz qx qy qz qw``, camera-to-world, OpenCV axes, metres.
 * Depth: 16-bit PNG, registered to colour, planar, 5000 steps a metre, 0 = none.
 * Intrinsics are not in the files: TUM's are those of its documentation, told apart by "freiburg1", "freiburg2" or
   "freiburg3" in the folder's name; ETH3D has them in ``calibration.txt``: ``fx fy cx cy``. Integer pixel centres.
 
-ICL-NUIM was rendered with a y axis that points up in pictures (its fy is negative): camera and world are mirrored in y.
+ICL-NUIM was rendered with a y axis that points up in pictures (its fy is negative): camera and world are mirrored in
+y.
 """
 
 from __future__ import annotations
