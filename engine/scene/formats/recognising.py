@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..frame import SceneError
 from ..layout import shown
-from . import colmap, folders, nerfstudio, polycam, record3d, replica, sens, seven_scenes, stray, tum
+from . import colmap, folders, nerfstudio, polycam, record3d, replica, scannetpp, sens, seven_scenes, stray, tum
 from .capture import Capture
 
 
@@ -39,6 +39,7 @@ FORMATS: tuple[SceneFormat, ...] = (
     SceneFormat("polycam", polycam.LOOKS_FOR, polycam.recognises, polycam.read),
     SceneFormat("record3d", record3d.LOOKS_FOR, record3d.recognises, record3d.read),
     SceneFormat("stray", stray.LOOKS_FOR, stray.recognises, stray.read),
+    SceneFormat("scannetpp", scannetpp.LOOKS_FOR, scannetpp.recognises, scannetpp.read),
 )
 
 
