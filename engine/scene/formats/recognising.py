@@ -8,7 +8,20 @@ from pathlib import Path
 
 from ..frame import SceneError
 from ..layout import shown
-from . import colmap, folders, nerfstudio, polycam, record3d, replica, scannetpp, sens, seven_scenes, stray, tum
+from . import (
+    colmap,
+    folders,
+    hypersim,
+    nerfstudio,
+    polycam,
+    record3d,
+    replica,
+    scannetpp,
+    sens,
+    seven_scenes,
+    stray,
+    tum,
+)
 from .capture import Capture
 
 
@@ -40,6 +53,7 @@ FORMATS: tuple[SceneFormat, ...] = (
     SceneFormat("record3d", record3d.LOOKS_FOR, record3d.recognises, record3d.read),
     SceneFormat("stray", stray.LOOKS_FOR, stray.recognises, stray.read),
     SceneFormat("scannetpp", scannetpp.LOOKS_FOR, scannetpp.recognises, scannetpp.read),
+    SceneFormat("hypersim", hypersim.LOOKS_FOR, hypersim.recognises, hypersim.read),
 )
 
 

@@ -140,9 +140,11 @@ def quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([w, x, y, z])
 
 
-def check_on_room(scene: Scene, tolerance: float = 0.004, share: float = 0.99, colour_step: float = 0.0) -> None:
+def check_on_room(
+    scene: Scene, tolerance: float = 0.004, share: float = 0.99, colour_step: float = 0.0, colour_share: float = 0.97
+) -> None:
     """Assert that all depth lies on the room's surfaces within ``tolerance`` metres, for at least ``share`` of the
-    pixels with depth, and that pictures show those surfaces' colours within ``colour_step``.
+    pixels with depth, and that pictures show those surfaces' colours (see ``check_colours``).
 
     The scene's world may be moved, and turned about z: where cameras stand settles how.
     """
@@ -156,7 +158,7 @@ def check_on_room(scene: Scene, tolerance: float = 0.004, share: float = 0.99, c
         away = distance_to_room(points)
         near = (away < tolerance).mean()
         assert near >= share, f"{frame.name}: {near:.1%} lie on the room, the median is {np.median(away):.4f} m away"
-    check_colours(scene, colour_step)
+    check_colours(scene, colour_step, colour_share)
 
 
 def check_colours(scene: Scene, colour_step: float = 0.0, share: float = 0.97) -> None:
