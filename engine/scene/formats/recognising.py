@@ -13,6 +13,7 @@ from . import (
     folders,
     hypersim,
     nerfstudio,
+    open3d_log,
     polycam,
     record3d,
     replica,
@@ -54,6 +55,7 @@ FORMATS: tuple[SceneFormat, ...] = (
     SceneFormat("stray", stray.LOOKS_FOR, stray.recognises, stray.read),
     SceneFormat("scannetpp", scannetpp.LOOKS_FOR, scannetpp.recognises, scannetpp.read),
     SceneFormat("hypersim", hypersim.LOOKS_FOR, hypersim.recognises, hypersim.read),
+    SceneFormat("open3d", open3d_log.LOOKS_FOR, open3d_log.recognises, open3d_log.read),
 )
 
 
