@@ -19,6 +19,7 @@ def inspect_scene(
     up: UpAxis,
     *,
     scene_format: str | None = None,
+    depth: Path | None = None,
     as_json: bool = False,
     preset: str | None = None,
 ) -> ExitCode:
@@ -27,7 +28,7 @@ def inspect_scene(
 
     Raises SceneError for the first thing that is wrong.
     """
-    report = describe(open_scene(folder, masks, up, scene_format))
+    report = describe(open_scene(folder, masks, up, scene_format, depth))
     if as_json:
         print(json.dumps(asdict(report), default=str))
     else:

@@ -12,7 +12,7 @@ from ..job.terminal import Interrupted, Interrupts
 from ..scene import open_scene_to_lift
 from .run_engine import run_bake, run_engine
 
-_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", "masks", "up", "scene_format", "bake")
+_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", "masks", "up", "scene_format", "depth", "bake")
 
 
 def run_folder(options: argparse.Namespace) -> ExitCode:
@@ -52,4 +52,4 @@ def lift_scene(options: argparse.Namespace) -> int:
 
 
 def _check(request: LiftRequest) -> None:
-    open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format)
+    open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)

@@ -131,6 +131,7 @@ def _inspect(options: argparse.Namespace) -> ExitCode:
         options.masks,
         options.up or "z",
         scene_format=options.scene_format,
+        depth=options.depth,
         as_json=options.json,
         preset=options.preset,
     )

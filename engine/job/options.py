@@ -40,6 +40,9 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--masks", type=Path, metavar="PATH", help="panoptic masks, where not in SCENE itself")
     parser.add_argument("--up", choices=UPS, help=f"the axis of the poses that points up (default: {_DEFAULTS.up})")
     parser.add_argument(
+        "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, fitted to the scene's sparse points"
+    )
+    parser.add_argument(
         "--format",
         dest="scene_format",
         metavar="NAME",
@@ -73,8 +76,9 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
     """
     names = ("preset", "steps", "size", "seed", "up", "scene_format", "bake")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    if options.masks is not None:
-        given["masks"] = options.masks.resolve()
+    for name in ("masks", "depth"):
+        if getattr(options, name) is not None:
+            given[name] = getattr(options, name).resolve()
     scene = options.scene.resolve()
     return LiftRequest(scene=scene, **given) if base is None else replace(base, scene=scene, **given)
 

@@ -59,7 +59,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     stages = StageReporter(events, stop, STAGES)
 
     with stages.stage("check") as progress:
-        scene = open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format)
+        scene = open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)
         for warning in (*scene.warnings, *check_scene(scene, progress)):
             events.warning(warning)
     with stages.stage("read") as progress:

@@ -9,7 +9,7 @@ from .masks import READ_FIX
 from .matrices import UpAxis
 from .opening import open_scene
 
-_DEPTH_FIX = "A lift needs depth images beside the pictures; cameras and pictures can be looked at without."
+_DEPTH_FIX = "Give depth images in the scene, or a folder of depth maps with --depth."
 
 
 def require_liftable(scene: Scene) -> None:
@@ -21,9 +21,13 @@ def require_liftable(scene: Scene) -> None:
 
 
 def open_scene_to_lift(
-    folder: Path, masks: Path | None = None, up: UpAxis = "z", scene_format: str | None = None
+    folder: Path,
+    masks: Path | None = None,
+    up: UpAxis = "z",
+    scene_format: str | None = None,
+    depth: Path | None = None,
 ) -> Scene:
     """``open_scene`` for a lift. Raises SceneError also when masks or depth are missing."""
-    scene = open_scene(folder, masks, up, scene_format)
+    scene = open_scene(folder, masks, up, scene_format, depth)
     require_liftable(scene)
     return scene

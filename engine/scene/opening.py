@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
+from .estimated_depth import with_estimated_depth
 from .formats import Capture, Shot, find_format
 from .frame import Frame, Scene, SceneError, Size
 from .ground_truth import GroundTruthSet, open_ground_truth
@@ -29,12 +30,19 @@ _READABLE = "Check that it exists, and its permissions."
 _UNKNOWN_UP = "the format does not say which way is up: the world is turned so that the cameras stand upright"
 
 
-def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z", scene_format: str | None = None) -> Scene:
+def open_scene(
+    folder: Path,
+    masks: Path | None = None,
+    up: UpAxis = "z",
+    scene_format: str | None = None,
+    depth: Path | None = None,
+) -> Scene:
     """Open a scene without decoding an image.
 
     ``folder`` may be a file in formats that are one. ``masks`` names the panoptic masks when they are not in the
     folder. ``up`` is the axis of its poses' world that points up; "z" leaves it to formats that say it themselves.
-    ``scene_format`` names the format when its looks do not tell. Masks and depth may be missing, see
+    ``scene_format`` names the format when its looks do not tell. ``depth`` is a folder of monocular depth maps, which
+    take the place of the scene's depth, see ``estimated_depth``. Masks and depth may be missing, see
     ``require_liftable``.
 
     Raises SceneError for the first thing that is wrong; ``check_scene`` looks into the pixels as well.
@@ -57,23 +65,28 @@ def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z", scene_
     _check_mask_shapes(mask_set, sizes)
     truth = open_ground_truth(beside, sizes, mask_set.classes) if mask_set.readers else GroundTruthSet({})
     lost = f"{len(capture.lost)} frames without a pose are left out: {listed(capture.lost)}"
+    points = None if capture.points is None else capture.points.turned(turn)
+    frames = tuple(
+        Frame(
+            name=shot.name,
+            camera=cameras[shot.name],
+            held_out=shot.name in held_out,
+            colour_path=shot.colour_path,
+            depth_path=shot.depth_path,
+            read_colour=shot.read_colour,
+            read_depth=shot.read_depth,
+            read_mask=mask_set.readers.get(shot.name),
+            read_ground_truth=truth.readers.get(shot.name),
+            file_shows_colour=shot.file_shows_colour,
+        )
+        for shot in shots
+    )
+    depth_warnings: list[str] = []
+    if depth is not None:
+        frames, depth_warnings = with_estimated_depth(frames, Path(depth), points)
     return Scene(
         folder=place,
-        frames=tuple(
-            Frame(
-                name=shot.name,
-                camera=cameras[shot.name],
-                held_out=shot.name in held_out,
-                colour_path=shot.colour_path,
-                depth_path=shot.depth_path,
-                read_colour=shot.read_colour,
-                read_depth=shot.read_depth,
-                read_mask=mask_set.readers.get(shot.name),
-                read_ground_truth=truth.readers.get(shot.name),
-                file_shows_colour=shot.file_shows_colour,
-            )
-            for shot in shots
-        ),
+        frames=frames,
         classes=mask_set.classes,
         warnings=(
             *([lost] if capture.lost else []),
@@ -81,11 +94,12 @@ def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z", scene_
             *turn_warnings,
             *_lens_warnings(cameras),
             *capture.warnings,
+            *depth_warnings,
             *mask_set.warnings,
             *truth.warnings,
         ),
         format=reader.name,
-        points=None if capture.points is None else capture.points.turned(turn),
+        points=points,
     )
 
 

@@ -20,6 +20,7 @@ FULL = LiftRequest(
     up="-y",
     bake="all",
     scene_format="tum",
+    depth=Path("/depth"),
 )
 
 
@@ -69,6 +70,8 @@ def test_has_the_documented_form() -> None:
         ({"preset": None}, "'preset'"),
         ({"up": "x"}, "z, y, -y"),
         ({"scene_format": 5}, "'scene_format'"),
+        ({"depth": 5}, "'depth'"),
+        ({"depth": "relative"}, "'depth'"),
         ({"bake": "some"}, "test, all, none"),
         ({"engine_version": 1}, "'engine_version'"),
     ],
@@ -97,5 +100,6 @@ def test_tells_what_differs() -> None:
         "size",
         "up",
         "scene_format",
+        "depth",
         "bake",
     ]

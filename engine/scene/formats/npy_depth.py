@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +22,20 @@ class NpyDepthReader:
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Planar depth, float32 [H, W] metres, 0 = none. Raises SceneError."""
-        values = read_npy(self.path)
-        while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
-            values = values[0] if values.shape[0] == 1 else values[..., 0]
-        if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:
-            raise SceneError("depth is no picture of numbers", self.path, "Save an array [height, width].")
+        values = read_picture(self.path)
         depth = values.astype(np.float32) * np.float32(1.0 if values.dtype.kind == "f" else self.unit)
         depth = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.float32(0.0))
         return resize_nearest(depth, size) if size else depth
+
+
+def read_picture(path: Path) -> NDArray[Any]:
+    """The array of numbers [H, W] in a .npy file; sides of length 1 beside are dropped. Raises SceneError."""
+    values: NDArray[Any] = read_npy(path)
+    while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
+        values = values[0] if values.shape[0] == 1 else values[..., 0]
+    if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:
+        raise SceneError("depth is no picture of numbers", path, "Save an array [height, width].")
+    return values
 
 
 def read_npy(path: Path) -> NDArray[np.generic]:
