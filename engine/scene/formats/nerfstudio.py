@@ -51,6 +51,10 @@ def read(place: Path) -> Capture:
     for frame in frames:
         take_text(frame, "file_path", "a frame", path)
     frames.sort(key=lambda frame: natural_order(frame["file_path"]))
+    present = [frame for frame in frames if _image_path(path, frame["file_path"]).is_file()]
+    if frames and not present:
+        raise SceneError("the pictures are missing", _image_path(path, frames[0]["file_path"]), "Copy them there.")
+    missing, frames = len(frames) - len(present), present
     names = frame_names([frame["file_path"] for frame in frames])
     shots, lost = [], []
     for name, frame in zip(names, frames, strict=True):
@@ -60,6 +64,8 @@ def read(place: Path) -> Capture:
         else:
             shots.append(shot)
     warnings = [UNDISTORTED] if any(isinstance(shot.read_colour, UndistortedColour) for shot in shots) else []
+    if missing:
+        warnings.append(f"{missing} frames are left out: their pictures are missing")
     if any("mask_path" in frame for frame in frames):
         warnings.append("mask_path is not used: it says what to leave out, not what is what")
     up: UpAxis | None = "z" if content.get("orientation_override") == "none" else None

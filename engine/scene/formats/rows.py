@@ -20,8 +20,10 @@ class Row:
     words: list[str]
 
 
-def read_rows(path: Path, fix: str, separator: str | None = None) -> Iterator[Row]:
-    """The rows of a text file that hold something. Raises SceneError, with ``fix`` as the advice."""
+def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool = False) -> Iterator[Row]:
+    """The rows of a text file that hold something, and its columns' ``titles`` if wanted. Raises SceneError, with
+    ``fix`` as the advice.
+    """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -30,7 +32,8 @@ def read_rows(path: Path, fix: str, separator: str | None = None) -> Iterator[Ro
         raise SceneError("this is not a text file", path, fix) from error
     for number, line in enumerate(text.splitlines(), start=1):
         words = [word.strip() for word in line.partition("#")[0].split(separator)]
-        if any(words):
+        # TUM's column titles are comments; some tools take the # away.
+        if any(words) and (titles or words[0] != "timestamp"):
             yield Row(number, words)
 
 

@@ -67,7 +67,7 @@ def read(place: Path) -> Capture:
 
 def _read_odometry(path: Path) -> list[dict[str, float]]:
     """The rows by the names of their columns. Raises SceneError."""
-    rows = read_rows(path, _FIX, ",")
+    rows = read_rows(path, _FIX, ",", titles=True)
     head = next(rows, None)
     if head is None or not {*_COLUMNS} <= {*head.words}:
         raise SceneError(f"the first line does not name {', '.join(_COLUMNS)}", path, _FIX)

@@ -50,6 +50,14 @@ def test_points_lie_on_the_room(tmp_path: Path) -> None:
         check_on_room(scene)
 
 
+def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
+    """instant-ngp's own sample names more pictures than it has."""
+    write_scene(tmp_path)
+    (tmp_path / "images" / "frame_9.png").unlink()
+    scene = open_scene(tmp_path)
+    assert len(scene.frames) == 5 and "1 frames are left out: their pictures are missing" in scene.warnings
+
+
 def test_without_depth_pictures_and_cameras_come(tmp_path: Path) -> None:
     scene = open_scene(write_scene(tmp_path, depth=False))
     assert not scene.has_depth and not scene.has_masks
@@ -145,9 +153,10 @@ def test_points_and_cameras_stand_upright_together(tmp_path: Path) -> None:
         ({"fl_x": -3}, "intrinsics that no camera has"),
         ({"w": 48, "h": 64}, "frame frame_8 is 64x48, the intrinsics are for 48x64"),
         ({"frames": []}, "no picture with a pose"),
-        ({"frames": [{"file_path": "a.png", "transform_matrix": [[1, 2], [3]]}]}, "transform_matrix"),
+        ({"frames": [{"file_path": "images/frame_8", "transform_matrix": [[1, 2], [3]]}]}, "transform_matrix"),
+        ({"frames": [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}]}, "pictures are missing.*a.png"),
         ({"frames": [{"file_path": "../a.png", "transform_matrix": np.eye(4).tolist()}]}, "leaves the folder"),
-        ({"frames": [{"file_path": "a.png", "transform_matrix": np.ones((4, 4)).tolist()}]}, "a.png|last row"),
+        ({"frames": [{"file_path": "images/frame_8", "transform_matrix": np.ones((4, 4)).tolist()}]}, "last row"),
         ({"ply_file_path": "transforms.json"}, "this is no PLY file"),
     ],
 )

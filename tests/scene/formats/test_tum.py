@@ -23,7 +23,11 @@ def tum_line(stamp: float | int, right: np.ndarray, down: np.ndarray, forward: n
 
 def write_tum(folder: Path) -> Path:
     """Depth 12 ms after colour, poses every 10 ms that move on between pictures, pictures before and after them."""
-    rgb, depth, truth = "# color images\n", "# depth maps\n", "# ground truth trajectory\n# timestamp tx ty tz\n"
+    rgb, depth, truth = (
+        "# color images\ntimestamp filename\n",
+        "# depth maps\n",
+        "# ground truth trajectory\n# timestamp tx ty tz\n",
+    )
     for i, view in enumerate(views()):
         at = 1305031102.17 + i / 30
         picture = look(view, KINECT)
