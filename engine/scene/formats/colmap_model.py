@@ -146,8 +146,8 @@ def _binary_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
     file = _Bytes(path)
     ids, xyz, rgb = [], [], []
     for _ in range(file.count()):
-        point, x, y, z, red, green, blue, _, track = file.take("<Q3d3BdQ")
-        ids.append(point)
+        point, x, y, z, red, green, blue, _, track = file.take("<q3d3BdQ")
+        ids.append(int(point))
         xyz.append((x, y, z))
         rgb.append((red, green, blue))
         file.skip(8 * int(track))
@@ -155,7 +155,7 @@ def _binary_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
 
 
 def _as_points(
-    ids: Sequence[float], xyz: Sequence[Sequence[float]], rgb: Sequence[Sequence[float]]
+    ids: Sequence[int], xyz: Sequence[Sequence[float]], rgb: Sequence[Sequence[float]]
 ) -> tuple[NDArray[np.int64], SparsePoints]:
     places, colours = np.array(xyz, np.float64).reshape(-1, 3), np.array(rgb).reshape(-1, 3).astype(np.uint8)
     return np.array(ids, np.int64), SparsePoints(places, colours)
@@ -227,7 +227,7 @@ def _text_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
         try:
             x, y, z = (float(word) for word in words[1:4])
             red, green, blue = (float(int(word) & 255) for word in words[4:7])
-            ids.append(float(int(words[0])))
+            ids.append(int(np.int64(int(words[0]))))
         except (ValueError, OverflowError) as error:
             raise _broken(path, number) from error
         xyz.append((x, y, z))

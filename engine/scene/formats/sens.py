@@ -85,6 +85,7 @@ def read(place: Path) -> Capture:
     if path is None:
         raise SceneError("there is no .sens file, or more than one", place, "Name the file.")
     shots, lost = [], []
+    end = path.stat().st_size
     with path.open("rb") as file:
         header = _read_header(file, path)
         alignment = fitting_alignment(header.colour, header.depth)
@@ -92,6 +93,8 @@ def read(place: Path) -> Capture:
             matrix = np.array(_take(file, "<16f", path)).reshape(4, 4)
             colour_size, depth_size = (int(size) for size in _take(file, "<QQQQ", path)[2:])
             start = file.tell()
+            if colour_size + depth_size > end - start:
+                raise SceneError("the file is cut off", path, _FIX)
             colour, depth = _Block(path, start, colour_size), _Block(path, start + colour_size, depth_size)
             file.seek(start + colour_size + depth_size)
             pose = finite_pose(matrix, path)
@@ -102,8 +105,6 @@ def read(place: Path) -> Capture:
             reader = _DepthReader(depth, size, header.depth_compression, header.unit, alignment or Alignment())
             camera = placed(header.colour, pose)
             shots.append(Shot(str(number), camera, path, _ColourReader(colour), path, reader, file_shows_colour=False))
-        if shots and file.tell() > path.stat().st_size:
-            raise SceneError("the file is cut off", path, _FIX)
     ignored = "the depth camera's intrinsics do not fit the colour camera's and are ignored"
     return Capture(tuple(shots), "z", tuple(lost), () if alignment else (ignored,))
 

@@ -94,7 +94,8 @@ def _track_size(file: BinaryIO, start: int, stop: int) -> Size | None:
     for kind, begin, end in _boxes(file, start, stop):
         if kind == b"tkhd" and end - begin >= 84:
             file.seek(end - 8)
-            width, height = (side >> 16 for side in struct.unpack(">II", file.read(8)))
+            sides = file.read(8)
+            width, height = (side >> 16 for side in struct.unpack(">II", sides)) if len(sides) == 8 else (0, 0)
             return (width, height) if width and height else None
     return None
 
