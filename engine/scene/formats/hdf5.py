@@ -35,7 +35,7 @@ def _dataset(path: Path, dimensions: int) -> Iterator[Any]:
     try:
         import h5py
     except ImportError as error:
-        fix = "Install it into the engine's Python: pip install h5py."
+        fix = "Let the engine's Python install it: python -m pip install -r requirements/readers.txt."
         raise SceneError("HDF5 files need the package h5py", path, fix) from error
     if not path.is_file():
         raise SceneError("the file is missing", path, _FIX)

@@ -202,7 +202,7 @@ class _DepthReader:
         try:
             import liblzfse
         except ImportError as error:
-            fix = "Install it into the engine's Python: pip install pyliblzfse."
+            fix = "Let the engine's Python install it: python -m pip install -r requirements/readers.txt."
             raise SceneError("depth of Record3D needs the package pyliblzfse", self.archive.path, fix) from error
         try:
             unpacked: bytes = liblzfse.decompress(data)

@@ -113,5 +113,5 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
         "parameter_name,parameter_value\nmeters_per_asset_unit,1\n"
     )
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(SceneError, match="pip install h5py"):
+    with pytest.raises(SceneError, match=r"need the package h5py.*pip install -r requirements/readers\.txt"):
         open_scene(tmp_path)
