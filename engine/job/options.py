@@ -38,7 +38,11 @@ def add_lift_options(parser: argparse.ArgumentParser) -> None:
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """How to read the scene's folder."""
     parser.add_argument("--masks", type=Path, metavar="PATH", help="panoptic masks, where not in SCENE itself")
-    parser.add_argument("--up", choices=UPS, help=f"the axis of the poses that points up (default: {_DEFAULTS.up})")
+    parser.add_argument(
+        "--up",
+        choices=UPS,
+        help=f"the axis of the poses that points up (default: what the format says, else {_DEFAULTS.up})",
+    )
     parser.add_argument(
         "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, fitted to the scene's sparse points"
     )

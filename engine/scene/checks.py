@@ -202,7 +202,7 @@ def _overlap_warnings(scene: Scene, thumbnails: Sequence[Thumbnail], tick: Progr
     if not overlap.overlaps:
         raise SceneError(
             "no two frames see the same surface",
-            scene.folder / "pose",
+            scene.folder / "pose" if (scene.folder / "pose").is_dir() else scene.folder,
             f"Check that poses are {_POSE_RULES}, and that depth is in millimetres.",
         )
     if overlap.agreement < _DISAGREEING:
