@@ -137,9 +137,9 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
 
 def check_scene_folder(request: LiftRequest) -> None:
     """The quick look, before any folder is made. Raises SceneError."""
-    from plgs.engine.scene import open_scene
+    from plgs.engine.scene import open_scene_to_lift
 
-    open_scene(request.scene, request.masks, request.up)
+    open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)
 
 
 def blend_path(options: argparse.Namespace) -> Path:

@@ -118,7 +118,11 @@ def _new_camera(holdings: Holdings, key: str, name: str) -> bpy.types.Camera:
 
 
 def _show_picture(data: bpy.types.Camera, holdings: Holdings, frame: Frame) -> None:
-    """The colour image, half transparent before the scene: it shows whether the scene fits it."""
+    """The colour image, half transparent before the scene: it shows whether the scene fits it. Nothing for a picture
+    that no image file shows.
+    """
+    if not frame.file_shows_colour:
+        return
     image = holdings.block("images", f"picture:{frame.name}", lambda: _load(frame.colour_path))
     image.filepath = str(frame.colour_path)
     data.background_images.clear()

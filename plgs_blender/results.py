@@ -120,7 +120,8 @@ def read_result(folder: Path) -> LiftResult:
     """
     lift = LiftFolder.open(folder)
     check_sizes(lift.result_path)
-    scene = open_scene(lift.request.scene, lift.request.masks, lift.request.up)
+    asked = lift.request
+    scene = open_scene(asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth)
     classes, instances = _read_instances(lift.result_path / "instances.json")
     names = [frame.name for frame in scene.frames]
     passes = {name: lift.passes_path / f"{name}.exr" for name in names}

@@ -143,7 +143,10 @@ def _with_answer(survey: Survey, code: int, words: str) -> Survey:
         return replace(survey, error=line.removeprefix("error: "))
     try:
         answer: dict[str, Any] = json.loads(line)
-        near, middle, far = (float(each) for each in answer["depth_range"])
+        depth_range = answer["depth_range"]
+        if depth_range is not None:
+            near, middle, far = (float(each) for each in depth_range)
+            depth_range = (near, middle, far)
         return replace(
             survey,
             train_frames=int(answer["train_frames"]),
@@ -151,7 +154,7 @@ def _with_answer(survey: Survey, code: int, words: str) -> Survey:
             sizes=tuple(((int(width), int(height)), int(count)) for (width, height), count in answer["colour_sizes"]),
             classes=tuple(str(each["name"]) for each in answer["classes"]),
             warnings=tuple(str(each) for each in answer["warnings"]),
-            depth_range=(near, middle, far),
+            depth_range=depth_range,
         )
     except (ValueError, TypeError, KeyError) as error:
         return replace(survey, error=f"the engine could not look at it ({error!r}): {line}", fix="Look again.")

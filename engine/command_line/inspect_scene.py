@@ -14,14 +14,21 @@ from ..scene import SceneReport, Size, UpAxis, describe, open_scene
 
 
 def inspect_scene(
-    folder: Path, masks: Path | None, up: UpAxis, *, as_json: bool = False, preset: str | None = None
+    folder: Path,
+    masks: Path | None,
+    up: UpAxis,
+    *,
+    scene_format: str | None = None,
+    depth: Path | None = None,
+    as_json: bool = False,
+    preset: str | None = None,
 ) -> ExitCode:
     """Decode every frame and print what is there, for people or as one line of JSON. For people also what a lift with
     ``preset`` would take.
 
     Raises SceneError for the first thing that is wrong.
     """
-    report = describe(open_scene(folder, masks, up))
+    report = describe(open_scene(folder, masks, up, scene_format, depth))
     if as_json:
         print(json.dumps(asdict(report), default=str))
     else:
@@ -32,16 +39,26 @@ def inspect_scene(
 
 
 def _lines(report: SceneReport) -> Iterator[str]:
-    near, middle, far = report.depth_range
-    fewest, median, most = report.segments_per_frame
     yield f"scene     {report.folder}"
+    yield f"format    {report.format}"
     yield f"frames    {report.train_frames} for training, {report.test_frames} held out"
     yield f"truth     {report.ground_truth_frames or 'no'} frames"
     yield f"colour    {_sizes(report.colour_sizes)}"
-    yield f"depth     {_sizes(report.depth_sizes)}, {near:.2f} to {far:.2f} m, half within {middle:.2f} m"
-    yield f"masks     {_sizes(report.mask_sizes)}, {fewest} to {most} segments a frame, {median} in the middle"
+    if report.depth_range is None:
+        yield "depth     none: a lift is not possible"
+    else:
+        near, middle, far = report.depth_range
+        yield f"depth     {_sizes(report.depth_sizes)}, {near:.2f} to {far:.2f} m, half within {middle:.2f} m"
+    if report.segments_per_frame is None:
+        yield "masks     none: a lift is not possible"
+    else:
+        fewest, median, most = report.segments_per_frame
+        yield f"masks     {_sizes(report.mask_sizes)}, {fewest} to {most} segments a frame, {median} in the middle"
+    if report.sparse_points:
+        yield f"points    {report.sparse_points} of the reconstruction"
     yield "cameras   within " + " x ".join(f"{side:.2f}" for side in report.extent) + " m"
-    yield f"classes   {len(report.classes)}, {report.void_share:.1%} of the pixels without"
+    if report.classes:
+        yield f"classes   {len(report.classes)}, {report.void_share:.1%} of the pixels without"
     for entry in sorted(report.classes, key=lambda entry: -entry.share):
         yield f"  {entry.id:4d}  {entry.name:<24} {'thing' if entry.is_thing else 'stuff'} {entry.share:7.1%}"
     for warning in report.warnings:

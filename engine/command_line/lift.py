@@ -9,10 +9,10 @@ from ..job import ExitCode, JobError, LiftFolder, LiftRequest
 from ..job.report import made_files, metrics_table
 from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupted, Interrupts
-from ..scene import open_scene
+from ..scene import open_scene_to_lift
 from .run_engine import run_bake, run_engine
 
-_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", "masks", "up", "bake")
+_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", "masks", "up", "scene_format", "depth", "bake")
 
 
 def run_folder(options: argparse.Namespace) -> ExitCode:
@@ -20,7 +20,8 @@ def run_folder(options: argparse.Namespace) -> ExitCode:
     given = [name for name in _REQUEST_OPTIONS if getattr(options, name) is not None]
     if given:
         fix = "Leave them out, or lift a scene into a new folder with -o."
-        raise JobError("a lift's request never changes", ", ".join(f"--{name}" for name in given), fix)
+        options_given = ", ".join(f"--{name.removeprefix('scene_')}" for name in given)
+        raise JobError("a lift's request never changes", options_given, fix)
     folder = LiftFolder.open(options.scene)
     return run_engine(folder, resume=options.resume, parent_pipe=_parent_pipe(options, folder))
 
@@ -51,4 +52,4 @@ def lift_scene(options: argparse.Namespace) -> int:
 
 
 def _check(request: LiftRequest) -> None:
-    open_scene(request.scene, request.masks, request.up)
+    open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)

@@ -157,7 +157,15 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 def _inspect(options: argparse.Namespace) -> ExitCode:
     from .inspect_scene import inspect_scene
 
-    return inspect_scene(options.scene, options.masks, options.up or "z", as_json=options.json, preset=options.preset)
+    return inspect_scene(
+        options.scene,
+        options.masks,
+        options.up or "z",
+        scene_format=options.scene_format,
+        depth=options.depth,
+        as_json=options.json,
+        preset=options.preset,
+    )
 
 
 def _handshake(options: argparse.Namespace) -> ExitCode:

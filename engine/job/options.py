@@ -38,7 +38,20 @@ def add_lift_options(parser: argparse.ArgumentParser) -> None:
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """How to read the scene's folder."""
     parser.add_argument("--masks", type=Path, metavar="PATH", help="panoptic masks, where not in SCENE itself")
-    parser.add_argument("--up", choices=UPS, help=f"the axis of the poses that points up (default: {_DEFAULTS.up})")
+    parser.add_argument(
+        "--up",
+        choices=UPS,
+        help=f"the axis of the poses that points up (default: what the format says, else {_DEFAULTS.up})",
+    )
+    parser.add_argument(
+        "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, fitted to the scene's sparse points"
+    )
+    parser.add_argument(
+        "--format",
+        dest="scene_format",
+        metavar="NAME",
+        help="how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its looks)",
+    )
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
@@ -65,10 +78,11 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 
     Raises JobError when a value is out of range.
     """
-    names = ("preset", "steps", "size", "seed", "up", "bake")
+    names = ("preset", "steps", "size", "seed", "up", "scene_format", "bake")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    if options.masks is not None:
-        given["masks"] = options.masks.resolve()
+    for name in ("masks", "depth"):
+        if getattr(options, name) is not None:
+            given[name] = getattr(options, name).resolve()
     scene = options.scene.resolve()
     return LiftRequest(scene=scene, **given) if base is None else replace(base, scene=scene, **given)
 

@@ -19,7 +19,19 @@ PRESETS: tuple[str, ...] = get_args(Preset)
 UPS: tuple[str, ...] = get_args(Up)
 BAKES: tuple[str, ...] = get_args(Bake)
 SMALLEST_SIDE, LARGEST_SIDE = 16, 16384
-_KEYS = {"format", "engine_version", "scene", "masks", "preset", "overrides", "seed", "up", "bake"}
+_KEYS = {
+    "format",
+    "engine_version",
+    "scene",
+    "masks",
+    "preset",
+    "overrides",
+    "seed",
+    "up",
+    "scene_format",
+    "depth",
+    "bake",
+}
 _OVERRIDES = {"steps", "size"}
 _FIX = "Mend it, or delete the folder and lift again."
 
@@ -27,6 +39,8 @@ _FIX = "Mend it, or delete the folder and lift again."
 @dataclass(frozen=True)
 class LiftRequest:
     """One lift. Paths are absolute; ``size`` is (width, height) in pixels; None leaves it to the preset.
+    ``scene_format`` names how the scene is laid out; None leaves it to the scene's looks. ``depth`` is a folder of
+    depth maps that take the place of the scene's own.
 
     Raises JobError when a value is out of range. Files are not looked at: that is the scene's part.
     """
@@ -39,10 +53,12 @@ class LiftRequest:
     seed: int = 0
     up: Up = "z"
     bake: Bake = "test"
+    scene_format: str | None = None
+    depth: Path | None = None
     engine_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:
-        for name, path in (("scene", self.scene), ("masks", self.masks)):
+        for name, path in (("scene", self.scene), ("masks", self.masks), ("depth", self.depth)):
             if path is not None and not path.is_absolute():
                 raise JobError(f"the path of '{name}' is not absolute", path, "Give the whole path.")
         _one_of("preset", self.preset, PRESETS)
@@ -62,6 +78,8 @@ class LiftRequest:
     def to_json(self) -> str:
         """The text of request.json."""
         size = None if self.size is None else list(self.size)
+        given = {"scene_format": self.scene_format, "depth": None if self.depth is None else str(self.depth)}
+        named = {key: value for key, value in given.items() if value is not None}
         return to_text(
             {
                 "format": FORMAT,
@@ -73,6 +91,7 @@ class LiftRequest:
                 "seed": self.seed,
                 "up": self.up,
                 "bake": self.bake,
+                **named,
             }
         )
 
@@ -95,7 +114,7 @@ class LiftRequest:
 
     def differences(self, other: LiftRequest) -> list[str]:
         """Names of what differs, the engine's version left out."""
-        names = ("scene", "masks", "preset", "steps", "size", "seed", "up", "bake")
+        names = ("scene", "masks", "preset", "steps", "size", "seed", "up", "scene_format", "depth", "bake")
         return [name for name in names if getattr(self, name) != getattr(other, name)]
 
 
@@ -105,13 +124,16 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
         if not isinstance(content.get(name), str):
             raise JobError(f"'{name}' is missing or not a text", path, _FIX)
     masks, size = content.get("masks"), overrides.get("size")
-    if not (masks is None or isinstance(masks, str)):
-        raise JobError("'masks' is neither a text nor null", path, _FIX)
+    for name in ("masks", "scene_format", "depth"):
+        if not isinstance(content.get(name), str | None):
+            raise JobError(f"'{name}' is neither a text nor null", path, _FIX)
     if not (size is None or isinstance(size, list)):
         raise JobError("'size' is neither [width, height] nor null", path, _FIX)
     return {
         "scene": Path(str(content["scene"])),
-        "masks": None if masks is None else Path(masks),
+        "masks": None if masks is None else Path(str(masks)),
+        "scene_format": content.get("scene_format"),
+        "depth": None if content.get("depth") is None else Path(str(content["depth"])),
         "size": None if size is None else tuple(size),
         "steps": overrides.get("steps"),
         "seed": content.get("seed"),

@@ -27,7 +27,8 @@ def bake_frames(folder: LiftFolder, frames: Sequence[str], events: EventWriter, 
     torch.use_deterministic_algorithms(True)
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
-        scene = open_scene(folder.request.scene, folder.request.masks, folder.request.up)
+        asked = folder.request
+        scene = open_scene(asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth)
         listed = {folder.result_path / file.path for file in read_manifest(folder.result_path).files}
         named = frames_named(scene, frames)
         wanted = [frame for frame in named if not listed.issuperset(baked_files(folder, frame.name))]

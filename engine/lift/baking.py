@@ -89,7 +89,7 @@ def bake_and_evaluate(
             if frame.held_out:
                 report.add(LIFTED, frame, predicted(layers))
             if frame.name in shown:
-                photo, mask = frame.read_colour(frame.size), frame.read_mask(frame.size)
+                photo, mask = frame.read_colour(frame.size), frame.mask(frame.size)
                 rows.append(SheetRow(frame.name, photo, mask.class_map(), layers))
             progress(done, len(frames))
         if rows:

@@ -20,7 +20,7 @@ from ..job import Cancelled, EventWriter, JobError, LiftFolder, StopSignal, writ
 from ..job.prediction import learn_slowness
 from ..machine.announcing import announce_compilation
 from ..model.structured import StructuredScene
-from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene, size_within
+from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene_to_lift, size_within
 from ..train.preparation import prepare
 from ..train.presets import chosen_preset
 from ..train.progress import StageReporter
@@ -60,7 +60,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     stages = StageReporter(events, stop, STAGES)
 
     with stages.stage("check") as progress:
-        scene = open_scene(request.scene, request.masks, request.up)
+        scene = open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)
         for warning in (*scene.warnings, *check_scene(scene, progress)):
             events.warning(warning)
     with stages.stage("read") as progress:
@@ -102,7 +102,7 @@ def refuse_empty(views: Sequence[View], scene: Scene) -> None:
     """Raise SceneError when nothing is left of all depth, or of all masks, at the size of training."""
     if not any((view.depth > 0).any() for view in views):
         fix = "Lift at a larger --size, or give denser depth."
-        raise SceneError("no depth is left at the size of training", scene.train_frames[0].depth_path.parent, fix)
+        raise SceneError("no depth is left at the size of training", scene.folder, fix)
     if not any((view.mask.class_map() != VOID).any() for view in views):
         fix = "Lift at a larger --size, or give masks with larger segments."
         raise SceneError("nothing of the masks is left at the size of training", scene.folder, fix)

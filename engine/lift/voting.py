@@ -36,7 +36,7 @@ def vote_labels(
         votes = LabelVotes(scene, preset.voting)
         for place, (frame, label_map) in enumerate(zip(frames, label_maps, strict=True)):
             size = size_within(frame.size, preset.vote_size_within)
-            mask, depth = frame.read_mask(size), frame.read_depth(size)
+            mask, depth = frame.mask(size), frame.depth(size)
             seen = contributors(scene, frame.camera.resized(*size), preset.voting.contributors)
             shown = resize_nearest(label_map, size) if voted is None else shown_labels(scene, voted, seen)
             votes.add(seen, _of_segments(mask, shown, count, preset), fill_holes(depth, mask.ids))

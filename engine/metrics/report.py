@@ -128,7 +128,7 @@ def add_rivals(report: Report, scene: Scene, progress: Progress | None = None) -
         return
     first_id = 1
     for frame in frames:
-        view = masks_as_prediction(frame.read_mask(frame.size), first_id)
+        view = masks_as_prediction(frame.mask(frame.size), first_id)
         first_id = max(first_id, int(view.instance.max(initial=0)) + 1)
         report.add(MACHINE_MASKS, frame, view)
     voxels = vote(scene, progress)
@@ -163,4 +163,4 @@ def vote(scene: Scene, progress: Progress | None = None) -> VoxelMap | None:
 
 def read_voxels(voxels: VoxelMap, frame: Frame) -> PredictedView:
     """The yardstick's answer for a held-out frame, read with that frame's own depth. Raises SceneError."""
-    return PredictedView(*voxels.look_up(frame.camera, frame.read_depth(frame.size)))
+    return PredictedView(*voxels.look_up(frame.camera, frame.depth(frame.size)))

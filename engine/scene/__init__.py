@@ -5,13 +5,17 @@ from __future__ import annotations
 from .camera import Camera
 from .checks import check_scene
 from .classes import VOID, Category, ClassTable, distinct_colour
+from .formats import FORMATS
 from .frame import Frame, GroundTruth, PanopticMask, Scene, SceneError, Segment, Size
+from .liftable import open_scene_to_lift, require_liftable
 from .matrices import UpAxis
 from .opening import open_scene
 from .report import ClassReport, SceneReport, describe
+from .sparse_points import SparsePoints
 from .view import View, load_view, size_within
 
 __all__ = [
+    "FORMATS",
     "VOID",
     "Camera",
     "Category",
@@ -25,6 +29,7 @@ __all__ = [
     "SceneReport",
     "Segment",
     "Size",
+    "SparsePoints",
     "UpAxis",
     "View",
     "check_scene",
@@ -32,5 +37,7 @@ __all__ = [
     "distinct_colour",
     "load_view",
     "open_scene",
+    "open_scene_to_lift",
+    "require_liftable",
     "size_within",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from .frame import Frame, PanopticMask, Scene, SceneError, Size
 from .ground_truth import GroundTruthReader
 from .image_header import check_image_file
 from .layout import listed
+from .liftable import require_liftable
 from .overlap import Thumbnail, measure_overlap
 from .pixels import distinct_ids, resize_nearest
 
@@ -33,23 +34,35 @@ _POSE_RULES = "camera-to-world with x right, y down, z forward, in metres"
 
 
 @dataclass(frozen=True)
-class FrameFacts:
-    """What the pixels of one frame say.
+class DepthFacts:
+    """The nearest, median and farthest depth in metres, and the ``share`` of pixels with depth."""
 
-    ``depth_range`` is the nearest, median and farthest depth in metres, ``depth_share`` the share of pixels with depth;
-    ``segments`` counts the segments that have pixels, ``unpainted`` lists those that have none; ``class_pixels`` are
-    (class id, share of the mask's pixels), void (0) included; ``unknown_truth`` are class ids of the ground truth that
-    the masks' table does not have.
+    size: Size
+    range: tuple[float, float, float]
+    share: float
+
+
+@dataclass(frozen=True)
+class MaskFacts:
+    """``segments`` counts the segments that have pixels, ``unpainted`` lists those that have none; ``class_pixels`` are
+    (class id, share of the mask's pixels), void (0) included.
     """
 
-    name: str
-    depth_size: Size
-    depth_range: tuple[float, float, float]
-    depth_share: float
-    mask_size: Size
+    size: Size
     segments: int
     unpainted: tuple[int, ...]
     class_pixels: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True)
+class FrameFacts:
+    """What the pixels of one frame say; None where it has no such pixels. ``unknown_truth`` are class ids of the ground
+    truth that the masks' table does not have.
+    """
+
+    name: str
+    depth: DepthFacts | None
+    mask: MaskFacts | None
     unknown_truth: frozenset[int]
 
 
@@ -64,14 +77,16 @@ class Survey:
 def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ...]:
     """Check every file of a scene and how the frames fit together; warnings beside those the scene has already.
 
-    Raises SceneError for the first thing that cannot be lifted. Takes about 20 ms a frame of 640x480. Depth, masks and
-    ground truth of all frames are decoded; of colour all files are checked for damage and 16 are decoded.
+    Raises SceneError for the first thing that cannot be lifted, missing depth or masks included. Takes about 20 ms a
+    frame of 640x480. Depth, masks and ground truth of all frames are decoded; of colour all files are checked for
+    damage and 16 are decoded.
     """
+    require_liftable(scene)
     return survey_scene(scene, progress).warnings
 
 
 def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
-    """``check_scene`` with what was found on the way."""
+    """``check_scene`` with what was found on the way; depth and masks may be missing."""
     total = len(scene.frames)
     tick = progress or (lambda done, total: None)
     facts: list[FrameFacts] = []
@@ -79,28 +94,32 @@ def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
     decoded = {*np.linspace(0, total - 1, _COLOURS_DECODED).round().astype(int).tolist()}
     for position, frame in enumerate(scene.frames):
         _check_colour(frame, decode=position in decoded)
-        depth = frame.read_depth(None)
-        thumbnails.append(_thumbnail(frame, depth))
-        facts.append(_facts(frame, depth, frame.read_mask(None)))
+        depth = None if frame.read_depth is None else frame.read_depth(None)
+        if depth is not None:
+            thumbnails.append(_thumbnail(frame, depth))
+        facts.append(_facts(frame, depth))
         tick(position + 1, total)
-    farthest = max(fact.depth_range[2] for fact in facts)
+    depths = [fact.depth for fact in facts if fact.depth is not None]
+    farthest = max((depth.range[2] for depth in depths), default=_LOOKS_LIKE_METRES)
     if farthest < _LOOKS_LIKE_METRES:
         raise SceneError(
             f"depth looks like metres, not millimetres (the largest value is {farthest * 1000.0:.0f})",
-            scene.frames[0].depth_path.parent,
+            (scene.frames[0].depth_path or scene.folder).parent,
             "Multiply it by 1000 and save it as 16-bit PNGs.",
         )
-    training = [fact for fact, frame in zip(facts, scene.frames, strict=True) if not frame.held_out]
-    if all(class_id == VOID for fact in training for class_id, _ in fact.class_pixels):
+    training = [fact.mask for fact, frame in zip(facts, scene.frames, strict=True) if not frame.held_out]
+    classes_seen = {class_id for mask in training if mask is not None for class_id, _ in mask.class_pixels}
+    if classes_seen == {VOID}:
         fix = "Give masks that have segments in the frames to train on."
         raise SceneError("the masks are empty", scene.folder, fix)
-    return Survey(tuple(facts), (*_pixel_warnings(facts), *_overlap_warnings(scene, thumbnails, tick)))
+    overlap_warnings = _overlap_warnings(scene, thumbnails, tick) if depths else ()
+    return Survey(tuple(facts), (*_pixel_warnings(facts), *overlap_warnings))
 
 
 def _check_colour(frame: Frame, decode: bool) -> None:
     if decode:
         frame.read_colour(None)
-    else:
+    elif frame.file_shows_colour:
         check_image_file(frame.colour_path)
 
 
@@ -110,48 +129,69 @@ def _thumbnail(frame: Frame, depth: NDArray[np.float32]) -> Thumbnail:
     return Thumbnail(frame.name, frame.camera.resized(*size), resize_nearest(depth, size))
 
 
-def _facts(frame: Frame, depth: NDArray[np.float32], mask: PanopticMask) -> FrameFacts:
+def _facts(frame: Frame, depth: NDArray[np.float32] | None) -> FrameFacts:
+    truth = frame.read_ground_truth
+    return FrameFacts(
+        name=frame.name,
+        depth=None if depth is None else _depth_facts(frame, depth),
+        mask=None if frame.read_mask is None else _mask_facts(frame.read_mask(None)),
+        unknown_truth=truth.unknown_ids() if isinstance(truth, GroundTruthReader) else frozenset(),
+    )
+
+
+def _depth_facts(frame: Frame, depth: NDArray[np.float32]) -> DepthFacts:
     valid = depth[depth > 0.0]
     if not len(valid):
-        raise SceneError("depth is 0 everywhere", frame.depth_path, "Give depth, or leave this frame out.")
+        where = frame.depth_path or frame.colour_path
+        raise SceneError("depth is 0 everywhere", where, "Give depth, or leave this frame out.")
+    return DepthFacts(
+        size=(depth.shape[1], depth.shape[0]),
+        range=(float(valid.min()), float(np.median(valid[::_MEDIAN_STEP])), float(valid.max())),
+        share=len(valid) / depth.size,
+    )
+
+
+def _mask_facts(mask: PanopticMask) -> MaskFacts:
     ids, counts = distinct_ids(mask.ids)
     pixels = dict(zip(ids.tolist(), counts.tolist(), strict=True))
     by_class = {0: pixels.get(0, 0)}
     for segment in mask.segments:
         if segment.id in pixels:
             by_class[segment.class_id] = by_class.get(segment.class_id, 0) + pixels[segment.id]
-    truth = frame.read_ground_truth
-    return FrameFacts(
-        name=frame.name,
-        depth_size=(depth.shape[1], depth.shape[0]),
-        depth_range=(float(valid.min()), float(np.median(valid[::_MEDIAN_STEP])), float(valid.max())),
-        depth_share=len(valid) / depth.size,
-        mask_size=(mask.ids.shape[1], mask.ids.shape[0]),
+    return MaskFacts(
+        size=(mask.ids.shape[1], mask.ids.shape[0]),
         segments=len(pixels.keys() - {0}),
         unpainted=tuple(segment.id for segment in mask.segments if segment.id not in pixels),
         class_pixels=tuple((class_id, count / mask.ids.size) for class_id, count in sorted(by_class.items())),
-        unknown_truth=truth.unknown_ids() if isinstance(truth, GroundTruthReader) else frozenset(),
     )
 
 
 def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
-    typical = float(np.median([fact.depth_range[1] for fact in facts]))
-    if typical > _LOOKS_TOO_FAR:
-        yield f"depth is {typical:.0f} m in the middle, which is far for a room: is it in millimetres?"
-    sparse = [fact.name for fact in facts if fact.depth_share < _SPARSE_DEPTH]
-    if sparse:
-        yield f"{len(sparse)} frames have depth on less than 5 % of their pixels: {listed(sparse)}"
-    blank = [fact.name for fact in facts if not fact.segments]
-    if blank:
-        yield f"{len(blank)} frames have an empty mask: {listed(blank)}"
-    unpainted = [fact for fact in facts if fact.unpainted]
-    if unpainted:
-        first = f"segment {unpainted[0].unpainted[0]} of frame {unpainted[0].name}"
-        total = sum(len(fact.unpainted) for fact in unpainted)
-        yield f"{total} segments of the masks' table have no pixel in the PNGs (the first: {first})"
+    yield from _depth_warnings({fact.name: fact.depth for fact in facts if fact.depth is not None})
+    yield from _mask_warnings({fact.name: fact.mask for fact in facts if fact.mask is not None})
     unknown = sorted(frozenset().union(*(fact.unknown_truth for fact in facts)))
     if unknown:
         yield f"class ids {listed(unknown)} of the ground truth are not in the masks' table and count as void"
+
+
+def _depth_warnings(depths: Mapping[str, DepthFacts]) -> Iterable[str]:
+    typical = float(np.median([depth.range[1] for depth in depths.values()])) if depths else 0.0
+    if typical > _LOOKS_TOO_FAR:
+        yield f"depth is {typical:.0f} m in the middle, which is far for a room: is it in millimetres?"
+    sparse = [name for name, depth in depths.items() if depth.share < _SPARSE_DEPTH]
+    if sparse:
+        yield f"{len(sparse)} frames have depth on less than 5 % of their pixels: {listed(sparse)}"
+
+
+def _mask_warnings(masks: Mapping[str, MaskFacts]) -> Iterable[str]:
+    blank = [name for name, mask in masks.items() if not mask.segments]
+    if blank:
+        yield f"{len(blank)} frames have an empty mask: {listed(blank)}"
+    unpainted = {name: mask.unpainted for name, mask in masks.items() if mask.unpainted}
+    if unpainted:
+        name, ids = next(iter(unpainted.items()))
+        total, first = sum(map(len, unpainted.values())), f"segment {ids[0]} of frame {name}"
+        yield f"{total} segments of the masks' table have no pixel in the PNGs (the first: {first})"
 
 
 def _overlap_warnings(scene: Scene, thumbnails: Sequence[Thumbnail], tick: Progress) -> Iterable[str]:
@@ -162,7 +202,7 @@ def _overlap_warnings(scene: Scene, thumbnails: Sequence[Thumbnail], tick: Progr
     if not overlap.overlaps:
         raise SceneError(
             "no two frames see the same surface",
-            scene.folder / "pose",
+            scene.folder / "pose" if (scene.folder / "pose").is_dir() else scene.folder,
             f"Check that poses are {_POSE_RULES}, and that depth is in millimetres.",
         )
     if overlap.agreement < _DISAGREEING:

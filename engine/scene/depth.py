@@ -1,4 +1,4 @@
-"""Depth images: 16-bit PNGs in millimetres along the optical axis."""
+"""Depth images: 16-bit PNGs along the optical axis, in millimetres unless a format says otherwise."""
 
 from __future__ import annotations
 
@@ -17,25 +17,32 @@ from .layout import files_by_stem, require_all, same_shape, shown_size
 from .matrices import read_intrinsics
 from .pixels import Alignment, decode, resize_aligned
 
-_METRES = np.float32(0.001)
+MILLIMETRES = 0.001
 _NEARLY_ALIGNED = 0.15
 """Largest difference, in shares of the picture, of lenses that one sensor's colour and depth may have."""
 
 
 @dataclass(frozen=True)
 class DepthReader:
-    """Reads one frame's depth into the frame of its colour image."""
+    """Reads one frame's depth into the frame of its colour image.
+
+    ``unit`` is the length of one step in metres; values from ``none_from`` on mean no depth, as 0 does.
+    """
 
     path: Path
     alignment: Alignment = Alignment()
+    unit: float = MILLIMETRES
+    none_from: int = 65536
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Planar depth, float32 [H, W] metres, 0 = none, at ``size`` (width, height) or its own. Raises SceneError."""
-        millimetres = decode(self.path, as_colour=False)
-        if millimetres.ndim != 2 or millimetres.dtype != np.uint16:
+        steps = decode(self.path, as_colour=False)
+        if steps.ndim != 2 or steps.dtype != np.uint16:
             raise SceneError("depth is not a 16-bit grey PNG", self.path, "Save millimetres with 16 bits.")
-        height, width = millimetres.shape
-        return resize_aligned(millimetres, size or (width, height), self.alignment) * _METRES
+        if self.none_from < 65536:
+            steps[steps >= self.none_from] = 0
+        height, width = steps.shape
+        return resize_aligned(steps, size or (width, height), self.alignment) * np.float32(self.unit)
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,7 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> DepthSet:
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
     names = list(lenses)
     require_all(names, files, "depth", folder, "Add depth/<name>.png, or take their colour images away.")
-    sizes = {name: _check_header(files[name], lenses[name]) for name in names}
+    sizes = {name: check_depth_header(files[name], lenses[name]) for name in names}
     path = scene / "intrinsic" / "intrinsic_depth.txt"
     if not path.is_file():
         return DepthSet({name: DepthReader(files[name]) for name in names})
@@ -65,7 +72,8 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> DepthSet:
     return DepthSet({name: DepthReader(files[name]) for name in names}, (warning,))
 
 
-def _check_header(path: Path, lens: Camera) -> Size:
+def check_depth_header(path: Path, lens: Camera) -> Size:
+    """The size of a depth image for the colour camera ``lens``. Raises SceneError unless it is a 16-bit grey PNG."""
     header = read_image_header(path)
     if header.format != "png" or header.channels != 1 or header.palette:
         raise SceneError("depth is not a grey PNG", path, "Save millimetres as a 16-bit grey PNG.")
@@ -79,6 +87,12 @@ def _check_header(path: Path, lens: Camera) -> Size:
             "Bring depth to the colour images' aspect ratio.",
         )
     return header.size
+
+
+def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
+    """Where a depth camera with the same centre sees what the colour camera does; None when no sensor is built so."""
+    alignment = _alignment(colour, depth)
+    return alignment if _is_plausible(alignment) else None
 
 
 def _alignment(colour: Camera, depth: Camera) -> Alignment:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .camera import Camera
 from .classes import ClassTable
+from .sparse_points import SparsePoints
 
 Size = tuple[int, int]
 """(width, height) in pixels."""
@@ -60,32 +61,54 @@ class Frame:
     """One view. Pixels are read when asked for: each reader is called with a size (width, height) or None for its own.
 
     ``read_colour`` gives uint8 [H, W, 3] RGB, ``read_depth`` float32 [H, W] planar metres (0 = none), ``read_mask`` a
-    PanopticMask, ``read_ground_truth`` a GroundTruth; the last is None where there is none. They raise SceneError.
+    PanopticMask, ``read_ground_truth`` a GroundTruth; the last three are None where there is none. They raise
+    SceneError. ``colour_path`` and ``depth_path`` are the files that the pixels come out of.
+    ``file_shows_colour`` is whether the file at ``colour_path`` is an image that looks as ``read_colour`` does: not so
+    in a video or an archive, and where the lens is undistorted on reading.
     """
 
     name: str
     camera: Camera
     held_out: bool
     colour_path: Path
-    depth_path: Path
+    depth_path: Path | None
     read_colour: Callable[[Size | None], NDArray[np.uint8]]
-    read_depth: Callable[[Size | None], NDArray[np.float32]]
-    read_mask: Callable[[Size | None], PanopticMask]
+    read_depth: Callable[[Size | None], NDArray[np.float32]] | None
+    read_mask: Callable[[Size | None], PanopticMask] | None
     read_ground_truth: Callable[[Size | None], GroundTruth] | None = None
+    file_shows_colour: bool = True
 
     @property
     def size(self) -> Size:
         return self.camera.width, self.camera.height
 
+    def depth(self, size: Size | None = None) -> NDArray[np.float32]:
+        """``read_depth`` of a frame that must have it. Raises SceneError."""
+        if self.read_depth is None:
+            raise SceneError("a frame has no depth", self.colour_path, "Give depth for every frame.")
+        return self.read_depth(size)
+
+    def mask(self, size: Size | None = None) -> PanopticMask:
+        """``read_mask`` of a frame that must have it. Raises SceneError."""
+        if self.read_mask is None:
+            raise SceneError("a frame has no mask", self.colour_path, "Give a panoptic mask for every frame.")
+        return self.read_mask(size)
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Posed frames in recording order, the classes their masks use, and what a user should know about them."""
+    """Posed frames in recording order, the classes their masks use, and what a user should know about them.
+
+    ``folder`` is what the user named: a folder, or the one file that holds it all. ``format`` names the reader that
+    took it. ``points`` are those of the reconstruction that the poses come from, where the format has them.
+    """
 
     folder: Path
     frames: tuple[Frame, ...]
     classes: ClassTable
     warnings: tuple[str, ...] = ()
+    format: str = "scannet"
+    points: SparsePoints | None = None
 
     @property
     def train_frames(self) -> tuple[Frame, ...]:
@@ -94,6 +117,14 @@ class Scene:
     @property
     def test_frames(self) -> tuple[Frame, ...]:
         return tuple(frame for frame in self.frames if frame.held_out)
+
+    @property
+    def has_depth(self) -> bool:
+        return all(frame.read_depth is not None for frame in self.frames)
+
+    @property
+    def has_masks(self) -> bool:
+        return all(frame.read_mask is not None for frame in self.frames)
 
     @property
     def has_ground_truth(self) -> bool:

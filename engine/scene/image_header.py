@@ -68,13 +68,18 @@ def check_image_file(path: Path) -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    check_image_bytes(data, path)
+    return data
+
+
+def check_image_bytes(data: bytes, path: Path) -> None:
+    """``check_image_file`` for bytes that come out of the file ``path``. Raises SceneError."""
     if not data:
         raise SceneError("the image is empty", path, "Write this file again.")
     if data.startswith(_PNG_SIGNATURE):
         _check_png_chunks(data, path)
     elif data.startswith(b"\xff\xd8") and not _jpeg_is_whole(data):
         raise _truncated(path)
-    return data
 
 
 def _truncated(path: Path) -> SceneError:

@@ -7,6 +7,9 @@ import unicodedata
 from pathlib import Path, PureWindowsPath
 from typing import Any, NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .frame import SceneError
 from .layout import shown
 
@@ -14,9 +17,16 @@ from .layout import shown
 def read_json_object(path: Path) -> dict[str, Any]:
     """Read a file that holds one JSON object. Raises SceneError when it is missing, cut off or of another kind."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        data = path.read_bytes()
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    return parse_json_object(data, path)
+
+
+def parse_json_object(data: bytes, path: Path) -> dict[str, Any]:
+    """``read_json_object`` for bytes that come out of the file ``path``. Raises SceneError."""
+    try:
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SceneError("this is not a JSON text", path, "Write it as UTF-8.") from error
     if not text.strip():
@@ -70,6 +80,29 @@ def take_whole_number(entry: dict[str, Any], key: str, context: str, path: Path)
     if isinstance(value, bool) or not whole:
         raise wrong_type(key, "a whole number", value, context, path)
     return int(value)
+
+
+def take_number(entry: dict[str, Any], key: str, context: str, path: Path) -> float:
+    """``entry[key]`` as a finite number. Raises SceneError."""
+    value = _take(entry, key, context, path)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
+        raise wrong_type(key, "a number", value, context, path)
+    return float(value)
+
+
+def take_matrix(
+    entry: dict[str, Any], key: str, context: str, path: Path, shapes: tuple[tuple[int, int], ...]
+) -> NDArray[np.float64]:
+    """``entry[key]``, a list of rows, as a matrix of one of ``shapes``; it may hold inf. Raises SceneError."""
+    value = take_list(entry, key, context, path)
+    wanted = " or ".join(f"{rows}x{columns}" for rows, columns in shapes)
+    try:
+        matrix = np.array(value, np.float64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise wrong_type(key, f"{wanted} numbers", value, context, path) from error
+    if matrix.shape not in shapes:
+        raise wrong_type(key, f"{wanted} numbers", value, context, path)
+    return matrix
 
 
 def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:

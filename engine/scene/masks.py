@@ -26,6 +26,17 @@ class MaskSet:
     warnings: tuple[str, ...] = ()
 
 
+NO_MASKS = MaskSet(ClassTable(()), {}, {}, {})
+
+
+def find_masks(scene: Path, masks: Path | None, names: Sequence[str]) -> MaskSet:
+    """``open_masks``, or none at all where nobody named masks and the scene's folder has none. Raises SceneError."""
+    places = ("panoptic.json", "m2f_semantics", "m2f_notta_semantics")
+    if masks is None and not any((scene / name).exists() for name in places):
+        return NO_MASKS
+    return open_masks(scene, masks, names)
+
+
 def open_masks(scene: Path, masks: Path | None, names: Sequence[str]) -> MaskSet:
     """Open the masks of the frames ``names``; headers and tables only. Raises SceneError.
 

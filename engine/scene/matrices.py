@@ -50,15 +50,21 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.f
     return matrix
 
 
-def read_pose(path: Path, up: UpAxis) -> NDArray[np.float64] | None:
-    """Read a camera-to-world pose, float64 [4, 4], and turn the world so that z points up.
+def read_pose(path: Path) -> NDArray[np.float64] | None:
+    """Read a camera-to-world pose, float64 [4, 4].
 
-    None when it holds inf, which is how scanners say that tracking was lost. Raises SceneError for a matrix that is not
-    rigid. What text rounding has bent is straightened, so that the inverse is exact.
+    None when it holds inf, which is how scanners say that tracking was lost. Raises SceneError as ``rigid`` does.
     """
     pose = read_matrix(path, ((4, 4),))
-    if np.isinf(pose).any():
-        return None
+    return None if np.isinf(pose).any() else rigid(pose, path)
+
+
+def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
+    """A camera-to-world pose, float64 [4, 4], that the file ``path`` holds.
+
+    Raises SceneError for a matrix that is not rigid. What text rounding has bent is straightened, so that the inverse
+    is exact.
+    """
     if not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-4):
         raise SceneError("the last row of the pose is not 0 0 0 1", path, "Write camera-to-world, rows as lines.")
     rotation = pose[:3, :3]
@@ -83,11 +89,23 @@ def read_pose(path: Path, up: UpAxis) -> NDArray[np.float64] | None:
             "Write metres, and move the scene close to the origin.",
         )
     left, _, right = np.linalg.svd(rotation)
-    turn = _TO_Z_UP[up]
     straight = np.eye(4)
-    straight[:3, :3] = turn @ left @ right
-    straight[:3, 3] = turn @ pose[:3, 3]
+    straight[:3, :3] = left @ right
+    straight[:3, 3] = pose[:3, 3]
     return straight
+
+
+def to_z_up(up: UpAxis) -> NDArray[np.float64]:
+    """The rotation, float64 [3, 3], of a world whose axis ``up`` points up into one whose z does."""
+    return _TO_Z_UP[up]
+
+
+def turned(pose: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A camera-to-world pose, float64 [4, 4], in the world that the rotation ``turn``, float64 [3, 3], makes."""
+    result = np.eye(4)
+    result[:3, :3] = turn @ pose[:3, :3]
+    result[:3, 3] = turn @ pose[:3, 3]
+    return result
 
 
 def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | None:

@@ -1,179 +1,145 @@
-"""Opening a scene: the folders ``color/ depth/ pose/ intrinsic/`` as ScanNet exports and Panoptic Lifting use them.
+"""Opening a scene: a format's reader gives posed pictures, to which masks, ground truth and the split are added.
 
-* ``color/<name>.jpg`` or ``.png``; the names are the frames, in natural order.
-* ``depth/<name>.png``, 16 bits, millimetres along the optical axis, 0 = none; of any size with the colour's shape.
-* ``pose/<name>.txt``, camera-to-world, 4x4, OpenCV axes, metres. A pose with inf (lost tracking) drops the frame.
-* ``intrinsic/intrinsic_color.txt``, 3x3 or 4x4, in pixels of the colour images with integer pixel centres. It belongs
-  to the size that most colour images have (at a tie, to the first's) and is scaled for frames of another size and the
-  same shape. ``intrinsic/<name>.txt`` overrides it for one frame, at that frame's own size.
-* ``intrinsic/intrinsic_depth.txt``, optional, in pixels of the depth images: where its lens differs from the colour's,
-  depth is read through it (same centre, other lens, as ScanNet's sensor has). Without it the two pictures coincide.
-* ``splits.json``, optional: ``{"train": [...], "test": [...]}``.
-
-Masks: see ``masks.py``. Ground truth: see ``ground_truth.py``.
+Formats: see ``formats/``. Masks: see ``masks.py``. Ground truth: see ``ground_truth.py``. ``splits.json`` in the folder
+is honoured in every format; a scene that is one file has these things in a folder of the same name beside it.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
-from .depth import open_depth
+from .estimated_depth import with_estimated_depth
+from .formats import Capture, Shot, find_format
 from .frame import Frame, Scene, SceneError, Size
-from .ground_truth import open_ground_truth
-from .image_header import read_image_header
-from .layout import files_by_stem, listed, require_all, same_shape, shown_size
-from .masks import MaskSet, open_masks
-from .matrices import UpAxis, placed, read_intrinsics, read_pose, up_axis_warning
-from .pixels import decode, resize_colour
-from .splits import default_split, read_split
+from .ground_truth import GroundTruthSet, open_ground_truth
+from .layout import listed, same_shape, shown_size
+from .masks import MaskSet, find_masks
+from .matrices import UpAxis, placed, to_z_up, turned, up_axis_warning
+from .splits import find_split
+from .upright import upright_rotation
 
 _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
-_FOLDERS_FIX = "A scene has the folders color, depth, pose and intrinsic."
+_READABLE = "Check that it exists, and its permissions."
+_UNKNOWN_UP = "the format does not say which way is up: the world is turned so that the cameras stand upright"
 
 
-@dataclass(frozen=True)
-class ColourReader:
-    """Reads one frame's colour image."""
+def open_scene(
+    folder: Path,
+    masks: Path | None = None,
+    up: UpAxis = "z",
+    scene_format: str | None = None,
+    depth: Path | None = None,
+) -> Scene:
+    """Open a scene without decoding an image.
 
-    path: Path
+    ``folder`` may be a file in formats that are one. ``masks`` names the panoptic masks when they are not in the
+    folder. ``up`` is the axis of its poses' world that points up; "z" leaves it to formats that say it themselves.
+    ``scene_format`` names the format when its looks do not tell. ``depth`` is a folder of monocular depth maps, which
+    take the place of the scene's depth, see ``estimated_depth``. Masks and depth may be missing, see
+    ``require_liftable``.
 
-    def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
-        """uint8 [H, W, 3] RGB at ``size`` (width, height) or the image's own. Raises SceneError."""
-        pixels = decode(self.path, as_colour=True)
-        return resize_colour(pixels, size) if size else pixels
-
-
-def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z") -> Scene:
-    """Open a scene's folder without decoding an image. ``up`` is the axis of its poses' world that points up.
-
-    ``masks`` names the panoptic masks when they are not in the folder. Raises SceneError for the first thing that is
-    wrong; ``check_scene`` looks into the pixels as well.
+    Raises SceneError for the first thing that is wrong; ``check_scene`` looks into the pixels as well.
     """
-    folder, masks = Path(folder), None if masks is None else Path(masks)
-    colours, poses, held_out, warnings = _find_frames(folder, up)
-    sizes = {name: read_image_header(path).size for name, path in colours.items()}
-    lenses = _read_lenses(folder / "intrinsic", sizes)
-    depths = open_depth(folder, lenses)
-    mask_set = open_masks(folder, masks, list(colours))
+    place, masks = Path(folder), None if masks is None else Path(masks)
+    reader = find_format(place, scene_format)
+    try:
+        capture = reader.read(place)
+    except OSError as error:
+        raise SceneError(f"this cannot be read ({error.strerror})", error.filename or place, _READABLE) from error
+    _refuse_repeated_names(capture.shots, place)
+    beside = place if place.is_dir() else place.with_suffix("")
+    split = capture.split or find_split(beside, [shot.name for shot in capture.shots], capture.lost)
+    chosen, held_out = {*split.train, *split.test}, frozenset(split.test)
+    shots = [shot for shot in capture.shots if shot.name in chosen]
+    turn, turn_warnings = _turn_upright(capture, up)
+    cameras = {shot.name: placed(shot.camera, turned(shot.camera.camera_to_world, turn)) for shot in shots}
+    sizes = {shot.name: (shot.camera.width, shot.camera.height) for shot in shots}
+    mask_set = find_masks(beside, masks, list(sizes))
     _check_mask_shapes(mask_set, sizes)
-    truth = open_ground_truth(folder, sizes, mask_set.classes)
+    truth = open_ground_truth(beside, sizes, mask_set.classes) if mask_set.readers else GroundTruthSet({})
+    lost = f"{len(capture.lost)} frames without a pose are left out: {listed(capture.lost)}"
+    points = None if capture.points is None else capture.points.turned(turn)
+    frames = tuple(
+        Frame(
+            name=shot.name,
+            camera=cameras[shot.name],
+            held_out=shot.name in held_out,
+            colour_path=shot.colour_path,
+            depth_path=shot.depth_path,
+            read_colour=shot.read_colour,
+            read_depth=shot.read_depth,
+            read_mask=mask_set.readers.get(shot.name),
+            read_ground_truth=truth.readers.get(shot.name),
+            file_shows_colour=shot.file_shows_colour,
+        )
+        for shot in shots
+    )
+    depth_warnings: list[str] = []
+    if depth is not None:
+        frames, depth_warnings = with_estimated_depth(frames, Path(depth), points)
     return Scene(
-        folder=folder,
-        frames=tuple(
-            Frame(
-                name=name,
-                camera=placed(lenses[name], poses[name]),
-                held_out=name in held_out,
-                colour_path=path,
-                depth_path=depths.readers[name].path,
-                read_colour=ColourReader(path),
-                read_depth=depths.readers[name],
-                read_mask=mask_set.readers[name],
-                read_ground_truth=truth.readers.get(name),
-            )
-            for name, path in colours.items()
-        ),
+        folder=place,
+        frames=frames,
         classes=mask_set.classes,
         warnings=(
-            *warnings,
-            *_camera_warnings(lenses, [poses[name] for name in colours], up),
-            *depths.warnings,
+            *([lost] if capture.lost else []),
+            *split.warnings,
+            *turn_warnings,
+            *_lens_warnings(cameras),
+            *capture.warnings,
+            *depth_warnings,
             *mask_set.warnings,
             *truth.warnings,
         ),
+        format=reader.name,
+        points=points,
     )
 
 
-def _find_frames(
-    folder: Path, up: UpAxis
-) -> tuple[dict[str, Path], dict[str, NDArray[np.float64]], frozenset[str], list[str]]:
-    """The frames in use: colour images by name, poses by name, which names are held out; and warnings."""
-    if not folder.is_dir():
-        raise SceneError("there is no such folder", folder, "Name the folder of a scene.")
-    colours = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, _FOLDERS_FIX)
-    poses, dropped = _read_poses(folder / "pose", list(colours), up)
-    if not poses:
-        raise SceneError("every pose holds inf (lost tracking)", folder / "pose", "Give frames whose pose is known.")
-    table = folder / "splits.json"
-    split = read_split(table, list(poses), dropped) if table.is_file() else default_split(list(poses))
-    if not split.train:
-        raise SceneError("there is no frame to train on", table, "Name frames in train.")
-    chosen = {*split.train, *split.test}
-    lost = f"{len(dropped)} frames without a pose (inf) are left out: {listed(dropped)}"
-    return (
-        {name: path for name, path in colours.items() if name in chosen},
-        poses,
-        frozenset(split.test),
-        [*([lost] if dropped else []), *split.warnings],
-    )
+def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
+    if not shots:
+        raise SceneError("there is no picture with a pose", place, "Give frames whose pose is known.")
+    twice = [name for name, count in Counter(shot.name for shot in shots).items() if count > 1]
+    if twice:
+        raise SceneError(f"frames share a name ({listed(twice)})", place, "Give each picture a name of its own.")
+
+
+def _turn_upright(capture: Capture, up: UpAxis) -> tuple[NDArray[np.float64], list[str]]:
+    """The rotation, float64 [3, 3], from the capture's world into one with z up, and warnings."""
+    poses = [shot.camera.camera_to_world for shot in capture.shots]
+    axis = capture.up if up == "z" else up
+    if axis is None:
+        turn = upright_rotation(poses)
+        return turn, [] if np.array_equal(turn, np.eye(3)) else [_UNKNOWN_UP]
+    turn = to_z_up(axis)
+    if capture.up_is_known and axis == capture.up:
+        return turn, []
+    tilted = up_axis_warning([turned(pose, turn) for pose in poses], axis)
+    return turn, [tilted] if tilted else []
 
 
 def _check_mask_shapes(masks: MaskSet, sizes: Mapping[str, Size]) -> None:
-    for name, size in sizes.items():
-        if not same_shape(masks.sizes[name], size):
+    for name in masks.readers:
+        if not same_shape(masks.sizes[name], sizes[name]):
             raise SceneError(
-                f"a mask of {shown_size(masks.sizes[name])} does not fit the colour of {shown_size(size)}",
+                f"a mask of {shown_size(masks.sizes[name])} does not fit the colour of {shown_size(sizes[name])}",
                 masks.paths[name],
                 "Bring masks to the colour images' aspect ratio.",
             )
 
 
-def _camera_warnings(lenses: Mapping[str, Camera], poses: Sequence[NDArray[np.float64]], up: UpAxis) -> Iterable[str]:
-    tilted = up_axis_warning(poses, up)
-    if tilted:
-        yield tilted
-    aside = [name for name, lens in lenses.items() if _is_far_aside(lens)]
+def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
+    aside = [name for name, lens in cameras.items() if _is_far_aside(lens)]
     if aside:
         yield f"{_ASIDE}: {listed(aside)}"
 
 
 def _is_far_aside(lens: Camera) -> bool:
     return abs(lens.cx / lens.width - 0.5) > _FAR_ASIDE or abs(lens.cy / lens.height - 0.5) > _FAR_ASIDE
-
-
-def _read_poses(folder: Path, names: Sequence[str], up: UpAxis) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Poses, float64 [4, 4], by name, and the names of frames whose tracking was lost."""
-    files = files_by_stem(folder, {".txt"}, _FOLDERS_FIX)
-    require_all(names, files, "pose", folder, "Add pose/<name>.txt, or take their colour images away.")
-    poses: dict[str, NDArray[np.float64]] = {}
-    dropped: list[str] = []
-    for name in names:
-        pose = read_pose(files[name], up)
-        if pose is None:
-            dropped.append(name)
-        else:
-            poses[name] = pose
-    return poses, dropped
-
-
-def _read_lenses(folder: Path, sizes: Mapping[str, Size]) -> dict[str, Camera]:
-    """Each frame's intrinsics at its colour image's size, as a camera at the origin."""
-    if not folder.is_dir():
-        raise SceneError("a folder is missing", folder, _FOLDERS_FIX)
-    shared_path = folder / "intrinsic_color.txt"
-    base = Counter(sizes.values()).most_common(1)[0][0]
-    shared = read_intrinsics(shared_path, base) if shared_path.is_file() else None
-    lenses: dict[str, Camera] = {}
-    for name, size in sizes.items():
-        own_path = folder / f"{name}.txt"
-        if own_path.is_file():
-            lenses[name] = read_intrinsics(own_path, size)
-        elif shared is None:
-            raise SceneError("the intrinsics are missing", shared_path, "Write the colour camera's 4x4 matrix there.")
-        elif not same_shape(size, base):
-            raise SceneError(
-                f"frame {name} is {shown_size(size)}, which is not the shape of {shown_size(base)}",
-                shared_path,
-                f"Give the frame intrinsics of its own, intrinsic/{name}.txt.",
-            )
-        else:
-            lenses[name] = shared.resized(*size)
-    return lenses

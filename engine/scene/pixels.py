@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .frame import SceneError, Size
-from .image_header import check_image_file
+from .image_header import check_image_bytes, check_image_file
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,14 @@ def decode(path: Path, as_colour: bool) -> NDArray[Any]:
 
     Orientation tags are ignored, as intrinsics refer to the stored pixels. Raises SceneError when the file is damaged.
     """
+    return decode_bytes(check_image_file(path), path, as_colour)
+
+
+def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
+    """``decode`` for an image's bytes that come out of the file ``path``. Raises SceneError when they are damaged."""
     import cv2
 
-    data = check_image_file(path)
+    check_image_bytes(data, path)
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION if as_colour else cv2.IMREAD_UNCHANGED
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

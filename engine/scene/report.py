@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from .checks import survey_scene
+from .checks import DepthFacts, survey_scene
 from .classes import VOID
 from .frame import Scene, Size
 
@@ -27,57 +28,70 @@ class ClassReport:
 class SceneReport:
     """Counts and ranges over all frames that a lift would use.
 
-    Sizes are (width, height) with the number of frames that have them, the commonest first. ``depth_range`` is the
-    nearest, the median and the farthest depth in metres; ``segments_per_frame`` the fewest, the median and the most.
-    ``void_share`` is the share of mask pixels without a label. ``extent`` is the size of the box around the cameras'
-    centres, in metres along x, y, z.
+    ``format`` names the reader that took the scene, ``sparse_points`` counts the points of the reconstruction that its
+    poses come from. Sizes are (width, height) with the number of frames that have them, the commonest first.
+    ``depth_range`` is the nearest, the median and the farthest depth in metres; ``segments_per_frame`` the fewest, the
+    median and the most; None where there is no depth, no mask. ``void_share`` is the share of mask pixels without a
+    label. ``extent`` is the size of the box around the cameras' centres, in metres along x, y, z.
     """
 
     folder: Path
+    format: str
     train_frames: int
     test_frames: int
     ground_truth_frames: int
     colour_sizes: tuple[tuple[Size, int], ...]
     depth_sizes: tuple[tuple[Size, int], ...]
     mask_sizes: tuple[tuple[Size, int], ...]
-    depth_range: tuple[float, float, float]
-    segments_per_frame: tuple[int, int, int]
+    depth_range: tuple[float, float, float] | None
+    segments_per_frame: tuple[int, int, int] | None
     classes: tuple[ClassReport, ...]
     void_share: float
     extent: tuple[float, float, float]
+    sparse_points: int
     warnings: tuple[str, ...]
 
 
 def describe(scene: Scene) -> SceneReport:
-    """Survey a scene and sum it up. Decodes every frame and raises SceneError, as ``check_scene`` does."""
+    """Survey a scene and sum it up. Decodes every frame and raises SceneError, as ``check_scene`` does, but for depth
+    and masks that are missing.
+    """
     survey = survey_scene(scene)
-    facts = survey.frames
+    depths = [fact.depth for fact in survey.frames if fact.depth is not None]
+    masks = [fact.mask for fact in survey.frames if fact.mask is not None]
     shares: dict[int, float] = dict.fromkeys((VOID, *scene.classes.ids), 0.0)
-    for fact in facts:
-        for class_id, share in fact.class_pixels:
-            shares[class_id] += share / len(facts)
-    segments = sorted(fact.segments for fact in facts)
+    for mask in masks:
+        for class_id, share in mask.class_pixels:
+            shares[class_id] += share / len(masks)
+    segments = sorted(mask.segments for mask in masks)
     centres = np.array([frame.camera.centre for frame in scene.frames])
     extent = np.ptp(centres, axis=0)
     return SceneReport(
         folder=scene.folder,
+        format=scene.format,
         train_frames=len(scene.train_frames),
         test_frames=len(scene.test_frames),
         ground_truth_frames=sum(frame.read_ground_truth is not None for frame in scene.frames),
         colour_sizes=tuple(Counter(frame.size for frame in scene.frames).most_common()),
-        depth_sizes=tuple(Counter(fact.depth_size for fact in facts).most_common()),
-        mask_sizes=tuple(Counter(fact.mask_size for fact in facts).most_common()),
-        depth_range=(
-            min(fact.depth_range[0] for fact in facts),
-            float(np.median([fact.depth_range[1] for fact in facts])),
-            max(fact.depth_range[2] for fact in facts),
-        ),
-        segments_per_frame=(segments[0], segments[len(segments) // 2], segments[-1]),
+        depth_sizes=tuple(Counter(depth.size for depth in depths).most_common()),
+        mask_sizes=tuple(Counter(mask.size for mask in masks).most_common()),
+        depth_range=_range(depths) if depths else None,
+        segments_per_frame=(segments[0], segments[len(segments) // 2], segments[-1]) if segments else None,
         classes=tuple(
             ClassReport(category.id, category.name, category.is_thing, shares[category.id])
             for category in scene.classes.categories
         ),
         void_share=shares[VOID],
         extent=(float(extent[0]), float(extent[1]), float(extent[2])),
+        sparse_points=0 if scene.points is None else len(scene.points),
         warnings=scene.warnings + survey.warnings,
+    )
+
+
+def _range(depths: Sequence[DepthFacts]) -> tuple[float, float, float]:
+    """The nearest, the median and the farthest depth of a scene, in metres."""
+    return (
+        min(depth.range[0] for depth in depths),
+        float(np.median([depth.range[1] for depth in depths])),
+        max(depth.range[2] for depth in depths),
     )

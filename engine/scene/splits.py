@@ -23,6 +23,18 @@ class Split:
     warnings: tuple[str, ...] = ()
 
 
+def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split:
+    """The split of the frames ``names`` by ``splits.json`` in ``folder``, or the default where there is none.
+
+    ``lost`` names frames without a pose. Raises SceneError as ``read_split`` does, or when no frame is to train on.
+    """
+    table = folder / "splits.json"
+    split = read_split(table, names, lost) if table.is_file() else default_split(names)
+    if not split.train:
+        raise SceneError("there is no frame to train on", table, "Name frames in train.")
+    return split
+
+
 def default_split(names: Sequence[str]) -> Split:
     """Hold out every 8th frame: the 5th, the 13th, ... The first and often the last, which see the most by themselves,
     are trained on. A scene of fewer than five frames has nothing held out.

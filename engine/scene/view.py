@@ -29,7 +29,9 @@ class View:
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
-    """Read a frame at ``size`` (width, height), or at its own size. Raises SceneError when a file is bad."""
+    """Read a frame at ``size`` (width, height), or at its own size. Raises SceneError when a file is bad, or when
+    the frame has no depth or no mask.
+    """
     width, height = size or frame.size
     colour = frame.read_colour(None)
     border = border_mask(colour)
@@ -37,8 +39,8 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
         name=frame.name,
         camera=frame.camera.resized(width, height),
         colour=resize_colour(colour, (width, height)),
-        depth=frame.read_depth((width, height)),
-        mask=frame.read_mask((width, height)),
+        depth=frame.depth((width, height)),
+        mask=frame.mask((width, height)),
         border=resize_nearest(border, (width, height)) if border.any() else None,
     )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ...engine.job import JobError, LiftFolder
-from ...engine.scene import open_scene
+from ...engine.scene import open_scene_to_lift
 from .. import engine_environment
 from ..lift_scene import place_lift
 from ..paths import absolute, free_lift_folder
@@ -57,7 +57,7 @@ def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False) -> W
     request = request_of(settings)
     known = survey_of(place_of(settings))
     if known is None or known.error is not None:  # else the panel looks, or has looked, and a button answers at once
-        open_scene(request.scene, request.masks, request.up)
+        open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)
     folder = chosen_lift(settings)
     if folder is None or (not in_that_folder and (folder / "request.json").exists()):
         folder = free_lift_folder(request.scene)

@@ -19,6 +19,8 @@ FULL = LiftRequest(
     seed=3,
     up="-y",
     bake="all",
+    scene_format="tum",
+    depth=Path("/depth"),
 )
 
 
@@ -67,6 +69,9 @@ def test_has_the_documented_form() -> None:
         ({"preset": "best"}, "preview, standard, paper"),
         ({"preset": None}, "'preset'"),
         ({"up": "x"}, "z, y, -y"),
+        ({"scene_format": 5}, "'scene_format'"),
+        ({"depth": 5}, "'depth'"),
+        ({"depth": "relative"}, "'depth'"),
         ({"bake": "some"}, "test, all, none"),
         ({"engine_version": 1}, "'engine_version'"),
     ],
@@ -94,5 +99,7 @@ def test_tells_what_differs() -> None:
         "steps",
         "size",
         "up",
+        "scene_format",
+        "depth",
         "bake",
     ]

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from engine.scene import SceneError, UpAxis
-from engine.scene.matrices import read_intrinsics, read_matrix, read_pose, up_axis_warning
+from engine.scene.matrices import read_intrinsics, read_matrix, read_pose, to_z_up, turned, up_axis_warning
 from tests.tiny_scene import tiny_pose
 
 
@@ -26,7 +26,7 @@ def test_matrices_come_in_many_hands(tmp_path: Path, text: str) -> None:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30, deadline=None)
 @given(st.integers(0, 9), st.sampled_from(["%.18e", "%.6f", "%.4f"]))
 def test_a_pose_is_straightened_after_rounding(tmp_path: Path, index: int, form: str) -> None:
-    pose = read_pose(written(tmp_path, tiny_pose(index, 10), form), "z")
+    pose = read_pose(written(tmp_path, tiny_pose(index, 10), form))
     assert pose is not None
     np.testing.assert_allclose(pose, tiny_pose(index, 10), atol=2e-4)
     np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-14)
@@ -35,20 +35,19 @@ def test_a_pose_is_straightened_after_rounding(tmp_path: Path, index: int, form:
 
 def test_a_lost_pose_is_none_and_a_nan_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "pose.txt").write_text("-inf -inf -inf -inf\n" * 4)
-    assert read_pose(tmp_path / "pose.txt", "z") is None
+    assert read_pose(tmp_path / "pose.txt") is None
     (tmp_path / "pose.txt").write_text("nan -inf -inf -inf\n" * 4)
     with pytest.raises(SceneError, match="NaN"):
-        read_pose(tmp_path / "pose.txt", "z")
+        read_pose(tmp_path / "pose.txt")
 
 
 @pytest.mark.parametrize(("up", "axis"), [("z", [0, 0, 1]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])])
-def test_the_named_axis_ends_up_on_z(tmp_path: Path, up: UpAxis, axis: list[int]) -> None:
+def test_the_named_axis_ends_up_on_z(up: UpAxis, axis: list[int]) -> None:
     pose = np.eye(4)
     pose[:3, 3] = axis
-    turned = read_pose(written(tmp_path, pose), up)
-    assert turned is not None
-    np.testing.assert_allclose(turned[:3, 3], [0, 0, 1], atol=1e-15)
-    assert np.linalg.det(turned[:3, :3]) == pytest.approx(1.0)
+    upright = turned(pose, to_z_up(up))
+    np.testing.assert_allclose(upright[:3, 3], [0, 0, 1], atol=1e-15)
+    assert np.linalg.det(upright[:3, :3]) == pytest.approx(1.0)
 
 
 def test_integer_pixel_centres_become_half_ones(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_lost_poses_drop_their_frames(tmp_path: Path) -> None:
     scene = open_scene(folder)
     assert [frame.name for frame in scene.frames] == ["0001", "0002", "0004", "0005", "0006"]
     assert [frame.name for frame in scene.test_frames] == ["0006"]
-    assert scene.warnings == ("2 frames without a pose (inf) are left out: 0000, 0003",)
+    assert scene.warnings == ("2 frames without a pose are left out: 0000, 0003",)
 
 
 def test_splits_choose_the_frames_and_only_these_need_their_files(tmp_path: Path) -> None:

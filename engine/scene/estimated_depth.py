@@ -1,0 +1,199 @@
+"""Monocular depth maps fitted to a reconstruction's sparse points: the paper's estimated-depth path.
+
+A network's map of one picture is right but for a scale and a shift, of depth or, with many networks, of its inverse. A
+frame's sparse points, whose depth is known, tell both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .depth import MILLIMETRES
+from .formats.npy_depth import read_picture
+from .frame import Frame, SceneError, Size
+from .image_header import read_image_header
+from .layout import files_by_stem, listed, require_all
+from .pixels import decode, resize_nearest
+from .sparse_points import SparsePoints
+
+LEAST_POINTS = 12
+"""A frame that sees fewer points has no depth."""
+_FIX = "Give one map a frame, called as the frame is: .npy, or .png of 8 or 16 bits."
+_PAIRS = 256
+_MOST_POINTS = 2000
+_CLOSE = 0.01
+_FARTHEST = 3.0
+"""Depth beyond so many times that of the farthest point is a guess, and none."""
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DepthFit:
+    """Depth is ``scale`` * value + ``shift``, or 1 / that where ``is_inverse``; up to ``farthest``.
+
+    ``error`` is the median over the points of the error in shares of their depth.
+    """
+
+    scale: float
+    shift: float
+    is_inverse: bool
+    farthest: float
+    error: float
+
+    def depth(self, values: NDArray[Any]) -> NDArray[np.float32]:
+        """Depth of a map's values, float32; 0 where it is none."""
+        line = self.scale * values.astype(np.float64) + self.shift
+        depth = np.divide(1.0, line, out=np.zeros_like(line), where=line > 1e-9) if self.is_inverse else line
+        good = np.isfinite(depth) & (depth > 0.0) & (depth <= self.farthest)
+        return np.where(good, depth, 0.0).astype(np.float32)
+
+
+def fit_depth(values: Values, depths: Values) -> DepthFit | None:
+    """The scale and shift that make depth of a map's ``values`` [N] at points of known ``depths`` [N] (> 0).
+
+    Depth and inverse depth are both tried. Up to half of the points may be wrong: the line with the least median error
+    among those through two points is refined on the points that agree with it. None when no line rises.
+    """
+    good = np.isfinite(values) & np.isfinite(depths) & (depths > 0.0)
+    values, depths = values[good], depths[good]
+    if len(values) < LEAST_POINTS:
+        return None
+    step = -(-len(values) // _MOST_POINTS)
+    values, depths = values[::step], depths[::step]
+    fits = [fit for inverse in (False, True) if (fit := _fit_line(values, depths, inverse)) is not None]
+    return min(fits, key=lambda fit: fit.error, default=None)
+
+
+def _fit_line(values: Values, depths: Values, inverse: bool) -> DepthFit | None:
+    target = 1.0 / depths if inverse else depths
+    one, other = np.random.default_rng(0).integers(0, len(values), (2, _PAIRS))
+    run = values[one] - values[other]
+    usable = np.abs(run) > 1e-9 * max(1.0, float(np.abs(values).max()))
+    scales = np.divide(target[one] - target[other], run, out=np.zeros(_PAIRS), where=usable)
+    scales = np.where(scales > 0.0, scales, np.nan)
+    shifts = target[one] - scales * values[one]
+    errors = np.median(_relative_errors(values, depths, scales[:, None], shifts[:, None], inverse), axis=1)
+    if not np.isfinite(errors).any():
+        return None
+    best = int(np.argmin(np.where(np.isfinite(errors), errors, np.inf)))
+    scale, shift = float(scales[best]), float(shifts[best])
+    for _ in range(3):
+        scale, shift = _refined(values, depths, scale, shift, inverse)
+    error = float(np.median(_relative_errors(values, depths, scale, shift, inverse)))
+    if not scale > 0.0 or not np.isfinite(error):
+        return None
+    return DepthFit(scale, shift, inverse, _FARTHEST * float(depths.max()), error)
+
+
+def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inverse: bool) -> Values:
+    """Errors in shares of the depth; inf where the line gives no depth."""
+    line = scale * values + shift
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = 1.0 / line if inverse else line
+        return np.where(line > 0.0, np.abs(found / depths - 1.0), np.inf)
+
+
+def _refined(values: Values, depths: Values, scale: float, shift: float, inverse: bool) -> tuple[float, float]:
+    """Least squares of the relative errors over the points that agree with the line."""
+    errors = _relative_errors(values, depths, scale, shift, inverse)
+    near = errors <= max(_CLOSE, 3.0 * float(np.median(errors)))
+    weight = depths[near] if inverse else 1.0 / depths[near]
+    rows = np.stack([values[near] * weight, weight], axis=-1)
+    solution, _, rank, _ = np.linalg.lstsq(rows, np.ones(len(rows)), rcond=None)
+    return (float(solution[0]), float(solution[1])) if rank == 2 else (scale, shift)
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatedDepthReader:
+    """Reads a frame's map and fits it to the points at ``pixels`` (x, y in shares of the picture) with ``depths``."""
+
+    path: Path
+    pixels: NDArray[np.float64]
+    depths: NDArray[np.float64]
+
+    def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
+        """Planar depth, float32 [H, W] in the world's lengths, 0 = none. Raises SceneError."""
+        values = read_map(self.path)
+        height, width = values.shape
+        columns = (self.pixels[:, 0] * width).astype(np.int64).clip(0, width - 1)
+        rows = (self.pixels[:, 1] * height).astype(np.int64).clip(0, height - 1)
+        fit = fit_depth(values[rows, columns].astype(np.float64), self.depths)
+        if fit is None:
+            what = "the map does not rise or fall with the depth of the reconstruction's points"
+            raise SceneError(what, self.path, "See that it belongs to this frame, or leave the frame out.")
+        depth = fit.depth(values)
+        return resize_nearest(depth, size) if size else depth
+
+
+@dataclass(frozen=True)
+class MetricMapReader:
+    """Reads a frame's map where there is nothing to fit it to: metres as floats, millimetres as whole numbers."""
+
+    path: Path
+
+    def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
+        """Planar depth, float32 [H, W] metres, 0 = none. Raises SceneError."""
+        values = read_map(self.path)
+        depth = values.astype(np.float32) * np.float32(1.0 if values.dtype.kind == "f" else MILLIMETRES)
+        depth = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.float32(0.0))
+        return resize_nearest(depth, size) if size else depth
+
+
+def read_map(path: Path) -> NDArray[Any]:
+    """A map as it is stored, [H, W] of numbers. Raises SceneError."""
+    if path.suffix.lower() == ".npy":
+        return read_picture(path)
+    values = decode(path, as_colour=False)
+    if values.ndim != 2:
+        raise SceneError("a depth map must have one channel, not colours", path, _FIX)
+    return values
+
+
+def with_estimated_depth(
+    frames: Sequence[Frame], folder: Path, points: SparsePoints | None
+) -> tuple[tuple[Frame, ...], list[str]]:
+    """The frames with depth from the maps in ``folder``, and warnings. Frames that see too few points are left out.
+
+    Maps are read when depth is asked for. Raises SceneError when a map is missing, or no frame is left.
+    """
+    files = files_by_stem(folder, {".npy", ".png"}, _FIX)
+    require_all([frame.name for frame in frames], files, "depth map", folder, _FIX)
+    for path in files.values():
+        if path.suffix.lower() == ".png":
+            read_image_header(path)
+    if points is None or not len(points):
+        found = tuple(_with_depth(frame, files[frame.name], MetricMapReader(files[frame.name])) for frame in frames)
+        return found, ["there are no sparse points to fit depth to: maps are taken for metres (.png: millimetres)"]
+    kept, blind = [], []
+    for frame in frames:
+        pixels, depths = _seen_points(frame, points)
+        if len(depths) < LEAST_POINTS:
+            blind.append(frame.name)
+            continue
+        reader = EstimatedDepthReader(files[frame.name], pixels, depths)
+        kept.append(_with_depth(frame, files[frame.name], reader))
+    if not any(not frame.held_out for frame in kept):
+        fix = f"Each needs {LEAST_POINTS} points of the reconstruction."
+        raise SceneError("no frame to train on sees enough points to fit depth to", folder, fix)
+    note = f"{len(blind)} frames see fewer than {LEAST_POINTS} points and are left out: {listed(blind)}"
+    return tuple(kept), [note] if blind else []
+
+
+def _with_depth(frame: Frame, path: Path, reader: Callable[[Size | None], NDArray[np.float32]]) -> Frame:
+    return replace(frame, depth_path=path, read_depth=reader)
+
+
+def _seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where a frame's points lie, (x, y) in shares of the picture, and their depth. All in view without tracks."""
+    xyz = points.xyz[points.seen_by.get(frame.name, np.zeros(0, np.int64))] if points.seen_by else points.xyz
+    pixels, depths = frame.camera.project(xyz)
+    shares = pixels / [frame.camera.width, frame.camera.height]
+    inside = (depths > 1e-6) & (shares >= 0.0).all(-1) & (shares < 1.0).all(-1)
+    return shares[inside], depths[inside]

@@ -1,0 +1,235 @@
+"""COLMAP's sparse model, text or binary: cameras, images, points3D. As COLMAP's documentation describes them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..frame import SceneError
+from ..sparse_points import SparsePoints
+
+_MODELS = (
+    ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
+)  # fmt: skip
+"""Each model's name and number of parameters; its place in the list is its number in binary files."""
+_POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
+_FIX = "Let COLMAP export the model again."
+
+
+@dataclass(frozen=True)
+class ColmapCamera:
+    """A lens: the ``model``'s name and its parameters, in pixels with centres at +0.5."""
+
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ColmapImage:
+    """A registered picture: world-to-camera as quaternion w x y z and translation, and the ids of points it shows."""
+
+    name: str
+    camera: int
+    rotation: tuple[float, ...]
+    translation: tuple[float, ...]
+    points: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ColmapModel:
+    """Cameras by id, and images. ``point_ids`` int64 [N] belong to the rows of ``points``."""
+
+    folder: Path
+    cameras: Mapping[int, ColmapCamera]
+    images: tuple[ColmapImage, ...]
+    point_ids: NDArray[np.int64]
+    points: SparsePoints
+
+
+def has_model(folder: Path) -> bool:
+    """Whether a folder holds a model, text or binary."""
+    return any(all((folder / f"{name}.{suffix}").is_file() for name in ("cameras", "images")) for suffix in _SUFFIXES)
+
+
+def read_model(folder: Path) -> ColmapModel:
+    """Read the model in ``folder``; binary, where both are there. Raises SceneError."""
+    if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file():
+        cameras, images = _binary_cameras(folder / "cameras.bin"), _binary_images(folder / "images.bin")
+    else:
+        cameras, images = _text_cameras(folder / "cameras.txt"), _text_images(folder / "images.txt")
+    if (folder / "points3D.bin").is_file():
+        point_ids, points = _binary_points(folder / "points3D.bin")
+    elif (folder / "points3D.txt").is_file():
+        point_ids, points = _text_points(folder / "points3D.txt")
+    else:
+        point_ids, points = _as_points([], [], [])
+    return ColmapModel(folder, cameras, images, point_ids, points)
+
+
+_SUFFIXES = ("bin", "txt")
+
+
+class _Bytes:
+    """A binary file read from front to back. Raises SceneError when it is shorter than it says."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.position = path, 0
+        try:
+            self.data = path.read_bytes()
+        except OSError as error:
+            raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+
+    def take(self, layout: str) -> tuple[float, ...]:
+        """The next values, as ``struct`` calls them."""
+        size = struct.calcsize(layout)
+        if self.position + size > len(self.data):
+            raise self._cut_off()
+        self.position += size
+        return struct.unpack_from(layout, self.data, self.position - size)
+
+    def count(self) -> int:
+        return int(self.take("<Q")[0])
+
+    def text(self) -> str:
+        """Up to the next zero."""
+        end = self.data.find(b"\0", self.position)
+        if end < 0:
+            raise self._cut_off()
+        start, self.position = self.position, end + 1
+        return self.data[start:end].decode("utf-8", "replace")
+
+    def array(self, fields: np.dtype[np.void], count: int) -> NDArray[np.void]:
+        if count > (len(self.data) - self.position) // fields.itemsize:
+            raise self._cut_off()
+        self.position += count * fields.itemsize
+        return np.frombuffer(self.data, fields, count, self.position - count * fields.itemsize)
+
+    def skip(self, size: int) -> None:
+        if self.position + size > len(self.data):
+            raise self._cut_off()
+        self.position += size
+
+    def _cut_off(self) -> SceneError:
+        return SceneError("the file is cut off", self.path, _FIX)
+
+
+def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
+    file, cameras = _Bytes(path), {}
+    for _ in range(file.count()):
+        camera, model, width, height = (int(value) for value in file.take("<IiQQ"))
+        if not 0 <= model < len(_MODELS):
+            raise SceneError(f"camera {camera} has the model number {model}, which is not known", path, _FIX)
+        name, count = _MODELS[model]
+        cameras[camera] = _checked_camera(ColmapCamera(name, width, height, file.take(f"<{count}d")), camera, path)
+    return cameras
+
+
+def _binary_images(path: Path) -> tuple[ColmapImage, ...]:
+    file, images = _Bytes(path), []
+    for _ in range(file.count()):
+        _, w, x, y, z, *translation, camera = file.take("<I7dI")
+        name = file.text()
+        points = file.array(_POINTS_2D, file.count())["point"]
+        images.append(ColmapImage(name, int(camera), (w, x, y, z), tuple(translation), points[points >= 0]))
+    return tuple(images)
+
+
+def _binary_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
+    file = _Bytes(path)
+    ids, xyz, rgb = [], [], []
+    for _ in range(file.count()):
+        point, x, y, z, red, green, blue, _, track = file.take("<q3d3BdQ")
+        ids.append(int(point))
+        xyz.append((x, y, z))
+        rgb.append((red, green, blue))
+        file.skip(8 * int(track))
+    return _as_points(ids, xyz, rgb)
+
+
+def _as_points(
+    ids: Sequence[int], xyz: Sequence[Sequence[float]], rgb: Sequence[Sequence[float]]
+) -> tuple[NDArray[np.int64], SparsePoints]:
+    places, colours = np.array(xyz, np.float64).reshape(-1, 3), np.array(rgb).reshape(-1, 3).astype(np.uint8)
+    return np.array(ids, np.int64), SparsePoints(places, colours)
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Lines with their numbers, comments left out. Raises SceneError."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    except UnicodeDecodeError as error:
+        raise SceneError("this is not a text file", path, _FIX) from error
+    return ((number, line) for number, line in enumerate(text.split("\n"), start=1) if not line.startswith("#"))
+
+
+def _broken(path: Path, number: int) -> SceneError:
+    return SceneError(f"line {number} is not as COLMAP writes it", path, _FIX)
+
+
+def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
+    cameras = {}
+    counts = dict(_MODELS)
+    for number, line in _lines(path):
+        words = line.split()
+        if not words:
+            continue
+        try:
+            camera, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
+            parameters = tuple(float(word) for word in words[4:])
+        except (ValueError, IndexError) as error:
+            raise _broken(path, number) from error
+        if counts.get(model) != len(parameters):
+            what = f"camera {camera} has the model {model[:40]} with {len(parameters)} numbers, which is not known"
+            raise SceneError(what, path, _FIX)
+        cameras[camera] = _checked_camera(ColmapCamera(model, width, height, parameters), camera, path)
+    return cameras
+
+
+def _checked_camera(camera: ColmapCamera, number: int, path: Path) -> ColmapCamera:
+    if not (0 < camera.width < 2**16 and 0 < camera.height < 2**16 and np.isfinite(camera.parameters).all()):
+        raise SceneError(f"camera {number} has numbers that no camera has", path, _FIX)
+    return camera
+
+
+def _text_images(path: Path) -> tuple[ColmapImage, ...]:
+    """Two lines an image; the second, its points in the picture, may be empty."""
+    lines, images = _lines(path), []
+    for number, line in lines:
+        words = line.split(maxsplit=9)
+        if not words:
+            continue
+        try:
+            w, x, y, z, *translation = (float(word) for word in words[1:8])
+            camera, name = int(words[8]), words[9].strip()
+            points = np.array(next(lines, (0, ""))[1].split()[2::3], np.int64)
+        except (ValueError, IndexError, OverflowError) as error:
+            raise _broken(path, number) from error
+        images.append(ColmapImage(name, camera, (w, x, y, z), tuple(translation), points[points >= 0]))
+    return tuple(images)
+
+
+def _text_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
+    ids, xyz, rgb = [], [], []
+    for number, line in _lines(path):
+        words = line.split(maxsplit=7)
+        if not words:
+            continue
+        try:
+            x, y, z = (float(word) for word in words[1:4])
+            red, green, blue = (float(int(word) & 255) for word in words[4:7])
+            ids.append(int(np.int64(int(words[0]))))
+        except (ValueError, OverflowError) as error:
+            raise _broken(path, number) from error
+        xyz.append((x, y, z))
+        rgb.append((red, green, blue))
+    return _as_points(ids, xyz, rgb)

@@ -1,0 +1,226 @@
+"""TUM RGB-D sequences, those recorded in their layout (Bonn, ETH3D SLAM), and ICL-NUIM's TUM-compatible ones.
+
+* ``rgb.txt`` and ``depth.txt``: a time stamp and a file name a line; or ``associations.txt`` (``associated.txt``)
+  with a colour and a depth image a line. Without either, the names of the images in ``rgb/`` and ``depth/`` are the
+  stamps.
+* ``groundtruth.txt`` (ICL: ``*.gt.freiburg``): ``t tx ty tz qx qy qz qw``, camera-to-world, OpenCV axes, metres.
+* Depth: 16-bit PNG, registered to colour, planar, 5000 steps a metre, 0 = none.
+* Intrinsics are not in the files: TUM's are those of its documentation, told apart by "freiburg1", "freiburg2" or
+  "freiburg3" in the folder's name; ETH3D has them in ``calibration.txt``: ``fx fy cx cy``. Integer pixel centres.
+
+ICL-NUIM was rendered with a y axis that points up in pictures (its fy is negative): camera and world are mirrored in
+y.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import Camera
+from ..colour import ColourReader
+from ..depth import DepthReader, check_depth_header
+from ..frame import SceneError, Size
+from ..image_header import read_image_header
+from ..json_file import file_inside
+from ..layout import files_by_stem, listed
+from ..matrices import UpAxis, placed
+from .capture import Capture, Shot
+from .frame_names import frame_names
+from .lens import UNDISTORTED, Distortion, UndistortedColour, UndistortedDepth
+from .poses import finite_pose, quaternion_pose
+from .rows import numbers, read_rows
+
+LOOKS_FOR = "groundtruth.txt with the folder rgb"
+LOOKS_FOR_ICL = "*.gt.freiburg, or groundtruth.txt with whole numbers as time stamps, with the folder rgb"
+_STEP = 1.0 / 5000.0
+_APART = 0.02
+"""Seconds by which a picture, its depth and its pose may differ in time."""
+_POSE_FIX = "Write t tx ty tz qx qy qz qw, a pose a line."
+_LIST_FIX = "Write a time stamp and a file name a line."
+_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class _Lens:
+    """Intrinsics with integer pixel centres, k1 k2 p1 p2 k3 of the distortion, the axis that points up in its world,
+    and the size that they are for, None for the pictures' own.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    bent: tuple[float, ...] = ()
+    up: UpAxis | None = None
+    size: Size | None = (640, 480)
+
+
+_LENSES = {
+    "freiburg1": _Lens(517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633), "z"),
+    "freiburg2": _Lens(520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172), "z"),
+    "freiburg3": _Lens(535.4, 539.2, 320.1, 247.6, up="z"),
+    "bonn": _Lens(542.822841, 542.576870, 315.593520, 237.756098),
+}  # fmt: skip
+_KINECT = _Lens(525.0, 525.0, 319.5, 239.5)
+_ICL = _Lens(481.2, 480.0, 319.5, 239.5, up="-y")
+
+
+@dataclass(frozen=True)
+class _Stamped:
+    """An image and when it was taken, in seconds."""
+
+    time: float
+    path: Path
+
+
+def recognises(place: Path) -> bool:
+    path = place / "groundtruth.txt"
+    return (place / "rgb").is_dir() and path.is_file() and not recognises_icl(place)
+
+
+def recognises_icl(place: Path) -> bool:
+    if not (place / "rgb").is_dir():
+        return False
+    if any(place.glob("*.gt.freiburg")):
+        return True
+    path = place / "groundtruth.txt"
+    if not path.is_file():
+        return False
+    with path.open(encoding="utf-8", errors="replace") as file:
+        start = file.read(4096)
+    first = next((line.split()[0] for line in start.splitlines() if line.strip() and not line.startswith("#")), "")
+    return first.isdecimal()
+
+
+def read(place: Path) -> Capture:
+    """Open a TUM RGB-D sequence; only headers of images are read. Raises SceneError."""
+    name = next((name for name in _LENSES if name in place.resolve().name.lower()), None)
+    calibration, note = place / "calibration.txt", None
+    if calibration.is_file():
+        lens = _read_calibration(calibration)
+    elif name is not None:
+        lens = _LENSES[name]
+    else:
+        lens = _KINECT
+        note = "the lens is taken for a Kinect's (525 525 319.5 239.5): put fx fy cx cy into calibration.txt if not"
+    return _read(place, place / "groundtruth.txt", lens, note)
+
+
+def _read_calibration(path: Path) -> _Lens:
+    fix = "Write fx fy cx cy."
+    row = next(read_rows(path, fix), None)
+    if row is None or len(row.words) < 4:
+        raise SceneError("the intrinsics are not all there", path, fix)
+    fx, fy, cx, cy = numbers(row, path, fix)[:4].tolist()
+    return _Lens(fx, fy, cx, cy, size=None)
+
+
+def read_icl(place: Path) -> Capture:
+    """Open a sequence of ICL-NUIM; only headers of images are read. Raises SceneError."""
+    trajectory = next(iter(sorted(place.glob("*.gt.freiburg"))), place / "groundtruth.txt")
+    return _read(place, trajectory, _ICL, None, mirrored=True)
+
+
+def _read(place: Path, trajectory: Path, lens: _Lens, note: str | None, mirrored: bool = False) -> Capture:
+    pairs = _pairs(place)
+    poses = _read_poses(trajectory, mirrored)
+    times = [time for time, _ in poses]
+    names = frame_names([colour.path.relative_to(place).as_posix() for colour, _ in pairs])
+    shots, lost = [], []
+    for name, (colour, depth) in zip(names, pairs, strict=True):
+        nearest = _nearest(times, colour.time)
+        pose = None if nearest is None else poses[nearest][1]
+        if pose is None:
+            lost.append(name)
+        else:
+            shots.append(_shot(name, colour.path, None if depth is None else depth.path, lens, pose))
+    warnings = [] if note is None else [note]
+    blind = [shot.name for shot in shots if shot.read_depth is None]
+    if blind and len(blind) < len(shots):
+        warnings.append(f"{len(blind)} frames have no depth within {_APART} s and are left out: {listed(blind)}")
+        shots = [shot for shot in shots if shot.read_depth is not None]
+    if lens.bent:
+        warnings.append(UNDISTORTED)
+    return Capture(tuple(shots), lens.up, tuple(lost), tuple(warnings))
+
+
+def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
+    """Colour images in the order of time, each with the depth image next to it in time. Raises SceneError."""
+    lists = [place / name for name in ("associations.txt", "associated.txt") if (place / name).is_file()]
+    if lists:
+        pairs = []
+        for row in read_rows(lists[0], "Write two time stamps, each with a file name, a line."):
+            one, two = _stamped(row.words[:2], row.line, lists[0]), _stamped(row.words[2:], row.line, lists[0])
+            pairs.append((two, one) if one.path.parent.name == "depth" else (one, two))
+        return sorted(pairs, key=lambda pair: pair[0].time)
+    colours = _stamped_images(place, "rgb")
+    depths = _stamped_images(place, "depth") if (place / "depth").is_dir() else []
+    times = [depth.time for depth in depths]
+    nearest = [_nearest(times, colour.time) for colour in colours]
+    return [(colour, None if i is None else depths[i]) for colour, i in zip(colours, nearest, strict=True)]
+
+
+def _stamped_images(place: Path, kind: str) -> list[_Stamped]:
+    path = place / f"{kind}.txt"
+    if path.is_file():
+        images = [_stamped(row.words, row.line, path) for row in read_rows(path, _LIST_FIX)]
+    else:
+        files = files_by_stem(place / kind, {".png", ".jpg", ".jpeg"}, f"Give {kind}.txt, {_LIST_FIX}")
+        images = [_stamped([stem, f"{kind}/{file.name}"], 0, path) for stem, file in files.items()]
+    return sorted(images, key=lambda image: image.time)
+
+
+def _stamped(words: Sequence[str], line: int, path: Path) -> _Stamped:
+    try:
+        time, name = words
+        stamp = float(time)
+    except ValueError as error:
+        where = f"line {line}" if line else f'the name "{words[0]}"'
+        raise SceneError(f"{where} is no time stamp with a file name", path, _LIST_FIX) from error
+    return _Stamped(stamp, file_inside(path.parent, name, path))
+
+
+def _nearest(times: Sequence[float], time: float) -> int | None:
+    """The place of the nearest of ascending ``times``, None where it is too far away."""
+    after = bisect_left(times, time)
+    near = [i for i in (after - 1, after) if 0 <= i < len(times) and abs(times[i] - time) <= _APART]
+    return min(near, key=lambda i: abs(times[i] - time), default=None)
+
+
+def _read_poses(path: Path, mirrored: bool) -> list[tuple[float, NDArray[np.float64] | None]]:
+    """Poses by ascending time; None where a number is not finite."""
+    poses = []
+    for row in read_rows(path, _POSE_FIX):
+        time, tx, ty, tz, qx, qy, qz, qw = numbers(row, path, _POSE_FIX, 8).tolist()
+        pose = None
+        if np.isfinite([tx, ty, tz, qx, qy, qz, qw]).all():
+            pose = quaternion_pose((qw, qx, qy, qz), (tx, ty, tz), path)
+        if pose is not None and mirrored:
+            pose = finite_pose(_MIRROR @ pose @ _MIRROR, path)
+        poses.append((time, pose))
+    return sorted(poses, key=lambda each: each[0])
+
+
+def _shot(name: str, colour: Path, depth: Path | None, lens: _Lens, pose: NDArray[np.float64]) -> Shot:
+    size = read_image_header(colour).size
+    if not (lens.fx > 0.0 and lens.fy > 0.0):
+        raise SceneError("the intrinsics are those of no camera", colour.parent.parent, "Write fx fy cx cy.")
+    own = lens.size or size
+    camera = Camera(*own, lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, np.eye(4)).resized(*size)
+    read_colour: Callable[[Size | None], NDArray[np.uint8]] = ColourReader(colour)
+    read_depth: Callable[[Size | None], NDArray[np.float32]] | None = None
+    if depth is not None:
+        check_depth_header(depth, camera)
+        read_depth = DepthReader(depth, unit=_STEP)
+    if lens.bent:
+        distortion = Distortion("brown", lens.bent)
+        read_colour = UndistortedColour(read_colour, camera, distortion, colour)
+        if read_depth is not None:
+            read_depth = UndistortedDepth(read_depth, camera, distortion, colour)
+    return Shot(name, placed(camera, pose), colour, read_colour, depth, read_depth, not lens.bent)

@@ -1,0 +1,206 @@
+"""COLMAP's models: text written from its documentation, binary by COLMAP itself where pycolmap is installed."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, describe, open_scene
+from tests.scene.formats.room import Lens, View, cast, check_colours, check_on_room, elsewhere, look, quaternion, views
+from tests.scene.formats.writing import write_colour
+
+LENS = Lens().scaled(2)
+PINHOLE = ("PINHOLE", (LENS.fx, LENS.fy, LENS.cx, LENS.cy))
+
+
+def marks() -> np.ndarray:
+    """World points that cameras see, float64 [6, 3]: one on each camera's axis, a metre away."""
+    return np.array([elsewhere(view).eye + elsewhere(view).forward for view in views()])
+
+
+def world_to_camera(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """COLMAP's q (w x y z) and t: a world point X lies at R(q) X + t, x right, y down, z forward."""
+    rows = np.stack([view.right, -view.up, view.forward])
+    return quaternion(rows), -rows @ view.eye
+
+
+def image_name(index: int) -> str:
+    return f"img_{index + 5}.png"
+
+
+def write_text(folder: Path, model: tuple[str, tuple[float, ...]] = PINHOLE) -> Path:
+    """The pictures, and the model in sparse/0 as text; images in another order than their names."""
+    sparse = folder / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    for i, view in enumerate(views()):
+        write_colour(folder / "images" / image_name(i), look(view, LENS).colour)
+    name, parameters = model
+    (sparse / "cameras.txt").write_text(
+        f"# Camera list with one line of data per camera:\n3 {name} 128 96 {' '.join(map(repr, parameters))}\n"
+    )
+    lines = ["# Image list with two lines of data per image:"]
+    for i, view in reversed([*enumerate(views())]):
+        q, t = world_to_camera(elsewhere(view))
+        lines.append(f"{i + 1} {' '.join(f'{v:.9f}' for v in (*q, *t))} 3 {image_name(i)}")
+        lines.append(f"{LENS.cx} {LENS.cy} {100 + i} 5.0 6.0 -1" if i != 2 else "")
+    (sparse / "images.txt").write_text("\n".join(lines) + "\n")
+    points = [f"{100 + i} {x} {y} {z} 9 8 7 0.5{f' {i + 1} 0' * (i != 2)}\n" for i, (x, y, z) in enumerate(marks())]
+    (sparse / "points3D.txt").write_text("# 3D point list\n" + "".join(reversed(points)))
+    return folder
+
+
+def write_depth(folder: Path) -> None:
+    """As COLMAP's stereo does: width & height & channels & float32, x fastest."""
+    (folder / "stereo" / "depth_maps").mkdir(parents=True)
+    for i, view in enumerate(views()):
+        depth = look(view, LENS).depth
+        data = b"128&96&1&" + b"".join(struct.pack("<128f", *row) for row in depth)
+        (folder / "stereo" / "depth_maps" / f"{image_name(i)}.geometric.bin").write_bytes(data)
+
+
+def test_text_pictures_and_points(tmp_path: Path) -> None:
+    scene = open_scene(write_text(tmp_path))
+    assert scene.format == "colmap" and not scene.has_depth and describe(scene).sparse_points == 6
+    assert [frame.name for frame in scene.frames] == [f"img_{i + 5}" for i in range(6)]
+    check_colours(scene)
+    assert scene.points is not None and scene.points.rgb[0].tolist() == [9, 8, 7]
+    for i, frame in enumerate(scene.frames):
+        seen = scene.points.seen_by[frame.name]
+        assert len(seen) == (i != 2)
+        if len(seen):
+            pixel, depth = frame.camera.project(scene.points.xyz[seen])
+            np.testing.assert_allclose([*pixel[0], depth[0]], [LENS.cx, LENS.cy, 1.0], atol=1e-5)
+
+
+def test_dense_depth_lies_on_the_room(tmp_path: Path) -> None:
+    write_depth(write_text(tmp_path))
+    check_on_room(open_scene(tmp_path))
+
+
+@pytest.mark.parametrize("place", ["sparse", "model", "."])
+def test_the_model_may_lie_elsewhere(tmp_path: Path, place: str) -> None:
+    write_text(tmp_path)
+    (tmp_path / place).mkdir(exist_ok=True)
+    for file in (tmp_path / "sparse" / "0").iterdir():
+        file.rename(tmp_path / place / file.name)
+    check_colours(open_scene(tmp_path))
+
+
+def radial(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    scale = 1 - 0.1 * (x**2 + y**2) + 0.03 * (x**2 + y**2) ** 2
+    return x * scale, y * scale
+
+
+def simple_fisheye(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    r = np.maximum(np.hypot(x, y), 1e-12)
+    angle = np.arctan(r)
+    scale = angle * (1 + 0.04 * angle**2) / r
+    return x * scale, y * scale
+
+
+@pytest.mark.parametrize(
+    ("model", "bend"),
+    [
+        (("RADIAL", (LENS.fx, LENS.cx, LENS.cy, -0.1, 0.03)), radial),
+        (("SIMPLE_RADIAL_FISHEYE", (LENS.fx, LENS.cx, LENS.cy, 0.04)), simple_fisheye),
+    ],
+)
+def test_bent_lenses_are_straightened(
+    tmp_path: Path,
+    model: tuple[str, tuple[float, ...]],
+    bend: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+) -> None:
+    write_text(tmp_path, model)
+    bent = np.meshgrid((np.arange(128) + 0.5 - LENS.cx) / LENS.fx, (np.arange(96) + 0.5 - LENS.cy) / LENS.fx)
+    x, y = bent
+    for _ in range(100):
+        u, v = bend(x, y)
+        x, y = x + bent[0] - u, y + bent[1] - v
+    for i, view in enumerate(views()):
+        picture = cast(view, view.forward + x[..., None] * view.right - y[..., None] * view.up)
+        write_colour(tmp_path / "images" / image_name(i), picture.colour)
+    check_colours(open_scene(tmp_path), share=0.93)  # edges between colours are blended
+
+
+def test_binary_as_colmap_writes_it(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    write_text(tmp_path)
+    sparse = tmp_path / "sparse" / "0"
+    before = open_scene(tmp_path)
+    pycolmap.Reconstruction(str(sparse)).write_binary(str(sparse))
+    for file in sparse.glob("*.txt"):
+        file.unlink()
+    after = open_scene(tmp_path)
+    check_colours(after)
+    assert before.points is not None and after.points is not None
+    np.testing.assert_allclose(after.points.xyz[np.argsort(after.points.xyz[:, 0])],
+                               before.points.xyz[np.argsort(before.points.xyz[:, 0])], atol=1e-6)  # fmt: skip
+
+
+def binary(folder: Path) -> Path:
+    """The same model as COLMAP's documentation lays its binary files out."""
+    write_text(folder)
+    sparse = folder / "sparse" / "0"
+    for file in sparse.glob("*.txt"):
+        file.unlink()
+    (sparse / "cameras.bin").write_bytes(struct.pack("<QIiQQ4d", 1, 3, 1, 128, 96, *PINHOLE[1]))
+    images = struct.pack("<Q", 6)
+    for i, view in enumerate(views()):
+        q, t = world_to_camera(elsewhere(view))
+        images += struct.pack("<I7dI", i + 1, *q, *t, 3) + image_name(i).encode() + b"\0"
+        images += struct.pack("<QddqddQ", 2, LENS.cx, LENS.cy, 100 + i, 5.0, 6.0, 2**64 - 1)
+    (sparse / "images.bin").write_bytes(images)
+    points = struct.pack("<Q", 6)
+    for i, mark in enumerate(marks()):
+        points += struct.pack("<Q3d3BdQII", 100 + i, *mark, 9, 8, 7, 0.5, 1, i + 1, 0)
+    (sparse / "points3D.bin").write_bytes(points)
+    return folder
+
+
+def test_binary(tmp_path: Path) -> None:
+    scene = open_scene(binary(tmp_path))
+    check_colours(scene)
+    assert scene.points is not None
+    for frame in scene.frames:
+        pixel, depth = frame.camera.project(scene.points.xyz[scene.points.seen_by[frame.name]])
+        np.testing.assert_allclose([*pixel[0], depth[0]], [LENS.cx, LENS.cy, 1.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("file", ["cameras.bin", "images.bin", "points3D.bin"])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.97])
+def test_cut_off_files_get_a_line(tmp_path: Path, file: str, share: float) -> None:
+    path = binary(tmp_path) / "sparse" / "0" / file
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    with pytest.raises(SceneError, match="cut off"):
+        open_scene(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "told"),
+    [
+        ("cameras.txt", "3 PINHOLE 128 96 1 2 3\n", "PINHOLE with 3 numbers"),
+        ("cameras.txt", "3 THIN_PRISM_FISHEYE 128 96" + " 100 100 64 48" * 3, "image_undistorter"),
+        ("cameras.txt", "3 PINHOLE 128 96 -100 100 64 48", "no camera has"),
+        ("cameras.txt", "4 PINHOLE 128 96 100 100 64 48", "camera 3, which is not there"),
+        ("cameras.txt", "3 PINHOLE 96 128 100 100 48 48", "128x96, its camera 96x128"),
+        ("images.txt", "1 1 0 0\n\n", "line 1 is not as COLMAP"),
+        ("images.txt", "1 0 0 0 0 0 0 0 3 img_5.png\n\n", "quaternion is zero"),
+        ("images.txt", "1 1 0 0 0 0 0 0 3 ../img_5.png\n\n", "leaves the folder"),
+        ("images.txt", "", "no registered image"),
+        ("points3D.txt", "1 2 3\n", "line 1 is not as COLMAP"),
+    ],
+)
+def test_bad_files_get_a_line(tmp_path: Path, file: str, text: str, told: str) -> None:
+    (write_text(tmp_path) / "sparse" / "0" / file).write_text(text)
+    with pytest.raises(SceneError, match=told):
+        open_scene(tmp_path)
+
+
+def test_missing_pictures_are_named(tmp_path: Path) -> None:
+    (write_text(tmp_path) / "images").rename(tmp_path / "photos")
+    with pytest.raises(SceneError, match="pictures are missing.*img_5.png"):
+        open_scene(tmp_path)

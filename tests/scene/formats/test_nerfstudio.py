@@ -1,0 +1,166 @@
+"""transforms.json as nerfstudio's documentation and instant-ngp's describe it."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from tests.scene.formats.room import Lens, cast, check_colours, check_on_room, elsewhere, look, opengl_pose, views
+from tests.scene.formats.writing import in_steps, write_colour, write_grey
+
+LENS = Lens()
+SHARED = {"w": 64, "h": 48, "fl_x": LENS.fx, "fl_y": LENS.fy, "cx": LENS.cx, "cy": LENS.cy, "camera_model": "OPENCV"}
+
+
+def write_scene(folder: Path, depth: bool = True, **shared: Any) -> Path:
+    """Frames in the file are in another order than their names, as COLMAP leaves them."""
+    frames = []
+    for i, view in enumerate(views()):
+        picture = look(view, LENS)
+        name = f"frame_{i + 8}"
+        write_colour(folder / "images" / f"{name}.png", picture.colour)
+        frame: dict[str, Any] = {"file_path": f"./images/{name}.png", "transform_matrix": opengl_pose(view).tolist()}
+        if depth:
+            write_grey(folder / "depth" / f"{name}.png", in_steps(picture.depth, 1000))
+            frame["depth_file_path"] = f"depth/{name}.png"
+        frames.insert(i // 2, frame)
+    content = SHARED | shared | {"frames": frames}
+    (folder / "transforms.json").write_text(json.dumps({k: v for k, v in content.items() if v is not None}))
+    return folder
+
+
+def change(folder: Path, **values: Any) -> None:
+    content = json.loads((folder / "transforms.json").read_text())
+    (folder / "transforms.json").write_text(json.dumps(content | values))
+
+
+def test_points_lie_on_the_room(tmp_path: Path) -> None:
+    for place in (write_scene(tmp_path), tmp_path / "transforms.json"):
+        scene = open_scene(place)
+        assert scene.format == "nerfstudio" and [frame.name for frame in scene.frames][:3] == [
+            "frame_8", "frame_9", "frame_10",
+        ]  # fmt: skip
+        check_on_room(scene)
+
+
+def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
+    """instant-ngp's own sample names more pictures than it has."""
+    write_scene(tmp_path)
+    (tmp_path / "images" / "frame_9.png").unlink()
+    scene = open_scene(tmp_path)
+    assert len(scene.frames) == 5 and "1 frames are left out: their pictures are missing" in scene.warnings
+
+
+def test_without_depth_pictures_and_cameras_come(tmp_path: Path) -> None:
+    scene = open_scene(write_scene(tmp_path, depth=False))
+    assert not scene.has_depth and not scene.has_masks
+    check_colours(scene)
+
+
+def test_instant_ngps_own_keys(tmp_path: Path) -> None:
+    """Angles instead of focal lengths, images without suffix, depth in steps of its own."""
+    angles = {"camera_angle_x": 2 * math.atan(32 / LENS.fx), "camera_angle_y": 2 * math.atan(24 / LENS.fy)}
+    write_scene(tmp_path, **angles, fl_x=None, fl_y=None, camera_model=None, integer_depth_scale=1 / 2000)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    for frame in content["frames"]:
+        frame["file_path"] = frame["file_path"].removesuffix(".png")
+        frame["depth_path"] = frame.pop("depth_file_path")
+    for i, view in enumerate(views()):
+        write_grey(tmp_path / "depth" / f"frame_{i + 8}.png", in_steps(look(view, LENS).depth, 2000))
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    check_on_room(open_scene(tmp_path))
+
+
+def test_intrinsics_of_larger_pictures_and_npy_depth(tmp_path: Path) -> None:
+    write_scene(tmp_path, w=128, h=96, fl_x=2 * LENS.fx, fl_y=2 * LENS.fy, cx=2 * LENS.cx, cy=2 * LENS.cy)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    for frame in content["frames"]:
+        png = tmp_path / frame["depth_file_path"]
+        np.save(
+            png.with_suffix(".npy"), cv2.imread(str(png), cv2.IMREAD_UNCHANGED).astype(np.float32)[..., None] / 1000
+        )
+        frame["depth_file_path"] = frame["depth_file_path"].replace(".png", ".npy")
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    check_on_room(open_scene(tmp_path))
+
+
+@pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
+def test_a_lens_that_bends_is_straightened(tmp_path: Path, model: str) -> None:
+    """The sample shoots its rays through the bent lens: the inverse of the formula, found by iteration."""
+    k1, k2, p1, p2 = (-0.12, 0.05, 0.004, -0.003) if model == "OPENCV" else (0.05, -0.02, 0.01, 0.0)
+    lens = LENS.scaled(4)
+    bent = {"k1": k1, "k2": k2, **({"p1": p1, "p2": p2} if model == "OPENCV" else {"k3": p1, "k4": p2})}
+    write_scene(tmp_path, **bent, w=256, h=192, fl_x=lens.fx, fl_y=lens.fy, cx=lens.cx, cy=lens.cy, camera_model=model)
+    u = (np.arange(256) + 0.5 - lens.cx) / lens.fx
+    v = (np.arange(192) + 0.5 - lens.cy) / lens.fy
+    bent_x, bent_y = np.meshgrid(u, v)
+    x, y = bent_x.copy(), bent_y.copy()
+    for _ in range(100):
+        r = np.hypot(x, y)
+        if model == "OPENCV":
+            radial = 1 + k1 * r**2 + k2 * r**4
+            x = (bent_x - 2 * p1 * x * y - p2 * (r**2 + 2 * x**2)) / radial
+            y = (bent_y - p1 * (r**2 + 2 * y**2) - 2 * p2 * x * y) / radial
+        else:
+            angle = np.arctan(r)
+            scale = angle * (1 + k1 * angle**2 + k2 * angle**4 + p1 * angle**6 + p2 * angle**8) / np.maximum(r, 1e-9)
+            x, y = bent_x / scale, bent_y / scale
+    for i, view in enumerate(views()):
+        picture = cast(view, view.forward + x[..., None] * view.right - y[..., None] * view.up)
+        write_colour(tmp_path / "images" / f"frame_{i + 8}.png", picture.colour)
+        write_grey(tmp_path / "depth" / f"frame_{i + 8}.png", in_steps(picture.depth, 1000))
+    scene = open_scene(tmp_path)
+    assert any("undistorted" in warning for warning in scene.warnings)
+    assert not scene.frames[0].file_shows_colour
+    # Depth takes the nearest pixel, up to 0.7 pixels aside: 1 cm at a slant.
+    check_on_room(scene, tolerance=0.012, share=0.97)
+    assert scene.frames[0].depth((64, 48)).shape == (48, 64)
+
+
+def test_points_and_cameras_stand_upright_together(tmp_path: Path) -> None:
+    """nerfstudio leaves COLMAP's world turned as it was; sparse_pc.ply lies in the same world."""
+    write_scene(tmp_path, ply_file_path="sparse_pc.ply")
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    for frame in content["frames"]:
+        index = int(frame["file_path"].split("_")[1].split(".")[0]) - 8
+        frame["transform_matrix"] = opengl_pose(elsewhere(views()[index])).tolist()
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    marks = [elsewhere(view).eye + elsewhere(view).forward for view in views()]
+    header = "ply\nformat ascii 1.0\nelement vertex 6\nproperty float x\nproperty float y\nproperty float z\n"
+    header += "property uint8 red\nproperty uint8 green\nproperty uint8 blue\nend_header\n"
+    rows = "".join(f"{x:.6f} {y:.6f} {z:.6f} 10 20 30\n" for x, y, z in marks)
+    (tmp_path / "sparse_pc.ply").write_text(header + rows)
+    scene = open_scene(tmp_path)
+    assert any("which way is up" in warning for warning in scene.warnings)
+    check_on_room(scene)
+    assert scene.points is not None and scene.points.rgb[0].tolist() == [10, 20, 30]
+    for frame, point in zip(scene.frames, scene.points.xyz, strict=True):
+        np.testing.assert_allclose(point, frame.camera.centre + frame.camera.camera_to_world[:3, 2], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
+        ({"fl_x": None}, '"fl_x" of frame frame_8 must be a number'),
+        ({"fl_x": -3}, "intrinsics that no camera has"),
+        ({"w": 48, "h": 64}, "frame frame_8 is 64x48, the intrinsics are for 48x64"),
+        ({"frames": []}, "no picture with a pose"),
+        ({"frames": [{"file_path": "images/frame_8", "transform_matrix": [[1, 2], [3]]}]}, "transform_matrix"),
+        ({"frames": [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}]}, "pictures are missing.*a.png"),
+        ({"frames": [{"file_path": "../a.png", "transform_matrix": np.eye(4).tolist()}]}, "leaves the folder"),
+        ({"frames": [{"file_path": "images/frame_8", "transform_matrix": np.ones((4, 4)).tolist()}]}, "last row"),
+        ({"ply_file_path": "transforms.json"}, "this is no PLY file"),
+    ],
+)
+def test_bad_files_get_a_line(tmp_path: Path, values: dict[str, Any], told: str) -> None:
+    change(write_scene(tmp_path), **values)
+    with pytest.raises(SceneError, match=told):
+        open_scene(tmp_path)

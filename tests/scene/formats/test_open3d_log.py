@@ -1,0 +1,86 @@
+"""Open3D's reconstruction folders: the trajectory log of its documentation, and its own JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from tests.scene.formats.room import Lens, View, check_on_room, elsewhere, look, opencv_pose, views
+from tests.scene.formats.writing import in_steps, write_colour, write_grey
+
+PRIMESENSE = Lens(64, 48, 52.5, 52.5, 32.0, 24.0)
+
+
+def intrinsic(lens: Lens) -> dict[str, object]:
+    """Open3D's PinholeCameraIntrinsic: the matrix column by column, integer pixel centres."""
+    columns = [lens.fx, 0, 0, 0, lens.fy, 0, lens.cx - 0.5, lens.cy - 0.5, 1]
+    return {"width": lens.width, "height": lens.height, "intrinsic_matrix": columns}
+
+
+def write_images(folder: Path, lens: Lens, colour: str = "color") -> Path:
+    for i, view in enumerate(views()):
+        picture = look(view, lens)
+        write_colour(folder / colour / f"{i:06d}.png", picture.colour)
+        write_grey(folder / "depth" / f"{i:06d}.png", in_steps(picture.depth, 1000))
+    return folder
+
+
+def log(seen: list[View]) -> str:
+    rows = [[f"{i} {i} {i + 1}", *(" ".join(f"{v:.8f}" for v in row) for row in opencv_pose(v))]
+            for i, v in enumerate(seen)]  # fmt: skip
+    return "\n".join("\n".join(row) for row in rows) + "\n"
+
+
+@pytest.mark.parametrize(("colour", "where"), [("color", "scene"), ("image", "."), ("rgb", ".")])
+def test_a_log_with_the_usual_lens(tmp_path: Path, colour: str, where: str) -> None:
+    write_images(tmp_path, PRIMESENSE, colour)
+    (tmp_path / where).mkdir(exist_ok=True)
+    (tmp_path / where / "trajectory.log").write_text(log([elsewhere(view) for view in views()]))
+    scene = open_scene(tmp_path)
+    assert scene.format == "open3d" and any("PrimeSense" in warning for warning in scene.warnings)
+    check_on_room(scene)
+
+
+def test_a_lens_of_its_own(tmp_path: Path) -> None:
+    write_images(tmp_path, Lens())
+    (tmp_path / "livingroom1-traj.log").write_text(log(views()))
+    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(intrinsic(Lens())))
+    scene = open_scene(tmp_path)
+    assert scene.warnings == ()
+    check_on_room(scene)
+
+
+def test_open3ds_own_trajectory(tmp_path: Path) -> None:
+    write_images(tmp_path, Lens())
+    parameters = []
+    for view in views():
+        rows = np.stack([view.right, -view.up, view.forward])
+        world_to_camera = np.vstack([np.column_stack([rows, -rows @ view.eye]), [0, 0, 0, 1]])
+        parameters.append({"extrinsic": world_to_camera.T.ravel().tolist(), "intrinsic": intrinsic(Lens())})
+    content = {"class_name": "PinholeCameraTrajectory", "parameters": parameters}
+    (tmp_path / "trajectory.json").write_text(json.dumps(content))
+    check_on_room(open_scene(tmp_path))
+
+
+def test_bad_files_get_a_line(tmp_path: Path) -> None:
+    write_images(tmp_path, PRIMESENSE)
+    path = tmp_path / "a.log"
+    for text, told in (
+        (log(views())[:-40], "cut off|holds"),
+        (log(views()[:5]), "6 pictures, 6 depth images and 5 poses"),
+        (log(views()).replace("0 0 1", "0 0"), "line 1 holds 2 numbers, not 3"),
+    ):
+        path.write_text(text)
+        with pytest.raises(SceneError, match=told):
+            open_scene(tmp_path)
+    path.write_text(log(views()))
+    (tmp_path / "intrinsic.json").write_text(json.dumps(intrinsic(Lens(48, 64, 50, 50, 24, 32))))
+    with pytest.raises(SceneError, match="64x48, its lens is for 48x64"):
+        open_scene(tmp_path)
+    (tmp_path / "intrinsic.json").write_text("{}")
+    with pytest.raises(SceneError, match='no "width"'):
+        open_scene(tmp_path)

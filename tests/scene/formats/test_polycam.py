@@ -1,0 +1,70 @@
+"""Polycam's raw export, as polyform's README specifies it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from tests.scene.formats.room import Lens, View, check_on_room, look, views, y_up
+from tests.scene.formats.writing import in_steps, write_colour, write_grey
+
+LENS = Lens().scaled(2)
+DEPTH = Lens()
+
+
+def camera_json(view: View, lens: Lens) -> str:
+    """ARKit's world, y up; the camera's x right, y up, z backward are the columns of t."""
+    seen = y_up(view)
+    t = np.stack([seen.right, seen.up, -seen.forward, seen.eye], axis=1)
+    entry = {f"t_{row}{column}": float(t[row, column]) for row in range(3) for column in range(4)}
+    entry |= {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy, "width": lens.width, "height": lens.height}
+    return json.dumps(entry | {"blur_score": 81.2, "timestamp": 1})
+
+
+def write_polycam(folder: Path, corrected: bool = True) -> Path:
+    """The plain images and cameras are not as good as the corrected ones: here they are grey and elsewhere."""
+    keyframes = folder / "keyframes"
+    for kind in ("cameras", "corrected_cameras"):
+        (keyframes / kind).mkdir(parents=True)
+    for i, view in enumerate(views()):
+        name = str(98765432100 + 7 * i)
+        moved = View(view.eye + 0.3, view.right, view.up, view.forward)
+        for prefix, seen in (("", moved if corrected else view), ("corrected_", view)):
+            write_colour(keyframes / f"{prefix}images" / f"{name}.png", look(seen, LENS).colour)
+            (keyframes / f"{prefix}cameras" / f"{name}.json").write_text(camera_json(seen, LENS))
+        depth, level = in_steps(look(view, DEPTH).depth, 1000), np.full((48, 64), 127, np.uint8)
+        depth[:5], level[:5] = 4999, 0
+        write_grey(keyframes / "depth" / f"{name}.png", depth)
+        write_grey(keyframes / "confidence" / f"{name}.png", level)
+    if not corrected:
+        for kind in ("corrected_cameras", "corrected_images"):
+            shutil.rmtree(keyframes / kind)
+    return folder
+
+
+@pytest.mark.parametrize("corrected", [True, False])
+def test_points_lie_on_the_room(tmp_path: Path, corrected: bool) -> None:
+    scene = open_scene(write_polycam(tmp_path, corrected))
+    assert scene.format == "polycam" and scene.frames[0].name == "98765432100"
+    assert any("not optimised" in warning for warning in scene.warnings) is not corrected
+    check_on_room(scene)
+    assert not scene.frames[0].depth()[:5].any()
+
+
+def test_bad_files_get_a_line(tmp_path: Path) -> None:
+    keyframes = write_polycam(tmp_path) / "keyframes"
+    path = keyframes / "corrected_cameras" / "98765432107.json"
+    good = json.loads(path.read_text())
+    for change, told in (({"t_03": "x"}, "t_03"), ({"fx": 0}, "no camera"), ({"width": 96, "height": 128}, "96x128")):
+        path.write_text(json.dumps(good | change))
+        with pytest.raises(SceneError, match=told):
+            open_scene(tmp_path)
+    path.write_text(json.dumps(good))
+    (keyframes / "depth" / "98765432107.png").unlink()
+    with pytest.raises(SceneError, match="no depth"):
+        open_scene(tmp_path)

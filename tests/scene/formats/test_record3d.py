@@ -1,0 +1,123 @@
+"""Record3D's .r3d, as nerfstudio's and other readers of it describe it."""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from tests.scene.formats.room import Lens, check_on_room, look, quaternion, views, y_up
+
+LENS = Lens(144, 192, 150.0, 150.0, 74.0, 93.0)
+DEPTH = Lens(192, 256, 200.0, 200.0, 74.0 * 4 / 3, 93.0 * 4 / 3)
+
+
+def stored(data: bytes) -> bytes:
+    """An LZFSE stream of one block that is not compressed: "bvx-", the size, the bytes, and the end "bvx$"."""
+    return b"bvx-" + struct.pack("<I", len(data)) + data + b"bvx$"
+
+
+class BrokenStream(Exception):
+    pass
+
+
+def unstored(data: bytes) -> bytes:
+    if data[:4] != b"bvx-" or not data.endswith(b"bvx$"):
+        raise BrokenStream
+    return data[8 : 8 + struct.unpack("<I", data[4:8])[0]]
+
+
+@pytest.fixture(autouse=True)
+def lzfse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The real package where it is installed, else one that knows blocks that are not compressed."""
+    try:
+        import liblzfse  # noqa: F401
+    except ImportError:
+        monkeypatch.setitem(sys.modules, "liblzfse", SimpleNamespace(decompress=unstored, error=BrokenStream))
+
+
+def write_r3d(path: Path, poses: list[list[float]] | None = None, **changes: Any) -> Path:
+    """Eleven pictures, so that 10.jpg comes after 9.jpg, out of order in the archive."""
+    metadata: dict[str, Any] = {"w": LENS.width, "h": LENS.height, "fps": 60, "poses": poses or []}
+    metadata["K"] = [LENS.fx, 0, 0, 0, LENS.fy, 0, LENS.cx, LENS.cy, 1]
+    with zipfile.ZipFile(path, "w") as archive:
+        for i, view in reversed([*enumerate(views(11))]):
+            if poses is None:
+                seen = y_up(view)
+                w, x, y, z = quaternion(np.stack([seen.right, seen.up, -seen.forward], axis=1))
+                metadata["poses"].insert(0, [x, y, z, w, *seen.eye])
+            depth = look(view, DEPTH).depth.astype("<f4")
+            level = np.full(depth.shape, 2, np.uint8)
+            depth[0], level[1:3] = np.nan, 0
+            png = cv2.imencode(".jpg", look(view, LENS).colour[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])[1]
+            archive.writestr(f"rgbd/{i}.jpg", png.tobytes())
+            archive.writestr(f"rgbd/{i}.depth", stored(depth.tobytes()))
+            archive.writestr(f"rgbd/{i}.conf", stored(level.tobytes()))
+        archive.writestr("metadata", json.dumps({k: v for k, v in (metadata | changes).items() if v is not None}))
+    return path
+
+
+def test_points_lie_on_the_room(tmp_path: Path) -> None:
+    write_r3d(tmp_path / "room.r3d")
+    for place in (tmp_path / "room.r3d", tmp_path):
+        scene = open_scene(place)
+        assert scene.format == "record3d" and [frame.name for frame in scene.frames] == [str(i) for i in range(11)]
+        assert not any("turned" in warning for warning in scene.warnings)
+        check_on_room(scene, tolerance=0.002, colour_step=60)
+        assert not scene.frames[0].depth()[:3].any()
+
+
+def test_an_unpacked_folder_with_lenses_of_its_own(tmp_path: Path) -> None:
+    coefficients = [[LENS.fx, LENS.fy, LENS.cx, LENS.cy]] * 11
+    write_r3d(tmp_path / "a.r3d", K=[1.0] * 9, perFrameIntrinsicCoeffs=coefficients, dw=DEPTH.width, dh=DEPTH.height)
+    with zipfile.ZipFile(tmp_path / "a.r3d") as archive:
+        archive.extractall(tmp_path / "scan")
+    check_on_room(open_scene(tmp_path / "scan"), tolerance=0.002, colour_step=60)
+
+
+def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "liblzfse", None)
+    scene = open_scene(write_r3d(tmp_path / "a.r3d"))
+    scene.frames[0].read_colour(None)
+    with pytest.raises(SceneError, match=r"needs the package pyliblzfse.*pip install -r requirements/readers\.txt"):
+        scene.frames[0].depth()
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"poses": [[0, 0, 0, 1, 0, 0, 0]]}, "1 poses and 11 pictures"),
+        ({"poses": [[0, 0, 0, 1, 0, 0]] * 11}, '"poses" of metadata must be 11x7'),
+        ({"poses": 5}, '"poses" of metadata'),
+        ({"K": None}, '"K" of metadata'),
+        ({"K": [1] * 4}, '"K" of metadata'),
+        ({"w": 10}, "intrinsics that no camera has"),
+        ({"w": "a"}, '"w" of metadata'),
+        ({"perFrameIntrinsicCoeffs": [5] * 11}, "coefficients"),
+    ],
+)
+def test_bad_metadata_gets_a_line(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
+    with pytest.raises(SceneError, match=told):
+        open_scene(write_r3d(tmp_path / "a.r3d", **changes))
+
+
+def test_broken_archives_get_a_line(tmp_path: Path) -> None:
+    whole = write_r3d(tmp_path / "a.r3d").read_bytes()
+    (tmp_path / "b.r3d").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(SceneError, match="no .r3d file, or it is cut off"):
+        open_scene(tmp_path / "b.r3d")
+    (tmp_path / "c.r3d").write_bytes(whole[:3000] + bytes(20) + whole[3020:])
+    scene = open_scene(tmp_path / "c.r3d")
+    with pytest.raises(SceneError, match="cannot be"):
+        for frame in scene.frames:
+            frame.depth()
+            frame.read_colour(None)

@@ -1,0 +1,78 @@
+"""Replica's renderings: NICE-SLAM's, and Semantic-NeRF's, which vMAP follows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from tests.scene.formats.room import Lens, View, check_on_room, look, opencv_pose, views
+from tests.scene.formats.writing import in_steps, write_colour, write_grey
+
+# 600 600 599.5 339.5 of 1200x680 and 320 320 319.5 239.5 of 640x480, integer centres, for a tenth of the size.
+NICE = Lens(120, 68, 60.0, 60.0, 60.0, 34.0)
+SEMANTIC = Lens(64, 48, 32.0, 32.0, 32.0, 24.0)
+
+
+def trajectory(seen: list[View]) -> str:
+    return "".join(" ".join(f"{value:.9e}" for value in opencv_pose(view).ravel()) + "\n" for view in seen)
+
+
+def write_nice(folder: Path, lens: Lens = NICE, steps: float = 6553.5) -> Path:
+    for i, view in enumerate(views()):
+        picture = look(view, lens)
+        write_colour(folder / "results" / f"frame{i:06d}.jpg", picture.colour)
+        write_grey(folder / "results" / f"depth{i:06d}.png", in_steps(picture.depth, steps))
+    (folder / "traj.txt").write_text(trajectory(views()))
+    return folder
+
+
+def test_nice_slam(tmp_path: Path) -> None:
+    scene = open_scene(write_nice(tmp_path))
+    assert scene.format == "replica" and scene.frames[0].name == "frame000000"
+    check_on_room(scene, colour_step=60)
+
+
+def test_nice_slams_camera_file(tmp_path: Path) -> None:
+    lens = Lens()
+    write_nice(tmp_path / "office0", lens, steps=1000.0)
+    camera = {"w": 64, "h": 48, "fx": lens.fx, "fy": lens.fy, "cx": lens.cx - 0.5, "cy": lens.cy - 0.5, "scale": 1000.0}
+    (tmp_path / "cam_params.json").write_text(json.dumps({"camera": camera}))
+    check_on_room(open_scene(tmp_path / "office0"), colour_step=60)
+
+
+def test_semantic_nerf(tmp_path: Path) -> None:
+    """Eleven pictures, so that rgb_10 comes after rgb_9."""
+    every = views(11)
+    for i, view in enumerate(every):
+        picture = look(view, SEMANTIC)
+        write_colour(tmp_path / "rgb" / f"rgb_{i}.png", picture.colour)
+        write_grey(tmp_path / "depth" / f"depth_{i}.png", in_steps(picture.depth, 1000))
+    (tmp_path / "traj_w_c.txt").write_text(trajectory(every))
+    scene = open_scene(tmp_path)
+    assert scene.format == "vmap" and [frame.name for frame in scene.frames] == [f"rgb_{i}" for i in range(11)]
+    check_on_room(scene)
+
+
+def test_bad_files_get_a_line(tmp_path: Path) -> None:
+    write_nice(tmp_path)
+    (tmp_path / "traj.txt").write_text(trajectory(views()[:4]))
+    with pytest.raises(SceneError, match="there are 4 poses and a picture 5"):
+        open_scene(tmp_path)
+    (tmp_path / "traj.txt").write_text("1 2 3\n")
+    with pytest.raises(SceneError, match="line 1 holds 3 numbers, not 16"):
+        open_scene(tmp_path)
+    inf = np.full((6, 16), np.inf)
+    np.savetxt(tmp_path / "traj.txt", inf)
+    with pytest.raises(SceneError, match="no picture with a pose"):
+        open_scene(tmp_path)
+    (tmp_path / "traj.txt").write_text(trajectory(views()))
+    (tmp_path / "results" / "depth000003.png").unlink()
+    with pytest.raises(SceneError, match="picture 3 has no depth"):
+        open_scene(tmp_path)
+    (tmp_path / "cam_params.json").write_text("{}")
+    with pytest.raises(SceneError, match='no "camera"'):
+        open_scene(tmp_path)

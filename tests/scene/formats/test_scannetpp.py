@@ -1,0 +1,162 @@
+"""ScanNet++'s iPhone data, as its toolkit takes it apart."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from engine.scene.formats.lz4_block import lz4_unpack
+from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views
+from tests.scene.formats.writing import in_steps, write_colour, write_grey
+
+DEPTH = Lens(256, 192, 220.0, 220.0, 131.0, 93.0)
+LENS = DEPTH.scaled(0.75)
+
+
+def raw_deflate(data: bytes) -> bytes:
+    packer = zlib.compressobj(wbits=-zlib.MAX_WBITS)
+    return packer.compress(data) + packer.flush()
+
+
+def lz4_rows(steps: np.ndarray) -> bytes:
+    """An LZ4 block that repeats the row above where it is the same, and else spells a row out."""
+    out, spelt, repeats = b"", b"", 0
+
+    def sequence(literals: bytes, match: int) -> bytes:
+        def more(length: int) -> bytes:
+            return b"" if length < 15 else b"\xff" * ((length - 15) // 255) + bytes([(length - 15) % 255])
+
+        token = min(len(literals), 15) << 4 | (min(match - 4, 15) if match else 0)
+        tail = struct.pack("<H", 512) + more(match - 4) if match else b""
+        return bytes([token]) + more(len(literals)) + literals + tail
+
+    for i, row in enumerate(steps):
+        if i and i < 191 and (row == steps[i - 1]).all():
+            repeats += 1
+            continue
+        if repeats:
+            out, spelt, repeats = out + sequence(spelt, 512 * repeats), b"", 0
+        spelt += row.astype("<u2").tobytes()
+    return out + sequence(spelt, 0)
+
+
+def one_stream(depths: list[np.ndarray]) -> bytes:
+    return raw_deflate(b"".join(depth.astype("<f4").tobytes() for depth in depths))
+
+
+def lz4_blocks(depths: list[np.ndarray]) -> bytes:
+    blocks = [lz4_rows(in_steps(depth, 1000)) for depth in depths]
+    return b"".join(struct.pack("<I", len(block)) + block for block in blocks)
+
+
+def deflated_blocks(depths: list[np.ndarray]) -> bytes:
+    blocks = [raw_deflate(depth.astype("<f4").tobytes()) for depth in depths]
+    return b"".join(struct.pack("<I", len(block)) + block for block in blocks)
+
+
+def depths_with_a_flat_top() -> list[np.ndarray]:
+    depths = [look(view, DEPTH).depth for view in views()]
+    for depth in depths:
+        depth[3:40] = 0.0
+    return depths
+
+
+def write_table(folder: Path, **changes: object) -> None:
+    """pose is ARKit's own, in another world than aligned_pose."""
+    table: dict[str, object] = {}
+    for i, view in reversed([*enumerate(views())]):
+        K = [[LENS.fx, 0, LENS.cx], [0, LENS.fy, LENS.cy], [0, 0, 1]]
+        table[f"frame_{i:06d}"] = {
+            "timestamp": i / 60, "pose": np.eye(4).tolist(), "intrinsic": K, "aligned_pose": opencv_pose(view).tolist(),
+        }  # fmt: skip
+    table["frame_000006"] = {"pose": np.eye(4).tolist(), "intrinsic": K}
+    (folder / "pose_intrinsic_imu.json").write_text(json.dumps(table | changes))
+
+
+def write_scannetpp(folder: Path, pack: Callable[[list[np.ndarray]], bytes]) -> Path:
+    iphone = folder / "iphone"
+    iphone.mkdir()
+    video = cv2.VideoWriter(str(iphone / "rgb.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 60, (LENS.width, LENS.height))
+    for view in [*views(), views()[0]]:
+        video.write(np.ascontiguousarray(look(view, LENS).colour[..., ::-1]))
+    video.release()
+    (iphone / "depth.bin").write_bytes(pack(depths_with_a_flat_top()))
+    write_table(iphone)
+    return folder
+
+
+@pytest.mark.parametrize("pack", [one_stream, lz4_blocks, deflated_blocks])
+def test_points_lie_on_the_room(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
+    scene = open_scene(write_scannetpp(tmp_path, pack))
+    assert scene.format == "scannetpp" and [frame.name for frame in scene.frames][:2] == [
+        "frame_000000",
+        "frame_000001",
+    ]
+    assert "1 frames without a pose are left out: frame_000006" in scene.warnings
+    check_on_room(scene, colour_step=60)
+    assert not scene.frames[0].depth()[3:40].any()
+    np.testing.assert_allclose(scene.frames[0].depth(), depths_with_a_flat_top()[0], atol=6e-4)  # behind: starts anew
+
+
+def test_pictures_and_depth_that_were_taken_out(tmp_path: Path) -> None:
+    write_table(tmp_path)
+    for i, view in enumerate(views()):
+        write_colour(tmp_path / "rgb" / f"frame_{i:06d}.jpg", look(view, LENS).colour)
+        write_grey(tmp_path / "depth" / f"frame_{i:06d}.png", in_steps(look(view, DEPTH).depth, 1000))
+    scene = open_scene(tmp_path)
+    assert scene.frames[0].file_shows_colour
+    check_on_room(scene, colour_step=60)
+
+
+@pytest.mark.parametrize("pack", [one_stream, lz4_blocks, deflated_blocks])
+def test_cut_off_depth_gets_a_line(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
+    path = write_scannetpp(tmp_path, pack) / "iphone" / "depth.bin"
+    path.write_bytes(path.read_bytes()[:-2000])
+    scene = open_scene(tmp_path)
+    with pytest.raises(SceneError, match="depth of frame 5|cannot be unpacked"):
+        scene.frames[5].depth()
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"other": {}}, '"other" is no frame'),
+        ({"frame_000001": 5}, "is no frame"),
+        ({"frame_000001": {"aligned_pose": [[1]]}}, '"aligned_pose" of frame_000001 must be 4x4'),
+        ({"frame_000001": {"aligned_pose": np.eye(4).tolist(), "intrinsic": np.eye(3).tolist()}}, None),
+        ({"frame_000001": {"aligned_pose": np.eye(4).tolist()}}, 'no "intrinsic"'),
+    ],
+)
+def test_bad_tables_get_a_line(tmp_path: Path, changes: dict[str, object], told: str | None) -> None:
+    write_table(write_scannetpp(tmp_path, one_stream) / "iphone", **changes)
+    if told is None:
+        assert len(open_scene(tmp_path).frames) == 6
+        return
+    with pytest.raises(SceneError, match=told):
+        open_scene(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "data", [b"\x10", b"\xf0", b"\x00\x01\x00", b"\x10a\x05\x00", b"\x1fa\x01\x00\xff\xff\xff\x00"]
+)
+def test_damaged_lz4_is_refused(data: bytes) -> None:
+    with pytest.raises(ValueError, match="the block is"):
+        lz4_unpack(data, 100)
+
+
+def test_lz4_that_overlaps_itself_repeats() -> None:
+    assert lz4_unpack(b"\x22ab\x02\x00\x10c", 100) == b"abababab" + b"c"
+
+
+def test_lz4_of_the_library() -> None:
+    block = pytest.importorskip("lz4.block")
+    data = (np.arange(5000) ** 2 // 977 % 300).astype("<u2").tobytes()
+    assert lz4_unpack(block.compress(data, store_size=False), len(data)) == data

@@ -1,0 +1,86 @@
+"""ScanNet's .sens, written as the structures of its SensReader lie in the file."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views
+
+COLOUR = Lens(108, 80, 97.0, 97.5, 54.3, 40.2)
+DEPTH = Lens(64, 48, 58.0, 58.4, 32.4, 24.1)
+
+
+def four(lens: Lens) -> np.ndarray:
+    """The 4x4 of a lens with integer pixel centres."""
+    K = np.eye(4, dtype=np.float32)
+    K[0, 0], K[1, 1], K[0, 2], K[1, 2] = lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5
+    return K
+
+
+def sens(compressed: bool = True, lost: int | None = None) -> bytes:
+    name = b"StructureSensor"
+    data = struct.pack("<I", 4) + struct.pack("<Q", len(name)) + name
+    for matrix in (four(COLOUR), np.eye(4), four(DEPTH), np.eye(4)):
+        data += struct.pack("<16f", *matrix.ravel())
+    data += struct.pack("<ii", 1, 1 if compressed else 0)
+    data += struct.pack("<IIIIf", COLOUR.width, COLOUR.height, DEPTH.width, DEPTH.height, 1000.0)
+    data += struct.pack("<Q", 6 + (lost is not None))
+    for i, view in enumerate(views()):
+        if i == lost:
+            data += struct.pack("<16f", *[-np.inf] * 16) + struct.pack("<QQQQ", 0, 0, 0, 0)
+        colour = cv2.imencode(".png", look(view, COLOUR).colour[..., ::-1])[1].tobytes()
+        depth = np.round(look(view, DEPTH).depth * 1000).astype("<u2").tobytes()
+        depth = zlib.compress(depth) if compressed else depth
+        data += struct.pack("<16f", *opencv_pose(view).ravel())
+        data += struct.pack("<QQQQ", 33 * i, 33 * i, len(colour), len(depth)) + colour + depth
+    return data + struct.pack("<Q", 0)
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+@pytest.mark.parametrize("place", ["", "scene0000_00.sens"])
+def test_points_lie_on_the_room(tmp_path: Path, compressed: bool, place: str) -> None:
+    (tmp_path / "scene0000_00.sens").write_bytes(sens(compressed, lost=2))
+    scene = open_scene(tmp_path / place)
+    assert scene.format == "sens" and [frame.name for frame in scene.frames] == ["0", "1", "3", "4", "5", "6"]
+    assert "1 frames without a pose are left out: 2" in scene.warnings
+    # Depth is of another lens: its pixels lie up to 0.7 pixels aside of those that they are read for.
+    check_on_room(scene, tolerance=0.06, share=0.97)
+    depth = [frame.depth((COLOUR.width, COLOUR.height)) for frame in scene.frames]
+    truth = [look(view, COLOUR).depth for view in views()]
+    off = np.concatenate([(one - other)[one > 0] for one, other in zip(depth, truth, strict=True)])
+    assert abs(np.median(off)) < 0.001 and np.median(np.abs(off)) < 0.008
+
+
+def test_folders_that_were_exported_come_first(tmp_path: Path) -> None:
+    (tmp_path / "a.sens").write_bytes(sens())
+    (tmp_path / "pose").mkdir()
+    (tmp_path / "color").mkdir()
+    with pytest.raises(SceneError, match="the folder has no .*color"):
+        open_scene(tmp_path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.01, 0.5, 0.999])
+def test_cut_off_files_get_a_line(tmp_path: Path, share: float) -> None:
+    whole = sens()
+    (tmp_path / "a.sens").write_bytes(whole[: int(share * (len(whole) - 8))])
+    with pytest.raises(SceneError, match="cut off"):
+        open_scene(tmp_path / "a.sens")
+
+
+def test_other_files_and_damage_get_a_line(tmp_path: Path) -> None:
+    whole = bytearray(sens())
+    (tmp_path / "a.sens").write_bytes(b"\5" + whole[1:])
+    with pytest.raises(SceneError, match="no .sens of version 4"):
+        open_scene(tmp_path / "a.sens")
+    whole[-2000:-8] = bytes(1992)
+    (tmp_path / "a.sens").write_bytes(whole)
+    scene = open_scene(tmp_path / "a.sens")
+    with pytest.raises(SceneError, match="depth"):
+        scene.frames[-1].depth()

@@ -1,0 +1,97 @@
+"""7-Scenes as its page describes it, and tsdf-fusion's layout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from tests.scene.formats.room import Lens, View, check_on_room, look, opencv_pose, views
+from tests.scene.formats.writing import in_steps, write_colour, write_grey
+
+# The Kinect's two lenses for pictures of 160x120, a quarter of the size; the principal point is the integer pixel
+# (320, 240) of 640x480.
+DEPTH_LENS = Lens(160, 120, 585 / 4, 585 / 4, 320.5 / 4, 240.5 / 4)
+COLOUR_LENS = Lens(160, 120, 525 / 4, 525 / 4, 320.5 / 4, 240.5 / 4)
+# Where the colour camera stands as the depth camera sees it, written from the published rotation and translation.
+R = np.array(
+    [
+        [9.9996518012567637e-01, 2.6765126468950343e-03, -7.9041012313000904e-03],
+        [-2.7409311281316700e-03, 9.9996302803027592e-01, -8.1504520778013286e-03],
+        [7.8819942130445332e-03, 8.1718328771890631e-03, 9.9993554558014031e-01],
+    ]
+)
+T = np.array([-2.5558943178152542e-02, 1.0109636268061706e-04, 2.0318321729487039e-03])
+
+
+def depth_view(colour: View) -> View:
+    """The depth camera beside a colour camera: a point x of its own lies at R x + T of the colour camera."""
+    axes = np.stack([colour.right, -colour.up, colour.forward], axis=1)
+    right, down, forward = (axes @ R).T
+    return View(colour.eye + axes @ T, right, -down, forward)
+
+
+def write_seven(folder: Path) -> Path:
+    for i, view in enumerate(views()):
+        beside = depth_view(view)
+        base = folder / "seq-01" / f"frame-{i:06d}"
+        depth = in_steps(look(beside, DEPTH_LENS).depth, 1000)
+        depth[:3] = 65535
+        write_colour(base.with_suffix(".color.png"), look(view, COLOUR_LENS).colour)
+        write_grey(base.with_suffix(".depth.png"), depth)
+        np.savetxt(base.with_suffix(".pose.txt"), opencv_pose(beside), "%.9e")
+    return folder
+
+
+@pytest.mark.parametrize("place", ["", "seq-01"])
+def test_raw_depth_is_registered_to_colour(tmp_path: Path, place: str) -> None:
+    scene = open_scene(write_seven(tmp_path) / place)
+    assert scene.format == "7scenes"
+    assert scene.frames[0].name == ("frame-000000" if place else "seq-01_frame-000000")
+    # Registered depth takes pixels of another grid: up to 0.7 pixels aside, 2 cm at a slant.
+    check_on_room(scene, tolerance=0.022, share=0.97)
+    depth = scene.frames[0].depth((320, 240))
+    assert depth.shape == (240, 320) and depth.max() < 10.0
+    # Half a pixel's slant; without registration the median is centimetres.
+    assert np.median(np.abs(scene.frames[0].depth() - look(views()[0], COLOUR_LENS).depth)) < 0.008
+
+
+def test_registered_depth_is_taken_where_it_is_there(tmp_path: Path) -> None:
+    write_seven(tmp_path)
+    for i, view in enumerate(views()):
+        base = tmp_path / "seq-01" / f"frame-{i:06d}"
+        write_grey(base.with_suffix(".depth.proj.png"), in_steps(look(view, COLOUR_LENS).depth, 1000))
+        np.savetxt(base.with_suffix(".pose.txt"), opencv_pose(view))
+    check_on_room(open_scene(tmp_path))
+
+
+@pytest.mark.parametrize("where", ["", "scans"])
+def test_tsdf_fusion(tmp_path: Path, where: str) -> None:
+    lens = Lens()
+    folder = tmp_path / "scans"
+    for i, view in enumerate(views()):
+        picture = look(view, lens)
+        depth = in_steps(picture.depth, 1000)
+        depth[:3] = 65535
+        base = folder / f"frame-{i:06d}"
+        write_colour(base.with_suffix(".color.jpg"), picture.colour)
+        write_grey(base.with_suffix(".depth.png"), depth)
+        np.savetxt(base.with_suffix(".pose.txt"), opencv_pose(view))
+    np.savetxt(tmp_path / where / "camera-intrinsics.txt",
+               [[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]])  # fmt: skip
+    np.savetxt(folder / "frame-000006.pose.txt", np.full((4, 4), np.inf))
+    scene = open_scene(folder)
+    assert scene.format == "tsdf-fusion" and "1 frames without a pose are left out: frame-000006" in scene.warnings
+    check_on_room(scene, colour_step=60)
+    assert not scene.frames[0].depth()[:3].any()
+
+
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
+    write_seven(tmp_path)
+    with pytest.raises(SceneError, match=r"intrinsics are missing: .*camera-intrinsics\.txt"):
+        open_scene(tmp_path, scene_format="tsdf-fusion")
+    (tmp_path / "seq-01" / "frame-000002.depth.png").unlink()
+    with pytest.raises(SceneError, match=r"cannot be read .*frame-000002\.depth\.png"):
+        open_scene(tmp_path)

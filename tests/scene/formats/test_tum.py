@@ -1,0 +1,140 @@
+"""TUM RGB-D's file formats as its documentation has them, and ICL-NUIM's TUM-compatible sequences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from tests.scene.formats.room import Lens, View, check_on_room, look, quaternion, views, y_up
+from tests.scene.formats.writing import in_steps, write_colour, write_grey
+
+# 525 525 319.5 239.5 of 640x480, integer centres, for a tenth of the size with centres at +0.5.
+KINECT = Lens(64, 48, 52.5, 52.5, 32.0, 24.0)
+ICL = Lens(64, 48, 48.12, 48.0, 32.0, 24.0)
+
+
+def tum_line(stamp: float | int, right: np.ndarray, down: np.ndarray, forward: np.ndarray, eye: np.ndarray) -> str:
+    w, x, y, z = quaternion(np.stack([right, down, forward], axis=1))
+    return f"{stamp} " + " ".join(f"{value:.7f}" for value in (*eye, x, y, z, w)) + "\n"
+
+
+def write_tum(folder: Path) -> Path:
+    """Depth 12 ms after colour, poses every 10 ms that move on between pictures, pictures before and after them."""
+    rgb, depth, truth = (
+        "# color images\ntimestamp filename\n",
+        "# depth maps\n",
+        "# ground truth trajectory\n# timestamp tx ty tz\n",
+    )
+    for i, view in enumerate(views()):
+        at = 1305031102.17 + i / 30
+        picture = look(view, KINECT)
+        write_colour(folder / "rgb" / f"{at:.6f}.png", picture.colour)
+        write_grey(folder / "depth" / f"{at + 0.012:.6f}.png", in_steps(picture.depth, 5000))
+        rgb += f"{at:.6f} rgb/{at:.6f}.png\n"
+        depth += f"{at + 0.012:.6f} depth/{at + 0.012:.6f}.png\n"
+        for late in (-0.009, 0.001, 0.011):
+            moved = view.eye + (late - 0.001) * np.array([5.0, 3.0, 0.0])
+            truth += tum_line(round(at + late, 4), view.right, -view.up, view.forward, moved)
+    write_colour(folder / "rgb" / "1305031100.000000.png", np.zeros((48, 64, 3), np.uint8))
+    rgb += "1305031100.000000 rgb/1305031100.000000.png\n"
+    for name, text in (("rgb", rgb), ("depth", depth), ("groundtruth", truth)):
+        (folder / f"{name}.txt").write_text(text)
+    return folder
+
+
+def test_points_lie_on_the_room(tmp_path: Path) -> None:
+    scene = open_scene(write_tum(tmp_path))
+    assert scene.format == "tum" and scene.frames[0].name == "1305031102.170000"
+    assert "1 frames without a pose are left out: 1305031100.000000" in scene.warnings
+    assert any("taken for a Kinect's" in warning for warning in scene.warnings)
+    check_on_room(scene)
+
+
+def test_the_lens_comes_from_the_name_or_a_file(tmp_path: Path) -> None:
+    scene = open_scene(write_tum(tmp_path / "rgbd_dataset_freiburg3_long_office"))
+    assert scene.frames[0].camera.fx == pytest.approx(53.54) and scene.frames[0].camera.cy == pytest.approx(24.81)
+    bent = open_scene(write_tum(tmp_path / "rgbd_dataset_freiburg1_desk"))
+    assert not bent.frames[0].file_shows_colour and any("undistorted" in warning for warning in bent.warnings)
+    (tmp_path / "rgbd_dataset_freiburg1_desk" / "calibration.txt").write_text("52.5 52.5 31.5 23.5\n")
+    check_on_room(open_scene(tmp_path / "rgbd_dataset_freiburg1_desk"))
+
+
+@pytest.mark.parametrize("depth_first", [True, False])
+def test_associations_in_either_order(tmp_path: Path, depth_first: bool) -> None:
+    write_tum(tmp_path)
+    lines = []
+    for i in range(6):
+        at = 1305031102.17 + i / 30
+        pair = [f"{at + 0.012:.6f} depth/{at + 0.012:.6f}.png", f"{at:.6f} rgb/{at:.6f}.png"]
+        lines.append(" ".join(pair if depth_first else pair[::-1]))
+    (tmp_path / "associations.txt").write_text("\n".join(lines))
+    (tmp_path / "rgb.txt").unlink()
+    check_on_room(open_scene(tmp_path))
+
+
+def test_stamps_from_file_names_and_no_depth(tmp_path: Path) -> None:
+    write_tum(tmp_path)
+    for name in ("rgb.txt", "depth.txt"):
+        (tmp_path / name).unlink()
+    check_on_room(open_scene(tmp_path))
+    (tmp_path / "depth").rename(tmp_path / "elsewhere")
+    assert not open_scene(tmp_path).has_depth
+
+
+def mirrored(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """POV-Ray's left-handed world and camera: y up, z forward. The room's x, height and depth are its x, y and z."""
+    swap = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    return swap @ view.right, swap @ view.up, swap @ view.forward, swap @ view.eye
+
+
+@pytest.mark.parametrize("truth", ["livingRoom2.gt.freiburg", "groundtruth.txt"])
+def test_icl_nuim_is_mirrored_back(tmp_path: Path, truth: str) -> None:
+    """Frame 0 has a picture and no pose; x right, y up, z forward of the camera are the columns of the rotation."""
+    text, pairs = "", "0 depth/0.png 0 rgb/0.png\n"
+    for i, view in enumerate([views()[0], *views()]):
+        picture = look(view, ICL)
+        write_colour(tmp_path / "rgb" / f"{i}.png", picture.colour)
+        write_grey(tmp_path / "depth" / f"{i}.png", in_steps(picture.depth, 5000))
+        if i:
+            text += tum_line(i, *mirrored(view))
+            pairs += f"{i} depth/{i}.png {i} rgb/{i}.png\n"
+    (tmp_path / truth).write_text(text)
+    (tmp_path / "associations.txt").write_text(pairs)
+    scene = open_scene(tmp_path)
+    assert scene.format == "icl" and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5", "6"]
+    assert scene.warnings[0] == "1 frames without a pose are left out: 0"
+    check_on_room(scene)
+
+
+def test_a_world_with_another_up_is_turned(tmp_path: Path) -> None:
+    write_tum(tmp_path)
+    text = "".join(
+        tum_line(round(1305031102.171 + i / 30, 4), v.right, -v.up, v.forward, v.eye)
+        for i, v in enumerate(map(y_up, views()))
+    )
+    (tmp_path / "groundtruth.txt").write_text(text)
+    check_on_room(open_scene(tmp_path, up="y"))
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "told"),
+    [
+        ("groundtruth.txt", "1.5 2 3\n", "line 1 holds 3 numbers, not 8"),
+        ("groundtruth.txt", "1.5 a 2 3 0 0 0 1\n", "something else than numbers"),
+        ("groundtruth.txt", "1.5 1 2 3 0 0 0 0\n", "quaternion is zero"),
+        ("groundtruth.txt", "1.5 1 2 3 0 0 0 1\n", "no picture with a pose"),
+        ("groundtruth.txt", "1.5 1 2 3 0 nan 0 1\n", "no picture with a pose"),
+        ("rgb.txt", "1305031102.17\n", "line 1 is no time stamp"),
+        ("rgb.txt", "1305031102.17 ../a.png\n", "leaves the folder"),
+        ("rgb.txt", "1305031102.17 rgb/a.png\n", "cannot be read"),
+        ("calibration.txt", "-3 1 1 1", "those of no camera"),
+        ("calibration.txt", "", "not all there"),
+    ],
+)
+def test_bad_files_get_a_line(tmp_path: Path, file: str, text: str, told: str) -> None:
+    (write_tum(tmp_path) / file).write_text(text)
+    with pytest.raises(SceneError, match=told):
+        open_scene(tmp_path)

@@ -1,0 +1,55 @@
+"""Cameras and pictures come without masks and depth; a lift does not."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from engine.command_line.main import main
+from engine.scene import SceneError, check_scene, describe, load_view, open_scene, open_scene_to_lift
+from tests.tiny_scene import write_tiny_scene
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_tiny_scene(tmp_path / "scene", frames=6)
+
+
+@pytest.mark.parametrize(("without", "told"), [("panoptic.json", "there are no masks"), ("depth", "has no depth")])
+def test_opens_without_and_does_not_lift(folder: Path, without: str, told: str) -> None:
+    path = folder / without
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    scene = open_scene(folder)
+    assert len(scene.frames) == 6
+    assert (scene.has_masks, scene.has_depth) == (without != "panoptic.json", without != "depth")
+    report = describe(scene)
+    assert (report.segments_per_frame is None) is not scene.has_masks
+    assert (report.depth_range is None) is not scene.has_depth
+    for refuses in (check_scene, lambda scene: load_view(scene.frames[0])):
+        with pytest.raises(SceneError):
+            refuses(scene)
+    with pytest.raises(SceneError, match=told):
+        open_scene_to_lift(folder)
+
+
+def test_the_command_line_tells(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "panoptic.json").unlink()
+    assert main(["inspect", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert "masks     none" in out and "format    scannet" in out
+    assert main(["lift", str(folder), "-o", str(tmp_path / "out")]) == 2
+    assert "there are no masks" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_an_unknown_format_is_refused_and_a_known_one_can_be_named(folder: Path) -> None:
+    assert open_scene(folder, scene_format="scannet").format == "scannet"
+    with pytest.raises(SceneError, match='no format is called "photos".*Choose one of scannet'):
+        open_scene(folder, scene_format="photos")
+
+
+def test_an_unknown_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    with pytest.raises(SceneError, match="Looked for scannet: the folders color"):
+        open_scene(tmp_path)
