@@ -108,6 +108,12 @@ bit for bit."""
 contracted = _compiler(fastmath={"contract"})
 """A kernel of sums of products that only one pass makes: multiply-add may be fused."""
 
+parallel_kernel = compiled
+"""A kernel for ``threads.parallel_for``, written as ``kernel(worker, workers, *arguments)``: what this worker does of
+the whole. The result does not depend on how many workers there are."""
+
+contracted_parallel_kernel = contracted
+
 part: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART)
 """A function that kernels call, compiled as ``compiled`` is, but for them only, which takes far less time: it has no
 entry from Python (where it stays a plain function) and no place in the cache. It cannot make arrays."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..machine import memory
 from ..machine.compiled import Array
-from ..machine.crew import share, worker_count
+from ..machine.threads import parallel_for, worker_count
 from .chain_to_scene import CHAIN_BLOCK
 from .forward_pass import ForwardState, scratch
 from .records import GRADIENT_WIDTH, TILE, padded_channels
@@ -74,8 +74,8 @@ def unblend(
     labels = slots.labels, channels, gradients.labels.reshape(-1)
     next_portion = np.zeros(1, np.int64)
     geometry = _geometry(workers, state, slots, (means, scales, quats), gradients)
-    share(workers, state.kernels.unblend, *unblending)
-    share(workers, state.kernels.gather, next_portion, state.lists.slots, slots.touched, labels, geometry)
+    parallel_for(workers, state.kernels.unblend, *unblending)
+    parallel_for(workers, state.kernels.gather, next_portion, state.lists.slots, slots.touched, labels, geometry)
     return gradients
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..machine.crew import timed
 from ..machine.peak import fma_peak
+from ..machine.threads import timed
 from .interface import rasterize
 from .kernels import choose_kernels
 from .workload import CHANNELS, Workload, room_workload

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.compiled import Array, contracted_part, part
-from ..machine.shared import shared
+from ..machine.compiled import Array, contracted_part, parallel_kernel, part
 from .blend_forward import ALPHA_LEAST, ONE
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import (
@@ -168,7 +167,7 @@ def add_label_gradients(
         counts[r] = 0
 
 
-@shared
+@parallel_kernel
 def unblend_tiles(
     worker: int,
     workers: int,

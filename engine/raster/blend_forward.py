@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.compiled import Array, part
-from ..machine.shared import shared
+from ..machine.compiled import Array, parallel_kernel, part
 from .conventions import ALPHA_MIN, TRANSMITTANCE_END
 from .footprint import ALPHA_CAP, F, add_products, alpha_row, whiten_rows
 from .records import BLUE, CHUNK, DEPTH, GREEN, L11, OPACITY, RECORD, RED, TILE
@@ -128,7 +127,7 @@ def write_tile(
                 labels_out[y, left + x, c] = tile_labels[r * TILE + x, c]
 
 
-@shared
+@parallel_kernel
 def blend_tiles(
     worker: int,
     workers: int,

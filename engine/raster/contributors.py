@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..machine.compiled import Array, part
-from ..machine.shared import shared
+from ..machine.compiled import Array, parallel_kernel, part
 from .blend_forward import any_alive, blend_row, start_tile
 from .footprint import F, alpha_row, whiten_rows
 from .records import L11, OPACITY, TILE
@@ -26,7 +25,7 @@ def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -
     indices[place] = gaussian
 
 
-@shared
+@parallel_kernel
 def list_contributors(
     worker: int, workers: int, starts: Array, tile_ids: Array, records: Array, indices: Array, weights: Array
 ) -> None:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..machine import memory
 from ..machine.compiled import Array
-from ..machine.crew import share, worker_count
+from ..machine.threads import parallel_for, worker_count
 from .conventions import View
 from .kernels import Kernels
 from .portions import portion_count
@@ -86,7 +86,7 @@ def blend(
     results = records, boxes, depths, on_image.centres, on_image.visible
     portion_arguments = *gaussians, camera, view.width, view.height, *results
     projected = Projected(boxes, depths, np.empty((portion_count(count), 2), np.int64))
-    share(
+    parallel_for(
         workers,
         project,
         np.zeros(1, np.int64),
@@ -96,7 +96,7 @@ def blend(
     )
     lists = list_tiles(workers, projected, view.width, view.height)
     blenders = lists.blenders(workers)
-    share(
+    parallel_for(
         blenders,
         kernels.blend,
         np.zeros(1, np.int64),
@@ -134,5 +134,6 @@ def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[
 
     indices, weights = torch.empty(shape, dtype=torch.int32), torch.empty(shape, dtype=torch.float32)
     lists = state.lists
-    share(worker_count(), list_contributors, lists.starts, lists.ids, state.records, indices.numpy(), weights.numpy())
+    tops = indices.numpy(), weights.numpy()
+    parallel_for(worker_count(), list_contributors, lists.starts, lists.ids, state.records, *tops)
     return indices, weights

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.compiled import Array, part
-from ..machine.shared import shared
+from ..machine.compiled import Array, parallel_kernel, part
 from .chain_to_scene import chain_to_scene, enter, leave
 from .lanes import LANES
 from .portions import portion_count, take_portion
@@ -115,7 +114,7 @@ def gather_labels(
                     own[c] += slot_labels[slot * padded + c]
 
 
-@shared
+@parallel_kernel
 def gather(
     worker: int, workers: int, next_portion: Array, slots: Array, touched: Array, labels: Any, geometry: Any
 ) -> None:

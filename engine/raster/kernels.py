@@ -7,8 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-
-from ..machine.shared import Kernel
+from typing import Any
 
 log = logging.getLogger("plgs.raster")
 
@@ -18,13 +17,13 @@ VARIABLE = "PLGS_RASTER_KERNELS"
 
 @dataclass(frozen=True, eq=False)
 class Kernels:
-    """``blend``, ``unblend`` and ``gather`` are for ``crew.share``; the others tell the floats of scratch for so many
+    """``blend``, ``unblend`` and ``gather`` are for ``parallel_for``; the others tell the floats of scratch for so many
     channels (and Gaussians in the longest list of a tile). There is one of each name: compared by identity."""
 
     name: str
-    blend: Kernel
-    unblend: Kernel
-    gather: Kernel
+    blend: Callable[..., Any]
+    unblend: Callable[..., Any]
+    gather: Callable[..., Any]
     blend_scratch: Callable[[int, int], int]
     unblend_scratch: Callable[[int], int]
 

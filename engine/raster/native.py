@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from functools import cache, lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,19 +11,17 @@ from torch import Tensor
 
 from ..machine import memory
 from ..machine.compiled import Array
-from ..machine.crew import worker_count
-from ..machine.warm_up import WarmUp
+from ..machine.log_compilation import log_compilation
 from .backward_pass import LayerGradients, unblend
-from .compile_backward import compile_backward
-from .conventions import NEAR, View
+from .conventions import View
 from .forward_pass import OnImage, as_array, blend, top_contributors
-from .kernels import Kernels, choose_kernels
+from .kernels import choose_kernels
 from .rendering import Rendering
-
-log = logging.getLogger("plgs.raster")
 
 LABELS = 5
 """Their place among the arguments."""
+COMPILATION = "10 s"
+"""What compiling a pass takes, for the log."""
 
 
 def rasterize_native(
@@ -46,8 +43,6 @@ def rasterize_native(
     if want_means2d_grad:
         centres.requires_grad_()
     inputs = (means, scales, quats, opacities, colours, labels, centres)
-    differentiable = any(tensor is not None and tensor.requires_grad for tensor in inputs)
-    _warm_up(choose_kernels()).forward(torch.is_grad_enabled() and differentiable)
     image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, view, on_image, top_k)
     return Rendering(
         image=image,
@@ -59,21 +54,6 @@ def rasterize_native(
         top_indices=top[0] if top else None,
         top_weights=top[1] if top else None,
     )
-
-
-@cache
-def _warm_up(kernels: Kernels) -> WarmUp:
-    """The one warm-up of these kernels in this process."""
-    log.info("blending with the %s kernels, %d threads", kernels.name, worker_count())
-    apart = compile_backward.__module__
-    return WarmUp(f"the {kernels.name} rasteriser", _compile_forward, partial(compile_backward, kernels), apart)
-
-
-def _compile_forward() -> None:
-    """Call every kernel of the forward pass, with one Gaussian."""
-    inputs = [torch.ones(shape) for shape in ((1, 3), (1, 3), (1, 4), (1,), (1, 3), (1, 1), (1, 2))]
-    view = View((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, -3.0), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
-    _Blend.apply(*inputs, view, OnImage(np.empty((1, 2), np.float32), np.empty(1, np.bool_)), 0)
 
 
 class _Blend(torch.autograd.Function):
@@ -93,7 +73,10 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         gaussians = [as_array(tensor) for tensor in (means, scales, quats, opacities, colours)]
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
-        layers, state = blend(choose_kernels(), gaussians, features, view, on_image)
+        kernels = choose_kernels()
+        is_compiled = log_compilation(f"the forward pass of the {kernels.name} rasteriser", COMPILATION)
+        layers, state = blend(kernels, gaussians, features, view, on_image)
+        is_compiled()
         top: tuple[Tensor, ...] = ()
         if top_k:
             top = top_contributors(state, (view.height, view.width, top_k))
@@ -113,7 +96,6 @@ class _Blend(torch.autograd.Function):
         d_depth: Tensor | None,
         *_: Any,
     ) -> tuple[Tensor | None, ...]:
-        _warm_up(ctx.state.kernels).backward()
         size, needed = ctx.size, ctx.needs_input_grad
         d_layers = LayerGradients(
             _or_zeros(d_image, (*size, 3)),
@@ -122,7 +104,9 @@ class _Blend(torch.autograd.Function):
             _or_zeros(d_depth, size),
         )
         means, scales, quats = map(as_array, ctx.saved_tensors)
+        is_compiled = log_compilation(f"the backward pass of the {ctx.state.kernels.name} rasteriser", COMPILATION)
         gradients = list(unblend(ctx.state, means, scales, quats, d_layers).in_order())
+        is_compiled()
         if d_labels is None:
             gradients[LABELS] = np.zeros(ctx.labels_shape, np.float32)
         wanted = zip(gradients, needed, strict=False)

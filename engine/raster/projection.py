@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine.atomics import take_next
-from ..machine.compiled import Array, part
-from ..machine.shared import shared
+from ..machine.compiled import Array, parallel_kernel, part
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM, View
 from .lanes import LANES, MEAN, OTHERS, SCALE, WHO, enter_lane, quaternion_in, three_of
 from .portions import range_of
@@ -274,7 +273,7 @@ def project_portion(
     return shown, touched
 
 
-@shared
+@parallel_kernel
 def project(
     worker: int, workers: int, next_portion: Array, counts: Array, blocks: Array, portion_arguments: Any
 ) -> None:

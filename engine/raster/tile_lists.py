@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import memory
-from ..machine.crew import share
+from ..machine.threads import parallel_for
 from .records import TILE
 from .tile_steps import DIGITS, LOOKS, PROGRESS, run_tile_steps
 
@@ -70,7 +70,7 @@ def list_tiles(workers: int, projected: Projected, width: int, height: int) -> P
         ((listing, columns * rows), np.int64),
     )
     longest = np.zeros(1, np.int64)
-    share(
+    parallel_for(
         listing,
         run_tile_steps,
         np.zeros(PROGRESS, np.int64),

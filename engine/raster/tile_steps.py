@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..machine.atomics import raise_by_one, read_counter
-from ..machine.compiled import Array, part
-from ..machine.shared import shared
+from ..machine.compiled import Array, parallel_kernel, part
 from .portions import range_of
 
 DIGIT_BITS = 11
@@ -206,7 +205,7 @@ def sort_digit(
         deal_digits(portion, portions, own_keys, own_ids, shift, digits, keys_out, ids_out)
 
 
-@shared
+@parallel_kernel
 def run_tile_steps(
     worker: int,
     workers: int,

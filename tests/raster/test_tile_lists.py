@@ -90,6 +90,8 @@ def test_few_gaussians_on_few_tiles_are_listed_by_one_worker(
     counts = np.array([[count // 2 * (pairs > 0), pairs // 2]] * 2, np.int64)
     given = Projected(boxes, np.ones(count, np.float32), counts)
     shares: list[int] = []
-    share = tile_lists.share
-    monkeypatch.setattr(tile_lists, "share", lambda workers, *rest: (shares.append(workers), share(workers, *rest)))
+    own = tile_lists.parallel_for
+    monkeypatch.setattr(
+        tile_lists, "parallel_for", lambda workers, *rest: (shares.append(workers), own(workers, *rest))
+    )
     assert len(list_tiles(2, given, 10 * TILE, 10 * TILE).ids) == pairs and shares == [sharing]

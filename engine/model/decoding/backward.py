@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...machine.atomics import take_next
-from ...machine.compiled import Array, inlined
-from ...machine.shared import shared
+from ...machine.compiled import Array, inlined, parallel_kernel
 from ...machine.vectors import lane_numbers, load_some, spread, store
 from .activations import exponential
 from .layers import collect_inputs, fill, head_of, list_anchors, rounded_rows, run_first_layer, run_head, run_head_back
@@ -22,7 +21,7 @@ F = np.float32
 ZERO, ONE = F(0.0), F(1.0)
 
 
-@shared
+@parallel_kernel
 def clear(worker: int, workers: int, values: Array) -> None:
     """This worker's share of the values to 0."""
     count = values.shape[0]
@@ -170,7 +169,7 @@ def classes_back(
                 mine[at + wanted] -= weight
 
 
-@shared
+@parallel_kernel
 def decode_back(
     worker: int,
     workers: int,

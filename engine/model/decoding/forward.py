@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...machine.atomics import take_next
-from ...machine.compiled import Array, inlined
-from ...machine.shared import shared
+from ...machine.compiled import Array, inlined, parallel_kernel
 from ...machine.vectors import WIDTH, lane_numbers, load, load_some, spread, store
 from .activations import copy, exponential, sigmoid, tanh
 from .layers import collect_inputs, head_of, list_anchors, run_head
@@ -20,7 +19,7 @@ F = np.float32
 ZERO = F(0.0)
 
 
-@shared
+@parallel_kernel
 def decode_opacities(
     worker: int,
     workers: int,
@@ -200,7 +199,7 @@ def write_classes(
     return loss
 
 
-@shared
+@parallel_kernel
 def decode_gaussians(
     worker: int,
     workers: int,

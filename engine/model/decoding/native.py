@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...machine import memory
-from ...machine.crew import share, worker_count
+from ...machine.threads import parallel_for, worker_count
 from ..anchors import Anchors
 from ..decoders import Decoders
 from ..neural_gaussians import NeuralGaussians
@@ -91,7 +91,7 @@ class _Decode(torch.autograd.Function):
         anchors = [_flat(tensor) for tensor in (feature, offset, log_scale)]
         scratch = _scratch(workers, layout)
         all_opacities, counts = memory.empty_tensor((count, sizes.k)), np.zeros(batches, np.int64)
-        share(
+        parallel_for(
             workers,
             decode_opacities,
             np.zeros(1, np.int64),
@@ -111,7 +111,7 @@ class _Decode(torch.autograd.Function):
         outputs = [memory.empty_tensor(shape) for shape in ((drawn, 3), (drawn, 3), (drawn, 4), (drawn,), (drawn, 3))]
         outputs.append(memory.empty_tensor((drawn, channels)))
         kept, losses = memory.empty(drawn, np.int64), np.zeros(batches)
-        share(
+        parallel_for(
             workers,
             decode_gaussians,
             np.zeros(1, np.int64),
@@ -149,9 +149,9 @@ class _Decode(torch.autograd.Function):
         layout, workers = fixed.layout, worker_count()
         d_anchors = [memory.empty_tensor(tuple(tensor.shape)) for tensor in (feature, offset, log_scale)]
         for gradient in d_anchors:
-            share(workers, clear, _flat(gradient))
+            parallel_for(workers, clear, _flat(gradient))
         d_weights = memory.empty((min(PARTS, fixed.batches), layout.parameters), np.float32)
-        share(
+        parallel_for(
             workers,
             decode_back,
             np.zeros(1, np.int64),

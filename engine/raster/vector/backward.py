@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...machine.atomics import take_next
-from ...machine.compiled import Array, inlined, part
-from ...machine.shared import shared
+from ...machine.compiled import Array, inlined, parallel_kernel, part
 from ...machine.vector_functions import exp2_of_four, reciprocal
 from ...machine.vector_shuffles import totals
 from ...machine.vectors import (
@@ -212,7 +211,7 @@ def unblend_gaussian(
     store_past_cache(gradients, slot * GRADIENT_WIDTH, totals(sums))
 
 
-@shared
+@parallel_kernel
 def unblend_tiles(
     worker: int,
     workers: int,

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...machine.atomics import take_next
-from ...machine.compiled import Array, inlined, part
-from ...machine.shared import shared
+from ...machine.compiled import Array, inlined, parallel_kernel, part
 from ...machine.vector_functions import exp2_of_four
 from ...machine.vectors import (
     bits_of,
@@ -241,7 +240,7 @@ def add_listed_labels(
     return listed, lines
 
 
-@shared
+@parallel_kernel
 def blend_tiles(
     worker: int,
     workers: int,

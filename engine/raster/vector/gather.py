@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.compiled import Array, part
-from ...machine.shared import shared
+from ...machine.compiled import Array, parallel_kernel, part
 from ...machine.vectors import get, lane_numbers, load, spread, store, store_some
 from ..gather import gather_geometry
 from ..portions import portion_count, take_portion
@@ -39,7 +38,7 @@ def gather_labels(
                 store_some(d_labels, at, total, in_tail)
 
 
-@shared
+@parallel_kernel
 def gather(
     worker: int, workers: int, next_portion: Array, slots: Array, touched: Array, labels: Any, geometry: Any
 ) -> None:

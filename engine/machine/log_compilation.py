@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 from .compiled import CACHE_FOLDER, machine_target
@@ -12,28 +13,17 @@ from .compiled import CACHE_FOLDER, machine_target
 log = logging.getLogger("plgs.machine")
 
 
-def announce_compilation(what: str, how_long: str) -> Callable[[], None]:
-    """Say so when kernels have yet to be compiled on this machine; call what is returned when they have
-    been."""
-    if is_compiled(what):
+def log_compilation(what: str, how_long: str) -> Callable[[], None]:
+    """Log that ``what`` is compiled unless it was before; call what is returned when it has been."""
+    stamp = _stamp(what)
+    if stamp.exists():
         return lambda: None
-    say_that_it_compiles(what, how_long)
-    return lambda: note_compiled(what)
-
-
-def is_compiled(what: str) -> bool:
-    """Whether ``note_compiled`` was ever called for these kernels on this machine."""
-    return _stamp(what).exists()
-
-
-def say_that_it_compiles(what: str, how_long: str) -> None:
     log.info("compiling %s for this machine, about %s, once", what, how_long)
+    return stamp.touch
 
 
-def note_compiled(what: str) -> None:
-    _stamp(what).touch()
-
-
+@cache
 def _stamp(what: str) -> Path:
+    """An empty file beside the machine code."""
     target = hashlib.sha256(repr(machine_target()).encode()).hexdigest()[:16]
     return CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{target}"
