@@ -12,9 +12,10 @@ from torch import Tensor
 from ..machine import memory
 from ..machine.compiled import Array
 from ..machine.log_compilation import log_compilation
-from .backward_pass import LayerGradients, unblend
-from .conventions import View
-from .forward_pass import OnImage, as_array, blend, top_contributors
+from .arrays import Gaussians, Shapes
+from .backward_pass import LayerGradients, rasterize_backward
+from .conventions import Pinhole
+from .forward_pass import OnImage, as_array, rasterize_forward, top_contributors
 from .kernels import choose_kernels
 from .rendering import Rendering
 
@@ -31,7 +32,7 @@ def rasterize_native(
     opacities: Tensor,
     colours: Tensor,
     labels: Tensor | None,
-    view: View,
+    pinhole: Pinhole,
     top_k: int,
     want_means2d_grad: bool,
 ) -> Rendering:
@@ -39,11 +40,11 @@ def rasterize_native(
     count = means.shape[0]
     on_image = OnImage(*memory.several(((count, 2), np.float32), (count, np.bool_)))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it
-    centres = torch.from_numpy(on_image.centres)
+    centres = torch.from_numpy(on_image.means2d)
     if want_means2d_grad:
         centres.requires_grad_()
     inputs = (means, scales, quats, opacities, colours, labels, centres)
-    image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, view, on_image, top_k)
+    image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, pinhole, on_image, top_k)
     return Rendering(
         image=image,
         labels=labels_out if labels is not None else None,
@@ -67,23 +68,23 @@ class _Blend(torch.autograd.Function):
         colours: Tensor,
         labels: Tensor | None,
         centres: Tensor,
-        view: View,
+        pinhole: Pinhole,
         on_image: OnImage,
         top_k: int,
     ) -> tuple[Tensor, ...]:
-        gaussians = [as_array(tensor) for tensor in (means, scales, quats, opacities, colours)]
+        gaussians = Gaussians(*map(as_array, (means, scales, quats, opacities, colours)))
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
         kernels = choose_kernels()
         is_compiled = log_compilation(f"the forward pass of the {kernels.name} rasteriser", COMPILATION)
-        layers, state = blend(kernels, gaussians, features, view, on_image)
+        layers, state = rasterize_forward(kernels, gaussians, features, pinhole, on_image)
         is_compiled()
         top: tuple[Tensor, ...] = ()
         if top_k:
-            top = top_contributors(state, (view.height, view.width, top_k))
+            top = top_contributors(state, (pinhole.height, pinhole.width, top_k))
             ctx.mark_non_differentiable(*top)
         ctx.save_for_backward(means, scales, quats)
         ctx.state = state
-        ctx.size, ctx.labels_shape = (view.height, view.width), features.shape
+        ctx.size, ctx.labels_shape = (pinhole.height, pinhole.width), features.shape
         ctx.set_materialize_grads(False)
         return *map(torch.from_numpy, layers.in_order()), *top
 
@@ -103,9 +104,9 @@ class _Blend(torch.autograd.Function):
             _or_zeros(d_alpha, size),
             _or_zeros(d_depth, size),
         )
-        means, scales, quats = map(as_array, ctx.saved_tensors)
+        shapes = Shapes(*map(as_array, ctx.saved_tensors))
         is_compiled = log_compilation(f"the backward pass of the {ctx.state.kernels.name} rasteriser", COMPILATION)
-        gradients = list(unblend(ctx.state, means, scales, quats, d_layers).in_order())
+        gradients = list(rasterize_backward(ctx.state, shapes, d_layers))
         is_compiled()
         if d_labels is None:
             gradients[LABELS] = np.zeros(ctx.labels_shape, np.float32)

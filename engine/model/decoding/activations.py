@@ -16,17 +16,17 @@ from ...machine.vectors import (
     INTS_IR,
     LANES_IR,
     WIDTH,
-    choose,
+    broadcast,
     fma,
     intrinsic,
     lane_numbers,
     lanes,
     load,
-    load_some,
+    masked_load,
+    masked_store,
     minimum,
-    spread,
+    select,
     store,
-    store_some,
 )
 
 F = np.float32
@@ -57,31 +57,31 @@ def sum_of(typing_context: Any, values: Any) -> Any:
 @inlined
 def exponential(x: Any) -> Any:
     """e^x of a number; infinite above 88, e^-44 below -44. NaN of what is not finite."""
-    power = x * spread(LOG2_E)
-    value = exp2(minimum(power, spread(LARGEST_POWER)))
-    value = choose(power > spread(LARGEST_POWER), spread(INFINITY), value)
-    return fma(x, spread(ZERO), value)  # exp2 drops NaN
+    power = x * broadcast(LOG2_E)
+    value = exp2(minimum(power, broadcast(LARGEST_POWER)))
+    value = select(power > broadcast(LARGEST_POWER), broadcast(INFINITY), value)
+    return fma(x, broadcast(ZERO), value)  # exp2 drops NaN
 
 
 @inlined
 def sigmoid(x: Any) -> Any:
-    return spread(ONE) / (spread(ONE) + exponential(spread(ZERO) - x))
+    return broadcast(ONE) / (broadcast(ONE) + exponential(broadcast(ZERO) - x))
 
 
 @inlined
 def tanh(x: Any) -> Any:
     """Exact sign, also next to zero: whether a Gaussian is drawn depends on it."""
     squared = x * x
-    series = x * fma(squared, fma(squared, spread(TANH_5), spread(TANH_3)), spread(ONE))
-    power = exponential(minimum(x + x, spread(F(40.0))))
-    quotient = (power - spread(ONE)) / (power + spread(ONE))
-    return choose(squared < spread(SMALL * SMALL), series, quotient)
+    series = x * fma(squared, fma(squared, broadcast(TANH_5), broadcast(TANH_3)), broadcast(ONE))
+    power = exponential(minimum(x + x, broadcast(F(40.0))))
+    quotient = (power - broadcast(ONE)) / (power + broadcast(ONE))
+    return select(squared < broadcast(SMALL * SMALL), series, quotient)
 
 
 @inlined
 def falling_exponential(x: Any) -> Any:
     """e^x of a number <= 0; e^-44 below -44. NaN of what is not finite."""
-    return fma(x, spread(ZERO), exp2(x * spread(LOG2_E)))
+    return fma(x, broadcast(ZERO), exp2(x * broadcast(LOG2_E)))
 
 
 @inlined
@@ -90,5 +90,5 @@ def copy(values: Array, at: int, out: Array, out_at: int, count: int) -> None:
     whole = count - count % WIDTH
     for c in range(0, whole, WIDTH):
         store(out, out_at + c, load(values, at + c))
-    rest = lane_numbers() < spread(F(count - whole))
-    store_some(out, out_at + whole, load_some(values, at + whole, rest), rest)
+    rest = lane_numbers() < broadcast(F(count - whole))
+    masked_store(out, out_at + whole, masked_load(values, at + whole, rest), rest)

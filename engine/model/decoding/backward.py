@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.atomics import take_next
+from ...machine.atomics import fetch_add
 from ...machine.compiled import Array, inlined, parallel_kernel
-from ...machine.vectors import lane_numbers, load_some, spread, store
+from ...machine.vectors import broadcast, lane_numbers, masked_load, store
 from .activations import exponential
 from .layers import collect_inputs, fill, head_of, list_anchors, rounded_rows, run_first_layer, run_head, run_head_back
 from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC
@@ -68,8 +68,8 @@ def shapes_back(
     for i in range(count):
         v = listed[i]
         anchor, at = visible[v], sizes.out_at + i * head.padded
-        six = lane_numbers() < spread(F(6.0))
-        store(mine, reach, exponential(load_some(log_scale, 6 * anchor, six)))
+        six = lane_numbers() < broadcast(F(6.0))
+        store(mine, reach, exponential(masked_load(log_scale, 6 * anchor, six)))
         for g in range(k):
             if opacities[v * k + g] > ZERO:
                 for axis in range(3):
@@ -208,7 +208,7 @@ def decode_back(
     mine, listed = scratch[worker], lists[worker]
     k, batches, parts = sizes.k, starts.shape[0], gradients.shape[0]
     while True:
-        part = take_next(counter)
+        part = fetch_add(counter)
         if part >= parts:
             break
         gradient = gradients[part]

@@ -8,13 +8,13 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from ...machine.compiled import Array, part
-from ...machine.emitting import element, intrinsic
-from ...machine.vectors import FLOAT, INT, WIDE, call
+from ...machine.compiled import Array, device_function
+from ...machine.intrinsics import element_pointer, intrinsic
+from ...machine.vectors import FLOAT, HAS_AVX512, INT, call
 
-COLUMNS = 16 if WIDE else 8
+COLUMNS = 16 if HAS_AVX512 else 8
 """Columns in one vector of a block: as wide as a register."""
-ROWS = 8 if WIDE else 4
+ROWS = 8 if HAS_AVX512 else 4
 """Rows of a block: with three vectors each, the sums fill three quarters of the registers."""
 
 INDEX = ir.IntType(64)
@@ -33,7 +33,7 @@ def _block(vectors: int) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         def start(place: int) -> ir.Value:
-            return element(context, builder, signature.args[place], arguments[place], arguments[place + 1])
+            return element_pointer(context, builder, signature.args[place], arguments[place], arguments[place + 1])
 
         out, left, right = start(0), start(3), start(7)
         out_stride, (across, along), (right_stride, count) = arguments[2], arguments[5:7], arguments[9:11]
@@ -85,7 +85,7 @@ def _block(vectors: int) -> Any:
 _block_3, _block_2, _block_1 = (_block(vectors) for vectors in (3, 2, 1))
 
 
-@part
+@device_function
 def add_product(
     out: Array,
     out_at: int,

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.atomics import take_next
+from ...machine.atomics import fetch_add
 from ...machine.compiled import Array, inlined, parallel_kernel
-from ...machine.vectors import WIDTH, lane_numbers, load, load_some, spread, store
+from ...machine.vectors import WIDTH, broadcast, lane_numbers, load, masked_load, store
 from .activations import copy, exponential, sigmoid, tanh
 from .layers import collect_inputs, head_of, list_anchors, run_head
 from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC
@@ -40,7 +40,7 @@ def decode_opacities(
     mine, listed = scratch[worker], lists[worker]
     k, head = sizes.k, head_of(heads, OPACITY)
     while True:
-        batch = take_next(counter)
+        batch = fetch_add(counter)
         if batch >= counts.shape[0]:
             break
         start = batch * BATCH
@@ -90,8 +90,8 @@ def write_shapes(
         for c in range(0, head.padded, WIDTH):
             store(mine, active + c, sigmoid(load(mine, raw + c)))
         reach = active + head.padded
-        six = lane_numbers() < spread(F(6.0))
-        store(mine, reach, exponential(load_some(log_scale, 6 * anchor, six)))
+        six = lane_numbers() < broadcast(F(6.0))
+        store(mine, reach, exponential(masked_load(log_scale, 6 * anchor, six)))
         for g in range(k):
             opacity = opacities[v * k + g]
             if opacity > ZERO:
@@ -237,7 +237,7 @@ def decode_gaussians(
     mine, listed = scratch[worker], lists[worker]
     k = sizes.k
     while True:
-        batch = take_next(counter)
+        batch = fetch_add(counter)
         if batch >= starts.shape[0]:
             break
         start, first = batch * BATCH, starts[batch]

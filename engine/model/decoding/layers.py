@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.compiled import Array, inlined, part
-from ...machine.vectors import WIDTH, choose, load, maximum, spread, store
+from ...machine.compiled import Array, device_function, inlined
+from ...machine.vectors import WIDTH, broadcast, load, maximum, select, store
 from ..decoders import HIDDEN
 from .activations import copy
 from .blocks import add_product
@@ -41,7 +41,7 @@ def fill(values: Array, at: int, count: int, value: Any) -> None:
         values[i] = value
 
 
-@part
+@device_function
 def list_anchors(start: int, end: int, k: int, opacities: Array, visible: Array, channels: Array, listed: Array) -> Any:
     """Lists the places in ``visible`` [V] from ``start`` to ``end`` that have work beyond their opacity.
 
@@ -71,7 +71,7 @@ def list_anchors(start: int, end: int, k: int, opacities: Array, visible: Array,
     return drawn, everyone
 
 
-@part
+@device_function
 def collect_inputs(
     listed: Array, count: int, visible: Array, feature: Array, position: Array, centre: Array, sizes: Any, mine: Array
 ) -> None:
@@ -95,7 +95,7 @@ def collect_inputs(
     fill(mine, count * sizes.inputs, (rounded_rows(count) - count) * sizes.inputs, ZERO)
 
 
-@part
+@device_function
 def run_first_layer(head: Any, rows: int, weights: Array, sizes: Any, mine: Array) -> None:
     """The hidden layer of ``rows`` anchors after ReLU."""
     at = sizes.hidden_at
@@ -104,10 +104,10 @@ def run_first_layer(head: Any, rows: int, weights: Array, sizes: Any, mine: Arra
             store(mine, at + i * HIDDEN + c, load(weights, head.first_bias + c))
     add_product(mine, at, WIDE, mine, START, sizes.inputs, STEP, weights, head.first, WIDE, rows, WIDE, head.inputs)
     for c in range(at, at + rows * HIDDEN, WIDTH):
-        store(mine, c, maximum(load(mine, c), spread(ZERO)))
+        store(mine, c, maximum(load(mine, c), broadcast(ZERO)))
 
 
-@part
+@device_function
 def run_head(head: Any, rows: int, weights: Array, sizes: Any, mine: Array) -> None:
     """Hidden layer and outputs [rows, padded] of one decoder."""
     run_first_layer(head, rows, weights, sizes, mine)
@@ -142,7 +142,7 @@ def add_columns(out: Array, out_at: int, values: Array, at: int, stride: int, ro
         store(out, out_at + c, total)
 
 
-@part
+@device_function
 def run_head_back(head: Any, rows: int, weights: Array, sizes: Any, mine: Array, gradient: Array) -> None:
     """From the gradient of the outputs in their place, and the hidden layer in its, to the gradients of the weights
     (added to ``gradient``) and of the features (added to scratch)."""
@@ -153,8 +153,8 @@ def run_head_back(head: Any, rows: int, weights: Array, sizes: Any, mine: Array,
     fill(mine, d_hidden, rounded_rows(rows) * HIDDEN, ZERO)
     add_product(mine, d_hidden, WIDE, mine, out, padded, STEP, weights, head.last_back, WIDE, rows, WIDE, head.outputs)
     for c in range(0, rows * HIDDEN, WIDTH):
-        passed = load(mine, hidden + c) > spread(ZERO)
-        store(mine, d_hidden + c, choose(passed, load(mine, d_hidden + c), spread(ZERO)))
+        passed = load(mine, hidden + c) > broadcast(ZERO)
+        store(mine, d_hidden + c, select(passed, load(mine, d_hidden + c), broadcast(ZERO)))
 
     add_product(
         gradient, head.first, WIDE, mine, START, STEP, sizes.inputs, mine, d_hidden, WIDE, head.inputs, WIDE, rows

@@ -8,21 +8,21 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from ...machine.compiled import Array, inlined, part
+from ...machine.compiled import Array, device_function, inlined
 from ...machine.vectors import (
     INTS_IR,
     LANES_IR,
     WIDTH,
-    element,
+    broadcast,
+    element_pointer,
     fma,
     intrinsic,
     lane_numbers,
     load,
-    load_some,
+    masked_load,
+    masked_store,
     maximum,
-    spread,
     store,
-    store_some,
 )
 from .activations import LOWEST, falling_exponential, sum_of
 
@@ -39,7 +39,7 @@ def transpose(
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         def row(place: int, number: int) -> ir.Value:
-            start = element(context, builder, signature.args[place], arguments[place], arguments[place + 1])
+            start = element_pointer(context, builder, signature.args[place], arguments[place], arguments[place + 1])
             there = builder.gep(start, [builder.mul(ir.IntType(64)(number), arguments[place + 2])])
             return builder.bitcast(there, LANES_IR.as_pointer())
 
@@ -60,7 +60,7 @@ def transpose(
     return types.void(source, i, i, out, i, i), emit
 
 
-@part
+@device_function
 def soften(values: Array, at: int, stride: int, rows: int, k: int, count: int, tall: int, sums: int) -> None:
     """In place, the softmax of each of the k runs of ``count`` values in every row; rows are ``stride`` (a multiple of
     16) floats apart and ``rows`` is rounded up to a multiple of 16.
@@ -76,15 +76,15 @@ def soften(values: Array, at: int, stride: int, rows: int, k: int, count: int, t
         for g in range(k):
             first = tall + g * count * WIDTH
             after = first + count * WIDTH
-            top = spread(LOWEST)
+            top = broadcast(LOWEST)
             for c in range(first, after, WIDTH):
                 top = maximum(top, load(values, c))
-            total = spread(ZERO)
+            total = broadcast(ZERO)
             for c in range(first, after, WIDTH):
                 power = falling_exponential(load(values, c) - top)
                 store(values, c, power)
                 total = total + power
-            share = spread(ONE) / total
+            share = broadcast(ONE) / total
             for c in range(first, after, WIDTH):
                 store(values, c, load(values, c) * share)
             store(values, sums + g * rounded + i, top)
@@ -99,13 +99,13 @@ def soften_back(p: Array, at: int, g: Array, g_at: int, shift: Any, out: Array, 
 
     ``count`` values from ``at``, ``g_at`` and ``out_at`` on.
     """
-    total = spread(ZERO)
+    total = broadcast(ZERO)
     whole = count - count % WIDTH
     for c in range(0, whole, WIDTH):
         total = fma(load(p, at + c), load(g, g_at + c), total)
-    inside = lane_numbers() < spread(F(count - whole))
-    rest_p, rest_g = load_some(p, at + whole, inside), load_some(g, g_at + whole, inside)
-    less = spread(F(shift) - sum_of(fma(rest_p, rest_g, total)))
+    inside = lane_numbers() < broadcast(F(count - whole))
+    rest_p, rest_g = masked_load(p, at + whole, inside), masked_load(g, g_at + whole, inside)
+    less = broadcast(F(shift) - sum_of(fma(rest_p, rest_g, total)))
     for c in range(0, whole, WIDTH):
         store(out, out_at + c, load(p, at + c) * (load(g, g_at + c) + less))
-    store_some(out, out_at + whole, rest_p * (rest_g + less), inside)
+    masked_store(out, out_at + whole, rest_p * (rest_g + less), inside)
