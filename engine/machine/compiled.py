@@ -114,7 +114,8 @@ contracted_parallel_kernel = contracted
 
 device_function: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART)
 """A function that kernels call, compiled as ``compiled`` is, but for them only, which takes far less time: it has no
-entry from Python (where it stays a plain function) and no place in the cache. It cannot make arrays."""
+entry from Python (where it stays a plain function) and no place in the cache. It does not count references, so it can
+neither make arrays nor return them, not even within a tuple."""
 
 contracted_device_function: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART, fastmath={"contract"})
 """As ``device_function``, compiled as ``contracted`` is."""
