@@ -31,14 +31,14 @@ def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
     """
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     rows = _rows_in_picture(
-        anchors.position.numpy(),
-        anchors.log_scale.detach().numpy(),
+        anchors.position.numpy(force=True),
+        anchors.log_scale.numpy(force=True),
         camera.world_to_camera,
         intrinsics,
         camera.width,
         camera.height,
     )
-    return torch.from_numpy(rows)
+    return torch.from_numpy(rows).to(anchors.position.device)
 
 
 @compiled
@@ -75,7 +75,7 @@ def decode(
 
     The rest is as for ``decode_rows``.
     """
-    centre = torch.from_numpy(camera.centre.copy()).float()
+    centre = torch.from_numpy(camera.centre.copy()).to(anchors.position)
     visible = visible_anchors(anchors, camera)
     return decode_rows(anchors, decoders, visible, centre, channels=channels, known_labels=known_labels)
 

@@ -25,7 +25,7 @@ class Head(NamedTuple):
 
     ``first`` [inputs, HIDDEN], ``first_bias`` [HIDDEN], ``last`` [HIDDEN, padded], ``last_bias`` [padded] are also the
     places of their gradients. ``first_back`` [HIDDEN, padded features] and ``last_back`` [outputs, HIDDEN] are the same
-    weights transposed, for the way back.
+    weights transposed, for the backward pass.
     """
 
     inputs: int

@@ -92,7 +92,7 @@ def count_digits(chunk: int, chunks: int, keys: Array, shift: np.uint32, histogr
 
 @device_function
 def running_starts(histograms: Array, starts: Array) -> int:
-    """Counts [chunks, bins] become the places where each chunk's share of each bin begins; starts [bins + 1] the bins'.
+    """Counts [chunks, bins] become the places where each chunk begins in each bin; starts [bins + 1] the bins'.
     Returns the largest bin's count."""
     chunks, bins = histograms.shape
     total, largest = 0, 0
@@ -197,7 +197,7 @@ def bin_gaussians(
     sorting: Sorting,
     out: tuple[Intersections, Array],
 ) -> None:
-    """All steps: whatever chunks a worker finds that nobody has taken.
+    """All steps: a worker does whatever chunks no other has taken.
 
     ``progress`` int64 [PROGRESS] begins with zeros; ``looks`` as ``LOOKS``; ``columns`` of tiles. ``out`` gets the
     intersections, and in int64 [1] the length of the longest tile's list.

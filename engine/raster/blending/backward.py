@@ -37,8 +37,8 @@ ZERO = F(0.0)
 
 
 class TileState(NamedTuple):
-    """A tile on the way back: ``transmittance``, what lies ``behind`` (S_i) float32 and ``last`` int32 [16, 16], the
-    gradients of red, green, blue and depth in ``planes`` float32 [4, 16, 16], ``last_of_row`` int32 [16]."""
+    """A tile in the backward pass: ``transmittance``, what lies ``behind`` (S_i) float32 and ``last`` int32 [16, 16],
+    the gradients of red, green, blue and depth in ``planes`` float32 [4, 16, 16], ``last_of_row`` int32 [16]."""
 
     transmittance: Array
     behind: Array

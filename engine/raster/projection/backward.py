@@ -89,7 +89,7 @@ def through_clamp(value: float, low: float, high: float, d_clamped: float) -> An
 
 @device_function
 def project_block_backward(camera: Array, block: Array) -> None:
-    """The chain rule of ``project_block`` for all lanes of a block; those that nobody has taken come to no harm."""
+    """The chain rule of ``project_block`` for all lanes of a block; lanes that hold no Gaussian may hold anything."""
     for lane in range(LANES):
         d_x2, d_y2, d_xx, d_xy, d_yy = gradient_on_image(lane, block)
         block[D_CENTRE + lane] = d_x2

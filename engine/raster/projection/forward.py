@@ -140,7 +140,7 @@ def axes_on_image(jacobian: tuple[float, ...], rotation: tuple[float, ...], sx: 
 
 @device_function
 def project_block(camera: Array, width: int, height: int, block: Array) -> None:
-    """The projection of all lanes of a block; those that nobody has taken come to no harm."""
+    """The projection of all lanes of a block; lanes that hold no Gaussian may hold anything."""
     right, bottom = width - 1.0, height - 1.0
     for lane in range(LANES):
         mean_x, mean_y, mean_z = three_of(MEAN, lane, block)

@@ -1,5 +1,5 @@
-"""Back-to-front gradients, a patch of sixteen pixels at a time. The same steps as ``blend_backward``, its readable
-twin, where the equations stand.
+"""Back-to-front gradients, a patch of sixteen pixels at a time. The same steps as in ``blending/backward``, its
+readable twin, where the equations stand.
 
 One Gaussian after the other takes all its patches of the tile, so that its own sums stay in registers; the patches'
 state lies in the first cache.
@@ -194,7 +194,7 @@ def blend_gaussian_backward(
         d_blue = fma(weight, image_blue, d_blue)
         d_depth = fma(weight, image_depth, d_depth)
         if lists.wanted:
-            # where nothing was blended the next one writes over it: cheaper than a branch that nobody can foresee
+            # where nothing was blended the next one writes over it: cheaper than a branch that cannot be predicted
             count = get(lists.counts, patch)
             store(scratch, WEIGHTS + (patch * LISTED + count) * TILE, weight)
             put(lists.members, patch * LISTED + count, np.int32(member))

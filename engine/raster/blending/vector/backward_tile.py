@@ -1,4 +1,4 @@
-"""A tile on the way back, as patches: where a worker keeps it, and how it comes out of the image."""
+"""A tile in the backward pass, as patches: where a worker keeps it, and how it comes out of the image."""
 
 from __future__ import annotations
 
@@ -27,9 +27,8 @@ BEHIND = LAST + TILE
 D_PLANES = BEHIND + TILE  # gradients of red, green, blue, depth
 WEIGHTS = PATCH_STATE + (PATCHES + 1) * PATCH_STRIDE  # [patch, member, pixel]
 LISTED = BACKWARD_BATCH + 4  # of a patch: its members, and as many as are missing from the last four
-BATCH_LABELS = (
-    WEIGHTS + PATCHES * LISTED * TILE
-)  # [member or nobody, padded], then a patch's gradients [row, pixel, padded]
+# [member or PAD_INDEX, padded], then a patch's gradients [row, pixel, padded]
+BATCH_LABELS = WEIGHTS + PATCHES * LISTED * TILE
 assert PATCHES * LISTED <= MEMBERS
 NO_PATCH = PATCHES
 """Takes a patch's place where there are not four; nothing was ever blended on it."""

@@ -55,7 +55,7 @@ SLOPE, SHEAR, DROP = 2 * BATCH, 3 * BATCH, 4 * BATCH  # L11, L12, L22
 LOG_OPACITIES = 5 * BATCH
 REDS, GREENS, BLUES, DEPTHS = 6 * BATCH, 7 * BATCH, 8 * BATCH, 9 * BATCH
 PLACES = 10 * BATCH  # in the tile's list
-BATCH_FIELDS = 11 * BATCH + TILE  # the last one has a place for nobody too
+BATCH_FIELDS = 11 * BATCH + TILE  # the last one has a place for PAD_INDEX too
 
 # fields of one strip, in floats from where they lie; a pair for every member, one for each row
 STRIP_S1 = 0  # s1 at the row's first pixel

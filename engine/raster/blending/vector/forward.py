@@ -1,4 +1,4 @@
-"""Front-to-back blending, a patch of sixteen pixels at a time. The same steps as ``blend_forward``, its readable
+"""Front-to-back blending, a patch of sixteen pixels at a time. The same steps as in ``blending/forward``, its readable
 twin.
 
 A patch takes all members of a batch one after the other, its state in registers, and lists those that it sees with
@@ -126,7 +126,7 @@ def blend_member(
     green = fma(weight, broadcast_load(scratch, fields + GREENS + m), green)
     blue = fma(weight, broadcast_load(scratch, fields + BLUES + m), blue)
     depth = fma(weight, broadcast_load(scratch, fields + DEPTHS + m), depth)
-    # written over by the next one where nothing was blended: cheaper than a branch that nobody can foresee
+    # written over by the next one where nothing was blended: cheaper than a branch that cannot be predicted
     first, vectors = labels
     store(scratch, WEIGHTS + end * TILE, weight)
     put(members, end, np.int32(first + m * vectors))
