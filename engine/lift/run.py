@@ -18,7 +18,7 @@ from safetensors.torch import load_file, save_file
 
 from ..job import Cancelled, EventWriter, JobError, LiftFolder, StopSignal, write_manifest
 from ..job.prediction import learn_slowness
-from ..machine.announcing import announce_compilation
+from ..machine.log_compilation import log_compilation
 from ..model.structured import StructuredScene
 from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene_to_lift, size_within
 from ..train.preparation import prepare
@@ -124,7 +124,7 @@ def train(
     steps, paces = trainer.preset.steps, []
     with stages.stage("train") as progress:
         saved_at = time.monotonic()
-        compiled = announce_compilation("the kernels of a training step", "half a minute")
+        compiled = log_compilation("the kernels of a training step", "half a minute")
         try:
             while not trainer.finished:
                 began = time.monotonic()

@@ -7,7 +7,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from .emitting import element, intrinsic, is_flat
+from .intrinsics import element_pointer, intrinsic, is_flat
 
 
 def _raise(builder: ir.IRBuilder, pointer: ir.Value, ordering: str) -> ir.Value:
@@ -15,38 +15,38 @@ def _raise(builder: ir.IRBuilder, pointer: ir.Value, ordering: str) -> ir.Value:
 
 
 @intrinsic
-def take_next(typing_context: Any, counter: Any) -> Any:
+def fetch_add(typing_context: Any, counter: Any) -> Any:
     """counter[0], raised by one at once for all threads: deals out work."""
     if not is_flat(counter, types.int64):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element(context, builder, signature.args[0], arguments[0], ir.IntType(64)(0))
+        pointer = element_pointer(context, builder, signature.args[0], arguments[0], ir.IntType(64)(0))
         return _raise(builder, pointer, "monotonic")
 
     return types.int64(counter), emit
 
 
 @intrinsic
-def raise_by_one(typing_context: Any, counters: Any, place: Any) -> Any:
+def fetch_add_at(typing_context: Any, counters: Any, place: Any) -> Any:
     """counters[place] before it is raised; who reads the new number sees all that was written before, and this thread
     all that was written by those who raised it."""
     if not is_flat(counters, types.int64):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _raise(builder, element(context, builder, signature.args[0], *arguments), "acq_rel")
+        return _raise(builder, element_pointer(context, builder, signature.args[0], *arguments), "acq_rel")
 
     return types.int64(counters, types.int64), emit
 
 
 @intrinsic
-def read_counter(typing_context: Any, counters: Any, place: Any) -> Any:
+def load_acquire(typing_context: Any, counters: Any, place: Any) -> Any:
     """counters[place], as the last thread left it; what was written before that can be seen."""
     if not is_flat(counters, types.int64):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.load_atomic(element(context, builder, signature.args[0], *arguments), "acquire", 8)
+        return builder.load_atomic(element_pointer(context, builder, signature.args[0], *arguments), "acquire", 8)
 
     return types.int64(counters, types.int64), emit

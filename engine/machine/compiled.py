@@ -67,9 +67,7 @@ def choose_cache_folder() -> Path:
     for base in bases:
         if _can_write(base / name):
             return base / name
-    raise OSError(
-        f"no folder to keep compiled kernels in; tried {', '.join(map(str, bases))}; set NUMBA_CACHE_DIR"
-    )
+    raise OSError(f"no folder to keep compiled kernels in; tried {', '.join(map(str, bases))}; set NUMBA_CACHE_DIR")
 
 
 CACHE_FOLDER = choose_cache_folder()
@@ -108,12 +106,19 @@ bit for bit."""
 contracted = _compiler(fastmath={"contract"})
 """A kernel of sums of products that only one pass makes: multiply-add may be fused."""
 
-part: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART)
-"""A function that kernels call, compiled as ``compiled`` is, but for them only, which takes far less time: it has no
-entry from Python (where it stays a plain function) and no place in the cache. It cannot make arrays."""
+parallel_kernel = compiled
+"""A kernel for ``threads.parallel_for``, written as ``kernel(worker, workers, *arguments)``: what this worker does of
+the whole. The result does not depend on how many workers there are."""
 
-contracted_part: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART, fastmath={"contract"})
-"""As ``part``, compiled as ``contracted`` is."""
+contracted_parallel_kernel = contracted
+
+device_function: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART)
+"""A function that kernels call, compiled as ``compiled`` is, but for them only, which takes far less time: it has no
+entry from Python (where it stays a plain function) and no place in the cache. It does not count references, so it can
+neither make arrays nor return them, not even within a tuple."""
+
+contracted_device_function: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART, fastmath={"contract"})
+"""As ``device_function``, compiled as ``contracted`` is."""
 
 inlined = _compiler(inline="always")
 """For pieces of one or two kernels: compiled as part of those and never by themselves, which takes less time."""

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from .compiled import Array, compiled
-from .vectors import WIDTH, fma, load, spread, store
+from .vectors import WIDTH, broadcast, fma, load, store
 
 F = np.float32
 CHAINS = 12
@@ -19,7 +19,7 @@ floats."""
 def multiply_add(rounds: int, values: Array) -> None:
     """12 x 16 multiply-adds a round, all in registers."""
     a = b = c = d = e = f = g = h = i = j = k = m = load(values, 0)
-    scale, shift = spread(F(0.999)), spread(F(0.001))
+    scale, shift = broadcast(F(0.999)), broadcast(F(0.001))
     for _ in range(rounds):
         a, b, c, d = fma(a, scale, shift), fma(b, scale, shift), fma(c, scale, shift), fma(d, scale, shift)
         e, f, g, h = fma(e, scale, shift), fma(f, scale, shift), fma(g, scale, shift), fma(h, scale, shift)

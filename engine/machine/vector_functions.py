@@ -8,8 +8,8 @@ from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
 
-from .emitting import intrinsic
-from .vectors import FLOAT, INT, INTS_IR, LANES_IR, WIDE, WIDTH, WORD, call, constant, lanes
+from .intrinsics import intrinsic
+from .vectors import FLOAT, HAS_AVX512, INT, INTS_IR, LANES_IR, MASK_IR, WIDTH, call, constant, lanes
 
 # 2^f on [-1/2, 1/2] and on [0, 1], Chebyshev interpolation; relative error 1e-7 in float32
 _EXP2_AROUND_ZERO = (
@@ -32,11 +32,11 @@ _EXP2_UP_TO_ONE = (
 )
 _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it leaves the nearest integer in the low bits of the mantissa
 _LOWEST = -64.0
-_COEFFICIENTS = _EXP2_UP_TO_ONE if WIDE else _EXP2_AROUND_ZERO
-_ALL = ir.Constant(WORD, -1)
+_COEFFICIENTS = _EXP2_UP_TO_ONE if HAS_AVX512 else _EXP2_AROUND_ZERO
+_ALL = ir.Constant(MASK_IR, -1)
 _NEAREST_IS_FLOOR, _AS_SET = INT(1), INT(4)
 
-if WIDE:
+if HAS_AVX512:
     binding.initialize_native_asmparser()  # of ``_four_powers``
 
 Values = list[ir.Value]
@@ -50,7 +50,7 @@ def _no_less_than_lowest(builder: ir.IRBuilder, exponents: Values) -> Values:
 def _begin(builder: ir.IRBuilder, exponents: Values) -> tuple[Values, Values]:
     """What tells the whole part of each exponent to ``_end``, and the fraction."""
     exponents = _no_less_than_lowest(builder, exponents)
-    if WIDE:  # one instruction
+    if HAS_AVX512:  # one instruction
         rest = [constant(0.0), _ALL, _AS_SET]
         reduce = "llvm.x86.avx512.mask.reduce.ps.512"
         return exponents, [call(builder, reduce, LANES_IR, [a, _NEAREST_IS_FLOOR, *rest]) for a in exponents]
@@ -72,7 +72,7 @@ def _polynomials(builder: ir.IRBuilder, fractions: Values) -> Values:
 
 def _end(builder: ir.IRBuilder, wholes: Values, values: Values) -> Values:
     """Scaled by the whole parts."""
-    if WIDE:  # one instruction
+    if HAS_AVX512:  # one instruction
         scale, rest = "llvm.x86.avx512.mask.scalef.ps.512", [constant(0.0), _ALL, _AS_SET]
         return [call(builder, scale, LANES_IR, [value, a, *rest]) for value, a in zip(values, wholes, strict=True)]
     # which are added to the exponents' bits
@@ -93,11 +93,11 @@ def exp2(typing_context: Any, a: Any) -> Any:
 
 
 @intrinsic
-def exp2_of_four(typing_context: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+def exp2_x4(typing_context: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
     """``exp2`` of each, side by side: one alone is a chain of ten operations that wait for one another."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        if WIDE:
+        if HAS_AVX512:
             powers = _four_powers(builder, _no_less_than_lowest(builder, list(arguments)))
         else:
             wholes, fractions = _begin(builder, list(arguments))
@@ -138,7 +138,7 @@ def reciprocal(typing_context: Any, a: Any) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         a = arguments[0]
-        if not WIDE:
+        if not HAS_AVX512:
             return builder.fdiv(constant(1.0), a)
         estimate = call(builder, "llvm.x86.avx512.rcp14.ps.512", LANES_IR, [a, constant(0.0), _ALL])
         error = call(builder, "llvm.fmuladd.v16f32", LANES_IR, [builder.fneg(a), estimate, constant(1.0)])

@@ -8,12 +8,12 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from .emitting import intrinsic
-from .vectors import FLOAT, INTS_IR, WIDTH, call, constant, lanes
+from .intrinsics import intrinsic
+from .vectors import FLOAT, INT, INTS_IR, LANES_IR, WIDTH, call, constant, lanes
 
 
 @intrinsic
-def totals(typing_context: Any, vectors: Any) -> Any:
+def horizontal_sums(typing_context: Any, vectors: Any) -> Any:
     """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the others
     are 0.
 
@@ -34,9 +34,7 @@ def totals(typing_context: Any, vectors: Any) -> Any:
     return lanes(vectors), emit
 
 
-def _fold(
-    builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: int, half: int
-) -> ir.Value | None:
+def _fold(builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: int, half: int) -> ir.Value | None:
     """Vectors of groups of ``width`` partial sums each to one of groups of ``half``: a's groups, then b's."""
     if a is None:
         return None
@@ -55,7 +53,7 @@ def _shuffled(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, places: list[int]
 
 
 @intrinsic
-def interleaved(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+def interleave3(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     """a0 b0 c0 a1 b1 c1 ... c15 as three vectors: planes to pixels."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -72,8 +70,8 @@ def interleaved(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 @intrinsic
-def planes_of(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """The inverse of ``interleaved``: pixels to planes."""
+def deinterleave3(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """The inverse of ``interleave3``: pixels to planes."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         a, b, c = arguments
@@ -90,7 +88,7 @@ def planes_of(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 @intrinsic
-def largest(typing_context: Any, a: Any) -> Any:
+def horizontal_max(typing_context: Any, a: Any) -> Any:
     """The largest of the lanes, none of which is NaN."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -100,7 +98,7 @@ def largest(typing_context: Any, a: Any) -> Any:
 
 
 @intrinsic
-def zipped(typing_context: Any, a: Any, b: Any) -> Any:
+def interleave2(typing_context: Any, a: Any, b: Any) -> Any:
     """a0 b0 a1 b1 ... a15 b15 as two vectors."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -113,11 +111,25 @@ def zipped(typing_context: Any, a: Any, b: Any) -> Any:
 
 
 @intrinsic
-def unzipped(typing_context: Any, a: Any, b: Any) -> Any:
-    """The inverse of ``zipped``."""
+def deinterleave2(typing_context: Any, a: Any, b: Any) -> Any:
+    """The inverse of ``interleave2``."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         vectors = [_shuffled(builder, *arguments, list(range(first, 2 * WIDTH, 2))) for first in (0, 1)]
         return context.make_tuple(builder, signature.return_type, vectors)
 
     return types.UniTuple(lanes, 2)(lanes, lanes), emit
+
+
+@intrinsic
+def horizontal_sum(typing_context: Any, a: Any) -> Any:
+    """The sum of the lanes, halves first: always in the same order."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value, nothing = arguments[0], ir.Constant(LANES_IR, ir.Undefined)
+        for half in (8, 4, 2, 1):
+            order = ir.Constant(INTS_IR, [(lane + half) % WIDTH for lane in range(WIDTH)])
+            value = builder.fadd(value, builder.shuffle_vector(value, nothing, order))
+        return builder.extract_element(value, INT(0))
+
+    return types.float32(lanes), emit

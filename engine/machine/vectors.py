@@ -18,13 +18,13 @@ from numba.core import cgutils
 from numba.extending import lower_builtin, models, register_model, type_callable
 
 from .compiled import machine_target
-from .emitting import element, intrinsic, is_flat
+from .intrinsics import element_pointer, intrinsic, is_flat
 
 WIDTH = 16
 
 FLOAT = ir.FloatType()
 INT = ir.IntType(32)
-WORD = ir.IntType(WIDTH)
+MASK_IR = ir.IntType(WIDTH)
 LANES_IR = ir.VectorType(FLOAT, WIDTH)
 INTS_IR = ir.VectorType(INT, WIDTH)
 BYTES_IR = ir.IntType(8).as_pointer()
@@ -50,12 +50,10 @@ class _VectorModel(models.PrimitiveModel):
 register_model(_Vector)(_VectorModel)
 
 
-def splat(builder: ir.IRBuilder, scalar: ir.Value) -> ir.Value:
+def broadcast_ir(builder: ir.IRBuilder, scalar: ir.Value) -> ir.Value:
     """One scalar in all lanes."""
     single = builder.insert_element(ir.Constant(LANES_IR, ir.Undefined), scalar, INT(0))
-    return builder.shuffle_vector(
-        single, ir.Constant(LANES_IR, ir.Undefined), ir.Constant(INTS_IR, [0] * WIDTH)
-    )
+    return builder.shuffle_vector(single, ir.Constant(LANES_IR, ir.Undefined), ir.Constant(INTS_IR, [0] * WIDTH))
 
 
 def constant(value: float) -> ir.Constant:
@@ -75,7 +73,7 @@ def load(typing_context: Any, array: Any, index: Any) -> Any:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element(context, builder, signature.args[0], *arguments)
+        pointer = element_pointer(context, builder, signature.args[0], *arguments)
         return builder.load(builder.bitcast(pointer, LANES_IR.as_pointer()), align=4)
 
     return lanes(array, types.int64), emit
@@ -88,7 +86,7 @@ def store(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element(context, builder, signature.args[0], *arguments[:2])
+        pointer = element_pointer(context, builder, signature.args[0], *arguments[:2])
         builder.store(arguments[2], builder.bitcast(pointer, LANES_IR.as_pointer()), align=4)
         return context.get_dummy_value()
 
@@ -96,13 +94,13 @@ def store(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
 
 
 @intrinsic
-def load_some(typing_context: Any, array: Any, index: Any, wanted: Any) -> Any:
+def masked_load(typing_context: Any, array: Any, index: Any, wanted: Any) -> Any:
     """As ``load`` where wanted, 0 elsewhere; memory outside is not touched."""
     if not is_flat(array, types.float32) or wanted is not flags:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element(context, builder, signature.args[0], *arguments[:2])
+        pointer = element_pointer(context, builder, signature.args[0], *arguments[:2])
         pointer = builder.bitcast(pointer, LANES_IR.as_pointer())
         values = [pointer, INT(4), arguments[2], constant(0.0)]
         return call(builder, "llvm.masked.load.v16f32.p0", LANES_IR, values)
@@ -111,13 +109,13 @@ def load_some(typing_context: Any, array: Any, index: Any, wanted: Any) -> Any:
 
 
 @intrinsic
-def store_some(typing_context: Any, array: Any, index: Any, values: Any, wanted: Any) -> Any:
+def masked_store(typing_context: Any, array: Any, index: Any, values: Any, wanted: Any) -> Any:
     """As ``store`` where wanted; memory outside is not touched."""
     if not is_flat(array, types.float32) or values is not lanes or wanted is not flags:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element(context, builder, signature.args[0], *arguments[:2])
+        pointer = element_pointer(context, builder, signature.args[0], *arguments[:2])
         pointer = builder.bitcast(pointer, LANES_IR.as_pointer())
         values = [arguments[2], pointer, INT(4), arguments[3]]
         call(builder, "llvm.masked.store.v16f32.p0", ir.VoidType(), values)
@@ -127,14 +125,14 @@ def store_some(typing_context: Any, array: Any, index: Any, values: Any, wanted:
 
 
 @intrinsic
-def pairs(typing_context: Any, array: Any, index: Any) -> Any:
+def load_pairs(typing_context: Any, array: Any, index: Any) -> Any:
     """array[index] of a flat contiguous float32 array in even lanes, array[index + 1] in odd ones; unchecked."""
     if not is_flat(array, types.float32):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         two = ir.VectorType(FLOAT, 2)
-        pointer = element(context, builder, signature.args[0], *arguments)
+        pointer = element_pointer(context, builder, signature.args[0], *arguments)
         pair = builder.load(builder.bitcast(pointer, two.as_pointer()), align=4)
         places = ir.Constant(INTS_IR, [lane % 2 for lane in range(WIDTH)])
         return builder.shuffle_vector(pair, ir.Constant(two, ir.Undefined), places)
@@ -149,7 +147,7 @@ def get(typing_context: Any, array: Any, index: Any) -> Any:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.load(element(context, builder, signature.args[0], *arguments))
+        return builder.load(element_pointer(context, builder, signature.args[0], *arguments))
 
     return array.dtype(array, types.int64), emit
 
@@ -161,27 +159,27 @@ def put(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        builder.store(arguments[2], element(context, builder, signature.args[0], *arguments[:2]))
+        builder.store(arguments[2], element_pointer(context, builder, signature.args[0], *arguments[:2]))
         return context.get_dummy_value()
 
     return types.void(array, types.int64, array.dtype), emit
 
 
 @intrinsic
-def everywhere(typing_context: Any, array: Any, index: Any) -> Any:
+def broadcast_load(typing_context: Any, array: Any, index: Any) -> Any:
     """array[index] of a flat contiguous float32 array in all lanes; unchecked."""
     if not is_flat(array, types.float32):
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return splat(builder, builder.load(element(context, builder, signature.args[0], *arguments)))
+        return broadcast_ir(builder, builder.load(element_pointer(context, builder, signature.args[0], *arguments)))
 
     return lanes(array, types.int64), emit
 
 
-def _fetch(to_write: int) -> Any:
+def _prefetch(to_write: int) -> Any:
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = builder.bitcast(element(context, builder, signature.args[0], *arguments), BYTES_IR)
+        pointer = builder.bitcast(element_pointer(context, builder, signature.args[0], *arguments), BYTES_IR)
         call(builder, "llvm.prefetch.p0", ir.VoidType(), [pointer, INT(to_write), INT(3), INT(1)])
         return context.get_dummy_value()
 
@@ -189,15 +187,15 @@ def _fetch(to_write: int) -> Any:
 
 
 @intrinsic
-def fetch(typing_context: Any, array: Any, index: Any) -> Any:
+def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
     """Have the cache line of array[index] brought, to be read a little later; any index is harmless."""
-    return types.void(array, types.int64), _fetch(0)
+    return types.void(array, types.int64), _prefetch(0)
 
 
 @intrinsic
-def fetch_to_write(typing_context: Any, array: Any, index: Any) -> Any:
+def prefetch_write(typing_context: Any, array: Any, index: Any) -> Any:
     """Have the cache line of array[index] brought, to be written a little later; any index is harmless."""
-    return types.void(array, types.int64), _fetch(1)
+    return types.void(array, types.int64), _prefetch(1)
 
 
 @intrinsic
@@ -205,7 +203,7 @@ def is_aligned(typing_context: Any, array: Any, index: Any) -> Any:
     """Whether array[index] begins a cache line."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        address = builder.ptrtoint(element(context, builder, signature.args[0], *arguments), ir.IntType(64))
+        address = builder.ptrtoint(element_pointer(context, builder, signature.args[0], *arguments), ir.IntType(64))
         rest = builder.and_(address, ir.IntType(64)(4 * WIDTH - 1))
         return builder.icmp_unsigned("==", rest, ir.IntType(64)(0))
 
@@ -213,13 +211,13 @@ def is_aligned(typing_context: Any, array: Any, index: Any) -> Any:
 
 
 @intrinsic
-def store_past_cache(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
+def store_nontemporal(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
     """As ``store``, at the beginning of a cache line, without reading what was there nor keeping it in the cache."""
     if not is_flat(array, types.float32) or values is not lanes:
         return None
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element(context, builder, signature.args[0], *arguments[:2])
+        pointer = element_pointer(context, builder, signature.args[0], *arguments[:2])
         written = builder.store(arguments[2], builder.bitcast(pointer, LANES_IR.as_pointer()), align=4 * WIDTH)
         written.set_metadata("nontemporal", builder.module.add_metadata([INT(1)]))
         return context.get_dummy_value()
@@ -228,11 +226,11 @@ def store_past_cache(typing_context: Any, array: Any, index: Any, values: Any) -
 
 
 @intrinsic
-def spread(typing_context: Any, scalar: Any) -> Any:
+def broadcast(typing_context: Any, scalar: Any) -> Any:
     """A scalar in all lanes."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return splat(builder, arguments[0])
+        return broadcast_ir(builder, arguments[0])
 
     return lanes(types.float32), emit
 
@@ -258,7 +256,7 @@ def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 @intrinsic
-def less_product(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+def fnmadd(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     """c - a * b, fused where the machine can."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -291,7 +289,7 @@ def maximum(typing_context: Any, a: Any, b: Any) -> Any:
 
 
 @intrinsic
-def choose(typing_context: Any, condition: Any, a: Any, b: Any) -> Any:
+def select(typing_context: Any, condition: Any, a: Any, b: Any) -> Any:
     """a where the flag is set, else b."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -301,17 +299,17 @@ def choose(typing_context: Any, condition: Any, a: Any, b: Any) -> Any:
 
 
 @intrinsic
-def bits_of(typing_context: Any, condition: Any) -> Any:
+def movemask(typing_context: Any, condition: Any) -> Any:
     """The flags as an integer, lane 0 lowest."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.zext(builder.bitcast(arguments[0], WORD), ir.IntType(64))
+        return builder.zext(builder.bitcast(arguments[0], MASK_IR), ir.IntType(64))
 
     return types.int64(flags), emit
 
 
 @intrinsic
-def lowest_bit(typing_context: Any, bits: Any) -> Any:
+def trailing_zeros(typing_context: Any, bits: Any) -> Any:
     """The place of the lowest bit set, 64 when there is none."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -320,14 +318,14 @@ def lowest_bit(typing_context: Any, bits: Any) -> Any:
     return types.int64(types.int64), emit
 
 
-def has_wide_registers() -> bool:
+def has_avx512() -> bool:
     """AVX-512: thirty-two registers of sixteen floats, and its own steps of an exponential. Where Numba is told to
     compile for a machine without them, there are none."""
     features = machine_target()[2].split(",")
     return "+avx512f" in features and "+avx512dq" in features
 
 
-WIDE = has_wide_registers()
+HAS_AVX512 = has_avx512()
 
 
 def _register_arithmetic() -> None:

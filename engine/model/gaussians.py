@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from .decoding.native import decode_natively
 from .neural_gaussians import NeuralGaussians
 from .torch_decoding import decode_in_torch
 
+VARIABLE = "PLGS_DECODER_KERNELS"
+"""Environment variable: ``vector``, ``torch``, or unset to let the machine decide."""
 NEAR = 0.2
 """Anchors closer to the image plane than this, in metres, are left out (Scaffold-GS's near plane)."""
 
@@ -28,14 +31,14 @@ def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
     """
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     rows = _rows_in_picture(
-        anchors.position.numpy(),
-        anchors.log_scale.detach().numpy(),
+        anchors.position.numpy(force=True),
+        anchors.log_scale.numpy(force=True),
         camera.world_to_camera,
         intrinsics,
         camera.width,
         camera.height,
     )
-    return torch.from_numpy(rows)
+    return torch.from_numpy(rows).to(anchors.position.device)
 
 
 @compiled
@@ -72,7 +75,7 @@ def decode(
 
     The rest is as for ``decode_rows``.
     """
-    centre = torch.from_numpy(camera.centre.copy()).float()
+    centre = torch.from_numpy(camera.centre.copy()).to(anchors.position)
     visible = visible_anchors(anchors, camera)
     return decode_rows(anchors, decoders, visible, centre, channels=channels, known_labels=known_labels)
 
@@ -92,9 +95,17 @@ def decode_rows(
     ``known_labels`` float32 [M * k, L]: what every Gaussian shows, decoded before (see ``SceneLabels``); then labels
     are rows of it and have no gradient, and there is no cluster loss.
     """
-    in_kernels = _kernels_fit(anchors.feature) and choose_kernels().name == "vector"
-    decode_with = decode_natively if in_kernels else decode_in_torch
+    decode_with = decode_natively if _wants_kernels() and _kernels_fit(anchors.feature) else decode_in_torch
     return decode_with(anchors, decoders, visible, centre, channels, known_labels)
+
+
+def _wants_kernels() -> bool:
+    """By ``PLGS_DECODER_KERNELS``; unset, where the rasteriser's vector kernels run too. Raises ``ValueError`` when it
+    holds anything unknown."""
+    wish = os.environ.get(VARIABLE, "")
+    if wish not in ("", "vector", "torch"):
+        raise ValueError(f"{VARIABLE} is {wish!r}; it must be vector or torch, or not be set")
+    return wish == "vector" or (not wish and choose_kernels().name == "vector")
 
 
 def _kernels_fit(tensor: torch.Tensor) -> bool:

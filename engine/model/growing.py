@@ -8,6 +8,7 @@ and label losses never reach those.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -73,38 +74,38 @@ class GrowthStatistics:
             drawn.numpy(),
             means2d_gradient.contiguous().numpy(),
             np.array([0.5 * width, 0.5 * height], np.float32),
-            *(tensor.numpy() for tensor in (self.visits, self.opacity, self.gradient, self.drawn)),
+            _Sums(*(tensor.numpy() for tensor in (self.visits, self.opacity, self.gradient, self.drawn))),
         )
+
+
+class _Sums(NamedTuple):
+    """The tensors of ``GrowthStatistics``, as arrays."""
+
+    visits: Array
+    opacity: Array
+    gradient: Array
+    drawn: Array
 
 
 @compiled
 def _add_step(
-    visible: Array,
-    opacities: Array,
-    kept: Array,
-    was_drawn: Array,
-    moved: Array,
-    half_size: Array,
-    visits: Array,
-    opacity: Array,
-    gradient: Array,
-    drawn: Array,
+    visible: Array, opacities: Array, kept: Array, was_drawn: Array, moved: Array, half_size: Array, sums: _Sums
 ) -> None:
-    """The loops behind ``GrowthStatistics.add``; the last four are its sums."""
-    k = gradient.shape[1]
+    """The loops behind ``GrowthStatistics.add``."""
+    k = sums.gradient.shape[1]
     for place in range(len(visible)):
         row = visible[place]
-        visits[row] += ONE
+        sums.visits[row] += ONE
         total = ZERO
         for each in range(k):
             total += max(opacities[place, each], ZERO)
-        opacity[row] += total
+        sums.opacity[row] += total
     for place in range(len(kept)):
         if was_drawn[place]:
             row, each = visible[kept[place] // k], kept[place] % k
             across, along = moved[place, 0] * half_size[0], moved[place, 1] * half_size[1]
-            gradient[row, each] += np.sqrt(across * across + along * along)
-            drawn[row, each] += ONE
+            sums.gradient[row, each] += np.sqrt(across * across + along * along)
+            sums.drawn[row, each] += ONE
 
 
 @dataclass(frozen=True)

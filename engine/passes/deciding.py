@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.compiled import Array, compiled
-from ..machine.shared import shared
+from ..machine.compiled import Array, compiled, parallel_kernel
 from ..model.scene_labels import LEAST_OF_CLASS
 
 BLOCK = 128
@@ -64,7 +63,7 @@ class Decided(NamedTuple):
     entropy: NDArray[np.float32]
 
 
-@shared
+@parallel_kernel
 def decide_blocks(
     worker: int, workers: int, pixels: Any, columns: Any, linear_light: Array, scratch: Array, decided: Any
 ) -> None:

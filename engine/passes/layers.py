@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import memory
-from ..machine.crew import share, worker_count
+from ..machine.threads import parallel_for, worker_count
 from ..model.rendering import PanopticRendering
 from ..scene import VOID, ClassTable
 from .deciding import BLOCK, Columns, Decided, Pixels, decide_blocks
@@ -70,7 +70,7 @@ def decide(
     )
     workers = worker_count()
     scratch = memory.empty((workers, 3 * len(columns.of_class) + 2, BLOCK), np.float32)
-    share(workers, decide_blocks, _pixels(rendering), columns, _linear_light(), scratch, decided)
+    parallel_for(workers, decide_blocks, _pixels(rendering), columns, _linear_light(), scratch, decided)
     return layers
 
 

@@ -17,7 +17,7 @@ __all__ = ["Rendering", "rasterize"]
 
 
 def __getattr__(name: str) -> Any:
-    """Bring torch only where it is needed: a process that but compiles kernels has no use for it."""
+    """Import torch only where it is needed."""
     if name == "rasterize":
         from .interface import rasterize
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..machine.crew import timed
 from ..machine.peak import fma_peak
+from ..machine.threads import timed
 from .interface import rasterize
 from .kernels import choose_kernels
 from .workload import CHANNELS, Workload, room_workload
@@ -20,9 +20,9 @@ from .workload import CHANNELS, Workload, room_workload
 CASES = ((10_000, 640, 480), (50_000, 640, 480), (200_000, 640, 480), (5_000, 160, 120))
 STAGES = {
     "project": "projection",
-    "run_tile_steps": "tiles",
-    "blend_tiles": "blend",
-    "unblend_tiles": "unblend",
+    "bin_gaussians": "binning",
+    "blend_forward": "blend forward",
+    "blend_backward": "blend backward",
     "gather": "gather",
 }
 
@@ -114,7 +114,7 @@ def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict
     grouped: dict[str, float] = {}
     for name, seconds in stages.items():
         grouped[STAGES[name]] = grouped.get(STAGES[name], 0.0) + seconds * 1e3
-    blending = (grouped["blend"] + grouped["unblend"]) * 1e-3
+    blending = (grouped["blend forward"] + grouped["blend backward"]) * 1e-3
     return {
         "forward": forward * 1e3,
         "backward": backward * 1e3,

@@ -21,7 +21,7 @@ TINY_NORM = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class Pinhole:
     """A pinhole camera.
 
     ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world; ``focal`` and

@@ -12,8 +12,8 @@ The rest agrees: 0.3 px^2 blur, clamp margins, the near plane (only a z equal to
 
 So two of its operators are used here, ``isect_tiles`` and ``isect_offset_encode``: they list the Gaussians of every
 tile by depth as float32, ties by index, which is our order. They are handed boxes of whole pixels, which float32 holds
-exactly. The projection (float64) is the reference's, the blending is ``tile_blend``'s; both are torch and run where
-the tensors are. Against gsplat's compiled blending that costs speed.
+exactly. The projection (float64) is the reference's, the blending is in ``blending.torch_tiles``. Both are torch and
+run where the tensors are. Against gsplat's compiled blending that costs speed.
 
 Checked on a CPU, with gsplat 1.5.3's own torch counterparts of the two operators; not yet run on a GPU.
 """
@@ -25,11 +25,11 @@ from importlib import metadata
 import torch
 from torch import Tensor
 
-from .conventions import View
+from .blending.torch_tiles import Splats, TileLists, blend_in_torch
+from .conventions import Pinhole
 from .records import TILE
 from .reference import footprint_boxes, project
 from .rendering import Rendering
-from .tile_blend import Splats, TileLists, blend_tiles
 
 OLDEST, TOO_NEW = (1, 5), (1, 7)
 """Versions (major, minor) of gsplat: the first whose operators were read and found to be as used here, and the first
@@ -57,25 +57,25 @@ def rasterize_gsplat(
     opacities: Tensor,
     colours: Tensor,
     labels: Tensor | None,
-    view: View,
+    pinhole: Pinhole,
     top_k: int,
     want_means2d_grad: bool,
 ) -> Rendering:
     """As ``rasterize``, for float32 or float64 tensors; needs a gsplat in which nothing is missing."""
-    centres, covariances, depths = project(means.double(), scales.double(), quats.double(), view)
+    centres, covariances, depths = project(means.double(), scales.double(), quats.double(), pinhole)
     first, last, visible = footprint_boxes(
-        centres.detach(), covariances.detach(), depths.detach(), opacities.detach().double(), view
+        centres.detach(), covariances.detach(), depths.detach(), opacities.detach().double(), pinhole
     )
     shown = torch.nonzero(visible)[:, 0]
     handle = torch.where(visible[:, None], centres.detach(), 0.0).to(means.dtype)
     handle.requires_grad_(want_means2d_grad)
     # the value of the centres, the gradient of both
     centres = centres + (handle - handle.detach())
-    lists = list_by_gsplat(first[shown], last[shown], depths.detach()[shown].float(), view)
+    lists = list_by_gsplat(first[shown], last[shown], depths.detach()[shown].float(), pinhole)
     features = torch.cat([colours, torch.ones_like(colours[:, :1]), depths[:, None].to(means.dtype)], -1)
     labelled = colours.new_zeros(len(colours), 0) if labels is None else labels
     splats = Splats(centres[shown], covariances[shown], opacities[shown], features[shown], labelled[shown])
-    blended = blend_tiles(splats, lists, top_k)
+    blended = blend_in_torch(splats, lists, top_k)
     drawn = blended.top_ids >= 0
     top_indices = torch.where(drawn, shown[blended.top_ids.clamp(min=0)] if len(shown) else -1, -1)
     return Rendering(
@@ -90,7 +90,7 @@ def rasterize_gsplat(
     )
 
 
-def list_by_gsplat(first: Tensor, last: Tensor, depths: Tensor, view: View) -> TileLists:
+def list_by_gsplat(first: Tensor, last: Tensor, depths: Tensor, pinhole: Pinhole) -> TileLists:
     """What touches which tile, front to back, by gsplat's operators.
 
     ``first`` and ``last`` [V, 2]: the (column, row) of the box's corner pixels, within the image; ``depths`` float32
@@ -98,14 +98,14 @@ def list_by_gsplat(first: Tensor, last: Tensor, depths: Tensor, view: View) -> T
     """
     from gsplat import isect_offset_encode, isect_tiles
 
-    columns, rows = -(-view.width // TILE), -(-view.height // TILE)
+    columns, rows = -(-pinhole.width // TILE), -(-pinhole.height // TILE)
     if not len(depths):
         none = torch.zeros(columns * rows + 1, dtype=torch.int64, device=depths.device)
-        return TileLists(none[:0], none, view.width, view.height)
+        return TileLists(none[:0], none, pinhole.width, pinhole.height)
     # A box is the middle and an integer radius; one that reaches a pixel too far is no harm, as the blending decides.
     radii = torch.ceil((last - first + 1.0) / 2.0)
     middles = first + radii
     _, keys, ids = isect_tiles(middles[None].float(), radii[None].to(torch.int32), depths[None], TILE, columns, rows)
     starts = isect_offset_encode(keys, 1, columns, rows).flatten().long()
     end = torch.full((1,), len(ids), dtype=torch.int64, device=ids.device)
-    return TileLists(ids.long(), torch.cat([starts, end]), view.width, view.height)
+    return TileLists(ids.long(), torch.cat([starts, end]), pinhole.width, pinhole.height)

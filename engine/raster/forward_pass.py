@@ -1,4 +1,4 @@
-"""From Gaussians to pictures: the kernels of the forward pass, one after the other."""
+"""From Gaussians to pictures: projection, binning, blending."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from torch import Tensor
 
 from ..machine import memory
 from ..machine.compiled import Array
-from ..machine.crew import share, worker_count
-from .conventions import View
+from ..machine.threads import parallel_for, worker_count
+from .arrays import Blended, Blocks, Gaussians, Intersections, Projected, Scratch, Size, Splats, flat
+from .binning.isect_tiles import blending_workers, isect_tiles
+from .chunks import chunk_count
+from .conventions import Pinhole
 from .kernels import Kernels
-from .portions import portion_count
-from .projection import PROJECTION_BLOCK, camera_array, project
-from .records import CHUNK, MEMBERS, RECORD, TILE
-from .tile_lists import PairLists, Projected, list_tiles
+from .projection.forward import PROJECTION_BLOCK, camera_array, project
+from .records import BATCH, MEMBERS, RECORD, TILE
 
 WORDS_OF_LINE = memory.ALIGNMENT // 8
 
@@ -25,15 +26,16 @@ WORDS_OF_LINE = memory.ALIGNMENT // 8
 class ForwardState:
     """What the forward pass leaves for the backward one.
 
-    ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``rest`` and ``last`` float32 [H * W]: each pixel's
-    final transmittance, and the place in its tile's list of the last Gaussian blended.
+    ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``longest``: the Gaussians in the longest list of a
+    tile; ``final`` and ``last`` float32 [H * W] as in ``Blended``.
     """
 
     kernels: Kernels
     camera: Array
     records: Array
-    lists: PairLists
-    rest: Array
+    isects: Intersections
+    longest: int
+    final: Array
     last: Array
 
 
@@ -58,10 +60,9 @@ class Layers:
 
 @dataclass(frozen=True, eq=False)
 class OnImage:
-    """What the forward pass tells of each Gaussian: ``centres`` float32 [N, 2] on the image, and ``visible`` bool
-    [N]."""
+    """What the forward pass tells of each Gaussian: ``means2d`` float32 [N, 2], and ``visible`` bool [N]."""
 
-    centres: Array
+    means2d: Array
     visible: Array
 
 
@@ -70,69 +71,59 @@ def as_array(tensor: Tensor) -> Array:
     return np.ascontiguousarray(tensor.numpy(force=True))
 
 
-def blend(
-    kernels: Kernels, gaussians: list[Array], labels: Array, view: View, on_image: OnImage
+def rasterize_forward(
+    kernels: Kernels, gaussians: Gaussians, labels: Array, pinhole: Pinhole, on_image: OnImage
 ) -> tuple[Layers, ForwardState]:
-    """``gaussians``: means [N, 3], scales [N, 3], quats [N, 4], opacities [N] and colours [N, 3]; labels [N, C], all
-    float32. Fills ``on_image``."""
-    # Kernels throw what Python needs out of the caches: what can be made ready before the first of them is.
-    workers, camera = worker_count(), camera_array(view)
+    """``labels`` float32 [N, C]. Fills ``on_image``."""
     count, channels = labels.shape
-    layers = Layers.empty(view.height, view.width, channels)
-    pixels = view.height * view.width
-    rest, last, records = memory.several((pixels, np.float32), (pixels, np.float32), ((count, RECORD), np.float32))
-    # apart from what is kept for the backward pass
+    size, camera = Size(pinhole.width, pinhole.height, channels), camera_array(pinhole)
+    layers = Layers.empty(size.height, size.width, channels)
+    pixels = size.height * size.width
+    final, last, records = memory.several((pixels, np.float32), (pixels, np.float32), ((count, RECORD), np.float32))
+    out = Blended(*map(flat, layers.in_order()), final, last)
+
+    boxes, depths, counts = _project(gaussians, records, camera, size, on_image)
+    isects, longest = isect_tiles(worker_count(), boxes, depths, counts, size.width, size.height)
+    workers = blending_workers(worker_count(), isects, longest)
+    scratch = new_scratch(workers, kernels.forward_scratch(channels, longest), longest)
+    parallel_for(workers, kernels.blend_forward, isects, Splats(flat(records), flat(labels)), out, size, scratch)
+    return layers, ForwardState(kernels, camera, records, isects, longest, final, last)
+
+
+def _project(
+    gaussians: Gaussians, records: Array, camera: Array, size: Size, on_image: OnImage
+) -> tuple[Array, Array, Array]:
+    """Boxes, depths and counts as ``isect_tiles`` takes them; fills ``records`` and ``on_image``."""
+    count, workers = len(records), worker_count()
     boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
-    results = records, boxes, depths, on_image.centres, on_image.visible
-    portion_arguments = *gaussians, camera, view.width, view.height, *results
-    projected = Projected(boxes, depths, np.empty((portion_count(count), 2), np.int64))
-    share(
-        workers,
-        project,
-        np.zeros(1, np.int64),
-        projected.counts,
-        memory.empty((workers, PROJECTION_BLOCK), np.float64),
-        portion_arguments,
-    )
-    lists = list_tiles(workers, projected, view.width, view.height)
-    blenders = lists.blenders(workers)
-    share(
-        blenders,
-        kernels.blend,
-        np.zeros(1, np.int64),
-        lists.starts,
-        lists.ids,
-        records.reshape(-1),
-        labels.reshape(-1),
-        channels,
-        view.width,
-        view.height,
-        *(layer.reshape(-1) for layer in layers.in_order()),
-        rest,
-        last,
-        *scratch(blenders, kernels.blend_scratch(channels, lists.longest), lists.longest),
-    )
-    return layers, ForwardState(kernels, camera, records, lists, rest, last)
+    projected = Projected(records, boxes, depths, on_image.means2d, on_image.visible)
+    counts = np.empty((chunk_count(count), 2), np.int64)
+    blocks = Blocks(np.zeros(1, np.int64), memory.empty((workers, PROJECTION_BLOCK), np.float64))
+    parallel_for(workers, project, gaussians, camera, size, projected, counts, blocks)
+    return boxes, depths, counts
 
 
-def scratch(workers: int, floats: int, longest: int) -> tuple[Array, ...]:
-    """What each worker of a pass needs for itself: floats, lists of members, and a word a patch, row or chunk.
+def new_scratch(workers: int, floats: int, longest: int) -> Scratch:
+    """For so many workers, each with so many floats; the longest list of a tile has ``longest`` Gaussians.
 
-    Each has whole cache lines: workers that write to one and the same would wait for each other.
+    Each worker has whole cache lines: workers that write to one and the same would wait for each other.
     """
-    words = max(TILE + 1, -(-longest // CHUNK))
-    return memory.several(
-        ((workers, -(-floats // TILE) * TILE), np.float32),
-        ((workers, MEMBERS), np.int32),
-        ((workers, -(-words // WORDS_OF_LINE) * WORDS_OF_LINE), np.int64),
+    words = max(TILE + 1, -(-longest // BATCH))
+    return Scratch(
+        np.zeros(1, np.int64),
+        *memory.several(
+            ((workers, -(-floats // TILE) * TILE), np.float32),
+            ((workers, MEMBERS), np.int32),
+            ((workers, -(-words // WORDS_OF_LINE) * WORDS_OF_LINE), np.int64),
+        ),
     )
 
 
 def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
     """The largest weights of each pixel: Gaussians int32 and weights float32 [H, W, k]."""
-    from .contributors import list_contributors  # compiled only where it is asked for
+    from .blending.contributors import list_contributors  # compiled only where it is asked for
 
     indices, weights = torch.empty(shape, dtype=torch.int32), torch.empty(shape, dtype=torch.float32)
-    lists = state.lists
-    share(worker_count(), list_contributors, lists.starts, lists.ids, state.records, indices.numpy(), weights.numpy())
+    tops = indices.numpy(), weights.numpy()
+    parallel_for(worker_count(), list_contributors, state.isects, state.records, *tops)
     return indices, weights

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .conventions import NEAR, View
+from .conventions import NEAR, Pinhole
 from .rendering import Rendering
 
 Backend = Literal["numba", "gsplat", "reference"]
@@ -60,11 +60,11 @@ def rasterize(
     back end.
     """
     _check(means, scales, quats, opacities, colours, labels)
-    view = _view(camera_to_world, K, width, height, near)
+    pinhole = _pinhole(camera_to_world, K, width, height, near)
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
     rasterize_there = _load(_pick(backend, means))
-    return rasterize_there(means, scales, quats, opacities, colours, labels, view, top_k, want_means2d_grad)
+    return rasterize_there(means, scales, quats, opacities, colours, labels, pinhole, top_k, want_means2d_grad)
 
 
 @cache
@@ -138,13 +138,13 @@ def _check(
             )
 
 
-def _view(
+def _pinhole(
     camera_to_world: Tensor | NDArray[Any],
     intrinsics: Tensor | NDArray[Any],
     width: int,
     height: int,
     near: float,
-) -> View:
+) -> Pinhole:
     if width < 1 or height < 1:
         raise ValueError(f"the image is {width}x{height}; both must be at least 1")
     pose = _rows(camera_to_world, "camera_to_world", (4, 4))
@@ -154,7 +154,7 @@ def _view(
     if not near > 0.0:
         raise ValueError(f"near is {near}; it must be positive")
     x_axis, y_axis, z_axis, centre = zip(*pose[:3], strict=True)
-    return View(
+    return Pinhole(
         rotation=(*x_axis, *y_axis, *z_axis),
         centre=centre,
         focal=(fx, fy),

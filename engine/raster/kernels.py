@@ -7,8 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-
-from ..machine.shared import Kernel
+from typing import Any
 
 log = logging.getLogger("plgs.raster")
 
@@ -18,15 +17,15 @@ VARIABLE = "PLGS_RASTER_KERNELS"
 
 @dataclass(frozen=True, eq=False)
 class Kernels:
-    """``blend``, ``unblend`` and ``gather`` are for ``crew.share``; the others tell the floats of scratch for so many
-    channels (and Gaussians in the longest list of a tile). There is one of each name: compared by identity."""
+    """The kernels of one name, for ``parallel_for``; the last two tell the floats of scratch for so many channels (and
+    Gaussians in the longest list of a tile)."""
 
     name: str
-    blend: Kernel
-    unblend: Kernel
-    gather: Kernel
-    blend_scratch: Callable[[int, int], int]
-    unblend_scratch: Callable[[int], int]
+    blend_forward: Callable[..., Any]
+    blend_backward: Callable[..., Any]
+    gather: Callable[..., Any]
+    forward_scratch: Callable[[int, int], int]
+    backward_scratch: Callable[[int], int]
 
 
 def choose_kernels() -> Kernels:
@@ -56,13 +55,13 @@ def _vector() -> Kernels:
     import numpy as np
 
     from ..machine.peak import multiply_add
-    from .vector import backward, backward_tile, forward, gather
+    from .blending.vector import backward, backward_tile, forward, gather
 
     multiply_add(1, np.zeros(16, np.float32))
     return Kernels(
         "vector",
-        forward.blend_tiles,
-        backward.unblend_tiles,
+        forward.blend_forward,
+        backward.blend_backward,
         gather.gather,
         forward.scratch_size,
         backward_tile.scratch_size,
@@ -71,9 +70,9 @@ def _vector() -> Kernels:
 
 @cache
 def _plain() -> Kernels:
-    from . import blend_backward, blend_forward, gather
+    from .blending import backward, forward, gather
 
     def none(*sizes: int) -> int:
         return 0
 
-    return Kernels("plain", blend_forward.blend_tiles, blend_backward.unblend_tiles, gather.gather, none, none)
+    return Kernels("plain", forward.blend_forward, backward.blend_backward, gather.gather, none, none)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from functools import cache, lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,19 +11,18 @@ from torch import Tensor
 
 from ..machine import memory
 from ..machine.compiled import Array
-from ..machine.crew import worker_count
-from ..machine.warm_up import WarmUp
-from .backward_pass import LayerGradients, unblend
-from .compile_backward import compile_backward
-from .conventions import NEAR, View
-from .forward_pass import OnImage, as_array, blend, top_contributors
-from .kernels import Kernels, choose_kernels
+from ..machine.log_compilation import log_compilation
+from .arrays import Gaussians, Shapes
+from .backward_pass import LayerGradients, rasterize_backward
+from .conventions import Pinhole
+from .forward_pass import OnImage, as_array, rasterize_forward, top_contributors
+from .kernels import choose_kernels
 from .rendering import Rendering
-
-log = logging.getLogger("plgs.raster")
 
 LABELS = 5
 """Their place among the arguments."""
+COMPILATION = "10 s"
+"""What compiling a pass takes, for the log."""
 
 
 def rasterize_native(
@@ -34,7 +32,7 @@ def rasterize_native(
     opacities: Tensor,
     colours: Tensor,
     labels: Tensor | None,
-    view: View,
+    pinhole: Pinhole,
     top_k: int,
     want_means2d_grad: bool,
 ) -> Rendering:
@@ -42,13 +40,11 @@ def rasterize_native(
     count = means.shape[0]
     on_image = OnImage(*memory.several(((count, 2), np.float32), (count, np.bool_)))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it
-    centres = torch.from_numpy(on_image.centres)
+    centres = torch.from_numpy(on_image.means2d)
     if want_means2d_grad:
         centres.requires_grad_()
     inputs = (means, scales, quats, opacities, colours, labels, centres)
-    differentiable = any(tensor is not None and tensor.requires_grad for tensor in inputs)
-    _warm_up(choose_kernels()).forward(torch.is_grad_enabled() and differentiable)
-    image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, view, on_image, top_k)
+    image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, pinhole, on_image, top_k)
     return Rendering(
         image=image,
         labels=labels_out if labels is not None else None,
@@ -59,21 +55,6 @@ def rasterize_native(
         top_indices=top[0] if top else None,
         top_weights=top[1] if top else None,
     )
-
-
-@cache
-def _warm_up(kernels: Kernels) -> WarmUp:
-    """The one warm-up of these kernels in this process."""
-    log.info("blending with the %s kernels, %d threads", kernels.name, worker_count())
-    apart = compile_backward.__module__
-    return WarmUp(f"the {kernels.name} rasteriser", _compile_forward, partial(compile_backward, kernels), apart)
-
-
-def _compile_forward() -> None:
-    """Call every kernel of the forward pass, with one Gaussian."""
-    inputs = [torch.ones(shape) for shape in ((1, 3), (1, 3), (1, 4), (1,), (1, 3), (1, 1), (1, 2))]
-    view = View((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, -3.0), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
-    _Blend.apply(*inputs, view, OnImage(np.empty((1, 2), np.float32), np.empty(1, np.bool_)), 0)
 
 
 class _Blend(torch.autograd.Function):
@@ -87,20 +68,23 @@ class _Blend(torch.autograd.Function):
         colours: Tensor,
         labels: Tensor | None,
         centres: Tensor,
-        view: View,
+        pinhole: Pinhole,
         on_image: OnImage,
         top_k: int,
     ) -> tuple[Tensor, ...]:
-        gaussians = [as_array(tensor) for tensor in (means, scales, quats, opacities, colours)]
+        gaussians = Gaussians(*map(as_array, (means, scales, quats, opacities, colours)))
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
-        layers, state = blend(choose_kernels(), gaussians, features, view, on_image)
+        kernels = choose_kernels()
+        is_compiled = log_compilation(f"the forward pass of the {kernels.name} rasteriser", COMPILATION)
+        layers, state = rasterize_forward(kernels, gaussians, features, pinhole, on_image)
+        is_compiled()
         top: tuple[Tensor, ...] = ()
         if top_k:
-            top = top_contributors(state, (view.height, view.width, top_k))
+            top = top_contributors(state, (pinhole.height, pinhole.width, top_k))
             ctx.mark_non_differentiable(*top)
         ctx.save_for_backward(means, scales, quats)
         ctx.state = state
-        ctx.size, ctx.labels_shape = (view.height, view.width), features.shape
+        ctx.size, ctx.labels_shape = (pinhole.height, pinhole.width), features.shape
         ctx.set_materialize_grads(False)
         return *map(torch.from_numpy, layers.in_order()), *top
 
@@ -113,7 +97,6 @@ class _Blend(torch.autograd.Function):
         d_depth: Tensor | None,
         *_: Any,
     ) -> tuple[Tensor | None, ...]:
-        _warm_up(ctx.state.kernels).backward()
         size, needed = ctx.size, ctx.needs_input_grad
         d_layers = LayerGradients(
             _or_zeros(d_image, (*size, 3)),
@@ -121,8 +104,10 @@ class _Blend(torch.autograd.Function):
             _or_zeros(d_alpha, size),
             _or_zeros(d_depth, size),
         )
-        means, scales, quats = map(as_array, ctx.saved_tensors)
-        gradients = list(unblend(ctx.state, means, scales, quats, d_layers).in_order())
+        shapes = Shapes(*map(as_array, ctx.saved_tensors))
+        is_compiled = log_compilation(f"the backward pass of the {ctx.state.kernels.name} rasteriser", COMPILATION)
+        gradients = list(rasterize_backward(ctx.state, shapes, d_layers))
+        is_compiled()
         if d_labels is None:
             gradients[LABELS] = np.zeros(ctx.labels_shape, np.float32)
         wanted = zip(gradients, needed, strict=False)

@@ -14,23 +14,23 @@ import math
 
 import numpy as np
 
-from ..machine.compiled import part
+from ..machine.compiled import device_function
 
 TILE = 16
 """Pixels: the side of a tile, and how many the vector kernels work on at once."""
 PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
 """What those are: a patch, eight columns of two rows."""
 assert (PATCH_WIDTH, PATCH_HEIGHT) == (8, 2), "the vector kernels take the rows of a patch in turns, in pairs of lanes"
-CHUNK = 64
+BATCH = 64
 """Gaussians of a tile that are blended together: whole vectors of them, and no more than a word has bits."""
-assert CHUNK % TILE == 0 and CHUNK <= 64
-PENDING = 2 * CHUNK
-"""When more Gaussians than this are listed as blended on a patch, their labels are added up before the next chunk."""
-BATCH = 96
+assert BATCH % TILE == 0 and BATCH <= 64
+PENDING = 2 * BATCH
+"""When more Gaussians than this are listed as blended on a patch, their labels are added up before the next batch."""
+BACKWARD_BATCH = 96
 """Gaussians of a tile whose label gradients are added up together."""
-MEMBERS = TILE * (BATCH + 4)
+MEMBERS = TILE * (BACKWARD_BATCH + 4)
 """Room for the Gaussians listed on each patch of a tile, and for as many as are missing from the last four."""
-assert 2 * (PENDING + CHUNK + 4) <= MEMBERS, "the two patches of a strip list more of them"
+assert 2 * (PENDING + BATCH + 4) <= MEMBERS, "the two patches of a strip list more of them"
 
 # columns of a record; the centre is the sum of two floats (a double's precision where it matters)
 CENTRE_X, CENTRE_X_LOW, CENTRE_Y, CENTRE_Y_LOW = 0, 1, 2, 3
@@ -59,7 +59,7 @@ REACH_OVER_LOG_OPACITY = np.float32(math.log2(255.0) + 1e-3)
 far less than a pixel."""
 
 
-@part
+@device_function
 def padded_channels(channels: int) -> int:
     """Channels in whole vectors."""
     return (channels + TILE - 1) // TILE * TILE

@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .conventions import ALPHA_MAX, ALPHA_MIN, BLUR, TINY_NORM, TRANSMITTANCE_END, View
+from .conventions import ALPHA_MAX, ALPHA_MIN, BLUR, TINY_NORM, TRANSMITTANCE_END, Pinhole
 from .rendering import Rendering
 
 
@@ -17,7 +17,7 @@ def rasterize_reference(
     opacities: Tensor,
     colours: Tensor,
     labels: Tensor | None,
-    view: View,
+    pinhole: Pinhole,
     top_k: int,
     want_means2d_grad: bool,
 ) -> Rendering:
@@ -26,28 +26,26 @@ def rasterize_reference(
     means, scales, quats, opacities, colours = (
         tensor.double() for tensor in (means, scales, quats, opacities, colours)
     )
-    centres, covariances, depths = project(means, scales, quats, view)
+    centres, covariances, depths = project(means, scales, quats, pinhole)
     handle = centres.detach().clone().requires_grad_(want_means2d_grad)
     # the value of the handle, the gradient of both
     centres = centres + (handle - handle.detach())
-    visible = footprint_visible(
-        centres.detach(), covariances.detach(), depths.detach(), opacities.detach(), view
-    )
+    visible = footprint_visible(centres.detach(), covariances.detach(), depths.detach(), opacities.detach(), pinhole)
     # the order that all back ends share: depth rounded to float32, ties by index
     chosen = torch.nonzero(visible)[:, 0]
     order = chosen[torch.sort(depths.detach()[chosen].float(), stable=True).indices]
-    weights = blending_weights(raw_alphas(centres[order], covariances[order], opacities[order], view))
+    weights = blending_weights(raw_alphas(centres[order], covariances[order], opacities[order], pinhole))
 
     def blend(values: Tensor, by: Tensor) -> Tensor:
-        return (by.T @ values[order]).reshape(view.height, view.width, -1).to(dtype)
+        return (by.T @ values[order]).reshape(pinhole.height, pinhole.width, -1).to(dtype)
 
     with torch.no_grad():
         handle[~visible] = 0.0
-    top_indices, top_weights = top_contributors(weights.detach(), order, view, top_k)
+    top_indices, top_weights = top_contributors(weights.detach(), order, pinhole, top_k)
     return Rendering(
         image=blend(colours, weights),
         labels=None if labels is None else blend(labels.double(), weights.detach()),
-        alpha=weights.sum(0).reshape(view.height, view.width).to(dtype),
+        alpha=weights.sum(0).reshape(pinhole.height, pinhole.width).to(dtype),
         depth=blend(depths[:, None], weights)[:, :, 0],
         visible=visible,
         means2d=handle,
@@ -56,19 +54,19 @@ def rasterize_reference(
     )
 
 
-def project(means: Tensor, scales: Tensor, quats: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor]:
+def project(means: Tensor, scales: Tensor, quats: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor, Tensor]:
     """Centres [N, 2] in pixels, blurred 2D covariances [N, 2, 2] in pixels squared, planar depths [N] in
     metres.
 
     Rows at or behind the near plane are computed for a point at depth 1, so that no infinity enters the
     gradients.
     """
-    rotation = torch.as_tensor(view.rotation, dtype=means.dtype, device=means.device).reshape(3, 3)
-    centre = torch.as_tensor(view.centre, dtype=means.dtype, device=means.device)
+    rotation = torch.as_tensor(pinhole.rotation, dtype=means.dtype, device=means.device).reshape(3, 3)
+    centre = torch.as_tensor(pinhole.centre, dtype=means.dtype, device=means.device)
     x, y, z = ((means - centre) @ rotation.T).unbind(-1)
-    safe = torch.where(z > view.near, z, torch.ones_like(z))
-    (fx, fy), (cx, cy) = view.focal, view.principal
-    x_low, x_high, y_low, y_high = view.slope_limits()
+    safe = torch.where(z > pinhole.near, z, torch.ones_like(z))
+    (fx, fy), (cx, cy) = pinhole.focal, pinhole.principal
+    x_low, x_high, y_low, y_high = pinhole.slope_limits()
     u = torch.clamp(x / safe, x_low, x_high)
     v = torch.clamp(y / safe, y_low, y_high)
     zero = torch.zeros_like(z)
@@ -80,9 +78,7 @@ def project(means: Tensor, scales: Tensor, quats: Tensor, view: View) -> tuple[T
         -2,
     )
     spread = jacobian @ rotation @ (rotation_matrices(quats) * scales[:, None, :])
-    covariances = spread @ spread.transpose(-1, -2) + BLUR * torch.eye(
-        2, dtype=means.dtype, device=means.device
-    )
+    covariances = spread @ spread.transpose(-1, -2) + BLUR * torch.eye(2, dtype=means.dtype, device=means.device)
     centres = torch.stack([fx * x / safe + cx, fy * y / safe + cy], -1)
     return centres, covariances, z
 
@@ -99,40 +95,38 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 
 
 def footprint_visible(
-    centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, view: View
+    centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, pinhole: Pinhole
 ) -> Tensor:
     """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} holds a pixel centre of the
     image."""
-    return footprint_boxes(centres, covariances, depths, opacities, view)[2]
+    return footprint_boxes(centres, covariances, depths, opacities, pinhole)[2]
 
 
 def footprint_boxes(
-    centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, view: View
+    centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, pinhole: Pinhole
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The box of the pixels of the image within that around {alpha >= 1/255}: its first and last (column, row),
     [N, 2] each, and ``footprint_visible``, without which the two say nothing."""
     reach = 2.0 * torch.log(opacities.clamp(min=1e-30) / ALPHA_MIN)
     extent = torch.sqrt(reach.clamp(min=0.0)[:, None] * torch.diagonal(covariances, dim1=-2, dim2=-1))
-    size = torch.tensor([view.width, view.height], dtype=centres.dtype, device=centres.device)
+    size = torch.tensor([pinhole.width, pinhole.height], dtype=centres.dtype, device=centres.device)
     first = torch.ceil(centres - extent - 0.5).clamp(min=0.0)
     last = torch.minimum(torch.floor(centres + extent - 0.5), size - 1.0)
-    return first, last, (depths > view.near) & (opacities >= ALPHA_MIN) & (first <= last).all(-1)
+    return first, last, (depths > pinhole.near) & (opacities >= ALPHA_MIN) & (first <= last).all(-1)
 
 
-def raw_alphas(centres: Tensor, covariances: Tensor, opacities: Tensor, view: View) -> Tensor:
+def raw_alphas(centres: Tensor, covariances: Tensor, opacities: Tensor, pinhole: Pinhole) -> Tensor:
     """[n, H * W]: opacity * exp(-d^2 / 2), neither capped nor cut."""
     rows, columns = torch.meshgrid(
-        torch.arange(view.height, dtype=centres.dtype, device=centres.device) + 0.5,
-        torch.arange(view.width, dtype=centres.dtype, device=centres.device) + 0.5,
+        torch.arange(pinhole.height, dtype=centres.dtype, device=centres.device) + 0.5,
+        torch.arange(pinhole.width, dtype=centres.dtype, device=centres.device) + 0.5,
         indexing="ij",
     )
     dx = columns.reshape(1, -1) - centres[:, 0:1]
     dy = rows.reshape(1, -1) - centres[:, 1:2]
     a, b, c = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     determinant = a * c - b * b
-    distance = (c[:, None] * dx * dx - 2.0 * b[:, None] * dx * dy + a[:, None] * dy * dy) / determinant[
-        :, None
-    ]
+    distance = (c[:, None] * dx * dx - 2.0 * b[:, None] * dx * dy + a[:, None] * dy * dy) / determinant[:, None]
     return opacities[:, None] * torch.exp(-0.5 * distance)
 
 
@@ -162,7 +156,7 @@ def threshold_pixels(raw: Tensor, margin: float = 1e-5) -> Tensor:
 
 
 def top_contributors(
-    weights: Tensor, order: Tensor, view: View, top_k: int
+    weights: Tensor, order: Tensor, pinhole: Pinhole, top_k: int
 ) -> tuple[Tensor | None, Tensor | None]:
     """int32 [H, W, k] Gaussian indices and [H, W, k] weights, largest first; -1 and 0 where there are
     fewer."""
@@ -176,5 +170,5 @@ def top_contributors(
     missing = (0, top_k - count)
     indices = torch.nn.functional.pad(indices, missing, value=-1)
     values = torch.nn.functional.pad(values, missing, value=0.0)
-    shape = (view.height, view.width, top_k)
+    shape = (pinhole.height, pinhole.width, top_k)
     return indices.to(torch.int32).reshape(shape), values.reshape(shape)

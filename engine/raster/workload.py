@@ -118,9 +118,7 @@ def room_workload(count: int, width: int = WIDTH, height: int = HEIGHT) -> Workl
     surface = np.random.default_rng(7)
     colours = surface.uniform(0.15, 0.85, (len(areas), 3))[face]
     colours += (np.floor(means / 0.25).sum(1) % 2)[:, None] * 0.15 + random.normal(0.0, 0.03, (count, 3))
-    labels = surface.normal(0.0, 1.0, (len(areas), CHANNELS))[face] + random.normal(
-        0.0, 0.3, (count, CHANNELS)
-    )
+    labels = surface.normal(0.0, 1.0, (len(areas), CHANNELS))[face] + random.normal(0.0, 0.3, (count, CHANNELS))
     focal_x, focal_y = FOCAL * width / WIDTH, FOCAL * height / HEIGHT
     intrinsics = np.array([[focal_x, 0.0, width / 2], [0.0, focal_y, height / 2], [0.0, 0.0, 1.0]])
     opacities = random.uniform(0.1, 0.95, count)

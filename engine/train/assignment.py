@@ -10,9 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from ..instances import best_slots
-from ..machine.compiled import Array
-from ..machine.crew import share, worker_count
-from ..machine.shared import shared
+from ..machine.compiled import Array, parallel_kernel
+from ..machine.threads import parallel_for, worker_count
 from .bands import band_count, band_of
 from .label_losses import TINY
 
@@ -48,12 +47,13 @@ def assigned_slots(coverage: torch.Tensor, alpha: torch.Tensor, first: int, thin
     if slots and segments:
         flat = coverage.detach().contiguous().numpy().reshape(-1, coverage.shape[-1])
         sums = np.zeros((band_count(len(flat)), segments, slots))
-        share(worker_count(), add_slots, flat, alpha.detach().numpy().reshape(-1), first, things.row.reshape(-1), sums)
+        opaque, row = alpha.detach().numpy().reshape(-1), things.row.reshape(-1)
+        parallel_for(worker_count(), add_slots, flat, opaque, first, row, sums)
         slot_of_segment[:-1] = best_slots(sums.sum(axis=0) / things.pixels[:, None])
     return torch.from_numpy(slot_of_segment[things.row])  # row -1 is the last entry: no slot
 
 
-@shared
+@parallel_kernel
 def add_slots(
     worker: int, workers: int, coverage: Array, alpha: Array, first: int, row: Array, sums: Array
 ) -> None:

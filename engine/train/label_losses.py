@@ -10,9 +10,8 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from ..machine import memory
-from ..machine.compiled import Array, compiled
-from ..machine.crew import share, worker_count
-from ..machine.shared import shared
+from ..machine.compiled import Array, compiled, parallel_kernel
+from ..machine.threads import parallel_for, worker_count
 from .bands import band_count, band_of
 
 TINY = 1e-8
@@ -53,7 +52,7 @@ class _LabelLosses(torch.autograd.Function):
         ctx.slopes = memory.empty((len(flat), TARGETS), np.float32)
         sums, counts = np.zeros((band_count(len(flat)), 2)), np.zeros((band_count(len(flat)), 2), np.int64)
         opaque = alpha.detach().contiguous().numpy().reshape(-1)
-        share(worker_count(), judge_pixels, flat, opaque, classes, *ctx.places, ctx.slopes, sums, counts)
+        parallel_for(worker_count(), judge_pixels, flat, opaque, classes, *ctx.places, ctx.slopes, sums, counts)
         ctx.known = np.maximum(counts.sum(axis=0), 1)
         ctx.classes, ctx.shape = classes, coverage.shape
         semantic, instance = sums.sum(axis=0) / ctx.known
@@ -65,7 +64,7 @@ class _LabelLosses(torch.autograd.Function):
         scales = np.array([gradient.item() for gradient in gradients] / ctx.known, np.float32)
         gradient = memory.empty((len(ctx.slopes), ctx.shape[-1]), np.float32)
         bands = band_count(len(gradient))
-        share(worker_count(), spread_slopes, bands, ctx.classes, *ctx.places, ctx.slopes, scales, gradient)
+        parallel_for(worker_count(), spread_slopes, bands, ctx.classes, *ctx.places, ctx.slopes, scales, gradient)
         return torch.from_numpy(gradient).view(ctx.shape), None, None, None, None, None
 
 
@@ -77,7 +76,7 @@ def judge(shown: float, alpha: float) -> Any:
     return np.float64(probability), -ONE / (probability * visible)
 
 
-@shared
+@parallel_kernel
 def judge_pixels(
     worker: int,
     workers: int,
@@ -121,7 +120,7 @@ def judge_pixels(
         sums[band, 1] -= math.log(alike)
 
 
-@shared
+@parallel_kernel
 def spread_slopes(
     worker: int,
     workers: int,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 
 from ..machine import memory
-from ..machine.crew import share, worker_count
+from ..machine.threads import parallel_for, worker_count
 from .similarity_kernels import WEIGHTS, compare_strips, scratch_size, strip_count
 
 
@@ -56,7 +56,7 @@ class _Comparison(torch.autograd.Function):
         gradient = memory.empty((height, length), np.float32)
         sums = np.zeros((strip_count(height), 2))
         scratch = memory.empty((workers, scratch_size(length)), np.float32)
-        share(workers, compare_strips, *rows, weights, gradient, sums, scratch)
+        parallel_for(workers, compare_strips, *rows, weights, gradient, sums, scratch)
         ctx.save_for_backward(torch.from_numpy(gradient).view(image.shape))
         difference, similarity = sums.sum(axis=0) / count
         return image.new_tensor(l1_weight * difference + ssim_weight * similarity)

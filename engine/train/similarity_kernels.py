@@ -14,8 +14,7 @@ import math
 
 import numpy as np
 
-from ..machine.compiled import Array, contracted
-from ..machine.shared import shared_contracted
+from ..machine.compiled import Array, contracted, contracted_parallel_kernel
 
 WINDOW, SIGMA = 11, 1.5
 REACH = WINDOW // 2
@@ -112,7 +111,7 @@ def gradient_row(
         difference[i] += abs(off)
 
 
-@shared_contracted
+@contracted_parallel_kernel
 def compare_strips(
     worker: int,
     workers: int,

@@ -17,7 +17,7 @@ def test_the_cache_is_named_after_every_package_with_kernels(tmp_path: Path, mon
         "model/deep/kernel.py": "from ...machine.compiled import Array, compiled",
         "model/deep/constants.py": "WIDTH = 16",
         "scene/camera.py": "",
-        "lift/run.py": "from ..machine.announcing import announce_compilation",
+        "lift/run.py": "from ..machine.log_compilation import log_compilation",
     }
     for name, text in texts.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -8,9 +8,16 @@ import numba
 import numpy as np
 import pytest
 
-from engine.machine.vector_functions import exp2, exp2_of_four, reciprocal
-from engine.machine.vector_shuffles import interleaved, largest, planes_of, totals, unzipped, zipped
-from engine.machine.vectors import WIDTH, load, pairs, store
+from engine.machine.vector_functions import exp2, exp2_x4, reciprocal
+from engine.machine.vector_shuffles import (
+    deinterleave2,
+    deinterleave3,
+    horizontal_max,
+    horizontal_sums,
+    interleave2,
+    interleave3,
+)
+from engine.machine.vectors import WIDTH, load, load_pairs, store
 
 A = np.random.default_rng(0).normal(size=3 * WIDTH).astype(np.float32)
 
@@ -24,10 +31,10 @@ def apply(function: Any, values: np.ndarray, results: int) -> np.ndarray:
 
 def test_rows_are_zipped_to_patches_and_back() -> None:
     def zip_and_back(values: Any, out: Any) -> None:
-        left, right = zipped(load(values, 0), load(values, 16))
+        left, right = interleave2(load(values, 0), load(values, 16))
         store(out, 0, left)
         store(out, 16, right)
-        upper, lower = unzipped(left, right)
+        upper, lower = deinterleave2(left, right)
         store(out, 32, upper)
         store(out, 48, lower)
 
@@ -39,11 +46,11 @@ def test_rows_are_zipped_to_patches_and_back() -> None:
 
 def test_planes_are_interleaved_to_pixels_and_back() -> None:
     def interleave_and_back(values: Any, out: Any) -> None:
-        first, second, third = interleaved(load(values, 0), load(values, 16), load(values, 32))
+        first, second, third = interleave3(load(values, 0), load(values, 16), load(values, 32))
         store(out, 0, first)
         store(out, 16, second)
         store(out, 32, third)
-        red, green, blue = planes_of(first, second, third)
+        red, green, blue = deinterleave3(first, second, third)
         store(out, 48, red)
         store(out, 64, green)
         store(out, 80, blue)
@@ -55,9 +62,9 @@ def test_planes_are_interleaved_to_pixels_and_back() -> None:
 
 def test_pairs_alternate_and_lanes_are_summed_up() -> None:
     def reduce(values: Any, out: Any) -> None:
-        store(out, 0, pairs(values, 5))
-        store(out, 16, totals((load(values, 0), load(values, 16), load(values, 32))))
-        out[32] = largest(load(values, 0))
+        store(out, 0, load_pairs(values, 5))
+        store(out, 16, horizontal_sums((load(values, 0), load(values, 16), load(values, 32))))
+        out[32] = horizontal_max(load(values, 0))
 
     found = apply(reduce, A, 3)
     assert np.array_equal(found[0], np.tile(A[5:7], 8))
@@ -70,7 +77,7 @@ def test_powers_of_two(span: tuple[float, float]) -> None:
     def power(values: Any, out: Any) -> None:
         for place in range(4):
             store(out, 16 * place, exp2(load(values, 16 * place)))
-        a, b, c, d = exp2_of_four(load(values, 0), load(values, 16), load(values, 32), load(values, 48))
+        a, b, c, d = exp2_x4(load(values, 0), load(values, 16), load(values, 32), load(values, 48))
         store(out, 64, a)
         store(out, 80, b)
         store(out, 96, c)
@@ -84,7 +91,7 @@ def test_powers_of_two(span: tuple[float, float]) -> None:
 
 def test_what_is_far_too_small_counts_as_the_least_power() -> None:
     def power(values: Any, out: Any) -> None:
-        a, _, _, d = exp2_of_four(load(values, 0), load(values, 0), load(values, 0), load(values, 16))
+        a, _, _, d = exp2_x4(load(values, 0), load(values, 0), load(values, 0), load(values, 16))
         store(out, 0, a)
         store(out, 16, d)
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from engine.raster import Rendering, rasterize
 from engine.raster.conventions import ALPHA_MIN
-from engine.raster.interface import _view
+from engine.raster.interface import _pinhole
 from engine.raster.reference import footprint_visible, project, raw_alphas, threshold_pixels
 
 GROUPS = ("means", "scales", "quats", "opacities", "colours", "labels", "means2d")
@@ -40,9 +40,7 @@ def random_scene(seed: int, count: int, channels: int, width: int, height: int) 
     def uniform(*shape: int) -> Tensor:
         return torch.rand(*shape, generator=generator)
 
-    means = torch.stack(
-        [(uniform(count) - 0.5) * 4, (uniform(count) - 0.5) * 4, uniform(count) * 5 - 0.5], -1
-    )
+    means = torch.stack([(uniform(count) - 0.5) * 4, (uniform(count) - 0.5) * 4, uniform(count) * 5 - 0.5], -1)
     scales = torch.exp(torch.randn(count, 3, generator=generator) - 2.5)
     quats = torch.randn(count, 4, generator=generator)
     tensors = (means, scales, quats, uniform(count), uniform(count, 3), uniform(count, channels))
@@ -138,13 +136,13 @@ def partly_saturated(scene: Scene) -> Scene:
 def steady_pixels(scene: Scene) -> Tensor:
     """bool [H, W]: no threshold is so near that float32 might decide otherwise."""
     means, scales, quats, opacities = (tensor.double() for tensor in scene.tensors[:4])
-    view = _view(scene.pose, scene.intrinsics, scene.width, scene.height, 0.01)
-    centres, covariances, depths = project(means, scales, quats, view)
-    shown = torch.nonzero(
-        footprint_visible(centres, covariances, depths, opacities.clamp(min=ALPHA_MIN), view)
-    )[:, 0]
+    pinhole = _pinhole(scene.pose, scene.intrinsics, scene.width, scene.height, 0.01)
+    centres, covariances, depths = project(means, scales, quats, pinhole)
+    shown = torch.nonzero(footprint_visible(centres, covariances, depths, opacities.clamp(min=ALPHA_MIN), pinhole))[
+        :, 0
+    ]
     order = shown[torch.sort(depths[shown].float(), stable=True).indices]
-    near = threshold_pixels(raw_alphas(centres[order], covariances[order], opacities[order], view))
+    near = threshold_pixels(raw_alphas(centres[order], covariances[order], opacities[order], pinhole))
     return ~near.reshape(scene.height, scene.width)
 
 

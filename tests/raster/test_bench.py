@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from engine.raster.bench import blended_pairs, measure
 from engine.raster.workload import room_workload
@@ -8,10 +9,13 @@ from engine.raster.workload import room_workload
 
 def test_measures_every_stage() -> None:
     workload = room_workload(300, 64, 48)
-    row = measure(workload, 5, 1, blended_pairs(workload))
-    assert set(row["stages"]) == {"projection", "tiles", "blend", "unblend", "gather"}
-    assert row["total"] >= row["forward"] > 0.0
-    assert row["gflops"] > 0.0
+    pairs = blended_pairs(workload)
+    row = measure(workload, 5, 1, pairs)
+    assert set(row["stages"]) == {"projection", "binning", "blend forward", "blend backward", "gather"}
+    assert row["total"] == pytest.approx(row["forward"] + row["backward"])
+    assert sum(row["stages"].values()) <= row["total"]
+    blending = row["stages"]["blend forward"] + row["stages"]["blend backward"]
+    assert row["gflops"] == pytest.approx(4.0 * 5 * pairs / (blending * 1e6))
 
 
 def test_the_workload_is_always_the_same() -> None:

@@ -11,25 +11,26 @@ import torch
 from scenes import GROUPS, LAYERS, Scene, hard_scenes, missed_share, random_scene, render, steady_pixels
 from torch import Tensor
 
-from engine.raster import cuda, interface, rasterize, tile_blend
-from engine.raster.conventions import View
-from engine.raster.tile_blend import TileLists
+from engine.raster import cuda, interface, rasterize
+from engine.raster.blending import torch_tiles
+from engine.raster.blending.torch_tiles import TileLists
+from engine.raster.conventions import Pinhole
 
 SCENES = hard_scenes()
 TILE = 16
 
 
-def list_tiles_plainly(first: Tensor, last: Tensor, depths: Tensor, view: View) -> TileLists:
+def list_tiles_plainly(first: Tensor, last: Tensor, depths: Tensor, pinhole: Pinhole) -> TileLists:
     """What ``cuda.list_by_gsplat`` gets from gsplat: every box against every tile."""
     order = torch.sort(depths, stable=True).indices
     lists = []
-    for top in range(0, view.height, TILE):
-        for left in range(0, view.width, TILE):
+    for top in range(0, pinhole.height, TILE):
+        for left in range(0, pinhole.width, TILE):
             corner = torch.tensor([left, top])
             touches = ((first[order] < corner + TILE) & (last[order] >= corner)).all(1)
             lists.append(order[touches])
     counts = torch.tensor([0] + [len(ids) for ids in lists])
-    return TileLists(torch.cat(lists), counts.cumsum(0), view.width, view.height)
+    return TileLists(torch.cat(lists), counts.cumsum(0), pinhole.width, pinhole.height)
 
 
 @pytest.fixture(params=["plain lists", "gsplat's torch operators"])
@@ -70,7 +71,7 @@ def test_matches_the_reference(name: str) -> None:
 @pytest.mark.usefixtures("on_the_cpu")
 @pytest.mark.parametrize("name", ["mixed", "saturated"])
 def test_matches_the_reference_in_many_passes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tile_blend, "PAIRS_AT_ONCE", 3 * 6 * tile_blend.PIXELS)
+    monkeypatch.setattr(torch_tiles, "PAIRS_AT_ONCE", 3 * 6 * torch_tiles.PIXELS)
     assert_as_the_reference(SCENES[name])
 
 
@@ -126,10 +127,10 @@ def test_labels_touch_nothing_but_themselves() -> None:
 
 
 @pytest.mark.usefixtures("on_the_cpu")
-@pytest.mark.parametrize("pairs_at_once", [1 << 23, 4 * 6 * tile_blend.PIXELS])
+@pytest.mark.parametrize("pairs_at_once", [1 << 23, 4 * 6 * torch_tiles.PIXELS])
 @pytest.mark.parametrize("top_k", [1, 3, 500])
 def test_top_contributors(top_k: int, pairs_at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tile_blend, "PAIRS_AT_ONCE", pairs_at_once)
+    monkeypatch.setattr(torch_tiles, "PAIRS_AT_ONCE", pairs_at_once)
     scene = random_scene(8, 200, 2, 35, 21)
     where = (*scene.tensors[:5], None, scene.pose, scene.intrinsics, 35, 21)
     ours, theirs = (rasterize(*where, top_k=top_k, backend=backend) for backend in ("gsplat", "reference"))

@@ -12,8 +12,8 @@ from scenes import LAYERS, random_scene, render
 
 from engine.machine import memory
 from engine.raster import rasterize
+from engine.raster.blending.vector.backward_tile import scratch_size
 from engine.raster.records import MEMBERS
-from engine.raster.vector.backward_tile import scratch_size
 from engine.raster.workload import Workload, room_workload
 
 

@@ -50,9 +50,7 @@ def test_matches_the_reference(
     torch.testing.assert_close(ours.means2d, theirs.means2d.float(), rtol=1e-6, atol=1e-4)
     for layer in LAYERS:
         got, expected = getattr(ours, layer)[steady], getattr(theirs, layer)[steady]
-        torch.testing.assert_close(
-            got, expected, rtol=0, atol=1e-5, msg=lambda text, layer=layer: f"{layer}: {text}"
-        )
+        torch.testing.assert_close(got, expected, rtol=0, atol=1e-5, msg=lambda text, layer=layer: f"{layer}: {text}")
     for group in GROUPS:
         missed = missed_elements(our_gradients[group], their_gradients[group])
         count = their_gradients[group].numel()
@@ -99,9 +97,7 @@ def test_nothing_to_see(backend: str, count: int) -> None:
 
 @pytest.mark.parametrize("kernels", ["vector", "plain"])
 @pytest.mark.parametrize("channels", [1, 5, 20])
-def test_the_same_bits_with_any_number_of_threads(
-    kernels: str, channels: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_bits_with_any_number_of_threads(kernels: str, channels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
     scene = random_scene(5, 1100, channels, 70, 50)
     before = torch.get_num_threads()

@@ -9,159 +9,106 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.atomics import take_next
-from ...machine.compiled import Array, inlined
-from ...machine.shared import shared
-from ...machine.vectors import lane_numbers, load_some, spread, store
+from ...machine.atomics import fetch_add
+from ...machine.compiled import Array, device_function, parallel_kernel
+from ...machine.vectors import WIDTH, broadcast, lane_numbers, masked_load, store
 from .activations import exponential
-from .layers import collect_inputs, fill, head_of, list_anchors, rounded_rows, run_first_layer, run_head, run_head_back
-from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC
-from .softmax import soften, soften_back
+from .arrays import AnchorArrays, Batch, Batches, Gradients, Labelling, Packed, Work
+from .layers import (
+    collect_inputs,
+    fill,
+    head_of,
+    list_batch,
+    rounded_rows,
+    run_first_layer,
+    run_head,
+    run_head_backward,
+    wanted_class,
+)
+from .packing import COLOUR, COVARIANCE, INSTANCE, OPACITY, SEMANTIC
+from .softmax import softmax, softmax_backward
 
 F = np.float32
 ZERO, ONE = F(0.0), F(1.0)
 
 
-@shared
-def clear(worker: int, workers: int, values: Array) -> None:
-    """This worker's share of the values to 0."""
-    count = values.shape[0]
-    for i in range(count * worker // workers, count * (worker + 1) // workers):
-        values[i] = ZERO
-
-
-@inlined
-def opacities_back(
-    listed: Array, count: int, first: int, head: Any, opacities: Array, d_opacities: Array, sizes: Any, mine: Array
-) -> None:
+@device_function
+def opacities_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
     """Through tanh."""
-    k, n = sizes.k, first
-    for i in range(count):
-        for g in range(k):
-            opacity = opacities[listed[i] * k + g]
-            if opacity > ZERO:
-                mine[sizes.out_at + i * head.padded + g] = d_opacities[n] * (ONE - opacity * opacity)
-                n += 1
+    for m in range(batch.gaussians):
+        n = batch.first + m
+        opacity = gradients.drawn.opacities[n]
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1]
+        mine[at] = gradients.by.opacities[n] * (ONE - opacity * opacity)
 
 
-@inlined
-def shapes_back(
-    listed: Array,
-    count: int,
-    first: int,
-    head: Any,
-    visible: Array,
-    opacities: Array,
-    offset: Array,
-    log_scale: Array,
-    scales: Array,
-    d_means: Array,
-    d_scales: Array,
-    d_quats: Array,
-    sizes: Any,
-    mine: Array,
-    d_offset: Array,
-    d_log_scale: Array,
+@device_function
+def shapes_backward(
+    batch: Batch, head: Any, anchors: AnchorArrays, sizes: Any, mine: Array, gradients: Gradients
 ) -> None:
     """Outputs of the covariance decoder, offsets and log scales."""
-    k, n = sizes.k, first
-    reach = sizes.active_at
-    for i in range(count):
-        v = listed[i]
-        anchor, at = visible[v], sizes.out_at + i * head.padded
-        six = lane_numbers() < spread(F(6.0))
-        store(mine, reach, exponential(load_some(log_scale, 6 * anchor, six)))
-        for g in range(k):
-            if opacities[v * k + g] > ZERO:
-                for axis in range(3):
-                    place = 3 * (anchor * k + g) + axis
-                    stretched = d_means[3 * n + axis] * mine[reach + axis]
-                    d_offset[place] = stretched
-                    d_log_scale[6 * anchor + axis] += stretched * offset[place]
-                    scale = scales[3 * n + axis]
-                    slope = d_scales[3 * n + axis] * scale
-                    d_log_scale[6 * anchor + 3 + axis] += slope
-                    mine[at + 7 * g + axis] = slope * (ONE - scale / mine[reach + 3 + axis])
-                for part in range(4):
-                    mine[at + 7 * g + 3 + part] = d_quats[4 * n + part]
-                n += 1
+    by, d_log_scale = gradients.by, gradients.log_scale
+    room = sizes.d_hidden_at  # for a vector a row, of which six are the anchor's scales
+    for row in range(batch.drawing):
+        six = lane_numbers() < broadcast(F(6.0))
+        log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)
+        store(mine, room + row * WIDTH, exponential(log_scale))
+    for m in range(batch.gaussians):
+        row, g, n = batch.owners[2 * m], batch.owners[2 * m + 1], batch.first + m
+        anchor, at = anchors.visible[batch.listed[row]], sizes.out_at + row * head.padded + 7 * g
+        own = room + row * WIDTH
+        for axis in range(3):
+            place, stretch = 3 * (anchor * sizes.k + g) + axis, 6 * anchor + axis
+            d_offset = by.means[3 * n + axis] * mine[own + axis]
+            gradients.offset[place] = d_offset
+            d_log_scale[stretch] += d_offset * anchors.offset[place]
+            scale = gradients.drawn.scales[3 * n + axis]
+            slope = by.scales[3 * n + axis] * scale
+            d_log_scale[stretch + 3] += slope
+            mine[at + axis] = slope * (ONE - scale / mine[own + 3 + axis])
+        for c in range(4):
+            mine[at + 3 + c] = by.quats[4 * n + c]
 
 
-@inlined
-def colours_back(
-    listed: Array,
-    count: int,
-    first: int,
-    head: Any,
-    opacities: Array,
-    colours: Array,
-    d_colours: Array,
-    sizes: Any,
-    mine: Array,
-) -> None:
+@device_function
+def colours_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
     """Through the sigmoid."""
-    k, n = sizes.k, first
-    for i in range(count):
-        for g in range(k):
-            if opacities[listed[i] * k + g] > ZERO:
-                for channel in range(3):
-                    colour = colours[3 * n + channel]
-                    slope = d_colours[3 * n + channel] * colour * (ONE - colour)
-                    mine[sizes.out_at + i * head.padded + 3 * g + channel] = slope
-                n += 1
+    for m in range(batch.gaussians):
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + 3 * batch.owners[2 * m + 1]
+        for c in range(3):
+            place = 3 * (batch.first + m) + c
+            colour = gradients.drawn.colours[place]
+            mine[at + c] = gradients.by.colours[place] * colour * (ONE - colour)
 
 
-@inlined
-def instances_back(
-    listed: Array,
-    count: int,
-    first: int,
-    head: Any,
-    opacities: Array,
-    labels: Array,
-    d_labels: Array,
-    sizes: Any,
-    mine: Array,
-) -> None:
+@device_function
+def instances_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
     """Through the softmax, whose values are the labels."""
-    k, n, slots, stride = sizes.k, first, sizes.slots, sizes.classes + sizes.slots
-    for i in range(count):
-        for g in range(k):
-            if opacities[listed[i] * k + g] > ZERO:
-                at, label = sizes.out_at + i * head.padded + g * slots, n * stride + sizes.classes
-                soften_back(labels, label, d_labels, label, ZERO, mine, at, slots)
-                n += 1
+    slots, channels = sizes.slots, sizes.classes + sizes.slots
+    for m in range(batch.gaussians):
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1] * slots
+        label = (batch.first + m) * channels + sizes.classes
+        softmax_backward(gradients.drawn.labels, label, gradients.by.labels, ZERO, mine, at, slots)
 
 
-@inlined
-def classes_back(
-    listed: Array,
-    count: int,
-    first: int,
-    head: Any,
-    visible: Array,
-    opacities: Array,
-    channels: Array,
-    d_loss: Any,
-    labels: Array,
-    d_labels: Array,
-    sizes: Any,
-    mine: Array,
+@device_function
+def classes_backward(
+    batch: Batch, head: Any, visible: Array, labelling: Labelling, sizes: Any, mine: Array, gradients: Gradients
 ) -> None:
-    """Logits in their place become their gradients. ``d_loss`` is that of one Gaussian's cross entropy."""
-    k, n, classes, stride = sizes.k, first, sizes.classes, sizes.classes + sizes.slots
-    soften(mine, sizes.out_at, head.padded, count, k, classes, sizes.tall_at, sizes.sums_at)
-    for i in range(count):
-        v = listed[i]
-        wanted = channels[visible[v]] if channels.shape[0] > 0 else -1
-        weight = d_loss if wanted >= 0 else ZERO
+    """Logits in their place become their gradients."""
+    k, classes, channels = sizes.k, sizes.classes, sizes.classes + sizes.slots
+    m = 0
+    for row in range(batch.rows):
+        wanted = wanted_class(batch.listed[row], visible, labelling)
+        weight = F(gradients.by_loss) if wanted >= 0 else ZERO
         for g in range(k):
-            at = sizes.out_at + i * head.padded + g * classes
-            is_drawn = opacities[v * k + g] > ZERO
-            if is_drawn:
-                soften_back(labels, n * stride, d_labels, n * stride, weight, mine, at, classes)
-                n += 1
+            at = sizes.out_at + row * head.padded + g * classes
+            if m < batch.gaussians and batch.owners[2 * m] == row and batch.owners[2 * m + 1] == g:
+                label = (batch.first + m) * channels
+                softmax_backward(gradients.drawn.labels, label, gradients.by.labels, weight, mine, at, classes)
+                m += 1
             elif wanted >= 0:
+                softmax(mine, at, mine, at, classes)
                 for c in range(at, at + classes):
                     mine[c] *= weight
             else:
@@ -170,109 +117,66 @@ def classes_back(
                 mine[at + wanted] -= weight
 
 
-@shared
-def decode_back(
+@device_function
+def batch_backward(
+    batch: Batch,
+    anchors: AnchorArrays,
+    packed: Packed,
+    labelling: Labelling,
+    mine: Array,
+    d_weights: Array,
+    gradients: Gradients,
+) -> None:
+    """One batch of anchors; the gradient of the weights is added to ``d_weights``."""
+    sizes = packed.sizes
+    collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
+    fill(mine, sizes.d_inputs_at, rounded_rows(batch.rows) * sizes.padded_features, ZERO)
+    for place in range(OPACITY, INSTANCE + 1):
+        head = head_of(packed.heads, place)
+        rows = batch.rows if place == SEMANTIC else batch.drawing
+        if place == SEMANTIC:
+            run_head(head, rows, packed, mine)
+            classes_backward(batch, head, anchors.visible, labelling, sizes, mine, gradients)
+        else:
+            run_first_layer(head, rows, packed, mine)
+            fill(mine, sizes.out_at, rounded_rows(rows) * head.padded, ZERO)
+            if place == OPACITY:
+                opacities_backward(batch, head, sizes, mine, gradients)
+            elif place == COVARIANCE:
+                shapes_backward(batch, head, anchors, sizes, mine, gradients)
+            elif place == COLOUR:
+                colours_backward(batch, head, sizes, mine, gradients)
+            else:
+                instances_backward(batch, head, sizes, mine, gradients)
+        run_head_backward(head, rows, packed, mine, d_weights)
+    for i in range(batch.rows):
+        to, source = anchors.visible[batch.listed[i]] * sizes.features, sizes.d_inputs_at + i * sizes.padded_features
+        for c in range(sizes.features):
+            gradients.feature[to + c] = mine[source + c]
+
+
+@parallel_kernel
+def decode_backward(
     worker: int,
     workers: int,
-    counter: Array,
-    visible: Array,
-    feature: Array,
-    position: Array,
-    offset: Array,
-    log_scale: Array,
-    centre: Array,
-    weights: Array,
-    heads: Any,
-    sizes: Any,
-    opacities: Array,
-    starts: Array,
-    channels: Array,
-    scales: Array,
-    colours: Array,
-    labels: Array,
-    d_means: Array,
-    d_scales: Array,
-    d_quats: Array,
-    d_opacities: Array,
-    d_colours: Array,
-    d_labels: Array,
-    d_loss: Any,
-    d_feature: Array,
-    d_offset: Array,
-    d_log_scale: Array,
-    gradients: Array,
-    scratch: Array,
-    lists: Array,
+    anchors: AnchorArrays,
+    packed: Packed,
+    labelling: Labelling,
+    batches: Batches,
+    gradients: Gradients,
+    work: Work,
 ) -> None:
-    """Gradients of the anchors (dense, zero before) and of the packed weights, one row of ``gradients`` for each of a
-    fixed number of parts, which are runs of batches: their sum then does not depend on who did what."""
-    mine, listed = scratch[worker], lists[worker]
-    k, batches, parts = sizes.k, starts.shape[0], gradients.shape[0]
+    """Gradients of the anchors and of the packed weights. There is a fixed number of chunks of batches: the sum of
+    their gradients does not depend on who did what."""
+    mine, numbers = work.floats[worker], work.numbers[worker]
+    count, chunks = batches.starts.shape[0], gradients.weights.shape[0]
     while True:
-        part = take_next(counter)
-        if part >= parts:
+        chunk = fetch_add(work.next_one)
+        if chunk >= chunks:
             break
-        gradient = gradients[part]
-        fill(gradient, 0, gradient.shape[0], ZERO)
-        for batch in range(batches * part // parts, batches * (part + 1) // parts):
-            start, first = batch * BATCH, starts[batch]
-            end = min(start + BATCH, visible.shape[0])
-            drawn, everyone = list_anchors(start, end, k, opacities, visible, channels, listed)
-            if everyone == 0:
-                continue
-            collect_inputs(listed, everyone, visible, feature, position, centre, sizes, mine)
-            fill(mine, sizes.d_inputs_at, rounded_rows(everyone) * sizes.padded_features, ZERO)
-
-            for number in range(len(heads)):
-                head = head_of(heads, number)
-                rows = everyone if number == SEMANTIC else drawn
-                if number == SEMANTIC:
-                    run_head(head, rows, weights, sizes, mine)
-                else:
-                    run_first_layer(head, rows, weights, sizes, mine)
-                    fill(mine, sizes.out_at, rounded_rows(rows) * head.padded, ZERO)
-                if number == OPACITY:
-                    opacities_back(listed, rows, first, head, opacities, d_opacities, sizes, mine)
-                elif number == COVARIANCE:
-                    shapes_back(
-                        listed,
-                        rows,
-                        first,
-                        head,
-                        visible,
-                        opacities,
-                        offset,
-                        log_scale,
-                        scales,
-                        d_means,
-                        d_scales,
-                        d_quats,
-                        sizes,
-                        mine,
-                        d_offset,
-                        d_log_scale,
-                    )
-                elif number == COLOUR:
-                    colours_back(listed, rows, first, head, opacities, colours, d_colours, sizes, mine)
-                elif number == SEMANTIC:
-                    classes_back(
-                        listed,
-                        rows,
-                        first,
-                        head,
-                        visible,
-                        opacities,
-                        channels,
-                        d_loss,
-                        labels,
-                        d_labels,
-                        sizes,
-                        mine,
-                    )
-                else:
-                    instances_back(listed, rows, first, head, opacities, labels, d_labels, sizes, mine)
-                run_head_back(head, rows, weights, sizes, mine, gradient)
-            for i in range(everyone):
-                to, source = visible[listed[i]] * sizes.features, sizes.d_inputs_at + i * sizes.padded_features
-                for c in range(sizes.features):
-                    d_feature[to + c] = mine[source + c]
+        d_weights = gradients.weights[chunk]
+        fill(d_weights, 0, d_weights.shape[0], ZERO)
+        for number in range(count * chunk // chunks, count * (chunk + 1) // chunks):
+            batch = list_batch(number, packed.sizes.k, anchors.visible, batches, labelling, numbers)
+            if batch.rows > 0:
+                batch_backward(batch, anchors, packed, labelling, mine, d_weights, gradients)

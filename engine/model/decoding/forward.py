@@ -7,278 +7,172 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.atomics import take_next
-from ...machine.compiled import Array, inlined
-from ...machine.shared import shared
-from ...machine.vectors import WIDTH, lane_numbers, load, load_some, spread, store
+from ...machine.atomics import fetch_add
+from ...machine.compiled import Array, device_function, parallel_kernel
+from ...machine.vectors import WIDTH, broadcast, lane_numbers, load, masked_load, store
 from .activations import copy, exponential, sigmoid, tanh
-from .layers import collect_inputs, head_of, list_anchors, run_head
-from .packing import BATCH, COLOUR, COVARIANCE, OPACITY, SEMANTIC
-from .softmax import soften
+from .arrays import AnchorArrays, Batch, Batches, Drawn, Labelling, Packed, Work
+from .layers import collect_inputs, head_of, list_batch, run_head, wanted_class
+from .packing import BATCH, COLOUR, COVARIANCE, INSTANCE, OPACITY, SEMANTIC
+from .softmax import softmax
 
 F = np.float32
 ZERO = F(0.0)
 
 
-@shared
+@parallel_kernel
 def decode_opacities(
-    worker: int,
-    workers: int,
-    counter: Array,
-    visible: Array,
-    feature: Array,
-    position: Array,
-    centre: Array,
-    weights: Array,
-    heads: Any,
-    sizes: Any,
-    opacities: Array,
-    counts: Array,
-    scratch: Array,
-    lists: Array,
+    worker: int, workers: int, anchors: AnchorArrays, packed: Packed, opacities: Array, counts: Array, work: Work
 ) -> None:
-    """``opacities`` [V * k] in (-1, 1) of the anchors ``visible`` [V], and how many of each batch are above 0."""
-    mine, listed = scratch[worker], lists[worker]
-    k, head = sizes.k, head_of(heads, OPACITY)
+    """``opacities`` [V * k] in (-1, 1) of the visible anchors; ``counts`` int64 [batches]: how many of each batch are
+    above 0."""
+    mine, listed = work.floats[worker], work.numbers[worker]
+    sizes, head = packed.sizes, head_of(packed.heads, OPACITY)
+    k = sizes.k
     while True:
-        batch = take_next(counter)
+        batch = fetch_add(work.next_one)
         if batch >= counts.shape[0]:
             break
         start = batch * BATCH
-        rows = min(visible.shape[0] - start, BATCH)
+        rows = min(anchors.visible.shape[0] - start, BATCH)
         for i in range(rows):
             listed[i] = start + i
-        collect_inputs(listed, rows, visible, feature, position, centre, sizes, mine)
-        run_head(head, rows, weights, sizes, mine)
-        count = 0
+        collect_inputs(listed, rows, anchors, sizes, mine)
+        run_head(head, rows, packed, mine)
+        above = 0
+        for at in range(sizes.out_at, sizes.out_at + rows * head.padded, WIDTH):
+            store(mine, at, tanh(load(mine, at)))
         for i in range(rows):
-            at = sizes.out_at + i * head.padded
-            for c in range(0, head.padded, WIDTH):
-                store(mine, at + c, tanh(load(mine, at + c)))
             for g in range(k):
-                opacity = mine[at + g]
+                opacity = mine[sizes.out_at + i * head.padded + g]
                 opacities[(start + i) * k + g] = opacity
                 if opacity > ZERO:
-                    count += 1
-        counts[batch] = count
+                    above += 1
+        counts[batch] = above
 
 
-@inlined
+@device_function
+def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
+    """All outputs of a decoder, in their place."""
+    for at in range(sizes.out_at, sizes.out_at + rows * head.padded, WIDTH):
+        store(mine, at, sigmoid(load(mine, at)))
+
+
+@device_function
 def write_shapes(
-    listed: Array,
-    count: int,
-    first: int,
-    head: Any,
-    visible: Array,
-    opacities: Array,
-    position: Array,
-    offset: Array,
-    log_scale: Array,
-    sizes: Any,
-    mine: Array,
-    kept: Array,
-    means: Array,
-    scales: Array,
-    quats: Array,
-    drawn_opacities: Array,
+    batch: Batch, head: Any, anchors: AnchorArrays, opacities: Array, sizes: Any, mine: Array, drawn: Drawn
 ) -> None:
-    """What the covariance decoder and the anchors tell of Gaussians ``first``, ``first`` + 1, ...: all but colour and
-    labels."""
-    k, n = sizes.k, first
-    for i in range(count):
-        v = listed[i]
-        anchor, raw, active = visible[v], sizes.out_at + i * head.padded, sizes.active_at
-        for c in range(0, head.padded, WIDTH):
-            store(mine, active + c, sigmoid(load(mine, raw + c)))
-        reach = active + head.padded
-        six = lane_numbers() < spread(F(6.0))
-        store(mine, reach, exponential(load_some(log_scale, 6 * anchor, six)))
-        for g in range(k):
-            opacity = opacities[v * k + g]
-            if opacity > ZERO:
-                kept[n] = v * k + g
-                drawn_opacities[n] = opacity
-                for axis in range(3):
-                    moved = offset[3 * (anchor * k + g) + axis] * mine[reach + axis]
-                    means[3 * n + axis] = position[3 * anchor + axis] + moved
-                    scales[3 * n + axis] = mine[reach + 3 + axis] * mine[active + 7 * g + axis]
-                for part in range(4):
-                    quats[4 * n + part] = mine[raw + 7 * g + 3 + part]
-                n += 1
+    """What the covariance decoder and the anchors tell of the drawn Gaussians: all but colour and labels."""
+    k, scale = sizes.k, sizes.d_hidden_at  # room for a vector a row, of which six are the anchor's scales
+    for row in range(batch.drawing):
+        six = lane_numbers() < broadcast(F(6.0))
+        log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)
+        store(mine, scale + row * WIDTH, exponential(log_scale))
+    for m in range(batch.gaussians):
+        row, g, n = batch.owners[2 * m], batch.owners[2 * m + 1], batch.first + m
+        v, at, own = batch.listed[row], sizes.out_at + row * head.padded + 7 * g, scale + row * WIDTH
+        anchor = anchors.visible[v]
+        drawn.opacities[n] = opacities[v * k + g]
+        for axis in range(3):
+            moved = anchors.offset[3 * (anchor * k + g) + axis] * mine[own + axis]
+            drawn.means[3 * n + axis] = anchors.position[3 * anchor + axis] + moved
+        for c in range(4):
+            drawn.quats[4 * n + c] = mine[at + 3 + c]
+    through_sigmoid(batch.drawing, head, sizes, mine)
+    for m in range(batch.gaussians):
+        row, n = batch.owners[2 * m], batch.first + m
+        at = sizes.out_at + row * head.padded + 7 * batch.owners[2 * m + 1]
+        for axis in range(3):
+            drawn.scales[3 * n + axis] = mine[scale + row * WIDTH + 3 + axis] * mine[at + axis]
 
 
-@inlined
-def write_colours(
-    listed: Array, count: int, first: int, head: Any, opacities: Array, sizes: Any, mine: Array, colours: Array
-) -> None:
-    k, n = sizes.k, first
-    for i in range(count):
-        at = sizes.out_at + i * head.padded
-        for c in range(0, head.padded, WIDTH):
-            store(mine, at + c, sigmoid(load(mine, at + c)))
-        for g in range(k):
-            if opacities[listed[i] * k + g] > ZERO:
-                for channel in range(3):
-                    colours[3 * n + channel] = mine[at + 3 * g + channel]
-                n += 1
+@device_function
+def write_colours(batch: Batch, head: Any, sizes: Any, mine: Array, colours: Array) -> None:
+    through_sigmoid(batch.drawing, head, sizes, mine)
+    for m in range(batch.gaussians):
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + 3 * batch.owners[2 * m + 1]
+        for c in range(3):
+            colours[3 * (batch.first + m) + c] = mine[at + c]
 
 
-@inlined
-def write_known_labels(
-    listed: Array,
-    count: int,
-    first: int,
-    k: int,
-    visible: Array,
-    opacities: Array,
-    known: Array,
-    channels: int,
-    labels: Array,
-) -> None:
-    """Labels that were decoded before: rows of ``known`` [M * k, channels]."""
-    n = first
-    for i in range(count):
-        v = listed[i]
-        for g in range(k):
-            if opacities[v * k + g] > ZERO:
-                copy(known, (visible[v] * k + g) * channels, labels, n * channels, channels)
-                n += 1
+@device_function
+def write_known_labels(batch: Batch, k: int, visible: Array, labelling: Labelling, labels: Array) -> None:
+    """Labels that were decoded before."""
+    channels = labelling.known_channels
+    for m in range(batch.gaussians):
+        anchor = visible[batch.listed[batch.owners[2 * m]]]
+        source = (anchor * k + batch.owners[2 * m + 1]) * channels
+        copy(labelling.known, source, labels, (batch.first + m) * channels, channels)
 
 
-@inlined
-def write_instances(
-    listed: Array, count: int, first: int, head: Any, opacities: Array, sizes: Any, mine: Array, labels: Array
-) -> None:
-    k, n, slots, channels = sizes.k, first, sizes.slots, sizes.classes + sizes.slots
-    soften(mine, sizes.out_at, head.padded, count, k, slots, sizes.tall_at, sizes.sums_at)
-    for i in range(count):
-        for g in range(k):
-            if opacities[listed[i] * k + g] > ZERO:
-                at = sizes.out_at + i * head.padded + g * slots
-                copy(mine, at, labels, n * channels + sizes.classes, slots)
-                n += 1
+@device_function
+def write_instances(batch: Batch, head: Any, sizes: Any, mine: Array, labels: Array) -> None:
+    slots, channels = sizes.slots, sizes.classes + sizes.slots
+    for m in range(batch.gaussians):
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1] * slots
+        softmax(mine, at, labels, (batch.first + m) * channels + sizes.classes, slots)
 
 
-@inlined
+@device_function
 def write_classes(
-    listed: Array,
-    count: int,
-    first: int,
-    head: Any,
-    visible: Array,
-    opacities: Array,
-    channels: Array,
-    sizes: Any,
-    mine: Array,
-    labels: Array,
+    batch: Batch, head: Any, visible: Array, labelling: Labelling, sizes: Any, mine: Array, labels: Array
 ) -> Any:
-    """Class probabilities of the Gaussians to draw; returns the summed cross entropy of all k Gaussians of the anchors
-    that have a channel in ``channels`` [M] (none does when that is empty)."""
-    k, n, classes, stride = sizes.k, first, sizes.classes, sizes.classes + sizes.slots
-    loss = 0.0
-    if channels.shape[0] > 0:
-        for i in range(count):
-            wanted = channels[visible[listed[i]]]
-            if wanted >= 0:
-                for g in range(k):
-                    loss -= mine[sizes.out_at + i * head.padded + g * classes + wanted]
-    soften(mine, sizes.out_at, head.padded, count, k, classes, sizes.tall_at, sizes.sums_at)
-    if channels.shape[0] > 0:
-        rounded = (count + WIDTH - 1) // WIDTH * WIDTH
-        for i in range(count):
-            if channels[visible[listed[i]]] >= 0:
-                product = 1.0  # of the k sums of exponentials: one logarithm will do
-                for g in range(k):
-                    loss += mine[sizes.sums_at + g * rounded + i]
-                    product *= mine[sizes.sums_at + (k + g) * rounded + i]
-                loss += math.log(product)
-    for i in range(count):
+    """Class probabilities of the drawn Gaussians; returns the summed cross entropy of all k Gaussians of the anchors
+    whose class is known."""
+    k, classes, channels = sizes.k, sizes.classes, sizes.classes + sizes.slots
+    loss, m = 0.0, 0
+    for row in range(batch.rows):
+        wanted = wanted_class(batch.listed[row], visible, labelling)
         for g in range(k):
-            if opacities[listed[i] * k + g] > ZERO:
-                copy(mine, sizes.out_at + i * head.padded + g * classes, labels, n * stride, classes)
-                n += 1
+            at = sizes.out_at + row * head.padded + g * classes
+            logit = mine[at + max(wanted, 0)]
+            drawn = m < batch.gaussians and batch.owners[2 * m] == row and batch.owners[2 * m + 1] == g
+            if drawn:
+                top, total = softmax(mine, at, labels, (batch.first + m) * channels, classes)
+                m += 1
+            elif wanted >= 0:
+                top, total = softmax(mine, at, mine, at, classes)
+            else:
+                continue
+            if wanted >= 0:
+                loss += top + math.log(total) - logit
     return loss
 
 
-@shared
+@parallel_kernel
 def decode_gaussians(
     worker: int,
     workers: int,
-    counter: Array,
-    visible: Array,
-    feature: Array,
-    position: Array,
-    offset: Array,
-    log_scale: Array,
-    centre: Array,
-    weights: Array,
-    heads: Any,
-    sizes: Any,
-    opacities: Array,
-    starts: Array,
-    channels: Array,
-    known: Array,
-    known_channels: int,
-    kept: Array,
-    means: Array,
-    scales: Array,
-    quats: Array,
-    drawn_opacities: Array,
-    colours: Array,
-    labels: Array,
-    losses: Array,
-    scratch: Array,
-    lists: Array,
+    anchors: AnchorArrays,
+    packed: Packed,
+    labelling: Labelling,
+    batches: Batches,
+    drawn: Drawn,
+    work: Work,
 ) -> None:
-    """All of the Gaussians with opacity above 0; batch b writes from Gaussian ``starts``[b] on.
-
-    ``channels`` int64 [M] or empty: channel of the anchor's class for the cluster loss, -1 for none; ``losses``
-    [batches] gets its sum. ``known`` [M * k, known_channels]: labels to copy instead of decoding; empty to decode them.
-    """
-    mine, listed = scratch[worker], lists[worker]
-    k = sizes.k
+    """All of the Gaussians with opacity above 0, and ``batches.losses``."""
+    mine, numbers = work.floats[worker], work.numbers[worker]
+    sizes, heads, visible = packed.sizes, packed.heads, anchors.visible
+    decoded = INSTANCE if labelling.known.shape[0] == 0 else COLOUR
     while True:
-        batch = take_next(counter)
-        if batch >= starts.shape[0]:
+        number = fetch_add(work.next_one)
+        if number >= batches.starts.shape[0]:
             break
-        start, first = batch * BATCH, starts[batch]
-        end = min(start + BATCH, visible.shape[0])
-        drawn, everyone = list_anchors(start, end, k, opacities, visible, channels, listed)
-        losses[batch] = 0.0
-        if everyone == 0:
+        batch = list_batch(number, sizes.k, visible, batches, labelling, numbers)
+        batches.losses[number] = 0.0
+        if batch.rows == 0:
             continue
-        collect_inputs(listed, everyone, visible, feature, position, centre, sizes, mine)
-        for number in range(1, len(heads)):
-            if number >= SEMANTIC and known.shape[0] > 0:
-                write_known_labels(listed, drawn, first, k, visible, opacities, known, known_channels, labels)
-                break
-            head = head_of(heads, number)
-            rows = everyone if number == SEMANTIC else drawn
-            run_head(head, rows, weights, sizes, mine)
-            if number == COVARIANCE:
-                write_shapes(
-                    listed,
-                    drawn,
-                    first,
-                    head,
-                    visible,
-                    opacities,
-                    position,
-                    offset,
-                    log_scale,
-                    sizes,
-                    mine,
-                    kept,
-                    means,
-                    scales,
-                    quats,
-                    drawn_opacities,
-                )
-            elif number == COLOUR:
-                write_colours(listed, drawn, first, head, opacities, sizes, mine, colours)
-            elif number == SEMANTIC:
-                losses[batch] = write_classes(
-                    listed, everyone, first, head, visible, opacities, channels, sizes, mine, labels
-                )
+        collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
+        for place in range(COVARIANCE, decoded + 1):
+            head = head_of(heads, place)
+            run_head(head, batch.rows if place == SEMANTIC else batch.drawing, packed, mine)
+            if place == COVARIANCE:
+                write_shapes(batch, head, anchors, batches.opacities, sizes, mine, drawn)
+            elif place == COLOUR:
+                write_colours(batch, head, sizes, mine, drawn.colours)
+            elif place == SEMANTIC:
+                batches.losses[number] = write_classes(batch, head, visible, labelling, sizes, mine, drawn.labels)
             else:
-                write_instances(listed, drawn, first, head, opacities, sizes, mine, labels)
+                write_instances(batch, head, sizes, mine, drawn.labels)
+        if decoded == COLOUR:
+            write_known_labels(batch, sizes.k, visible, labelling, drawn.labels)

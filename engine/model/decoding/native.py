@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...machine import memory
-from ...machine.crew import share, worker_count
+from ...machine.threads import parallel_for, worker_count
 from ..anchors import Anchors
 from ..decoders import Decoders
 from ..neural_gaussians import NeuralGaussians
-from .backward import clear, decode_back
+from .arrays import AnchorArrays, Batches, Drawn, Gradients, Labelling, Packed, Work
+from .backward import decode_backward
 from .forward import decode_gaussians, decode_opacities
 from .packing import BATCH, Layout, layout_of, packed, parameters_of, unpacked
 
-PARTS = 32
-"""Runs of batches whose weight gradients are summed apart; more workers than this find nothing to do."""
+CHUNKS = 32
+"""Of batches, whose weight gradients are summed apart; more workers than this find nothing to do."""
 
 
 def decode_natively(
@@ -32,18 +33,12 @@ def decode_natively(
 ) -> NeuralGaussians:
     """As ``decode_rows``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
     layout = layout_of(decoders.shape)
-    nobody = torch.empty(0, dtype=torch.int64)
-    fixed = _Fixed(
-        visible.contiguous(),
-        anchors.position,
-        centre.float(),
-        nobody if channels is None else channels,
-        torch.empty(0, 0) if known_labels is None else known_labels,
-        layout,
-    )
-    parameters = parameters_of(decoders)
-    outputs = _Decode.apply(fixed, anchors.feature, anchors.offset, anchors.log_scale, *parameters)
-    means, scales, quats, opacities, colours, labels, all_opacities, kept, cluster = outputs
+    labels = torch.empty(0, 0) if known_labels is None else known_labels
+    wanted = torch.empty(0, dtype=torch.int64) if channels is None else channels
+    labelling = Labelling(_flat(wanted), _flat(labels), labels.shape[1])
+    fixed = _Fixed(_flat(visible), _flat(anchors.position), _flat(centre.float()), labelling, layout)
+    outputs = _Decode.apply(fixed, anchors.feature, anchors.offset, anchors.log_scale, *parameters_of(decoders))
+    means, scales, quats, opacities, colours, labels, all_opacities, cluster = outputs
     return NeuralGaussians(
         means=means,
         scales=scales,
@@ -53,31 +48,49 @@ def decode_natively(
         labels=labels,
         visible=visible,
         all_opacities=all_opacities,
-        kept=kept,
+        kept=(all_opacities.view(-1) > 0).nonzero().squeeze(1),
         cluster_loss=cluster,
     )
 
 
-class _Fixed:
-    """What no gradient reaches, as the kernels take it."""
+class _Fixed(NamedTuple):
+    """What no gradient reaches."""
 
-    def __init__(
-        self, visible: Tensor, position: Tensor, centre: Tensor, channels: Tensor, known: Tensor, layout: Layout
-    ) -> None:
-        self.visible, self.position, self.centre = _flat(visible), _flat(position), _flat(centre)
-        self.channels, self.known, self.known_channels = _flat(channels), _flat(known), known.shape[1]
-        self.layout = layout
-        labelled = int((self.channels[self.visible] >= 0).sum()) if len(self.channels) else 0
-        self.clustered = max(labelled * layout.sizes.k, 1)
-        self.batches = -(-len(visible) // BATCH)
+    visible: NDArray[np.int64]
+    position: NDArray[np.float32]
+    centre: NDArray[np.float32]
+    labelling: Labelling
+    layout: Layout
+
+    def anchors(self, feature: Tensor, offset: Tensor, log_scale: Tensor) -> AnchorArrays:
+        learnt = _flat(feature), _flat(offset), _flat(log_scale)
+        return AnchorArrays(self.visible, learnt[0], self.position, self.centre, *learnt[1:])
+
+    def clustered(self) -> int:
+        """How many Gaussians the cluster loss is a mean over."""
+        channels = self.labelling.channels
+        labelled = np.count_nonzero(channels[self.visible] >= 0) if len(channels) else 0
+        return max(labelled * self.layout.sizes.k, 1)
 
 
 def _flat(tensor: Tensor) -> NDArray[Any]:
     return tensor.detach().contiguous().reshape(-1).numpy()
 
 
-def _scratch(workers: int, layout: Layout) -> tuple[NDArray[Any], NDArray[Any]]:
-    return memory.empty((workers, layout.sizes.scratch), np.float32), memory.empty((workers, BATCH), np.int64)
+def _packed(weights: NDArray[np.float32], layout: Layout) -> Packed:
+    return Packed(weights, np.array(layout.heads), layout.sizes)
+
+
+def _new_work(workers: int, layout: Layout) -> Work:
+    sizes = layout.sizes
+    floats = memory.empty((workers, sizes.scratch), np.float32)
+    return Work(np.zeros(1, np.int64), floats, memory.empty((workers, BATCH * (1 + 2 * sizes.k)), np.int64))
+
+
+def _new_drawn(count: int, channels: int) -> list[Tensor]:
+    """The tensors of ``Drawn``, to be filled."""
+    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels))
+    return [memory.empty_tensor(shape) for shape in shapes]
 
 
 class _Decode(torch.autograd.Function):
@@ -85,95 +98,42 @@ class _Decode(torch.autograd.Function):
     def forward(
         ctx: Any, fixed: _Fixed, feature: Tensor, offset: Tensor, log_scale: Tensor, *parameters: Tensor
     ) -> tuple[Tensor, ...]:
-        layout, workers = fixed.layout, worker_count()
-        sizes, batches, count = layout.sizes, fixed.batches, len(fixed.visible)
-        weights = packed(list(parameters), layout)
-        anchors = [_flat(tensor) for tensor in (feature, offset, log_scale)]
-        scratch = _scratch(workers, layout)
-        all_opacities, counts = memory.empty_tensor((count, sizes.k)), np.zeros(batches, np.int64)
-        share(
-            workers,
-            decode_opacities,
-            np.zeros(1, np.int64),
-            fixed.visible,
-            anchors[0],
-            fixed.position,
-            fixed.centre,
-            weights,
-            np.array(layout.heads),
-            sizes,
-            _flat(all_opacities),
-            counts,
-            *scratch,
-        )
-        starts, drawn = np.cumsum(counts) - counts, int(counts.sum())
-        channels = fixed.known_channels if len(fixed.known) else sizes.classes + sizes.slots
-        outputs = [memory.empty_tensor(shape) for shape in ((drawn, 3), (drawn, 3), (drawn, 4), (drawn,), (drawn, 3))]
-        outputs.append(memory.empty_tensor((drawn, channels)))
-        kept, losses = memory.empty(drawn, np.int64), np.zeros(batches)
-        share(
-            workers,
-            decode_gaussians,
-            np.zeros(1, np.int64),
-            fixed.visible,
-            anchors[0],
-            fixed.position,
-            *anchors[1:],
-            fixed.centre,
-            weights,
-            np.array(layout.heads),
-            sizes,
-            _flat(all_opacities),
-            starts,
-            fixed.channels,
-            fixed.known,
-            fixed.known_channels,
-            kept,
-            *(_flat(output) for output in outputs),
-            losses,
-            *scratch,
-        )
-        kept_rows = torch.from_numpy(kept)
-        ctx.mark_non_differentiable(all_opacities, kept_rows)
-        ctx.save_for_backward(feature, offset, log_scale, *outputs, all_opacities)
-        ctx.state = fixed, weights, starts
-        cluster = torch.tensor(losses.sum() / fixed.clustered, dtype=torch.float32)
-        return *outputs, all_opacities, kept_rows, cluster
+        layout, workers, labelling = fixed.layout, worker_count(), fixed.labelling
+        sizes, visible = layout.sizes, len(fixed.visible)
+        weights = _packed(packed(list(parameters), layout), layout)
+        anchors = fixed.anchors(feature, offset, log_scale)
+        all_opacities, counts = memory.empty_tensor((visible, sizes.k)), np.zeros(-(-visible // BATCH), np.int64)
+        opacities = _flat(all_opacities)
+        parallel_for(workers, decode_opacities, anchors, weights, opacities, counts, _new_work(workers, layout))
+        batches = Batches(opacities, np.cumsum(counts) - counts, np.zeros(len(counts)))
+        channels = labelling.known_channels if len(labelling.known) else sizes.classes + sizes.slots
+        outputs = _new_drawn(int(counts.sum()), channels)
+        drawn = Drawn(*map(_flat, outputs))
+        work = _new_work(workers, layout)
+        parallel_for(workers, decode_gaussians, anchors, weights, labelling, batches, drawn, work)
+        ctx.mark_non_differentiable(all_opacities)
+        ctx.save_for_backward(feature, offset, log_scale, *outputs)
+        ctx.state = fixed, weights, batches
+        cluster = torch.tensor(batches.losses.sum() / fixed.clustered(), dtype=torch.float32)
+        return *outputs, all_opacities, cluster
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        fixed, weights, starts = ctx.state
-        if len(fixed.known):
+    def backward(ctx: Any, *by: Tensor) -> tuple[Tensor | None, ...]:
+        fixed, weights, batches = ctx.state
+        if len(fixed.labelling.known):
             raise RuntimeError("labels that were decoded before have no gradient; decode without them to train")
-        feature, offset, log_scale, _, scales, _, _, colours, labels, all_opacities = ctx.saved_tensors
+        learnt, outputs = ctx.saved_tensors[:3], ctx.saved_tensors[3:]
         layout, workers = fixed.layout, worker_count()
-        d_anchors = [memory.empty_tensor(tuple(tensor.shape)) for tensor in (feature, offset, log_scale)]
-        for gradient in d_anchors:
-            share(workers, clear, _flat(gradient))
-        d_weights = memory.empty((min(PARTS, fixed.batches), layout.parameters), np.float32)
-        share(
-            workers,
-            decode_back,
-            np.zeros(1, np.int64),
-            fixed.visible,
-            _flat(feature),
-            fixed.position,
-            _flat(offset),
-            _flat(log_scale),
-            fixed.centre,
-            weights,
-            np.array(layout.heads),
-            layout.sizes,
-            _flat(all_opacities),
-            starts,
-            fixed.channels,
-            _flat(scales),
-            _flat(colours),
-            _flat(labels),
-            *(_flat(gradient) for gradient in gradients[:6]),
-            np.float32(float(gradients[8]) / fixed.clustered),
-            *(_flat(gradient) for gradient in d_anchors),
+        d_anchors = [memory.empty_tensor(tuple(tensor.shape)).zero_() for tensor in learnt]
+        d_weights = memory.empty((min(CHUNKS, len(batches.starts)), layout.parameters), np.float32)
+        gradients = Gradients(
+            Drawn(*map(_flat, outputs)),
+            Drawn(*map(_flat, by[:6])),
+            float(by[7]) / fixed.clustered(),
+            *map(_flat, d_anchors),
             d_weights,
-            *_scratch(workers, layout),
         )
+        work = _new_work(workers, layout)
+        anchors = fixed.anchors(*learnt)
+        parallel_for(workers, decode_backward, anchors, weights, fixed.labelling, batches, gradients, work)
         return None, *d_anchors, *unpacked(d_weights.sum(axis=0), layout)

@@ -25,7 +25,7 @@ class Head(NamedTuple):
 
     ``first`` [inputs, HIDDEN], ``first_bias`` [HIDDEN], ``last`` [HIDDEN, padded], ``last_bias`` [padded] are also the
     places of their gradients. ``first_back`` [HIDDEN, padded features] and ``last_back`` [outputs, HIDDEN] are the same
-    weights transposed, for the way back.
+    weights transposed, for the backward pass.
     """
 
     inputs: int
@@ -55,8 +55,7 @@ class Sizes(NamedTuple):
     """What the kernels need to know of the shapes, and where the parts of a worker's scratch begin, in floats.
 
     A row of inputs, of which scratch holds a batch first, is feature, direction, distance (if wanted) and zeros:
-    ``inputs`` floats. The last three places are room for one anchor's activated outputs and its six scales, for the
-    outputs of sixteen anchors transposed, and for the sums of softmax.
+    ``inputs`` floats.
     """
 
     features: int
@@ -70,9 +69,6 @@ class Sizes(NamedTuple):
     d_hidden_at: int
     d_inputs_at: int
     out_at: int
-    active_at: int
-    tall_at: int
-    sums_at: int
     scratch: int
 
 
@@ -101,18 +97,16 @@ def layout_of(shape: DecoderShape) -> Layout:
     for inputs, outputs in sides:
         padded = _rounded(outputs, LANES)
         counts = (_rounded(inputs, ROUND_ROWS) * HIDDEN, HIDDEN, HIDDEN * padded, padded)
-        starts = [at + sum(counts[:part]) for part in range(4)]
+        starts = [at + sum(counts[:place]) for place in range(4)]
         at += sum(counts)
         places.append((inputs, outputs, padded, *starts))
     parameters, heads = at, []
     for place in places:
         heads.append(Head(*place, at, at + HIDDEN * padded_features))
         at += HIDDEN * (padded_features + place[1])
-    widest = max(head.padded for head in heads)
     inputs = _rounded(seen, ROUND_ROWS)
-    batch = (inputs, HIDDEN, HIDDEN, padded_features, widest)
-    parts = [*(BATCH * width for width in batch), 2 * LANES + heads[COVARIANCE].padded, LANES * widest, 2 * k * BATCH]
-    begins = [sum(parts[:part]) for part in range(len(parts) + 1)]
+    widths = (inputs, HIDDEN, HIDDEN, padded_features, max(head.padded for head in heads))
+    begins = [BATCH * sum(widths[:place]) for place in range(len(widths) + 1)]
     sizes = Sizes(
         features=shape.features,
         padded_features=padded_features,
@@ -125,10 +119,7 @@ def layout_of(shape: DecoderShape) -> Layout:
         d_hidden_at=begins[2],
         d_inputs_at=begins[3],
         out_at=begins[4],
-        active_at=begins[5] + LANES,  # a load may reach beyond the last output
-        tall_at=begins[6],
-        sums_at=begins[7],
-        scratch=begins[8],
+        scratch=begins[5],
     )
     return Layout(Heads(*heads), sizes, parameters, at)
 

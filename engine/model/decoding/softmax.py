@@ -1,111 +1,70 @@
-"""Softmax of a batch's logits, sixteen anchors side by side, and the way back through it."""
+"""Softmax of a run of float32, sixteen at a time, and its backward pass. NaN stays NaN: a diverged scene shows."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import types
 
-from ...machine.compiled import Array, inlined, part
+from ...machine.compiled import Array, device_function
+from ...machine.vector_shuffles import horizontal_max, horizontal_sum
 from ...machine.vectors import (
-    INTS_IR,
-    LANES_IR,
     WIDTH,
-    element,
+    broadcast,
     fma,
-    intrinsic,
     lane_numbers,
     load,
-    load_some,
+    masked_load,
+    masked_store,
     maximum,
-    spread,
+    select,
     store,
-    store_some,
 )
-from .activations import LOWEST, falling_exponential, sum_of
+from .activations import falling_exponential
 
 F = np.float32
 ZERO, ONE = F(0.0), F(1.0)
+LOWEST = F(-3.0e38)
 
 
-@intrinsic
-def transpose(
-    typing_context: Any, source: Any, source_at: Any, source_stride: Any, out: Any, out_at: Any, out_stride: Any
-) -> Any:
-    """out[j, i] = source[i, j] of sixteen by sixteen float32; rows start a stride apart; all is read before it is
-    written."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        def row(place: int, number: int) -> ir.Value:
-            start = element(context, builder, signature.args[place], arguments[place], arguments[place + 1])
-            there = builder.gep(start, [builder.mul(ir.IntType(64)(number), arguments[place + 2])])
-            return builder.bitcast(there, LANES_IR.as_pointer())
-
-        half = WIDTH // 2
-        shuffles = [
-            ir.Constant(INTS_IR, [place for lane in range(start, start + half) for place in (lane, lane + WIDTH)])
-            for start in (0, half)
-        ]
-        rows = [builder.load(row(0, number), align=4) for number in range(WIDTH)]
-        for _ in range(4):  # each round interleaves the halves: four make the transpose
-            pairs = zip(rows[:half], rows[half:], strict=True)
-            rows = [builder.shuffle_vector(a, b, shuffle) for a, b in pairs for shuffle in shuffles]
-        for number, values in enumerate(rows):
-            builder.store(values, row(3, number), align=4)
-        return context.get_dummy_value()
-
-    i = types.int64
-    return types.void(source, i, i, out, i, i), emit
+@device_function
+def softmax(values: Array, at: int, out: Array, out_at: int, count: int) -> Any:
+    """out[out_at:] = softmax of the ``count`` values[at:], which may be the same place. Returns the largest value m and
+    the sum of e^(value - m)."""
+    whole = count - count % WIDTH
+    inside = lane_numbers() < broadcast(F(count - whole))
+    tail = select(inside, masked_load(values, at + whole, inside), broadcast(LOWEST))
+    top = tail
+    for c in range(0, whole, WIDTH):
+        top = maximum(top, load(values, at + c))
+    largest = horizontal_max(top)
+    tail = select(inside, falling_exponential(tail - broadcast(largest)), broadcast(ZERO))
+    total = tail
+    for c in range(0, whole, WIDTH):
+        power = falling_exponential(load(values, at + c) - broadcast(largest))
+        store(out, out_at + c, power)
+        total = total + power
+    added = horizontal_sum(total)
+    over = broadcast(ONE / added)
+    for c in range(0, whole, WIDTH):
+        store(out, out_at + c, load(out, out_at + c) * over)
+    masked_store(out, out_at + whole, tail * over, inside)
+    return largest, added
 
 
-@part
-def soften(values: Array, at: int, stride: int, rows: int, k: int, count: int, tall: int, sums: int) -> None:
-    """In place, the softmax of each of the k runs of ``count`` values in every row; rows are ``stride`` (a multiple of
-    16) floats apart and ``rows`` is rounded up to a multiple of 16.
-
-    Two places more in ``values``: from ``tall`` on, ``stride`` x 16 floats to work in; from ``sums`` on come the
-    largest logits m [k, rounded rows], then the sums of e^(logit - m), likewise.
-    """
-    rounded = (rows + WIDTH - 1) // WIDTH * WIDTH
-    for i in range(0, rounded, WIDTH):
-        block = at + i * stride
-        for c in range(0, stride, WIDTH):
-            transpose(values, block + c, stride, values, tall + c * WIDTH, WIDTH)
-        for g in range(k):
-            first = tall + g * count * WIDTH
-            after = first + count * WIDTH
-            top = spread(LOWEST)
-            for c in range(first, after, WIDTH):
-                top = maximum(top, load(values, c))
-            total = spread(ZERO)
-            for c in range(first, after, WIDTH):
-                power = falling_exponential(load(values, c) - top)
-                store(values, c, power)
-                total = total + power
-            share = spread(ONE) / total
-            for c in range(first, after, WIDTH):
-                store(values, c, load(values, c) * share)
-            store(values, sums + g * rounded + i, top)
-            store(values, sums + (k + g) * rounded + i, total)
-        for c in range(0, stride, WIDTH):
-            transpose(values, tall + c * WIDTH, WIDTH, values, block + c, stride)
-
-
-@inlined
-def soften_back(p: Array, at: int, g: Array, g_at: int, shift: Any, out: Array, out_at: int, count: int) -> None:
+@device_function
+def softmax_backward(p: Array, at: int, g: Array, shift: Any, out: Array, out_at: int, count: int) -> None:
     """out = p (g - sum(p g) + shift): the gradient through a softmax whose values are p, and ``shift`` times p.
 
-    ``count`` values from ``at``, ``g_at`` and ``out_at`` on.
+    ``count`` values, of p and g from ``at`` on, of out from ``out_at`` on.
     """
-    total = spread(ZERO)
+    total = broadcast(ZERO)
     whole = count - count % WIDTH
     for c in range(0, whole, WIDTH):
-        total = fma(load(p, at + c), load(g, g_at + c), total)
-    inside = lane_numbers() < spread(F(count - whole))
-    rest_p, rest_g = load_some(p, at + whole, inside), load_some(g, g_at + whole, inside)
-    less = spread(F(shift) - sum_of(fma(rest_p, rest_g, total)))
+        total = fma(load(p, at + c), load(g, at + c), total)
+    inside = lane_numbers() < broadcast(F(count - whole))
+    tail_p, tail_g = masked_load(p, at + whole, inside), masked_load(g, at + whole, inside)
+    less = broadcast(F(shift) - horizontal_sum(fma(tail_p, tail_g, total)))
     for c in range(0, whole, WIDTH):
-        store(out, out_at + c, load(p, at + c) * (load(g, g_at + c) + less))
-    store_some(out, out_at + whole, rest_p * (rest_g + less), inside)
+        store(out, out_at + c, load(p, at + c) * (load(g, at + c) + less))
+    masked_store(out, out_at + whole, tail_p * (tail_g + less), inside)

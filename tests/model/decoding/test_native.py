@@ -13,7 +13,6 @@ from engine.model.decoders import Decoders, DecoderShape
 from engine.model.gaussians import decode_rows
 from engine.model.neural_gaussians import NeuralGaussians
 from engine.model.torch_decoding import decode_in_torch
-from engine.raster.kernels import choose_kernels
 
 OUTPUTS = ("means", "scales", "quats", "opacities", "colours", "labels", "cluster_loss")
 STANDARD = DecoderShape(32, 4, 18, 25, distance_input=False, label_view_input=False)
@@ -122,8 +121,7 @@ def assert_matches(case: Case, only: tuple[str, ...] = OUTPUTS) -> None:
 
 @pytest.fixture(autouse=True)
 def vector_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PLGS_RASTER_KERNELS", "vector")
-    assert choose_kernels().name == "vector"
+    monkeypatch.setenv("PLGS_DECODER_KERNELS", "vector")
 
 
 @pytest.fixture
@@ -254,10 +252,12 @@ def test_nan_comes_through_the_hidden_layer(decoder: str, parameter: str) -> Non
     assert torch.isnan(reached[decoder]).any()
 
 
-def test_plain_kernels_mean_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("variables", [{"DECODER": "torch"}, {"DECODER": "", "RASTER": "plain"}])
+def test_kernels_can_be_switched_off(variables: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     case = case_of(STANDARD, 50)
     vector = decoded(case)
-    monkeypatch.setenv("PLGS_RASTER_KERNELS", "plain")
+    for name, value in variables.items():
+        monkeypatch.setenv(f"PLGS_{name}_KERNELS", value)
     plain, twin = decoded(case), decoded(case, in_torch=True)
     assert all(torch.equal(getattr(plain, name), getattr(twin, name)) for name in OUTPUTS)
     torch.testing.assert_close(vector.labels, plain.labels)
@@ -266,3 +266,9 @@ def test_plain_kernels_mean_torch(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_other_precisions_mean_torch() -> None:
     case = case_of(STANDARD, 50).in_double()
     assert decoded(case).means.dtype == torch.float64
+
+
+def test_an_unknown_switch_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PLGS_DECODER_KERNELS", "fast")
+    with pytest.raises(ValueError, match="PLGS_DECODER_KERNELS is 'fast'"):
+        decoded(case_of(STANDARD, 5))

@@ -1,0 +1,29 @@
+"""Says that kernels are being compiled, once on each machine: it takes long, and nothing else shows."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+from .compiled import CACHE_FOLDER, machine_target
+
+log = logging.getLogger("plgs.machine")
+
+
+def log_compilation(what: str, how_long: str) -> Callable[[], None]:
+    """Log that ``what`` is compiled unless it was before; call what is returned when it has been."""
+    stamp = _stamp(what)
+    if stamp.exists():
+        return lambda: None
+    log.info("compiling %s for this machine, about %s, once", what, how_long)
+    return stamp.touch
+
+
+@cache
+def _stamp(what: str) -> Path:
+    """An empty file beside the machine code."""
+    target = hashlib.sha256(repr(machine_target()).encode()).hexdigest()[:16]
+    return CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{target}"

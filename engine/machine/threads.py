@@ -1,0 +1,64 @@
+"""Threads that run compiled kernels side by side: Python's own thread pool, for kernels let go of the interpreter."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+import torch
+
+MOST_WORKERS = 256
+
+_stopwatch: dict[str, float] | None = None
+
+
+def worker_count() -> int:
+    """As many workers as torch has threads, ``MOST_WORKERS`` at most."""
+    return max(1, min(torch.get_num_threads(), MOST_WORKERS))
+
+
+def parallel_for(workers: int, kernel: Callable[..., None], *arguments: Any) -> None:
+    """Run ``kernel(worker, workers, *arguments)`` for worker 0, 1, ... ``workers`` - 1, and wait for all of them.
+
+    Worker 0 is the calling thread. A kernel must not call this. Raises ``ValueError`` when ``workers`` is not 1 to
+    ``MOST_WORKERS``, and whatever a kernel raised, after all workers have ended.
+    """
+    if not 1 <= workers <= MOST_WORKERS:
+        raise ValueError(f"{workers} workers are asked for; there can be 1 to {MOST_WORKERS}")
+    start = time.perf_counter()
+    others = [_pool().submit(kernel, worker, workers, *arguments) for worker in range(1, workers)]
+    try:
+        kernel(0, workers, *arguments)
+    finally:
+        wait(others)
+    for other in others:
+        other.result()
+    if _stopwatch is not None:
+        name = kernel.__name__
+        _stopwatch[name] = _stopwatch.get(name, 0.0) + time.perf_counter() - start
+
+
+@contextmanager
+def timed() -> Iterator[dict[str, float]]:
+    """Within, the wall seconds of every kernel add up under its name."""
+    global _stopwatch
+    _stopwatch = {}
+    try:
+        yield _stopwatch
+    finally:
+        _stopwatch = None
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    """That of this process. It starts a thread when a kernel needs one more."""
+    return ThreadPoolExecutor(MOST_WORKERS, thread_name_prefix="plgs-worker")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not follow into a forked process

@@ -1,0 +1,153 @@
+"""What the kernels take and fill, as named tuples of arrays.
+
+N Gaussians, T intersections (pairs of a Gaussian and a tile that it may touch), P pixels, C channels of labels. Arrays
+of the blending kernels are flat: a picture of P pixels with C channels has shape [P * C].
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine.compiled import Array
+
+
+class Size(NamedTuple):
+    """Of the picture, in pixels, and the channels of its labels."""
+
+    width: int
+    height: int
+    channels: int
+
+
+class Gaussians(NamedTuple):
+    """``rasterize``'s own arguments, float32: ``means`` and ``scales`` [N, 3] in metres, ``quats`` [N, 4] wxyz,
+    ``opacities`` [N], ``colours`` [N, 3]."""
+
+    means: Array
+    scales: Array
+    quats: Array
+    opacities: Array
+    colours: Array
+
+
+class Shapes(NamedTuple):
+    """What the backward pass of the projection needs of ``Gaussians``."""
+
+    means: Array
+    scales: Array
+    quats: Array
+
+
+class Projected(NamedTuple):
+    """What projection makes of each Gaussian: ``records`` float32 [N, RECORD]; ``boxes`` int32 [N, 4], columns and rows
+    of tiles, last ones excluded; ``depths`` float32 [N], metres; ``means2d`` float32 [N, 2], pixels; ``visible`` bool
+    [N]. Of those that are not visible the boxes are empty, ``means2d`` is 0, the others mean nothing."""
+
+    records: Array
+    boxes: Array
+    depths: Array
+    means2d: Array
+    visible: Array
+
+
+class Intersections(NamedTuple):
+    """Which Gaussians each tile draws, front to back (gsplat's ``isect_offsets`` and ``flatten_ids``), and where their
+    gradients in that tile go.
+
+    ``isect_offsets`` int64 [tiles + 1]: tile t has the Gaussians flatten_ids[isect_offsets[t] : isect_offsets[t + 1]],
+    int32 [T]. ``isect_ids`` int32 [T], in the same order: the number of the intersection when they are counted Gaussian
+    by Gaussian; those of Gaussian i are gaussian_offsets[i] to before gaussian_offsets[i + 1], int64 [N + 1].
+    """
+
+    gaussian_offsets: Array
+    isect_offsets: Array
+    flatten_ids: Array
+    isect_ids: Array
+
+
+class Splats(NamedTuple):
+    """What is blended: ``records`` [N * RECORD] and ``labels`` [N * C], float32."""
+
+    records: Array
+    labels: Array
+
+
+class Blended(NamedTuple):
+    """What blending makes of each pixel, float32: ``image`` [P * 3], ``labels`` [P * C], ``alpha``, ``depth``, the
+    ``final`` transmittance, and in ``last`` the place in its tile's list of the last Gaussian blended, -1 for none
+    [P]."""
+
+    image: Array
+    labels: Array
+    alpha: Array
+    depth: Array
+    final: Array
+    last: Array
+
+
+class PixelGradients(NamedTuple):
+    """Of ``image`` [P * 3], ``labels`` [P * C], ``alpha`` and ``depth`` [P]; with what the forward pass left of each
+    pixel, ``final`` and ``last`` [P]. All float32."""
+
+    image: Array
+    labels: Array
+    alpha: Array
+    depth: Array
+    final: Array
+    last: Array
+
+
+class IsectGradients(NamedTuple):
+    """Of each intersection, by its number: ``touched`` uint8 [T]; where that is 0 the others mean nothing. ``values``
+    float32 [T * GRADIENT_WIDTH], and of labels [T * padded channels]."""
+
+    touched: Array
+    values: Array
+    labels: Array
+
+
+class GaussianGradients(NamedTuple):
+    """In the order of ``rasterize``'s arguments, shaped as they are; and of ``means2d`` [N, 2]. All float32."""
+
+    means: Array
+    scales: Array
+    quats: Array
+    opacities: Array
+    colours: Array
+    labels: Array
+    means2d: Array
+
+
+class Scratch(NamedTuple):
+    """``next_one`` int64 [1]: the tile or chunk whose turn it is. Each worker's room to work in: ``floats`` float32
+    [workers, n], ``members`` int32 [workers, MEMBERS], ``words`` int64 [workers, w], a word a patch, row or batch."""
+
+    next_one: Array
+    floats: Array
+    members: Array
+    words: Array
+
+
+class Tile(NamedTuple):
+    """The pixel ``left``, ``top`` of a tile's corner, and its intersections: ``length`` of them from ``first`` on."""
+
+    left: int
+    top: int
+    first: int
+    length: int
+
+
+class Blocks(NamedTuple):
+    """``next_one`` int64 [1]: the chunk whose turn it is. ``rows`` float64 [workers, n]: a block of lanes for each
+    worker."""
+
+    next_one: Array
+    rows: Array
+
+
+def flat(array: Array) -> NDArray[np.float32]:
+    """The same memory in one row."""
+    return array.reshape(-1)

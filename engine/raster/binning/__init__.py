@@ -1,0 +1,1 @@
+"""Which Gaussians each tile of the picture draws, front to back."""

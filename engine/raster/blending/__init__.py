@@ -1,0 +1,1 @@
+"""Gaussians to pixels, tile by tile, and gradients back: plain kernels; in ``vector`` their fast twins."""

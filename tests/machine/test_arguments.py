@@ -1,0 +1,32 @@
+"""No kernel is called with so many arguments that their order must be kept by hand."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ENGINE = Path(__file__).resolve().parents[2] / "engine"
+MOST = 8
+DECORATORS = ("compiled", "contracted", "inlined", "parallel_kernel", "device_function", "contracted_device_function")
+
+
+def kernels_of(source: Path) -> dict[str, int]:
+    """How many arguments each kernel of a file has."""
+    return {
+        node.name: len(node.args.args)
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef)
+        if any(isinstance(own, ast.Name) and own.id in DECORATORS for own in node.decorator_list)
+    }
+
+
+@pytest.mark.parametrize("folder", ["machine", "raster", "model"])
+def test_kernels_take_eight_arguments_at_most(folder: str) -> None:
+    found = {source: kernels_of(source) for source in sorted((ENGINE / folder).rglob("*.py"))}
+    assert any(found.values())
+    too_many = {
+        f"{source.name}: {name}" for source, own in found.items() for name, count in own.items() if count > MOST
+    }
+    assert too_many == set()
