@@ -22,7 +22,7 @@ class Effort:
     gaussians_per_anchor: int
     most_points: int = 200_000
     most_anchors: int = 400_000
-    self_training_every: float = 1 / 6
+    self_training_every: float = 1.0
     steps_a_view: float = 0.0
 
     def steps_for(self, views: int) -> int:
@@ -45,6 +45,7 @@ EFFORTS = {
             gaussians_per_anchor=10,
             most_points=2_000_000,
             most_anchors=2_000_000,
+            self_training_every=1 / 6,
         ),
     )
 }

@@ -69,7 +69,7 @@ class Report:
             self._pictures.setdefault(method, []).append(scores)
         if view.depth is not None and view.alpha is not None:
             errors = self._depths.setdefault(method, DepthErrors())
-            errors.add(view.depth, view.alpha, frame.read_depth(frame.size))
+            errors.add(view.depth, view.alpha, frame.depth(frame.size))
         if frame.read_ground_truth is not None:
             self._add_labels(method, view, frame.read_ground_truth(frame.size))
 

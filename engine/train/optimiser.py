@@ -61,6 +61,9 @@ class Optimiser:
         for group in self.adam.param_groups:
             rate = learning_rate(getattr(self.rates, group["name"]), progress)
             group["lr"] = rate * self.extent if group["name"] == "offset" else rate
+            for parameter in group["params"]:
+                if parameter.grad is None:  # a decoder that took no part: its moments fade, and all count their steps
+                    parameter.grad = torch.zeros_like(parameter)
         self.adam.step()
         self.adam.zero_grad(set_to_none=True)
         self.count += 1

@@ -88,7 +88,7 @@ class Preset:
     segments are assigned to slots in each step. ``fit_exposure``: each photo is compared after the model's picture was
     brought to its exposure; ``weigh_sharpness``: blurred photos count less. ``labels``: what the finished scene shows,
     what the label decoders say, or what the views vote on its Gaussians ("votes", masks read within
-    ``vote_size_within``), in ``vote_rounds``.
+    ``vote_size_within``), in ``vote_rounds``. Labels are trained in every ``label_every``-th step.
     """
 
     name: str
@@ -126,6 +126,7 @@ class Preset:
     labels: Literal["decoders", "votes"] = "votes"
     vote_size_within: tuple[int, int] = (320, 320)
     vote_rounds: int = 1
+    label_every: int = 4
     voting: VotingOptions = VotingOptions()
 
     def for_views(self, views: int) -> Preset:
@@ -172,6 +173,7 @@ PRESETS = {
             fit_exposure=False,
             weigh_sharpness=False,
             labels="decoders",
+            label_every=1,
         ),
     )
 }

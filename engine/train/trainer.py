@@ -86,9 +86,10 @@ class Trainer:
             self.refresh_pseudo_labels(check)
         target = self._view_of_step(self.step_number)
         self.clock.start()
-        gaussians = self._decode(target)
+        teaches_labels = self.step_number % self.preset.label_every == 0
+        gaussians = self._decode(target, teaches_labels)
         self.clock.lap("decode, forward")
-        rendering = self._rasterize(gaussians, target)
+        rendering = self._rasterize(gaussians, target, teaches_labels)
         self.clock.lap("rasterise, forward")
         weights = self.preset.weights
         reconstruction = reconstruction_loss(
@@ -100,7 +101,9 @@ class Trainer:
             volume_weight=weights.volume,
         )
         self.clock.lap("SSIM, L1, volume")
-        semantic, instance = self._label_losses(gaussians, rendering, target)
+        semantic, instance = reconstruction.new_zeros(2)
+        if teaches_labels:
+            semantic, instance = self._label_losses(gaussians, rendering, target)
         loss = reconstruction + weights.semantic * semantic + weights.instance * instance
         if weights.depth:
             loss = loss + weights.depth * depth_loss(rendering.depth, rendering.alpha, target.depth)
@@ -126,18 +129,22 @@ class Trainer:
         self.clock.lap("the rest")
         return report
 
-    def _decode(self, target: ViewTargets) -> NeuralGaussians:
-        """What the view's camera sees, and L_cluster of it."""
-        return decode(self.scene.anchors, self.scene.decoders, target.camera, channels=self.initial_channels)
+    def _decode(self, target: ViewTargets, with_labels: bool = True) -> NeuralGaussians:
+        """What the view's camera sees, and with labels L_cluster of it."""
+        anchors, decoders = self.scene.anchors, self.scene.decoders
+        if with_labels:
+            return decode(anchors, decoders, target.camera, channels=self.initial_channels)
+        unlabelled = torch.zeros(len(anchors) * anchors.gaussians_per_anchor, 1)
+        return decode(anchors, decoders, target.camera, known_labels=unlabelled)
 
-    def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets) -> Rendering:
+    def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets, with_labels: bool = True) -> Rendering:
         return rasterize(
             gaussians.means,
             gaussians.scales,
             gaussians.quats,
             gaussians.opacities,
             gaussians.colours,
-            gaussians.labels,
+            gaussians.labels if with_labels else None,
             torch.from_numpy(target.camera.camera_to_world).float(),
             torch.from_numpy(target.camera.K).float(),
             target.camera.width,
@@ -157,9 +164,9 @@ class Trainer:
     def _descend(self, loss: torch.Tensor, gaussians: NeuralGaussians, rendering: Rendering) -> None:
         """The backward pass."""
         drawn = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.colours)
-        assert rendering.labels is not None  # drawn with labels
-        self.clock.lap_on_way_back((rendering.image, rendering.labels), "losses, backward")
-        self.clock.lap_on_way_back((*drawn, gaussians.labels), "rasterise, backward")
+        layers = [rendering.image] if rendering.labels is None else [rendering.image, rendering.labels]
+        self.clock.lap_on_way_back(layers, "losses, backward")
+        self.clock.lap_on_way_back(drawn, "rasterise, backward")
         loss.backward()
         self.clock.lap("decode, backward")
 

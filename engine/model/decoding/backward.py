@@ -131,7 +131,8 @@ def batch_backward(
     sizes = packed.sizes
     collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
     fill(mine, sizes.d_inputs_at, rounded_rows(batch.rows) * sizes.padded_features, ZERO)
-    for place in range(OPACITY, INSTANCE + 1):
+    last = INSTANCE if labelling.known.shape[0] == 0 else COLOUR  # labels decoded before have no gradient
+    for place in range(OPACITY, last + 1):
         head = head_of(packed.heads, place)
         rows = batch.rows if place == SEMANTIC else batch.drawing
         if place == SEMANTIC:

@@ -120,8 +120,6 @@ class _Decode(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *by: Tensor) -> tuple[Tensor | None, ...]:
         fixed, weights, batches = ctx.state
-        if len(fixed.labelling.known):
-            raise RuntimeError("labels that were decoded before have no gradient; decode without them to train")
         learnt, outputs = ctx.saved_tensors[:3], ctx.saved_tensors[3:]
         layout, workers = fixed.layout, worker_count()
         d_anchors = [memory.empty_tensor(tuple(tensor.shape)).zero_() for tensor in learnt]
