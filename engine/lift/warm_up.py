@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from ..job import EventWriter, StopSignal
+from ..model.label_voting import LabelVotes, contributors, shown_labels
 from ..model.render import render_view
 from ..passes import decide
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
@@ -38,6 +39,10 @@ def warm_up() -> None:
         while not trainer.finished:
             trainer.step()
         decide(render_view(trainer.scene, views[0].camera), classes, prepared.class_of_instance)
+        votes = LabelVotes(trainer.scene, preset.voting)
+        seen = contributors(trainer.scene, views[0].camera, preset.voting.contributors)
+        votes.add(seen, np.zeros(views[0].depth.shape, np.int16), views[0].depth)
+        shown_labels(trainer.scene, votes.result(), seen)
         events.close()
 
 
