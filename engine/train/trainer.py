@@ -95,8 +95,9 @@ class Trainer:
         rendering = self._rasterize(gaussians, target)
         self.clock.lap("rasterise, forward")
         weights = self.preset.weights
+        picture, gains = self._as_photographed(rendering.image, target)
         reconstruction = reconstruction_loss(
-            self._as_photographed(rendering.image, target),
+            picture,
             target.photo,
             gaussians.scales,
             photo_weight=target.weight,
@@ -111,6 +112,7 @@ class Trainer:
             self.clock.lap("depth loss")
         if not bool(torch.isfinite(loss)):
             raise FloatingPointError(f"the loss of step {self.step_number + 1} is {loss.item()}; the scene diverged")
+        self.gains = gains
         self._descend(loss, gaussians, rendering)
         progress = self.step_number / self.preset.steps
         self._gather_statistics(gaussians, rendering, target, progress)
@@ -149,17 +151,18 @@ class Trainer:
             want_means2d_grad=True,
         )
 
-    def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> torch.Tensor:
-        """The rendered picture with the photo's exposure, and with its black border, which then has no gradient."""
-        photo = target.photo.values
+    def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> tuple[torch.Tensor, torch.Tensor]:
+        """The rendered picture with the photo's exposure, and with its black border, which then has no gradient; and
+        all ``gains`` with the photo's new one."""
+        photo, gains = target.photo.values, self.gains
         if self.preset.fit_exposure:
-            number = self._number[target.name]
-            self.gains[number] = exposure_gain(image, photo, target.border)
+            number, gains = self._number[target.name], gains.clone()
+            gains[number] = exposure_gain(image, photo, target.border)
             # What all photos have in common is for the model to learn.
-            image = image * (self.gains[number] / self.gains.log().mean(dim=0).exp())
+            image = image * (gains[number] / gains.log().mean(dim=0).exp())
         if target.border is not None:
             image = torch.where(target.border[..., None], torch.from_numpy(photo), image)
-        return image
+        return image, gains
 
     def _descend(self, loss: torch.Tensor, gaussians: NeuralGaussians, rendering: Rendering) -> None:
         """The backward pass."""
