@@ -125,7 +125,7 @@ class Preset:
     weigh_sharpness: bool = True
     labels: Literal["decoders", "votes"] = "votes"
     vote_size_within: tuple[int, int] = (320, 320)
-    vote_rounds: int = 1
+    vote_rounds: int = 2
     label_every: int = 4
     voting: VotingOptions = VotingOptions()
 
