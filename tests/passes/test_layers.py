@@ -108,8 +108,8 @@ def test_combined_is_linear() -> None:
 
 
 def coarse_rendering(seed: int, height: int = 23, width: int = 29) -> tuple[PanopticRendering, ClassTable]:
-    """Coverages of few values, so that ties abound, and of few bits, so that sums are exact in any order; void and spare
-    channels, ids in no order, some pixels empty."""
+    """Coverages of few values, so that ties abound, and of few bits, so that sums are exact in any order; void and
+    spare channels, ids in no order, some pixels empty."""
     random = np.random.default_rng(seed)
     classes, slots = int(random.integers(1, 12)), int(random.integers(0, 9))
     class_ids = random.permutation(20)[:classes] + (0 if seed % 3 else 1)
