@@ -65,11 +65,16 @@ def test_a_broken_file_is_passed_over(tmp_path: Path, content: str) -> None:
     assert machine_slowness(tmp_path) != 1.0
 
 
-def test_efforts() -> None:
+def test_what_a_user_chooses_is_done() -> None:
     assert chosen_effort("preview") is EFFORTS["preview"]
-    assert chosen_effort("standard", steps=7, size=(100, 50)) == replace(
-        EFFORTS["standard"], steps=7, size_within=(100, 50)
-    )
+    chosen = chosen_effort("standard", steps=7, size=(100, 50))
+    assert (chosen.steps, chosen.size_within, chosen.voxel_size) == (7, (100, 50), EFFORTS["standard"].voxel_size)
+    assert chosen.steps_for(2000) == 7
+
+
+def test_many_views_need_more_steps() -> None:
+    effort = replace(EFFORTS["preview"], steps=100, steps_a_view=2.5)
+    assert [effort.steps_for(views) for views in (1, 40, 41, 1000)] == [100, 100, 102, 2500]
 
 
 def test_needs_neither_torch_nor_numpy(root: Path) -> None:

@@ -46,10 +46,11 @@ def blending_weights(scene: StructuredScene, camera: Camera, label: np.ndarray) 
     """Sum of each Gaussian's blending weights over the pixels of each label, float64 [G, L]: the gradient of a
     rendering of labels, summed where a pixel has the label, with respect to the Gaussians' labels."""
     drawn = decode(scene.anchors, scene.decoders, camera)
-    shape = (each.detach().double() for each in (drawn.means, drawn.scales, drawn.quats, drawn.opacities, drawn.colours))
+    learnt = (drawn.means, drawn.scales, drawn.quats, drawn.opacities, drawn.colours)
     own = torch.zeros(len(drawn.kept), LABELS, dtype=torch.float64, requires_grad=True)
     pose, intrinsics = torch.from_numpy(camera.camera_to_world), torch.from_numpy(camera.K)
-    rendering = rasterize(*shape, own, pose, intrinsics, camera.width, camera.height, backend="reference")
+    exact = (each.detach().double() for each in learnt)
+    rendering = rasterize(*exact, own, pose, intrinsics, camera.width, camera.height, backend="reference")
     assert rendering.labels is not None
     wanted = torch.from_numpy(label[..., None] == np.arange(LABELS))
     (rendering.labels * wanted).sum().backward()

@@ -21,6 +21,7 @@ STEPS = 12
 TINY = replace(
     PRESETS["preview"],
     steps=STEPS,
+    steps_a_view=0,
     voxel_size=0.2,
     gaussians_per_anchor=3,
     instance_slots=4,
