@@ -78,7 +78,7 @@ def _mix(
 
 
 def _emit(tree: bpy.types.NodeTree, colour: Any) -> None:
-    """Let the surface glow in this colour, to the right of everything."""
+    """Let the surface emit this colour, to the right of everything."""
     column = max(node.location.x for node in tree.nodes) // 220 + 1
     light, end = (
         _node(tree, "ShaderNodeEmission", column, 0),

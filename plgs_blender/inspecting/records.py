@@ -141,7 +141,7 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         name="Legend", description="Draw the classes and their colours over the view"
     )
     show_selected: BoolProperty(  # type: ignore[valid-type]
-        name="Selected points", default=True, description="Let the points and anchors of the selected instance glow"
+        name="Selected points", default=True, description="Highlight the points and anchors of the selected instance"
     )
     dim_others: BoolProperty(  # type: ignore[valid-type]
         name="Dim the rest", default=True, description="While an instance is selected, darken everything else"
