@@ -62,7 +62,7 @@ def predict(
         "start": 4.0,
         "check": 0.1 + 0.14 * frames * own,
         "read": 0.07 * train_frames * own,
-        "believe": 1.3 + 1.6 * seen,
+        "consistency": 1.3 + 1.6 * seen,
         "match": 1.1 + 0.7 * seen,
         "prepare": 10.0 + 2.3 * seen,
         "train": effort.steps * step + rounds * train_frames * 0.42 * step,
@@ -115,7 +115,7 @@ def _speed_path(cache: Path | None) -> Path:
 
 
 def _measured(path: Path) -> list[float]:
-    """Empty when there is nothing, or nothing that can be believed."""
+    """Empty when there is nothing, or nothing that makes sense."""
     try:
         content = read_object(path, "Delete it.")
     except JobError:
