@@ -57,8 +57,8 @@ class Anchors:
 class Mask:
     """A mask's segment that was matched to an instance, with the class and score it has itself. `share` of the
     picture's pixels and `rectangle` (left, top, right, bottom, 0..1) tell where it lies, `pixels` how many it has
-    with depth. Why it was matched: `cost` of the match by boxes, or the view `agreement` (0..1). Lifts of older versions
-    have no more than `cost`: then the rest is zero and None.
+    with depth. Why it was matched: `cost` of the match by boxes, or the view `agreement` (0..1). Lifts of older
+    versions have no more than `cost`: then the rest is zero and None.
     """
 
     frame: str
@@ -205,7 +205,7 @@ def _instance(entry: dict[str, Any]) -> Instance:
 
 
 def _mask(entry: dict[str, Any]) -> Mask:
-    cost, agreement = entry.get("cost"), entry.get("consent")  # the file keeps its first name, so that old ones are read
+    cost, agreement = entry.get("cost"), entry.get("consent")  # its name in the file, since the first version
     return Mask(
         frame=_text(entry["frame"]),
         segment_id=_whole(entry["segment_id"]),
