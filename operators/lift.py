@@ -85,7 +85,7 @@ class Following:
         """Tell how it ended; show a finished lift if this scene is still set to it and wants to."""
         outcome = followed.outcome
         assert outcome is not None
-        self.report({"ERROR" if outcome.error else "INFO"}, lifts.words_for(followed))
+        self.report({"ERROR" if outcome.error else "INFO"}, lifts.message_for(followed))
         if not followed.ended_well:
             return CANCELLED
         if followed.is_baking:
