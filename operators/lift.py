@@ -13,7 +13,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..plgs_blender.lift_scene import place_passes_anew
-from ..plgs_blender.running import lifts, recents, start, watch
+from ..plgs_blender.running import lifts, poll_timer, recents, start
 from ..plgs_blender.running.lifts import Watch
 from ..plgs_blender.settings import LiftOptions, chosen_lift
 from ..plgs_blender.viewport import show_lift_colours_at_first
@@ -48,7 +48,7 @@ class Following:
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self._folder = self.begin(context).folder.path
-        watch.begin()
+        poll_timer.begin()
         if self._folder in _waited_for:  # by another operator, which will tell how it ends
             return FINISHED
         _waited_for.add(self._folder)
@@ -63,7 +63,7 @@ class Following:
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         followed = lifts.watch_of(self._folder)
         if event.type != "TIMER" or (followed is not None and followed.is_running):
-            watch.begin()  # should an error of ours ever have stopped the heart
+            poll_timer.begin()  # in case an error of ours has stopped the timer
             return PASSED_ON
         self.cancel(context)
         return CANCELLED if followed is None else self._end(context, followed)
@@ -85,7 +85,7 @@ class Following:
         """Tell how it ended; show a finished lift if this scene is still set to it and wants to."""
         outcome = followed.outcome
         assert outcome is not None
-        self.report({"ERROR" if outcome.error else "INFO"}, lifts.words_for(followed))
+        self.report({"ERROR" if outcome.error else "INFO"}, lifts.message_for(followed))
         if not followed.ended_well:
             return CANCELLED
         if followed.is_baking:

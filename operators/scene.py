@@ -10,7 +10,7 @@ from bpy.props import StringProperty
 from ..plgs_blender.dropping import lift_or_scene
 from ..plgs_blender.import_scene import place_scene
 from ..plgs_blender.paths import absolute
-from ..plgs_blender.running import start, watch
+from ..plgs_blender.running import poll_timer, start
 from ..plgs_blender.settings import place_of
 from .answers import FINISHED, panel_of, reporting
 
@@ -55,7 +55,7 @@ class PLGS_OT_look_at_scene(bpy.types.Operator):
         return bool(context.scene.plgs.scene_folder)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        watch.look_at_scene(place_of(context.scene.plgs))
+        poll_timer.look_at_scene(place_of(context.scene.plgs))
         return FINISHED
 
 

@@ -10,7 +10,7 @@ from mathutils import Matrix, Quaternion, Vector
 
 from .colour import object_colour
 from .materials import box_material
-from .owned import Holdings
+from .owned import OwnedDataBlocks
 from .results import Instance
 
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -22,21 +22,21 @@ _BAR = 0.018
 
 
 def place_boxes(
-    holdings: Holdings, parent: bpy.types.Collection, instances: Iterable[Instance]
+    owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Iterable[Instance]
 ) -> list[bpy.types.Object]:
     """One mesh object an instance, named as the engine named it, of its true size (object scale 1)."""
-    return [_place(holdings, parent, instance) for instance in instances]
+    return [_place(owned, parent, instance) for instance in instances]
 
 
-def _place(holdings: Holdings, parent: bpy.types.Collection, instance: Instance) -> bpy.types.Object:
+def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance) -> bpy.types.Object:
     key = f"{INSTANCE}{instance.id}"
-    mesh = holdings.data_of(key) or holdings.new_data(bpy.data.meshes.new(instance.name), key)
+    mesh = owned.data_of(key) or owned.new_data(bpy.data.meshes.new(instance.name), key)
     mesh.clear_geometry()
     mesh.from_pydata((_CORNERS * instance.size).tolist(), [], _FACES)
     mesh.update()
     mesh.materials.clear()
-    mesh.materials.append(box_material(holdings))
-    ob = holdings.object(key, instance.name, mesh, parent)
+    mesh.materials.append(box_material(owned))
+    ob = owned.object(key, instance.name, mesh, parent)
     ob.matrix_world = Matrix.LocRotScale(Vector(instance.centre), Quaternion(instance.rotation), None)
     ob.color = object_colour(instance.colour)
     # Lines are coloured by the object only on meshes with faces. Renders ignore the display type, hence the bars.

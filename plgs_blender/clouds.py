@@ -16,7 +16,7 @@ from ..engine.scene import VOID, ClassTable
 from .colour import UNKNOWN, linear_rgba, object_colour
 from .compat import new_point_cloud
 from .materials import point_material
-from .owned import Holdings
+from .owned import OwnedDataBlocks
 from .results import Anchors, SemanticPoints
 from .surfaces import SurfaceGrid
 
@@ -26,7 +26,7 @@ _FOREACH = {"FLOAT_COLOR": "color", "FLOAT_VECTOR": "vector", "INT": "value", "F
 
 
 def place_semantic_points(
-    holdings: Holdings,
+    owned: OwnedDataBlocks,
     parent: bpy.types.Collection,
     points: SemanticPoints,
     grid: SurfaceGrid,
@@ -51,7 +51,7 @@ def place_semantic_points(
             ("normal", "FLOAT_VECTOR", normals[chosen]),
         ]
         ob = _place(
-            holdings, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes
+            owned, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes
         )
         ob.color = object_colour(srgb)
         ob["class"], ob["class_id"], ob["points"] = name, class_id, len(chosen)
@@ -59,7 +59,7 @@ def place_semantic_points(
     return placed
 
 
-def place_anchors(holdings: Holdings, parent: bpy.types.Collection, anchors: Anchors) -> bpy.types.Object:
+def place_anchors(owned: OwnedDataBlocks, parent: bpy.types.Collection, anchors: Anchors) -> bpy.types.Object:
     """One cloud of all anchors, with Col, class_id, instance_id, opacity and level."""
     radius = SurfaceGrid.of(anchors.xyz).radii(_SMALLEST, _LARGEST)
     attributes = [
@@ -69,14 +69,14 @@ def place_anchors(holdings: Holdings, parent: bpy.types.Collection, anchors: Anc
         ("opacity", "FLOAT", anchors.opacity),
         ("level", "INT", anchors.level),
     ]
-    ob = _place(holdings, parent, "anchors", "Anchors", anchors.xyz, radius, attributes)
+    ob = _place(owned, parent, "anchors", "Anchors", anchors.xyz, radius, attributes)
     ob.color = (0.8, 0.8, 0.8, 1.0)
     ob["points"] = len(anchors.xyz)
     return ob
 
 
 def _place(
-    holdings: Holdings,
+    owned: OwnedDataBlocks,
     parent: bpy.types.Collection,
     key: str,
     name: str,
@@ -87,14 +87,14 @@ def _place(
     """Our cloud object `key` with these points, radii float32 [N] in metres, and attributes (name, type,
     values [N, ...]).
     """
-    cloud = holdings.new_data(new_point_cloud(name, xyz), key)
+    cloud = owned.new_data(new_point_cloud(name, xyz), key)
     sizes = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
     sizes.data.foreach_set("value", radius)
     for attribute, kind, values in attributes:
         layer = cloud.attributes.new(attribute, kind, "POINT")
         layer.data.foreach_set(_FOREACH[kind], np.ascontiguousarray(values).ravel())
-    cloud.materials.append(point_material(holdings))
-    return holdings.object(key, name, cloud, parent)
+    cloud.materials.append(point_material(owned))
+    return owned.object(key, name, cloud, parent)
 
 
 def _name_and_colour(class_id: int, classes: ClassTable) -> tuple[str, tuple[int, int, int]]:

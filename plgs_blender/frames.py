@@ -13,7 +13,7 @@ from mathutils import Matrix
 
 from ..engine.scene import Camera, Frame
 from .cameras import SENSOR_WIDTH, Lens, camera_from, lens_of, object_matrix
-from .owned import Holdings, key_of
+from .owned import OwnedDataBlocks, key_of
 
 FIRST_FRAME = "plgs_first_frame"
 """Property of a lift's collection: where on the timeline its first frame lies."""
@@ -22,7 +22,7 @@ _DISPLAY_SIZE = 0.15  # metres: the camera path stays readable between furniture
 
 
 def place_frames(
-    holdings: Holdings, parent: bpy.types.Collection, frames: Sequence[Frame]
+    owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[Frame]
 ) -> list[bpy.types.Object]:
     """One camera a frame in `parent`: exact lens and pose, the colour image in view, what is known as
     properties.
@@ -30,11 +30,11 @@ def place_frames(
     cameras = []
     for frame in frames:
         key = f"frame:{frame.name}"
-        data = holdings.data_of(key) or _new_camera(holdings, key, frame.name)
+        data = owned.data_of(key) or _new_camera(owned, key, frame.name)
         set_lens(data, frame.camera)
         data.display_size = _DISPLAY_SIZE
-        _show_picture(data, holdings, frame)
-        ob = holdings.object(key, frame.name, data, parent)
+        _show_picture(data, owned, frame)
+        ob = owned.object(key, frame.name, data, parent)
         ob.matrix_world = Matrix(object_matrix(frame.camera).tolist())
         _describe(ob, frame)
         cameras.append(ob)
@@ -113,17 +113,17 @@ def mark_timeline(
         markers.new(camera.get("frame", camera.name), frame=frame).camera = camera
 
 
-def _new_camera(holdings: Holdings, key: str, name: str) -> bpy.types.Camera:
-    return holdings.new_data(bpy.data.cameras.new(name), key)
+def _new_camera(owned: OwnedDataBlocks, key: str, name: str) -> bpy.types.Camera:
+    return owned.new_data(bpy.data.cameras.new(name), key)
 
 
-def _show_picture(data: bpy.types.Camera, holdings: Holdings, frame: Frame) -> None:
+def _show_picture(data: bpy.types.Camera, owned: OwnedDataBlocks, frame: Frame) -> None:
     """The colour image, half transparent before the scene: it shows whether the scene fits it. Nothing for a picture
     that no image file shows.
     """
     if not frame.file_shows_colour:
         return
-    image = holdings.block("images", f"picture:{frame.name}", lambda: _load(frame.colour_path))
+    image = owned.block("images", f"picture:{frame.name}", lambda: _load(frame.colour_path))
     image.filepath = str(frame.colour_path)
     data.background_images.clear()
     background = data.background_images.new()

@@ -9,7 +9,7 @@ import bpy
 from ..engine.scene import UpAxis, open_scene
 from .frames import mark_timeline, place_frames
 from .lift_collection import child_collection, overview_of, root_collection, scene_to_fill
-from .owned import LIFT, Holdings
+from .owned import LIFT, OwnedDataBlocks
 
 
 def place_scene(
@@ -23,8 +23,8 @@ def place_scene(
     opened = open_scene(folder, masks, up)
     scene = scene_to_fill(scene)
     root = root_collection(opened.folder, None, scene)
-    holdings = Holdings(root[LIFT], scene)
-    cameras = place_frames(holdings, child_collection(root, "Cameras"), opened.frames)
+    owned = OwnedDataBlocks(root[LIFT], scene)
+    cameras = place_frames(owned, child_collection(root, "Cameras"), opened.frames)
     mark_timeline(scene, root, root[LIFT], overview_of(root), cameras)
     if scene.camera is None:
         scene.camera = cameras[0]

@@ -32,7 +32,7 @@ from .lift_collection import (
 )
 from .open_room import open_room
 from .overview import overview_camera
-from .owned import KEY, LIFT, Holdings, key_of
+from .owned import KEY, LIFT, OwnedDataBlocks, key_of
 from .passes import place_passes
 from .results import LiftResult, read_result
 from .surfaces import SurfaceGrid
@@ -53,25 +53,25 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     check_layers(result.passes.values())
     scene = scene_to_fill(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
-    holdings = Holdings(root[LIFT], scene)
+    owned = OwnedDataBlocks(root[LIFT], scene)
     frames = result.scene.frames
     grid = SurfaceGrid.of(result.points.xyz)
     normals = grid.normals(np.array([frame.camera.centre for frame in frames])[:: 1 + len(frames) // _VIEWPOINTS])
 
-    cameras = place_frames(holdings, child_collection(root, "Cameras"), frames)
+    cameras = place_frames(owned, child_collection(root, "Cameras"), frames)
     clouds = place_semantic_points(
-        holdings, child_collection(root, "Semantic points"), result.points, grid, normals, result.classes
+        owned, child_collection(root, "Semantic points"), result.points, grid, normals, result.classes
     )
-    open_room(holdings, clouds)
-    place_anchors(holdings, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
-    place_boxes(holdings, child_collection(root, "Instances"), result.instances)
-    overview = _place_overview(holdings, root, result, normals)
+    open_room(owned, clouds)
+    place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
+    place_boxes(owned, child_collection(root, "Instances"), result.instances)
+    overview = _place_overview(owned, root, result, normals)
     mark_timeline(scene, root, root[LIFT], overview, cameras)
     if scene.camera is None:
         scene.camera = overview
-    place_passes(holdings, result)
+    place_passes(owned, result)
     fill_lists(root, result)
-    holdings.sweep()
+    owned.sweep()
     if bpy.data.filepath:
         relate_paths(root, Path(bpy.data.filepath).parent)
     return root
@@ -87,7 +87,7 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
     scene = scene_to_fill(scene)
     for root in lifts_in(scene):
         if is_same_place(root.get(FOLDER, ""), result.folder):
-            place_passes(Holdings(root[LIFT], scene), result)
+            place_passes(OwnedDataBlocks(root[LIFT], scene), result)
             return
     raise JobError("is not in this scene", lift, "Show the lift's result first.")
 
@@ -148,14 +148,14 @@ def _relative(path: str, base: Path) -> str:
 
 
 def _place_overview(
-    holdings: Holdings, root: bpy.types.Collection, result: LiftResult, normals: np.ndarray
+    owned: OwnedDataBlocks, root: bpy.types.Collection, result: LiftResult, normals: np.ndarray
 ) -> bpy.types.Object:
     """A camera that looks into the whole room from above. Where a user moved it, a new lift moves it back."""
     camera = overview_camera(result.points.xyz, normals)
-    data = holdings.data_of("overview") or holdings.new_data(bpy.data.cameras.new("Overview"), "overview")
+    data = owned.data_of("overview") or owned.new_data(bpy.data.cameras.new("Overview"), "overview")
     set_lens(data, camera)
     data.display_size = 0.4
-    ob = holdings.object("overview", "Overview", data, root)
+    ob = owned.object("overview", "Overview", data, root)
     ob.matrix_world = Matrix(object_matrix(camera).tolist())
     return ob
 

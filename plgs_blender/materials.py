@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 
 from .compat import use_nodes
-from .owned import Holdings
+from .owned import OwnedDataBlocks
 
 CLASS_COLOURS, RELIEF = "Class colours", "Relief"
 """Labels of the value nodes of the points' material, 0..1: class colour instead of the photo's, and shading
@@ -18,20 +18,20 @@ _LIGHT = (0.35, -0.25, 0.9)
 _MIDDLE, _CONTRAST = 0.74, 0.3
 
 
-def point_material(holdings: Holdings) -> bpy.types.Material:
+def point_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     """Shows the attribute Col or, by CLASS_COLOURS, the object's colour; RELIEF shades it by the attribute
     normal.
     """
-    material = holdings.block("materials", "points", lambda: bpy.data.materials.new("PLGS points"))
+    material = owned.block("materials", "points", lambda: bpy.data.materials.new("PLGS points"))
     tree = use_nodes(material)
     if value_node(material, CLASS_COLOURS) is None:  # else the user may have set it, or built upon it
         _build_points(tree)
     return material
 
 
-def box_material(holdings: Holdings) -> bpy.types.Material:
+def box_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     """Shows the object's colour."""
-    material = holdings.block("materials", "boxes", lambda: bpy.data.materials.new("PLGS boxes"))
+    material = owned.block("materials", "boxes", lambda: bpy.data.materials.new("PLGS boxes"))
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeObjectInfo" for node in tree.nodes):
         tree.nodes.clear()
@@ -78,7 +78,7 @@ def _mix(
 
 
 def _emit(tree: bpy.types.NodeTree, colour: Any) -> None:
-    """Let the surface glow in this colour, to the right of everything."""
+    """Let the surface emit this colour, to the right of everything."""
     column = max(node.location.x for node in tree.nodes) // 220 + 1
     light, end = (
         _node(tree, "ShaderNodeEmission", column, 0),

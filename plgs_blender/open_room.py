@@ -13,15 +13,15 @@ from collections.abc import Iterable
 import bpy
 
 from .materials import point_material
-from .owned import Holdings
+from .owned import OwnedDataBlocks
 
 NAME = "Open room"
 
 
-def open_room(holdings: Holdings, clouds: Iterable[bpy.types.Object]) -> None:
+def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> None:
     """Put the modifier on clouds that have the attribute `normal`; those that have it keep their settings."""
-    material = point_material(holdings)
-    group = holdings.block("node_groups", "open room", lambda: _group(material))
+    material = point_material(owned)
+    group = owned.block("node_groups", "open room", lambda: _group(material))
     for cloud in clouds:
         modifier = cloud.modifiers.get(NAME)
         if modifier is None:

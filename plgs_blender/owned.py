@@ -68,7 +68,7 @@ def _copy_number(name: str) -> int:
     return int(number[1]) if number else 0
 
 
-class Holdings:
+class OwnedDataBlocks:
     """The blocks of one lift in one scene, during one placement."""
 
     def __init__(self, lift: str, scene: bpy.types.Scene) -> None:

@@ -17,36 +17,36 @@ from numpy.typing import NDArray
 
 from . import compat
 from .colour import linear_rgba
-from .owned import KEY, LIFT, Holdings, tag
+from .owned import KEY, LIFT, OwnedDataBlocks, tag
 from .pass_nodes import CLASSES, INSTANCES, PASSES, build, has_nodes, node_of, reading_nodes, use_image
 from .results import LiftResult
 from .sequence import NumberedNames, numbered
 
 
-def place_passes(holdings: Holdings, result: LiftResult) -> bpy.types.Scene | None:
+def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene | None:
     """Make or refill the scene "PLGS <name> passes"; None, and no scene, when the lift has no passes."""
     if not result.passes:
-        holdings.drop("scenes", "passes")
+        owned.drop("scenes", "passes")
         return None
     name = f"PLGS {result.name} passes"
-    scene = holdings.block("scenes", "passes", lambda: _new_scene(name))
+    scene = owned.block("scenes", "passes", lambda: _new_scene(name))
     scene.name = name
     sequence = numbered(list(result.passes))
-    images = _images(holdings, result.passes, sequence)
+    images = _images(owned, result.passes, sequence)
     tree = compat.compositor_tree(scene)
     if tree is None or not has_nodes(tree):
         tree = compat.new_compositor_tree(scene, name)
-        build(tree, holdings.lift, images[0])
+        build(tree, owned.lift, images[0])
         _first_mattes(tree, result)
     if not tree.is_embedded_data:
-        tag(tree, holdings.lift, "passes tree")
-        holdings.keep(tree)
+        tag(tree, owned.lift, "passes tree")
+        owned.keep(tree)
     use_image(tree, images[0])
     if sequence is not None:
         images[0].source = "SEQUENCE"  # not before its layers were chosen: that only works on a single file
     _count_through(tree, len(result.passes), sequence)
-    _fill_palette(holdings, tree, "Instance", {each.id: each.colour for each in result.instances})
-    _fill_palette(holdings, tree, "Class", {each.id: each.colour for each in result.classes.categories})
+    _fill_palette(owned, tree, "Instance", {each.id: each.colour for each in result.instances})
+    _fill_palette(owned, tree, "Class", {each.id: each.colour for each in result.classes.categories})
     _set_timeline(scene, result)
     return scene
 
@@ -78,7 +78,7 @@ def _new_scene(name: str) -> bpy.types.Scene:
 
 
 def _images(
-    holdings: Holdings, files: Mapping[str, Path], sequence: NumberedNames | None
+    owned: OwnedDataBlocks, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> list[bpy.types.Image]:
     """The EXR files as data-blocks: one that counts through all of them, or one each."""
     if sequence is not None:
@@ -86,7 +86,7 @@ def _images(
     images = []
     for name, path in files.items():
         key = f"passes:{name}" if name else "passes"
-        image = holdings.block("images", key, partial(bpy.data.images.load, str(path), check_existing=False))
+        image = owned.block("images", key, partial(bpy.data.images.load, str(path), check_existing=False))
         image.source = "FILE"
         image.filepath = str(path)
         image.reload()
@@ -109,13 +109,13 @@ def _count_through(tree: bpy.types.NodeTree, views: int, sequence: NumberedNames
 
 
 def _fill_palette(
-    holdings: Holdings, tree: bpy.types.NodeTree, what: str, colours: Mapping[int, tuple[int, int, int]]
+    owned: OwnedDataBlocks, tree: bpy.types.NodeTree, what: str, colours: Mapping[int, tuple[int, int, int]]
 ) -> None:
     """Write the colours, sRGB by id, into the palette image, linear, and scale ids to its width; id 0 is
     black.
     """
     width = max(colours, default=0) + 1
-    image = holdings.block(
+    image = owned.block(
         "images", f"{what} palette", lambda: _new_palette(f"PLGS {what.lower()} palette", width)
     )
     if image.size[0] != width:

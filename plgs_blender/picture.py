@@ -22,9 +22,9 @@ from .materials import CLASS_COLOURS, RELIEF, value_node
 from .viewport import set_ground
 
 _LABEL_HEIGHT = 0.021
-"""Height of a label's plate in picture heights."""
+"""Height of a label's text box in picture heights."""
 _LETTER_WIDTH = 0.5
-"""Mean width of a letter in plate heights."""
+"""Mean width of a letter in text box heights."""
 _NEARNESS = 0.3
 """Labels stand at this share of the way from the camera to their box, so that nothing stands before them."""
 
@@ -95,7 +95,7 @@ def _colour_points(scene: bpy.types.Scene, colours: str) -> None:
 
 
 def _label_boxes(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
-    """A plate in its instance's colour with its name at the top of each box; labels that would overlap are
+    """A text box in its instance's colour with its name at the top of each box; labels that would overlap are
     stacked.
     """
     aspect = scene.render.resolution_x / scene.render.resolution_y
@@ -129,7 +129,7 @@ def _add_label(
     at: tuple[float, float],
     depth: float,
 ) -> None:
-    """A plate and a text that face the camera at the place `at` of its picture (0..1 from the lower left)."""
+    """A text box that faces the camera at the place `at` of its picture (0..1 from the lower left)."""
     frame = [corner * (depth / -corner.z) for corner in camera.data.view_frame(scene=scene)]
     left, right = min(c.x for c in frame), max(c.x for c in frame)
     low, high = min(c.y for c in frame), max(c.y for c in frame)
@@ -139,7 +139,7 @@ def _add_label(
     curve = bpy.data.curves.new("label", "FONT")
     curve.body, curve.align_x, curve.align_y, curve.size = ob.name, "CENTER", "CENTER", 0.78
     half = (len(ob.name) + 1.2) * _LETTER_WIDTH / 2.0
-    mesh = bpy.data.meshes.new("plate")
+    mesh = bpy.data.meshes.new("text box")
     mesh.from_pydata([(-half, -0.5, 0), (half, -0.5, 0), (half, 0.5, 0), (-half, 0.5, 0)], [], [(0, 1, 2, 3)])
     material = ob.material_slots[0].material
     dark = tuple(0.35 * channel for channel in ob.color[:3])

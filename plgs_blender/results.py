@@ -57,8 +57,8 @@ class Anchors:
 class Mask:
     """A mask's segment that was matched to an instance, with the class and score it has itself. `share` of the
     picture's pixels and `rectangle` (left, top, right, bottom, 0..1) tell where it lies, `pixels` how many it has
-    with depth. `cost` of the match by boxes, or `consent` of the views. Lifts of older versions have no more than
-    `cost`: then the rest is zero and None.
+    with depth. Why it was matched: `cost` of the match by boxes, or the view `agreement` (0..1). Lifts of older
+    versions have no more than `cost`: then the rest is zero and None.
     """
 
     frame: str
@@ -66,7 +66,7 @@ class Mask:
     class_id: int
     score: float
     cost: float | None
-    consent: float | None
+    agreement: float | None
     pixels: int
     share: float
     rectangle: tuple[float, float, float, float]
@@ -205,14 +205,14 @@ def _instance(entry: dict[str, Any]) -> Instance:
 
 
 def _mask(entry: dict[str, Any]) -> Mask:
-    cost, consent = (entry.get(name) for name in ("cost", "consent"))
+    cost, agreement = entry.get("cost"), entry.get("consent")  # its name in the file, since the first version
     return Mask(
         frame=_text(entry["frame"]),
         segment_id=_whole(entry["segment_id"]),
         class_id=_whole(entry["class_id"]),
         score=_number(entry["score"]),
         cost=None if cost is None else _number(cost),
-        consent=None if consent is None else _number(consent),
+        agreement=None if agreement is None else _number(agreement),
         pixels=_whole(entry.get("pixels", 0)),
         share=_number(entry.get("share", 0.0)),
         rectangle=_floats(entry.get("rectangle", (0.0, 0.0, 0.0, 0.0)), 4),

@@ -96,9 +96,9 @@ def poll() -> bool:
     code = _inspector.exit_code()
     if code is None:
         return True
-    words = _inspector.words()
+    output = _inspector.output_tail()
     stop_looking()
-    _latest = _with_answer(replace(_latest, is_looking=False), code, words)
+    _latest = _with_answer(replace(_latest, is_looking=False), code, output)
     return False
 
 
@@ -136,9 +136,9 @@ def _from_headers(place: Place, scene: Scene) -> Survey:
     )
 
 
-def _with_answer(survey: Survey, code: int, words: str) -> Survey:
+def _with_answer(survey: Survey, code: int, output: str) -> Survey:
     """The survey with what `engine inspect --json` said; its error line when the scene is bad."""
-    line = words.splitlines()[-1] if words else "no answer"
+    line = output.splitlines()[-1] if output else "no answer"
     if code == ExitCode.BAD_INPUT and line.startswith("error: "):
         return replace(survey, error=line.removeprefix("error: "))
     try:

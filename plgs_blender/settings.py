@@ -10,6 +10,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, 
 from ..engine.job import LiftRequest
 from ..engine.job.request import LARGEST_SIDE, SMALLEST_SIDE
 from .paths import absolute
+from .running import poll_timer
 from .scene_survey import Place
 
 _PRESETS = [
@@ -34,17 +35,13 @@ _OPTION = {"SKIP_SAVE"}
 
 
 def _look_at_scene(settings: LiftOptions, context: bpy.types.Context) -> None:
-    from .running import watch  # late: it reads these settings
-
     if isinstance(settings, PLGS_PG_settings) and settings.scene_folder:
-        watch.look_at_scene(place_of(settings))
+        poll_timer.look_at_scene(place_of(settings))
 
 
 def _look_at_lift(settings: LiftOptions, context: bpy.types.Context) -> None:
-    from .running import watch
-
     if isinstance(settings, PLGS_PG_settings) and settings.lift_folder:
-        watch.look_at_lift(absolute(settings.lift_folder))
+        poll_timer.look_at_lift(absolute(settings.lift_folder))
 
 
 class LiftOptions:

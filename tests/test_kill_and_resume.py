@@ -29,7 +29,7 @@ def test_the_same_bytes(root: Path, tmp_path: Path) -> None:
     assert engine(root, *options, "-o", calm).wait(timeout=300) == 0
 
     # Killed when the n-th stage begins, and once amid the training; `kill` takes the parent, the engine follows it.
-    for stage, step in (("believe", 0), ("train", 0), ("train", 9), ("result", 0), ("bake", 0), ("evaluate", 0)):
+    for stage, step in (("consistency", 0), ("train", 0), ("train", 9), ("result", 0), ("bake", 0), ("evaluate", 0)):
         process = engine(root, *options, "-o", rough, "--resume")
         reader = EventReader(rough / "events.jsonl", from_end=True)
         began = time.monotonic()

@@ -131,7 +131,7 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
     path = str(followed.folder.path)
     box = layout.box()
     box.alert = outcome.error is not None
-    tell(box, context, lifts.words_for(followed), "ERROR" if outcome.error else "INFO")
+    tell(box, context, lifts.message_for(followed), "ERROR" if outcome.error else "INFO")
     row = layout.row(align=True)
     if followed.is_finished:
         row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path

@@ -10,11 +10,17 @@ from typing import Any
 
 import bpy
 
-from ..plgs_blender.inspecting import glow
-from ..plgs_blender.inspecting.drawing import draw_glow, draw_picture, draw_plates, draw_rectangle, forget_picture
+from ..plgs_blender.inspecting import highlight
+from ..plgs_blender.inspecting.drawing import (
+    draw_highlight,
+    draw_picture,
+    draw_rectangle,
+    draw_text_boxes,
+    forget_picture,
+)
 from ..plgs_blender.inspecting.lookup import boxes_of, objects_by_key
-from ..plgs_blender.inspecting.plates import View, label_plates, legend_plates
 from ..plgs_blender.inspecting.selection import selected_instance
+from ..plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes, legend_text_boxes
 from ..plgs_blender.lift_collection import lifts_in
 from ..plgs_blender.running import live_preview
 
@@ -41,9 +47,9 @@ def _draw_in_space() -> None:
         row = next((row for row in lists.instances if row.instance_id == number), None)
         if row is None or not lists.show_selected:
             continue
-        seen = glow.glow_of(root, number, lambda cloud: cloud.visible_in_viewport_get(context.space_data))
+        seen = highlight.highlight_of(root, number, lambda cloud: cloud.visible_in_viewport_get(context.space_data))
         box = boxes_of(root).get(number)
-        draw_glow(context.region_data, _size(context), seen, box, tuple(row.colour), lists.dim_others)
+        draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), lists.dim_others)
 
 
 def _draw_on_top() -> None:
@@ -53,10 +59,10 @@ def _draw_on_top() -> None:
         _draw_preview(context)
     for root in _lifts(context):
         lists = root.plgs
-        view = View.of(context)
-        _draw_mask(context, root, view)
+        region = ViewRegion.of(context)
+        _draw_mask(context, root, region)
         if lists.show_legend:
-            draw_plates(legend_plates(lists.classes, view))
+            draw_text_boxes(legend_text_boxes(lists.classes, region))
         if lists.show_labels:
             boxes = {
                 number: box
@@ -64,7 +70,7 @@ def _draw_on_top() -> None:
                 if box.visible_in_viewport_get(context.space_data)
             }
             active = selected_instance(root, context.view_layer.objects.active)
-            draw_plates(label_plates(lists.instances, boxes, active, view))
+            draw_text_boxes(label_text_boxes(lists.instances, boxes, active, region))
 
 
 def _draw_preview(context: bpy.types.Context) -> None:
@@ -77,11 +83,11 @@ def _draw_preview(context: bpy.types.Context) -> None:
     if picture is not None:
         at, turned, _ = looks.matrix_world.decompose()
         frame = [at + turned @ corner for corner in looks.data.view_frame(scene=scene)]
-        view = View.of(context)
-        draw_picture(picture, [view.pixel_of(corner) for corner in frame])
+        region = ViewRegion.of(context)
+        draw_picture(picture, [region.pixel_of(corner) for corner in frame])
 
 
-def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, view: View) -> None:
+def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> None:
     """The rectangle of the chosen mask, while one looks through the camera of its frame."""
     lists, camera = root.plgs, context.scene.camera
     if context.region_data.view_perspective != "CAMERA" or not 0 <= lists.instance_index < len(lists.instances):
@@ -92,7 +98,7 @@ def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, view: Vie
     mask = row.masks[row.mask_index]
     if camera is None or objects_by_key(root).get(f"frame:{mask.frame}") != camera or mask.rectangle[2] <= 0.0:
         return
-    corners = [view.pixel_of(corner) for corner in glow.rectangle_in_space(camera, tuple(mask.rectangle))]
+    corners = [region.pixel_of(corner) for corner in highlight.rectangle_in_space(camera, tuple(mask.rectangle))]
     draw_rectangle([corner for corner in corners if corner is not None], tuple(row.colour))
 
 
@@ -112,5 +118,5 @@ def register() -> None:
 def unregister() -> None:
     while _handles:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
-    glow.forget()
+    highlight.forget()
     forget_picture()

@@ -26,7 +26,7 @@ class DetachedEngine(ChildProcess):
         with output:
             super().__init__(command, cwd=root, environment=clean_environment(root), output=output)
 
-    def words(self) -> str:
+    def output_tail(self) -> str:
         """The last line of its log: why it could not begin, when it could not."""
         return "".join(last_lines(self._log, 1))
 

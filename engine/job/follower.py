@@ -28,7 +28,7 @@ class Engine(Protocol):
     """An engine that this process started: `EngineProcess` or `DetachedEngine`."""
 
     def exit_code(self) -> int | None: ...
-    def words(self) -> str: ...
+    def output_tail(self) -> str: ...
     def kill(self) -> None: ...
     def close(self) -> None: ...
 
@@ -229,7 +229,7 @@ class LiftFollower:
             data = self._error.data
             return self._failed(_exit_code(data.get("exit_code")), f"{data['what']}: {data['where']}. {data['fix']}")
         if code in (ExitCode.BAD_INPUT, ExitCode.INTERNAL_ERROR):  # without an event: it never began
-            return self._failed(_exit_code(code), self._last_words())
+            return self._failed(_exit_code(code), self._last_line())
         state = self.folder.state_at_rest()
         # A bake leaves a finished lift finished, however it ends itself.
         if state is LiftState.FINISHED and (self.status.task == LIFT or self._done == "finished"):
@@ -239,19 +239,19 @@ class LiftFollower:
         if code is not None and code < 0:
             what = f"the engine was ended by signal {-code} (9 often means: out of memory)"
             return self._failed(ExitCode.INTERNAL_ERROR, f"{what}: {self.folder.path}. {self._what_is_left()}")
-        return self._failed(_exit_code(code), self._last_words())
+        return self._failed(_exit_code(code), self._last_line())
 
     def _failed(self, code: ExitCode, error: str) -> Outcome:
         lines = last_lines(self.folder.log_path, LOG_LINES) if code is ExitCode.INTERNAL_ERROR else ()
         return Outcome(code, error, lines)
 
-    def _last_words(self) -> str:
-        """Of an engine that ended without an event."""
-        words = self._process.words() if self._process else ""
-        if not words:
-            what = "the engine ended without a word (killed, or out of memory?)"
+    def _last_line(self) -> str:
+        """What an engine said last that ended without an event."""
+        output = self._process.output_tail() if self._process else ""
+        if not output:
+            what = "the engine ended without a message (killed, or out of memory?)"
             return f"{what}: {self.folder.log_path}. The log may tell more. {self._what_is_left()}"
-        return words.splitlines()[-1].removeprefix("error: ")
+        return output.splitlines()[-1].removeprefix("error: ")
 
     def _what_is_left(self) -> str:
         return "The lift can be resumed." if self.status.task == LIFT else "The result is whole; bake again."

@@ -56,16 +56,17 @@ def predict(
     trained_on = _megapixels_within(frame_size, effort.size_within)
     seen = train_frames * trained_on
     baked = {"test": test_frames, "all": frames, "none": 0}[bake]
+    steps = effort.steps_for(train_frames)
     step = step_seconds(trained_on, _millions_of_gaussians(effort))
-    rounds = max(0, min(round(1 / effort.self_training_every), effort.steps) - 1)
+    rounds = max(0, min(round(1 / effort.self_training_every), steps) - 1)
     stages = {
         "start": 4.0,
         "check": 0.1 + 0.14 * frames * own,
         "read": 0.07 * train_frames * own,
-        "believe": 1.3 + 1.6 * seen,
+        "consistency": 1.3 + 1.6 * seen,
         "match": 1.1 + 0.7 * seen,
         "prepare": 10.0 + 2.3 * seen,
-        "train": effort.steps * step + rounds * train_frames * 0.42 * step,
+        "train": steps * step + rounds * train_frames * 0.42 * step,
         "result": 0.5 + 2.75 * _millions_of_gaussians(effort),
         "bake": baked * (0.2 + 10.0 * own),
         "evaluate": 0.2 + 0.65 * frames * own,
@@ -115,7 +116,7 @@ def _speed_path(cache: Path | None) -> Path:
 
 
 def _measured(path: Path) -> list[float]:
-    """Empty when there is nothing, or nothing that can be believed."""
+    """Empty when there is nothing, or nothing that makes sense."""
     try:
         content = read_object(path, "Delete it.")
     except JobError:

@@ -20,8 +20,8 @@ from .errors import JobError
 ROOT = Path(__file__).resolve().parents[2]
 """The folder that holds ``engine``: the repository, or the installed extension."""
 
-_WORDS = 64_000
-"""Bytes of a program's words that are read: more is no message."""
+_OUTPUT_TAIL = 64_000
+"""Bytes of a program's output that are read: more is no message."""
 _ANSWER_S = 60.0
 """A Python on a slow disk has answered by then."""
 _MISSING = "missing modules:"
@@ -184,28 +184,28 @@ class EngineProcess(ChildProcess):
 
     def __init__(self, command: Sequence[str | Path], root: Path = ROOT) -> None:
         """Start ``command``. Raises JobError when it cannot be started."""
-        # Before the engine opens its log, and when it fails to, it talks to a file without a name: nobody has to
+        # Before the engine opens its log, and when it fails to, it writes into a file without a name: nobody has to
         # drain that, unlike a pipe, and no thread is needed.
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `close`
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `close`
         try:
             super().__init__(
-                command, cwd=root, environment=clean_environment(root), output=self._words, stdin=subprocess.PIPE
+                command, cwd=root, environment=clean_environment(root), output=self._output, stdin=subprocess.PIPE
             )
         except JobError:
-            self._words.close()
+            self._output.close()
             raise
 
-    def words(self) -> str:
-        """The end of what it said outside its log: nothing, or why it could not begin."""
-        length = self._words.seek(0, os.SEEK_END)
-        self._words.seek(max(0, length - _WORDS))
-        return self._words.read().decode(errors="replace").strip()
+    def output_tail(self) -> str:
+        """The end of its output outside its log: empty, or why it could not begin."""
+        length = self._output.seek(0, os.SEEK_END)
+        self._output.seek(max(0, length - _OUTPUT_TAIL))
+        return self._output.read().decode(errors="replace").strip()
 
     def close(self) -> None:
         """Let go of it; one that still runs takes that as the parent's end and stops."""
         assert self._process.stdin is not None
         self._process.stdin.close()
-        self._words.close()
+        self._output.close()
 
 
 def engine_command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:

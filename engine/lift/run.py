@@ -1,6 +1,6 @@
 """A lift from end to end: frames and machine masks in, one consistent 3D panoptic scene out.
 
-The stages, in the paper's order: read the frames, find out which labels can be believed, match the instances, train the
+The stages, in the paper's order: read the frames, check label consistency, match the instances, train the
 structured Gaussians, write the result, bake the passes, evaluate.
 """
 
@@ -36,7 +36,7 @@ log = logging.getLogger("plgs.lift")
 STAGES = {
     "check": "Checking the scene",
     "read": "Reading the frames",
-    "believe": "Finding labels that can be believed",
+    "consistency": "Checking label consistency",
     "match": "Matching instances in 3D",
     "train": "Training the structured Gaussians",
     "result": "Writing the lifted scene",

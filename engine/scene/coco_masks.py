@@ -33,7 +33,7 @@ from .json_file import (
     wrong_type,
 )
 from .layout import listed, require_all
-from .masks import MaskSet
+from .mask_set import MaskSet
 from .pixels import decode, distinct_ids, resize_nearest
 
 _LARGEST_SEGMENT_ID = 256**3 - 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from .frame import Scene, SceneError
-from .masks import READ_FIX
+from .mask_set import READ_FIX
 from .matrices import UpAxis
 from .opening import open_scene
 

@@ -2,31 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
-from .classes import ClassTable
-from .frame import PanopticMask, SceneError, Size
-
-READ_FIX = (
-    "Give COCO panoptic masks (panoptic.json with a folder panoptic) or Panoptic Lifting's m2f_semantics and "
-    "m2f_instance."
-)
-
-
-@dataclass(frozen=True)
-class MaskSet:
-    """The masks of a scene's frames: the class table, one reader a frame, their sizes by frame, and warnings."""
-
-    classes: ClassTable
-    readers: Mapping[str, Callable[[Size | None], PanopticMask]]
-    sizes: Mapping[str, Size]
-    paths: Mapping[str, Path]
-    warnings: tuple[str, ...] = ()
-
-
-NO_MASKS = MaskSet(ClassTable(()), {}, {}, {})
+from .coco_masks import open_coco_masks
+from .frame import SceneError
+from .mask_set import NO_MASKS, READ_FIX, MaskSet
+from .panoptic_lifting_masks import open_panoptic_lifting_masks
 
 
 def find_masks(scene: Path, masks: Path | None, names: Sequence[str]) -> MaskSet:
@@ -48,10 +30,6 @@ def open_masks(scene: Path, masks: Path | None, names: Sequence[str]) -> MaskSet
     it is alone, because the former is what that project's readers load; the paper seems to use the latter. A warning
     says how to choose.
     """
-    # Here, because both readers need MaskSet.
-    from .coco_masks import open_coco_masks
-    from .panoptic_lifting_masks import open_panoptic_lifting_masks
-
     place = scene if masks is None else masks
     if place.is_file():
         return open_coco_masks(place, names)

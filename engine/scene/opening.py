@@ -19,7 +19,8 @@ from .formats import Capture, Shot, find_format
 from .frame import Frame, Scene, SceneError, Size
 from .ground_truth import GroundTruthSet, open_ground_truth
 from .layout import listed, same_shape, shown_size
-from .masks import MaskSet, find_masks
+from .mask_set import MaskSet
+from .masks import find_masks
 from .matrices import UpAxis, placed, to_z_up, turned, up_axis_warning
 from .splits import find_split
 from .upright import upright_rotation

@@ -12,7 +12,7 @@ from .classes import Category, ClassTable, distinct_colour
 from .frame import PanopticMask, SceneError, Segment, Size
 from .image_header import read_image_header
 from .layout import files_by_stem, listed, require_all, shown_size
-from .masks import READ_FIX, MaskSet
+from .mask_set import READ_FIX, MaskSet
 from .pixels import decode_single_channel, distinct_ids, resize_nearest
 
 _NAMES = (

@@ -80,11 +80,11 @@ def prepare(
 ) -> PreparedLift:
     """Everything before the first step. Raises what the progress callbacks raise (Cancelled)."""
     class_ids = used_classes(views)
-    with stages.stage("believe") as progress:
+    with stages.stage("consistency") as progress:
         placed = [filled_view(view) for view in views] if preset.fill_holes else list(views)
         comparison = consistency_options(placed, preset)
         if comparison.neighbours < preset.neighbours:
-            stages.events.warning("neighbouring views overlap too little to compare labels; all labels are believed")
+            stages.events.warning("neighbouring views overlap too little to compare labels: all labels are used")
         options = CloudOptions(
             spacing=preset.voxel_size / 2, cap=preset.most_points, ballot=preset.ballot, majority=preset.majority
         )

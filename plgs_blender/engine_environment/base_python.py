@@ -41,10 +41,10 @@ def candidates(given: Path | None, versions: Sequence[Version]) -> list[Path]:
     return list(dict.fromkeys([Path(sys.executable), *runnable]))
 
 
-def judge(words: str, code: int, versions: Sequence[Version]) -> BasePython | str:
+def judge(output: str, code: int, versions: Sequence[Version]) -> BasePython | str:
     """What a Python that was asked PROBE can do: it is fit, or why not."""
     try:
-        version, executable, missing = json.loads(words.splitlines()[-1]) if code == 0 else (None, "", [])
+        version, executable, missing = json.loads(output.splitlines()[-1]) if code == 0 else (None, "", [])
     except (ValueError, IndexError):
         version = None
     if version is None:

@@ -63,8 +63,8 @@ class Handshake:
         code = self._process.exit_code()
         if code is None:
             return self._no_answer_in_time() if self._clock() > self._give_up else None
-        words = self._process.words()
-        return self._answer(words) if code == 0 else self._refusal(words, code)
+        output = self._process.output_tail()
+        return self._answer(output) if code == 0 else self._refusal(output, code)
 
     def close(self) -> None:
         """Let go of the process; one that still runs is ended."""
@@ -77,8 +77,8 @@ class Handshake:
         message = f"{self.python} did not answer"
         return NoAnswer(Reason.HUNG, message, "Check the engine again, or choose another Python.")
 
-    def _answer(self, words: str) -> EngineAnswer | NoAnswer:
-        answer = EngineAnswer.from_line(words.splitlines()[-1]) if words else None
+    def _answer(self, output: str) -> EngineAnswer | NoAnswer:
+        answer = EngineAnswer.from_line(output.splitlines()[-1]) if output else None
         if answer is None:
             message = f"{self.python} answers, but not as a Python with this engine does"
             return NoAnswer(Reason.GARBAGE, message, "Choose another Python.")
@@ -87,8 +87,8 @@ class Handshake:
             return NoAnswer(Reason.OTHER_VERSION, message, "Restart Blender: PLGS was updated while it ran.")
         return answer
 
-    def _refusal(self, words: str, code: int) -> NoAnswer:
-        last = words.splitlines()[-1] if words else f"exit code {code}"
+    def _refusal(self, output: str, code: int) -> NoAnswer:
+        last = output.splitlines()[-1] if output else f"exit code {code}"
         if TOO_OLD in last:
             message = last.removeprefix("error: ")
             return NoAnswer(Reason.WRONG_PYTHON, message, "Choose a newer Python, or set the engine up.")

@@ -1,4 +1,4 @@
-"""How pip is called, and what its words mean."""
+"""How pip is called, and what its output means."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def news(line: str) -> str | None:
     return f"{verb} {package} {size or ''}".rstrip()
 
 
-def complaint(words: str) -> str:
-    """The first error that pip told, else its last words."""
-    lines = [line.strip() for line in words.splitlines() if line.strip()]
+def complaint(output: str) -> str:
+    """The first error that pip told, else its last line."""
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     errors = [line.removeprefix("ERROR:").strip() for line in lines if line.startswith("ERROR:")]
     return (errors or lines or ["no reason given"])[0 if errors else -1][:300]

@@ -1,4 +1,4 @@
-"""Run another program as a part of a state machine: its words go to a log that is read as it grows."""
+"""Run another program as a part of a state machine: its output goes to a log that is read as it grows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from ...engine.job import JobError
 from ...engine.job.process import ChildProcess
 
-_MOST_WORDS = 200_000
+_MOST_BYTES = 200_000
 """Bytes of the log that one poll reads."""
 
 
@@ -35,17 +35,17 @@ def run_program(
         log.flush()
         reader.seek(log.tell())
         process = ChildProcess(command, cwd=cwd, environment=environment, output=log, keep_open=keep_open)
-        words = line = ""
+        output = line = ""
         try:
             while True:
-                code = process.exit_code()  # before the look at its words: so the last ones are among them
-                new = reader.read(_MOST_WORDS).decode(errors="replace")
-                words = (words + new)[-_MOST_WORDS:]
+                code = process.exit_code()  # before the look at its output, so that the last lines are in it
+                new = reader.read(_MOST_BYTES).decode(errors="replace")
+                output = (output + new)[-_MOST_BYTES:]
                 *whole, line = (line + new).split("\n")
                 for each in whole:
                     read_line(each)
                 if code is not None and not new:
-                    return words, code
+                    return output, code
                 if limit_s is not None and time.monotonic() - began > limit_s:
                     raise JobError("does not answer", command[0], "Choose another one.")
                 yield

@@ -156,7 +156,7 @@ def wait(tell: Callable[[str], object] = lambda line: None) -> None:
 
 
 def tick() -> float | None:
-    """One beat of the timer: the seconds until the next, None when there is nothing left to poll."""
+    """One call of the timer; the seconds until the next, None when there is nothing left to poll."""
     before = (_now.status, progress())
     goes_on = pump()
     if before != (_now.status, progress()):
@@ -187,7 +187,7 @@ def _first_check() -> None:
 
 
 def _begin() -> None:
-    """Let the timer beat. Without a window there is none: then somebody waits."""
+    """Start the timer. Without a window there is none: then somebody waits."""
     if not bpy.app.background and not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, first_interval=TICK_S, persistent=True)
 

@@ -115,8 +115,8 @@ class SetUp:
         for python in candidates(self.wish.base_python, versions):
             self._tell(1, "Looking for a Python", str(python))
             try:
-                words, code = yield from self._run([python, "-I", "-c", PROBE], limit_s=_PROBE_S)
-                verdict = judge(words, code, versions)
+                output, code = yield from self._run([python, "-I", "-c", PROBE], limit_s=_PROBE_S)
+                verdict = judge(output, code, versions)
             except JobError as error:
                 verdict = error.what
             if isinstance(verdict, BasePython):
@@ -155,9 +155,9 @@ class SetUp:
             self._log(f"Going on with {environment}, which has: {', '.join(notes.done)}")
             return notes
         throw_away(environment, self.folder)
-        words, code = yield from self._run([base.python, "-I", "-m", "venv", environment])
+        output, code = yield from self._run([base.python, "-I", "-m", "venv", environment])
         if code != 0:
-            what = f"{base.python} could not make an environment ({pip.complaint(words)})"
+            what = f"{base.python} could not make an environment ({pip.complaint(output)})"
             raise JobError(what, self.log_path, "Name another Python in the preferences.")
         notes = Notes(self.wish.torch_build)
         notes.write(environment)
@@ -195,10 +195,10 @@ class SetUp:
             if news := pip.news(line):
                 self._tell(self.progress.step, self.progress.label, news)
 
-        words, code = yield from self._run(command, environment=pip.environment(temporary), read_line=read_line)
+        output, code = yield from self._run(command, environment=pip.environment(temporary), read_line=read_line)
         if code != 0:
             fix = "See to the connection or the disk, then set the engine up again: it goes on there."
-            raise JobError(f"pip could not install {step} ({pip.complaint(words)})", self.log_path, fix)
+            raise JobError(f"pip could not install {step} ({pip.complaint(output)})", self.log_path, fix)
         throw_away(temporary, self.folder)
         notes.done.append(step)
         notes.installing = False
@@ -208,9 +208,9 @@ class SetUp:
         """The truest test that the engine works here: a lift so small that it is of no use."""
         self._begin(0.8, 0.98, expected_s=_COMPILING_S)
         self._tell(5, "Compiling for this machine", "Half a minute")
-        words, code = yield from self._run([python_in(environment), "-m", "engine", "warm-up"], cwd=self.root)
+        output, code = yield from self._run([python_in(environment), "-m", "engine", "warm-up"], cwd=self.root)
         if code != 0:
-            what = f"the engine does not work in its new environment ({pip.complaint(words)})"
+            what = f"the engine does not work in its new environment ({pip.complaint(output)})"
             raise JobError(what, self.log_path, "Remove the engine, then set it up again. The log tells more.")
 
     def _finish(self, environment: Path) -> Generator[None, None, None]:

@@ -14,14 +14,14 @@ from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ..compat import point_shader, to_overlay
-from .glow import Glow
-from .plates import Colour, Plate
+from .highlight import Highlight
+from .text_boxes import Colour, TextBox
 
 _DIMMING = (0.03, 0.033, 0.04, 0.55)
 _BEHIND = 0.22
-"""How much of a glowing point shows through what is before it."""
+"""How much of a highlighted point shows through what is before it."""
 _SMALLEST, _LARGEST = 2.5, 14.0
-"""Pixels of a glowing point."""
+"""Pixels of a highlighted point."""
 _EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7)
 """Of an object's `bound_box`."""
 
@@ -29,10 +29,10 @@ _uploaded: list[tuple[NDArray[np.float32], gpu.types.GPUTexture]] = []
 """The picture drawn last, and what the graphics card has of it."""
 
 
-def draw_glow(
+def draw_highlight(
     view: bpy.types.RegionView3D,
     size: tuple[int, int],
-    seen: Glow,
+    seen: Highlight,
     box: bpy.types.Object | None,
     colour: Colour,
     dim: bool,
@@ -101,33 +101,34 @@ def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
     return _uploaded[0][1]
 
 
-def draw_plates(plates: Sequence[Plate]) -> None:
-    """Plates first, then all texts on them."""
-    if not plates:
+def draw_text_boxes(text_boxes: Sequence[TextBox]) -> None:
+    """All grounds first, then all texts on them."""
+    if not text_boxes:
         return
     corners: list[tuple[float, float]] = []
     colours: list[tuple[float, float, float, float]] = []
-    for plate in plates:
-        _add_rectangle(corners, colours, plate.x, plate.y, plate.width, plate.height, (*plate.ground, plate.opacity))
-        if plate.swatch is not None:
-            inset = 0.22 * plate.height
-            side = plate.height - 2.0 * inset
-            _add_rectangle(corners, colours, plate.x + 2 * inset, plate.y + inset, side, side, (*plate.swatch, 1.0))
+    for text_box in text_boxes:
+        x, y, height = text_box.x, text_box.y, text_box.height
+        _add_rectangle(corners, colours, x, y, text_box.width, height, (*text_box.ground, text_box.opacity))
+        if text_box.swatch is not None:
+            inset = 0.22 * height
+            side = height - 2.0 * inset
+            _add_rectangle(corners, colours, x + 2 * inset, y + inset, side, side, (*text_box.swatch, 1.0))
     shader = gpu.shader.from_builtin("FLAT_COLOR")
     gpu.state.blend_set("ALPHA")
     batch_for_shader(shader, "TRIS", {"pos": corners, "color": colours}).draw(shader)
-    for plate in plates:
-        _write(plate)
+    for text_box in text_boxes:
+        _write(text_box)
     gpu.state.blend_set("NONE")
 
 
-def _write(plate: Plate) -> None:
-    blf.size(0, plate.size)
-    blf.color(0, *plate.ink, 1.0)
-    width = blf.dimensions(0, plate.text)[0]
-    indent = (plate.width - width) / 2.0 if plate.swatch is None else 1.15 * plate.height
-    blf.position(0, plate.x + indent, plate.y + (plate.height - 0.72 * plate.size) / 2.0, 0.0)
-    blf.draw(0, plate.text)
+def _write(text_box: TextBox) -> None:
+    blf.size(0, text_box.size)
+    blf.color(0, *text_box.ink, 1.0)
+    width = blf.dimensions(0, text_box.text)[0]
+    indent = (text_box.width - width) / 2.0 if text_box.swatch is None else 1.15 * text_box.height
+    blf.position(0, text_box.x + indent, text_box.y + (text_box.height - 0.72 * text_box.size) / 2.0, 0.0)
+    blf.draw(0, text_box.text)
 
 
 def _add_rectangle(
@@ -161,7 +162,7 @@ def _nearer(view: bpy.types.RegionView3D, distance: float, by: float) -> Matrix:
     return Matrix.Translation((0.0, 0.0, by))
 
 
-def _draw_points(seen: Glow, colour: Colour, pixels: float) -> None:
+def _draw_points(seen: Highlight, colour: Colour, pixels: float) -> None:
     """All points faintly, whatever is before them, then those that nothing covers."""
     shader = point_shader()
     gpu.state.point_size_set(pixels)
@@ -190,7 +191,7 @@ def _draw_lines(
 
 
 def _brightened(colour: Colour) -> Colour:
-    """A colour that glows: half way to the brightest of its hue."""
+    """The colour of a highlight: half way to the brightest of its hue."""
     strongest = max(*colour, 1e-3)
     red, green, blue = (0.25 + 0.75 * channel / strongest for channel in colour)
     return red, green, blue

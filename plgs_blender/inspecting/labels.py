@@ -15,7 +15,7 @@ _STEP = 0.25
 
 @dataclass(frozen=True)
 class Label:
-    """A plate in pixels: its lower left corner, width and height, the text, and which label of the input it is."""
+    """A text box in pixels: its lower left corner, width and height, the text, and which label of the input it is."""
 
     x: float
     y: float

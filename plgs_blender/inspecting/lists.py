@@ -13,7 +13,7 @@ from ..colour import UNKNOWN
 from ..results import Instance, LiftResult, Mask
 from . import colouring, visibility
 from .labels import let_boxes_show_names
-from .records import NO_CONSENT, NO_COST, registered
+from .records import NO_AGREEMENT, NO_COST, registered
 
 
 def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
@@ -44,8 +44,8 @@ def best_view(masks: Sequence[Mask]) -> int:
 
 def reason(mask: Mask) -> str:
     """Why a mask was matched to its instance, in the few words that fit into a list."""
-    if mask.consent is not None:
-        return f"{100 * mask.consent:.0f} % consent"
+    if mask.agreement is not None:
+        return f"{100 * mask.agreement:.0f} % agreement"
     if mask.cost is not None:
         return f"cost {mask.cost:.2f}"
     return "founded it" if mask.share > 0.0 else ""
@@ -68,7 +68,7 @@ def _fill_instance(row: Any, instance: Instance, classes: ClassTable) -> None:
         each.class_name = classes[mask.class_id].name if mask.class_id in classes else "unknown"
         each.score, each.pixels, each.share = mask.score, mask.pixels, mask.share
         each.cost = NO_COST if mask.cost is None else mask.cost
-        each.consent = NO_CONSENT if mask.consent is None else mask.consent
+        each.agreement = NO_AGREEMENT if mask.agreement is None else mask.agreement
         each.rectangle, each.reason = mask.rectangle, reason(mask)
 
 

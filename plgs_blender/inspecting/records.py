@@ -25,8 +25,8 @@ from .labels import let_boxes_show_names
 from .selection import select_row
 from .visibility import apply_visibility
 
-NO_COST, NO_CONSENT = 1.0, -1.0
-"""Values of a mask's `cost` and `consent` that say there is none."""
+NO_COST, NO_AGREEMENT = 1.0, -1.0
+"""Values of a mask's `cost` and `agreement` that say there is none."""
 
 
 def _show(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
@@ -57,8 +57,8 @@ class PLGS_PG_mask(bpy.types.PropertyGroup):
         name="Cost", default=NO_COST,
         description="Cost of the match by boxes, -1.5 (the same box) to 0; 1 when it was not matched by boxes",
     )  # fmt: skip
-    consent: FloatProperty(  # type: ignore[valid-type]
-        name="Consent", default=NO_CONSENT,
+    agreement: FloatProperty(  # type: ignore[valid-type]
+        name="View agreement", default=NO_AGREEMENT,
         description="Share of the views' judgements that put it together with the instance's other masks; "
         "-1 when views did not decide",
     )  # fmt: skip
@@ -141,7 +141,7 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         name="Legend", description="Draw the classes and their colours over the view"
     )
     show_selected: BoolProperty(  # type: ignore[valid-type]
-        name="Selected points", default=True, description="Let the points and anchors of the selected instance glow"
+        name="Selected points", default=True, description="Highlight the points and anchors of the selected instance"
     )
     dim_others: BoolProperty(  # type: ignore[valid-type]
         name="Dim the rest", default=True, description="While an instance is selected, darken everything else"

@@ -1,7 +1,7 @@
 """One selection everywhere: the box that is active in the view and the row that is active in the list.
 
 The truth is Blender's own selection of boxes. `follow_active` brings the list after it, `select_row` brings it after
-the list; each does nothing when both agree, so they cannot chase each other. What glows in the view is read from the
+the list; each does nothing when both agree, so they cannot chase each other. What the view highlights is read from the
 selection while drawing.
 """
 

@@ -1,1 +1,1 @@
-"""Lifts that this Blender follows: `lifts` is the state machine without Blender, `watch` ticks it from a timer."""
+"""Lifts that this Blender follows: `lifts` is the state machine without Blender, `poll_timer` polls it from Blender."""

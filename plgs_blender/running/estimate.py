@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 from ...engine.job.effort import chosen_effort
-from ...engine.job.prediction import Prediction, machine_slowness, predict
+from ...engine.job.prediction import Prediction, predict
 from ..scene_survey import survey_of
 from ..settings import PLGS_PG_settings, place_of, size_of
-
-_slowness = 1.0
-
-
-def learn_machine() -> None:
-    """Read how long earlier lifts took on this machine; `estimate_of`, which panels call, looks at no disk."""
-    global _slowness
-    _slowness = machine_slowness()
+from . import machine_pace
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
-    """Time and memory of the lift that the settings ask for, None while the scene is not known, or is bad."""
+    """Time and memory of the lift that the settings ask for, None while the scene is not known, or is bad.
+
+    Looks at no disk: panels call it.
+    """
     survey = survey_of(place_of(settings)) if settings.scene_folder else None
     if survey is None or survey.error is not None or not survey.sizes:
         return None
     effort = chosen_effort(settings.preset, settings.steps or None, size_of(settings))
     (size, _), *_ = survey.sizes
     return predict(
-        survey.train_frames, survey.test_frames, size, effort, bake=settings.bake, slowness=_slowness
+        survey.train_frames, survey.test_frames, size, effort, bake=settings.bake, slowness=machine_pace.slowness()
     )

@@ -170,7 +170,7 @@ def let_go() -> None:
     _refusals.clear()
 
 
-def words_for(watch: Watch) -> str:
+def message_for(watch: Watch) -> str:
     """One line for people about how a lift, or the baking of its passes, ended."""
     outcome = watch.outcome
     if outcome is None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plgs.engine.scene import Category, ClassTable
 from plgs.plgs_blender.clouds import place_anchors, place_semantic_points
-from plgs.plgs_blender.owned import Holdings
+from plgs.plgs_blender.owned import OwnedDataBlocks
 from plgs.plgs_blender.results import Anchors, SemanticPoints
 from plgs.plgs_blender.surfaces import SurfaceGrid
 
@@ -37,7 +37,7 @@ def many_points(count: int) -> SemanticPoints:
 def place(points: SemanticPoints) -> tuple[list[bpy.types.Object], float]:
     """The clouds, and how many seconds it took to make them and the anchors, a quarter as many."""
     parent = bpy.data.collections.new("points")
-    holdings = Holdings("lift", bpy.context.scene)
+    owned = OwnedDataBlocks("lift", bpy.context.scene)
     few = slice(0, len(points.xyz) // 4)
     anchors = Anchors(
         points.xyz[few], points.rgb[few], points.class_id[few], points.instance_id[few],
@@ -46,8 +46,8 @@ def place(points: SemanticPoints) -> tuple[list[bpy.types.Object], float]:
     viewpoints = np.random.default_rng(1).random((200, 3)) * [6.0, 4.0, 1.0] + 1.0
     started = time.process_time()
     grid = SurfaceGrid.of(points.xyz)
-    clouds = place_semantic_points(holdings, parent, points, grid, grid.normals(viewpoints), CLASSES)
-    place_anchors(holdings, parent, anchors)
+    clouds = place_semantic_points(owned, parent, points, grid, grid.normals(viewpoints), CLASSES)
+    place_anchors(owned, parent, anchors)
     return clouds, time.process_time() - started
 
 

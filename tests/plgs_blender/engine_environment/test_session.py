@@ -179,12 +179,12 @@ def test_switching_online_access_off_ends_it(online: Wish, folder: Path, index: 
 def test_the_timer_asks_and_then_stops(python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
     choices.choose(python())
     session.check()
-    beats = [session.tick()]
+    waits = [session.tick()]
     give_up = time.monotonic() + 10
-    while beats[-1] is not None:
+    while waits[-1] is not None:
         assert time.monotonic() < give_up
         time.sleep(0.01)
-        beats.append(session.tick())
+        waits.append(session.tick())
     assert engine_environment.status().state is EngineState.READY
 
 

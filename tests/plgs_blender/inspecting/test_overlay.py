@@ -1,4 +1,4 @@
-"""Labels, the legend and what glows: where they stand, and that they are seen."""
+"""Labels, the legend and the highlight: where they stand, and that they are seen."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Matrix, Vector
-from plgs.plgs_blender.inspecting import glow
-from plgs.plgs_blender.inspecting.drawing import draw_glow, draw_plates, draw_rectangle
+from plgs.plgs_blender.inspecting import highlight
+from plgs.plgs_blender.inspecting.drawing import draw_highlight, draw_rectangle, draw_text_boxes
 from plgs.plgs_blender.inspecting.labels import stack_labels
 from plgs.plgs_blender.inspecting.lookup import boxes_of
-from plgs.plgs_blender.inspecting.plates import View, label_plates, legend_plates
+from plgs.plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes, legend_text_boxes
 
 WIDTH, HEIGHT = 480, 300
 
@@ -45,8 +45,8 @@ class Seen:
         self.window_matrix = camera.calc_matrix_camera(graph, x=WIDTH, y=HEIGHT)
 
     @property
-    def view(self) -> View:
-        return View(WIDTH, HEIGHT, 0, self.window_matrix @ self.view_matrix, 1.0)
+    def region(self) -> ViewRegion:
+        return ViewRegion(WIDTH, HEIGHT, 0, self.window_matrix @ self.view_matrix, 1.0)
 
 
 @pytest.fixture
@@ -55,34 +55,35 @@ def seen(root: bpy.types.Collection) -> Seen:
 
 
 def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> None:
-    plates = label_plates(root.plgs.instances, boxes_of(root), 1, seen.view)
-    assert {plate.text for plate in plates} == {"chair 1", "cabinet 1"}
-    for plate in plates:
-        box = bpy.data.objects[plate.text]
-        at = seen.view.pixel_of(box.matrix_world.translation)
-        assert at is not None and plate.x < at[0] < plate.x + plate.width and plate.y > at[1]
-    chair, cabinet = sorted(plates, key=lambda plate: plate.text, reverse=True)
+    text_boxes = label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region)
+    assert {text_box.text for text_box in text_boxes} == {"chair 1", "cabinet 1"}
+    for text_box in text_boxes:
+        box = bpy.data.objects[text_box.text]
+        at = seen.region.pixel_of(box.matrix_world.translation)
+        assert at is not None and text_box.x < at[0] < text_box.x + text_box.width and text_box.y > at[1]
+    chair, cabinet = sorted(text_boxes, key=lambda text_box: text_box.text, reverse=True)
     assert max(chair.ground) > max(cabinet.ground), "the selected one in its full colour"
     bpy.data.objects.remove(bpy.data.objects["chair 1"])
-    assert [plate.text for plate in label_plates(root.plgs.instances, boxes_of(root), 1, seen.view)] == ["cabinet 1"]
+    text_boxes = label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region)
+    assert [text_box.text for text_box in text_boxes] == ["cabinet 1"]
 
 
 def test_the_legend_has_the_classes_that_are_shown(root: bpy.types.Collection, seen: Seen) -> None:
     rows = root.plgs.classes
-    plates = legend_plates(rows, seen.view)
-    assert {plate.text for plate in plates} == {row.name for row in rows}
-    order = [plate.text for plate in sorted(plates, key=lambda plate: -plate.y)]
+    text_boxes = legend_text_boxes(rows, seen.region)
+    assert {text_box.text for text_box in text_boxes} == {row.name for row in rows}
+    order = [text_box.text for text_box in sorted(text_boxes, key=lambda text_box: -text_box.y)]
     points = {row.name: row.points for row in rows}
     assert [points[name] for name in order] == sorted(points.values(), reverse=True)
     rows[0].visible = False
-    assert len(legend_plates(rows, seen.view)) == len(rows) - 1
-    low = View(WIDTH, 70, 0, Matrix.Identity(4), 1.0)
-    assert len(legend_plates(rows, low)) == 2 and legend_plates(rows, low)[-1].text.startswith("and ")
+    assert len(legend_text_boxes(rows, seen.region)) == len(rows) - 1
+    low = ViewRegion(WIDTH, 70, 0, Matrix.Identity(4), 1.0)
+    assert len(legend_text_boxes(rows, low)) == 2 and legend_text_boxes(rows, low)[-1].text.startswith("and ")
 
 
 def test_points_behind_the_eye_are_nowhere(seen: Seen) -> None:
     camera = bpy.data.objects["Overview"]
-    assert seen.view.pixel_of(camera.matrix_world @ Vector((0.0, 0.0, 3.0))) is None
+    assert seen.region.pixel_of(camera.matrix_world @ Vector((0.0, 0.0, 3.0))) is None
 
 
 def picture(draw: object) -> np.ndarray:
@@ -117,24 +118,24 @@ def in_pixels() -> None:
 @pytest.mark.skipif(bool(os.environ.get("PLGS_NO_EGL")), reason="this machine has no EGL")
 def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
     box, colour = boxes_of(root)[1], (0.9, 0.2, 0.1)
-    points = glow.glow_of(root, 1, lambda cloud: True)
+    points = highlight.highlight_of(root, 1, lambda cloud: True)
 
     def draw() -> None:
         gpu.matrix.load_projection_matrix(seen.window_matrix)
-        draw_glow(seen, (WIDTH, HEIGHT), points, box, colour, dim=True)  # type: ignore[arg-type]
+        draw_highlight(seen, (WIDTH, HEIGHT), points, box, colour, dim=True)  # type: ignore[arg-type]
         in_pixels()
-        draw_plates(label_plates(root.plgs.instances, boxes_of(root), 1, seen.view))
-        draw_plates(legend_plates(root.plgs.classes, seen.view))
+        draw_text_boxes(label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region))
+        draw_text_boxes(legend_text_boxes(root.plgs.classes, seen.region))
         draw_rectangle([(300, 20), (400, 20), (400, 90), (300, 90)], (0.2, 0.9, 0.3))
 
     drawn = picture(draw)[..., :3].astype(int)
     if "PLGS_PICTURES" in os.environ:
         save(drawn, os.path.join(os.environ["PLGS_PICTURES"], f"overlay_{bpy.app.version[0]}.png"))
     assert (drawn[2, 2] < 90).all(), "the rest is darker than the ground of 128"
-    at = seen.view.pixel_of(box.matrix_world.translation)
+    at = seen.region.pixel_of(box.matrix_world.translation)
     assert at is not None
     around = drawn[HEIGHT - int(at[1]) - 12 : HEIGHT - int(at[1]) + 12, int(at[0]) - 12 : int(at[0]) + 12]
-    assert ((around[..., 0] > 130) & (around[..., 1] < 160)).mean() > 0.5, "the chair's points glow"
+    assert ((around[..., 0] > 130) & (around[..., 1] < 160)).mean() > 0.5, "the chair's points are highlighted"
     green = (drawn[..., 1] > 200) & (drawn[..., 0] < 160) & (drawn[..., 2] < 180)
     assert green[205:285, 295:405].sum() > 400, "the rectangle of the mask"
     assert (drawn.min(axis=-1) > 230)[: HEIGHT].sum() > 100, "white letters"

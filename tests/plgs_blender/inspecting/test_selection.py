@@ -10,7 +10,7 @@ import pytest
 from plgs.engine.job import JobError
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.import_scene import place_scene
-from plgs.plgs_blender.inspecting import following, glow, selection
+from plgs.plgs_blender.inspecting import following, highlight, selection
 from plgs.plgs_blender.inspecting.lookup import active_lift, boxes_of, find_lift, objects_by_key
 from plgs.plgs_blender.lift_collection import lifts_in
 from tiny_lift import write_tiny_lift
@@ -91,13 +91,13 @@ def test_two_lifts_keep_to_themselves(root: bpy.types.Collection, tmp_path: Path
 def test_the_points_of_the_selected_instance_glow(root: bpy.types.Collection, lift: Path) -> None:
     stored = np.load(lift / "result" / "semantic_points.npz")
     anchors = np.load(lift / "result" / "anchors.npz")
-    mine = glow.glow_of(root, 1, lambda cloud: cloud.name != "Anchors")
+    mine = highlight.highlight_of(root, 1, lambda cloud: cloud.name != "Anchors")
     assert len(mine.xyz) == (stored["instance_id"] == 1).sum() and mine.radius > 0.0
     assert np.allclose(np.sort(mine.xyz, axis=0), np.sort(stored["xyz"][stored["instance_id"] == 1], axis=0))
-    assert glow.glow_of(root, 1, lambda cloud: cloud.name != "Anchors") is mine, "read once"
-    both = glow.glow_of(root, 1, lambda cloud: True)
+    assert highlight.highlight_of(root, 1, lambda cloud: cloud.name != "Anchors") is mine, "read once"
+    both = highlight.highlight_of(root, 1, lambda cloud: True)
     assert len(both.xyz) == len(mine.xyz) + (anchors["instance_id"] == 1).sum()
-    assert len(glow.glow_of(root, 99, lambda cloud: True).xyz) == 0
+    assert len(highlight.highlight_of(root, 99, lambda cloud: True).xyz) == 0
 
 
 def test_a_class_selects_its_boxes(root: bpy.types.Collection) -> None:

@@ -10,7 +10,7 @@ from mathutils import Vector
 from plgs.engine.job import JobError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender.inspecting import views
-from plgs.plgs_blender.inspecting.glow import rectangle_in_space
+from plgs.plgs_blender.inspecting.highlight import rectangle_in_space
 from plgs.plgs_blender.inspecting.lookup import boxes_of, objects_by_key, row_of
 from plgs.plgs_blender.lift_collection import SCENE
 

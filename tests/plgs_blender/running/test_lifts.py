@@ -55,7 +55,7 @@ def test_a_lift_from_start_to_end(behaves: Behaves, lift: LiftFolder) -> None:
     assert watch.is_running and lifts.running() == [watch] and lifts.watch_of(lift.path) is watch
     assert lifts.wait_for(watch).code is ExitCode.FINISHED
     assert watch.is_finished and not watch.can_be_resumed and lifts.running() == []
-    assert lifts.words_for(watch) == "The lift is finished"
+    assert lifts.message_for(watch) == "The lift is finished"
 
 
 def test_cancelled_and_resumed(behaves: Behaves, lift: LiftFolder) -> None:
@@ -155,7 +155,7 @@ def test_the_folder_is_deleted_while_it_lifts(behaves: Behaves, lift: LiftFolder
     shutil.rmtree(lift.path)
     outcome = lifts.wait_for(watch)
     assert outcome.code is ExitCode.INTERNAL_ERROR and outcome.error
-    assert "folder is gone" in lifts.words_for(watch)
+    assert "folder is gone" in lifts.message_for(watch)
 
 
 def test_a_lift_that_can_no_longer_be_read_ends(lift: LiftFolder) -> None:
@@ -165,7 +165,7 @@ def test_a_lift_that_can_no_longer_be_read_ends(lift: LiftFolder) -> None:
     lift.events_path.unlink()
     lift.events_path.mkdir()
     assert watch.poll() and not watch.is_running
-    assert "can no longer be read" in lifts.words_for(watch)
+    assert "can no longer be read" in lifts.message_for(watch)
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "a\0b", "a\ud800b"])

@@ -1,4 +1,4 @@
-"""The heartbeat: a timer of Blender's that polls the followed lifts and shows what is new.
+"""A timer of Blender's that polls the followed lifts and shows what is new.
 
 It survives undo, the opening of another file and the end of the operator that started a lift. Blender runs it in its
 own main thread between redraws, so it may never wait.
@@ -15,20 +15,20 @@ from ..engine_environment import engine_python
 from ..paths import absolute
 from ..redrawing import redraw_panels
 from ..scene_survey import Place
-from . import estimate, lifts, live_preview, recents
+from . import lifts, live_preview, machine_pace, recents
 from .lifts import Watch
 
 TICK_S = 0.1
 
 
 def begin() -> None:
-    """Let the heart beat from now on, as long as there are lifts to follow. Without a window nothing beats."""
+    """Start the timer; it goes on as long as there are lifts to follow. Without a window there is none."""
     if not bpy.app.background and not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, first_interval=TICK_S, persistent=True)
 
 
 def tick() -> float | None:
-    """One beat; the seconds until the next, None when there is nothing left to follow."""
+    """Poll once; the seconds until the next time, None when there is nothing left to follow."""
     with_news = lifts.poll_all()
     shown_anew = [_show(watch) for watch in with_news]
     for watch in lifts.running():
@@ -42,7 +42,7 @@ def tick() -> float | None:
 
 def look_at_scene(place: Place) -> None:
     """See what is in a scene's folder; `scene_survey.survey_of` knows it then: in a window a moment later."""
-    estimate.learn_machine()
+    machine_pace.learn()
     # Without a window nobody would hear what a process finds out, and nobody is kept waiting.
     scene_survey.look(place, None if bpy.app.background else engine_python())
     begin()

@@ -1,4 +1,4 @@
-"""What glows over the view: the points and anchors of the selected instance, and the rectangle of a mask.
+"""What is highlighted in a 3D view: the selected instance's points and anchors, and the rectangle of a mask.
 
 Read from Blender's data once a selection, and kept: a view is drawn many times.
 """
@@ -17,7 +17,7 @@ from .lookup import clouds_of
 
 
 @dataclass(frozen=True, eq=False)
-class Glow:
+class Highlight:
     """Points float32 [N, 3] in world metres; `shade` float32 [N] how light each is, so that shapes are seen; `radius`
     their mean in metres; what they belong to (`key`).
     """
@@ -35,17 +35,17 @@ _NOTHING: _Points = (np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.z
 _LIGHT = np.array([0.35, -0.25, 0.9], np.float32)
 _MIDDLE, _CONTRAST = 0.74, 0.3
 
-_last: list[Glow] = []
+_last: list[Highlight] = []
 
 
-def glow_of(root: bpy.types.Collection, instance: int, visible: Any) -> Glow:
+def highlight_of(root: bpy.types.Collection, instance: int, visible: Any) -> Highlight:
     """The points of an instance in the clouds that `visible(object)` says are seen."""
     clouds = [cloud for cloud in clouds_of(root) if visible(cloud)]
     key = (root.session_uid, instance, *map(_state_of, clouds))
     if not _last or _last[0].key != key:
         parts = [_points_of(cloud, instance) for cloud in clouds]
         xyz, shade, radius = (np.concatenate(each) for each in zip(_NOTHING, *parts, strict=True))
-        _last[:] = [Glow(key, xyz, shade, float(radius.mean()) if len(radius) else 0.0)]
+        _last[:] = [Highlight(key, xyz, shade, float(radius.mean()) if len(radius) else 0.0)]
     return _last[0]
 
 

@@ -1,4 +1,4 @@
-"""Labels at boxes and the legend, as plates of text with places and colours in pixels: `drawing` draws them."""
+"""Labels at boxes and the legend, as text boxes with places and colours in pixels: `drawing` draws them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DARK = (0.09, 0.095, 0.105)
 
 
 @dataclass(frozen=True)
-class View:
+class ViewRegion:
     """A 3D view's region: width and height in pixels, how much of it is covered by toolbars on the left, the matrix
     from world to clip space, and the interface's scale.
     """
@@ -34,7 +34,7 @@ class View:
     scale: float
 
     @classmethod
-    def of(cls, context: bpy.types.Context) -> View:
+    def of(cls, context: bpy.types.Context) -> ViewRegion:
         region, area = context.region, context.area
         tools = next((each for each in area.regions if each.type == "TOOLS"), None)
         covered = tools is not None and tools.x < region.x + tools.width and tools.x >= region.x
@@ -49,7 +49,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Plate:
+class TextBox:
     """A rectangle with a text: lower left corner, width and height in pixels, the ground's and the text's colour
     (sRGB 0..1), how opaque the ground is, and a swatch's colour where it has one.
     """
@@ -66,52 +66,54 @@ class Plate:
     swatch: Colour | None = None
 
 
-def label_plates(rows: Any, boxes: Mapping[int, bpy.types.Object], active: int, view: View) -> list[Plate]:
-    """A plate with its name above the box of each instance that is seen; the `active` one in its full colour."""
-    size, padding = _TEXT * view.scale, _PADDING * view.scale
+def label_text_boxes(
+    rows: Any, boxes: Mapping[int, bpy.types.Object], active: int, region: ViewRegion
+) -> list[TextBox]:
+    """A text box with its name above the box of each instance that is seen; the `active` one in its full colour."""
+    size, padding = _TEXT * region.scale, _PADDING * region.scale
     seen: list[Any] = []
     anchors: list[tuple[float, float]] = []
     widths: list[float] = []
     for row in rows:
         box = boxes.get(row.instance_id)
-        at = None if box is None else view.pixel_of(_top(box))
+        at = None if box is None else region.pixel_of(_top(box))
         if at is not None and len(seen) < _MOST_LABELS:
             seen.append(row)
             anchors.append((at[0], at[1] + padding))
             widths.append(_text_width(row.name, size) + 2.0 * padding)
-    plates = []
-    for label in stack_labels(anchors, widths, size + 1.4 * padding, (view.width, view.height)):
+    text_boxes = []
+    for label in stack_labels(anchors, widths, size + 1.4 * padding, (region.width, region.height)):
         row = seen[label.index]
         red, green, blue = row.colour
         bright = row.instance_id == active
         shade = 1.0 if bright else 0.42
         luminance = 0.3 * red + 0.6 * green + 0.1 * blue
-        plates.append(
-            Plate(
+        text_boxes.append(
+            TextBox(
                 label.x, label.y, label.width, label.height, row.name, size,
                 ground=(red * shade, green * shade, blue * shade),
                 opacity=0.95 if bright else 0.8,
                 ink=_DARK if bright and luminance > 0.5 else (1.0, 1.0, 1.0),
             )
         )  # fmt: skip
-    return plates
+    return text_boxes
 
 
-def legend_plates(rows: Any, view: View) -> list[Plate]:
+def legend_text_boxes(rows: Any, region: ViewRegion) -> list[TextBox]:
     """The classes that are shown, those with most points first, in the lower left corner; as many as fit."""
-    size, padding = _TEXT * view.scale, _PADDING * view.scale
+    size, padding = _TEXT * region.scale, _PADDING * region.scale
     line = size + 1.2 * padding
     shown = sorted((row for row in rows if row.visible), key=lambda row: (-row.points, row.name))
-    room = max(1, int((0.7 * view.height) / line))
+    room = max(1, int((0.7 * region.height) / line))
     texts: list[tuple[str, Colour | None]] = [(row.name, tuple(row.colour)) for row in shown[:room]]
     if len(shown) > room:
         texts[-1] = (f"and {len(shown) - room + 1} more", None)
     if not texts:
         return []
     width = max(_text_width(text, size) for text, _ in texts) + size + 4.0 * padding
-    x, y = view.left + 3.0 * padding, 3.0 * padding
+    x, y = region.left + 3.0 * padding, 3.0 * padding
     return [
-        Plate(x, y + line * (len(texts) - 1 - place), width, line, text, size, _DARK, 0.72, swatch=swatch)
+        TextBox(x, y + line * (len(texts) - 1 - place), width, line, text, size, _DARK, 0.72, swatch=swatch)
         for place, (text, swatch) in enumerate(texts)
     ]
 

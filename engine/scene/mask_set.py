@@ -1,0 +1,29 @@
+"""What a mask reader gives: the masks of a scene's frames, of whichever kind they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from .classes import ClassTable
+from .frame import PanopticMask, Size
+
+READ_FIX = (
+    "Give COCO panoptic masks (panoptic.json with a folder panoptic) or Panoptic Lifting's m2f_semantics and "
+    "m2f_instance."
+)
+
+
+@dataclass(frozen=True)
+class MaskSet:
+    """The masks of a scene's frames: the class table, one reader a frame, their sizes by frame, and warnings."""
+
+    classes: ClassTable
+    readers: Mapping[str, Callable[[Size | None], PanopticMask]]
+    sizes: Mapping[str, Size]
+    paths: Mapping[str, Path]
+    warnings: tuple[str, ...] = ()
+
+
+NO_MASKS = MaskSet(ClassTable(()), {}, {}, {})
