@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from ..instances.consensus import ConsensusOptions
+from ..instances.segment_votes import SegmentVoting
 from ..job.effort import EFFORTS, Effort
 from ..model.growing import GrowthRules
 from ..model.label_voting import VotingOptions
-from ..semantics.segment_votes import SegmentVoting
 
 
 @dataclass(frozen=True)

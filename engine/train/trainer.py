@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..instances import UNKNOWN_LABEL, PanopticLabels, segment_labels
 from ..model.baking import decided_labels
 from ..model.gaussians import decode
 from ..model.growing import GrowthStatistics, grow_and_prune
@@ -19,7 +20,7 @@ from ..model.scene_labels import scene_labels
 from ..model.structured import StructuredScene
 from ..raster import Rendering, rasterize
 from ..scene import VOID, PanopticMask, View
-from ..semantics import UNKNOWN_LABEL, PanopticLabels, pseudo_labels, segment_labels
+from ..semantics import pseudo_labels
 from .assignment import assigned_slots
 from .depth_loss import depth_loss
 from .label_losses import label_losses

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from engine.job import Cancelled
+from engine.lift.preparation import PreparedLift
 from engine.lift.voting import vote_labels
 from engine.model.render import render_view
 from engine.model.structured import NO_OBJECT
 from engine.passes import decide
 from engine.scene import Scene, load_view, open_scene
-from engine.train.preparation import PreparedLift
 from engine.train.presets import Preset
 from engine.train.trainer import Trainer
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene

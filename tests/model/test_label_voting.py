@@ -10,6 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from engine.instances import PanopticLabels, decide_labels
 from engine.model.gaussians import decode
 from engine.model.label_voting import Contributors, LabelVotes, VotingOptions, contributors, shown_labels
 from engine.model.render import render_view
@@ -17,7 +18,6 @@ from engine.model.scene_labels import LEAST_OF_CLASS, scene_labels, voted_probab
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene
 from engine.raster import rasterize
 from engine.scene import Camera
-from engine.semantics import PanopticLabels, decide_labels
 from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, some_scene
 
 SLOT_IDS, CLASS_OF_SLOT = (4, NO_OBJECT, 9, SPARE, SPARE), (7, 0, 5, 0, 0)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from engine.job import EventWriter, StopSignal
+from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES
 from engine.model.growing import GrowthRules
 from engine.scene import ClassTable, View, load_view, open_scene
-from engine.train.preparation import PreparedLift, prepare
 from engine.train.presets import PRESETS, Preset, Schedule, WarmStart
 from engine.train.progress import StageReporter
 from engine.train.trainer import Trainer

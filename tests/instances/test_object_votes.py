@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.semantics import object_classes, vote_classes
+from engine.instances import object_classes, vote_classes
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, SOFA, WALL
 
 

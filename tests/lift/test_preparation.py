@@ -9,11 +9,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from engine.instances import GlobalInstance, fit_box
+from engine.instances import GlobalInstance, PanopticLabels, fit_box
+from engine.lift import preparation
+from engine.lift.preparation import PreparedLift, label_channels
 from engine.model.structured import NO_OBJECT, SPARE
-from engine.semantics import PanopticLabels
-from engine.train import preparation
-from engine.train.preparation import PreparedLift, label_channels
 from tests.tiny_scene import CABINET, CABINET_ID, CHAIR, CHAIR_ID, WALL_ID
 from tests.train.tiny_lift import TINY, prepared_for, views_of
 

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.scene import PanopticMask, Segment, View
-from engine.semantics import (
+from engine.instances import (
     UNKNOWN_LABEL,
     PanopticLabels,
     SegmentVoting,
@@ -20,6 +19,7 @@ from engine.semantics import (
     segment_votes,
     vote_panoptic_labels,
 )
+from engine.scene import PanopticMask, Segment, View
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, square, wall_view
 
 COUNT = 7
