@@ -1,8 +1,8 @@
 """Which masks are one object, and which points and pixels belong to it.
 
-The paper's way is Algorithm 1 on oriented boxes. Ours, from top to bottom: the views agree on objects whatever they call
-them; they vote on each object's class; segments and points vote on what every pixel shows; the pieces of an object in
-space are looked at once more.
+The paper's way is Algorithm 1 on oriented boxes. Ours, from top to bottom: the views agree on objects, whatever they
+call them; they vote on each object's class; segments and points vote on what every pixel shows; the pieces of an object
+in space are looked at once more.
 """
 
 from __future__ import annotations
