@@ -27,16 +27,14 @@ def code_of(*arguments: str | Path) -> int:
 
 
 @pytest.mark.parametrize("command", [[], ["lift"], ["evaluate"], ["inspect"], ["experiments"], ["warm-up"], ["bench"]])
-def test_help_is_fast(root: Path, command: list[str]) -> None:
+def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
     code = (
         "import sys\n"
         "from engine.command_line.main import main\n"
         "try: main(sys.argv[1:])\n"
         "finally: print('HEAVY', {'torch', 'numpy', 'cv2', 'numba'} & set(sys.modules))"
     )
-    began = time.monotonic()
     said = subprocess.run([sys.executable, "-c", code, *command, "--help"], cwd=root, capture_output=True, text=True)
-    assert time.monotonic() - began < 1.0
     assert said.returncode == 0 and "HEAVY set()" in said.stdout and "usage:" in said.stdout
 
 
