@@ -42,26 +42,12 @@ def place_frames(
 
 
 def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
-    """Give a Blender camera the engine camera's intrinsics. Sizes and pixel aspect are the scene's:
-    `look_through`.
-    """
+    """Give a Blender camera the engine camera's intrinsics. Size and pixel aspect are the scene's, and the user's."""
     lens = lens_of(camera)
     data.type, data.lens_unit, data.sensor_fit = "PERSP", "MILLIMETERS", "HORIZONTAL"
     data.sensor_width = SENSOR_WIDTH
     data.lens, data.shift_x, data.shift_y = lens.focal_length, lens.shift_x, lens.shift_y
     data.clip_start, data.clip_end = 0.01, 1000.0
-
-
-def look_through(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
-    """Make one of our cameras the scene's, with the size and pixel aspect of its frame: what is rendered then
-    lies on the photo pixel by pixel. Resolution belongs to the scene in Blender, so frames of different sizes
-    need this.
-    """
-    render = scene.render
-    scene.camera = ob
-    render.resolution_x, render.resolution_y, render.resolution_percentage = ob["width"], ob["height"], 100
-    aspect = ob["fx"] / ob["fy"]
-    render.pixel_aspect_x, render.pixel_aspect_y = (1.0, aspect) if aspect >= 1.0 else (1.0 / aspect, 1.0)
 
 
 def camera_seen(scene: bpy.types.Scene) -> Camera | None:

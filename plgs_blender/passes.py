@@ -60,13 +60,6 @@ def show_view(scene: bpy.types.Scene, name: str) -> None:
             use_image(compat.compositor_tree(scene), image)
 
 
-def set_matte(scene: bpy.types.Scene, names: list[str], layer: str = INSTANCES) -> None:
-    """Let the matte of a passes scene be of these instances, or of these classes with `layer` CLASSES, by
-    name.
-    """
-    node_of(compat.compositor_tree(scene), layer).matte_id = ",".join(names)
-
-
 def _new_scene(name: str) -> bpy.types.Scene:
     """Composites only: no camera, nothing rendered, colours as they are."""
     scene = bpy.data.scenes.new(name)

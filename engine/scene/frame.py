@@ -126,10 +126,6 @@ class Scene:
     def has_masks(self) -> bool:
         return all(frame.read_mask is not None for frame in self.frames)
 
-    @property
-    def has_ground_truth(self) -> bool:
-        return any(frame.read_ground_truth is not None for frame in self.frames)
-
 
 class SceneError(Exception):
     """Input that cannot be lifted: what is wrong, where (a file or folder), and what to do about it."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -19,9 +18,7 @@ NO_SITE = [sys.executable, "-S", "-m", "engine", "handshake"]
 
 
 def test_the_engine_says_what_it_is(root: Path) -> None:
-    began = time.monotonic()
     said = subprocess.run([sys.executable, "-m", "engine", "handshake"], cwd=root, capture_output=True, text=True)
-    assert time.monotonic() - began < 1.0  # 0.15 s; a heavy import takes longer
     found = EngineAnswer.from_line(said.stdout)
     assert found is not None and said.stdout.count("\n") == 1 and said.stderr == ""
     assert found.version == __version__ and found.python == sys.version.split()[0] and found.cpus >= 1

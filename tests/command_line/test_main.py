@@ -7,7 +7,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -27,16 +26,14 @@ def code_of(*arguments: str | Path) -> int:
 
 
 @pytest.mark.parametrize("command", [[], ["lift"], ["evaluate"], ["inspect"], ["experiments"], ["warm-up"], ["bench"]])
-def test_help_is_fast(root: Path, command: list[str]) -> None:
+def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
     code = (
         "import sys\n"
         "from engine.command_line.main import main\n"
         "try: main(sys.argv[1:])\n"
         "finally: print('HEAVY', {'torch', 'numpy', 'cv2', 'numba'} & set(sys.modules))"
     )
-    began = time.monotonic()
     said = subprocess.run([sys.executable, "-c", code, *command, "--help"], cwd=root, capture_output=True, text=True)
-    assert time.monotonic() - began < 1.0
     assert said.returncode == 0 and "HEAVY set()" in said.stdout and "usage:" in said.stdout
 
 
@@ -148,12 +145,14 @@ def test_bench_measures_a_training_step(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 @pytest.mark.parametrize("what", ["raster", "step"])
 def test_bench_refuses_a_file_that_it_cannot_write_before_it_measures(
-    what: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    what: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    started = time.monotonic()
+    measured: list[Path | None] = []
+    monkeypatch.setattr("engine.raster.bench.bench_raster", measured.append)
+    monkeypatch.setattr("engine.lift.bench.bench_step", measured.append)
     for file in (tmp_path / "missing" / "figures.json", tmp_path):
         assert code_of("bench", what, "--json", file) == 2
         captured = capsys.readouterr()
         assert captured.err.startswith("error: ") and captured.err.count("\n") == 1
         assert str(tmp_path) in captured.err and not captured.out
-    assert time.monotonic() - started < 5.0
+    assert measured == []

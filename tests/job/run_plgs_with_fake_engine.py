@@ -5,6 +5,7 @@ run_plgs_with_fake_engine.py BEHAVIOUR ARGS...: for the behaviours see fake_engi
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import signal
 import sys
@@ -29,7 +30,14 @@ def main(behaviour: str, arguments: list[str]) -> int:
         fake = Path(__file__).with_name("fake_engine.py")
         return [sys.executable, fake, behaviour, lift, *(["--resume"] if resume else [])]
 
+    resumable = session.resumable
+
+    def announced_resumable(options: argparse.Namespace) -> object:
+        print("looks for a lift to resume", file=sys.stderr, flush=True)
+        return resumable(options)
+
     vars(session)["engine_command"] = fake_command
+    vars(session)["resumable"] = announced_resumable
     vars(run_plgs)["check_scene_folder"] = lambda request: None
     blender = ModuleType("plgs.plgs_blender.lift_scene")
     vars(blender)["save_lift"] = slow_save if behaviour == "short, slow save" else save_lift
@@ -45,7 +53,8 @@ def save_lift(lift: Path, blend: Path) -> None:
 
 
 def slow_save(lift: Path, blend: Path) -> None:
-    """A Blender that takes its time."""
+    """A Blender that takes its time, once it has told that it is at work."""
+    (lift / "saving").touch()
     time.sleep(60)
 
 

@@ -1,4 +1,7 @@
-"""Two processes: whatever happens to one, the other does the right thing within a second."""
+"""Two processes: whatever happens to one, the other does the right thing.
+
+Nothing here measures time: an engine that nobody ends would go on for longer than `follow` has patience.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,14 @@ from pathlib import Path
 import pytest
 
 from engine.job import EventReader, EventWriter, ExitCode, LiftFolder, LiftState
+from engine.job.events import MOST_BYTES, TAIL_BYTES
 from engine.job.follower import LiftFollower
 from engine.job.process import EngineProcess
+from tests.job.bytes_read import bytes_read
 from tests.job.lift_folders import new_lift
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 FAKE = Path(__file__).parent / "fake_engine.py"
-A_SECOND = 1.4
-"""With what a loaded machine needs to look."""
 Start = Callable[..., LiftFollower]
 
 
@@ -44,14 +47,13 @@ def start(folder: LiftFolder) -> Iterator[Start]:
         follower.close()
 
 
-def follow(follower: LiftFollower, until: Callable[[], bool] = lambda: False, patience: float = 20.0) -> float:
-    """Poll until the end, or until something holds; returns the seconds it took."""
+def follow(follower: LiftFollower, until: Callable[[], bool] = lambda: False) -> None:
+    """Poll until the end, or until something holds."""
     began = time.monotonic()
     while follower.outcome is None and not until():
-        assert time.monotonic() - began < patience, follower.status
+        assert time.monotonic() - began < 25.0, follower.status
         follower.poll()
         time.sleep(0.02)
-    return time.monotonic() - began
 
 
 def step_reached(follower: LiftFollower, step: int) -> Callable[[], bool]:
@@ -77,7 +79,7 @@ def test_cancel_stops_it_and_resume_goes_on(folder: LiftFolder, start: Start) ->
     follower = start("patient")
     follow(follower, step_reached(follower, 3))
     follower.cancel()
-    assert follow(follower) < A_SECOND
+    follow(follower)
     assert code_of(follower) is ExitCode.CANCELLED and folder.state() is LiftState.CANCELLED
     checkpoint = folder.checkpoints.latest()
     assert checkpoint is not None
@@ -88,12 +90,49 @@ def test_cancel_stops_it_and_resume_goes_on(folder: LiftFolder, start: Start) ->
     assert steps == [*range(1, 11), 1]  # no step was done twice; the last one is the tiny lift's own
 
 
+class DeafEngine:
+    """An engine that runs until it is killed."""
+
+    def __init__(self) -> None:
+        self.killed = False
+
+    def exit_code(self) -> int | None:
+        return -9 if self.killed else None
+
+    def output_tail(self) -> str:
+        return ""
+
+    def kill(self) -> None:
+        self.killed = True
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+@pytest.mark.parametrize("asked_by", ["us", "somebody else"])
+def test_a_deaf_engine_has_half_a_second_and_less_than_a_whole_one(folder: LiftFolder, asked_by: str) -> None:
+    now, engine = [100.0], DeafEngine()
+    follower = LiftFollower(folder, engine, clock=lambda: now[0])
+    follower.poll()
+    now[0] = 200.0
+    if asked_by == "us":
+        follower.cancel()
+    else:
+        folder.cancel_path.touch()
+    for after_s, is_killed in ((0.0, False), (0.5, False), (0.9, True)):
+        now[0] = 200.0 + after_s
+        follower.poll()
+        assert engine.killed is is_killed
+    follower.poll()
+    assert code_of(follower) is ExitCode.CANCELLED
+
+
 @pytest.mark.parametrize("behaviour", ["deaf", "holds the lock"])
-def test_cancel_ends_a_deaf_engine_within_a_second(folder: LiftFolder, start: Start, behaviour: str) -> None:
+def test_cancel_ends_a_deaf_engine(folder: LiftFolder, start: Start, behaviour: str) -> None:
     follower = start(behaviour)
     follow(follower, step_reached(follower, 5))
     folder.cancel_path.touch()  # somebody else asks
-    assert follow(follower) < A_SECOND
+    follow(follower)
     assert code_of(follower) is ExitCode.CANCELLED
     assert folder.checkpoints.latest() is not None and not folder.is_running
 
@@ -106,7 +145,7 @@ def test_cancel_needs_no_room_on_the_disk(folder: LiftFolder, start: Start, monk
     follow(follower, step_reached(follower, 2))
     monkeypatch.setattr(LiftFolder, "ask_to_cancel", full)
     follower.cancel()
-    assert follow(follower) < A_SECOND
+    follow(follower)
     assert code_of(follower) is ExitCode.CANCELLED
 
 
@@ -201,7 +240,7 @@ def test_the_engine_ends_when_its_parent_is_killed(folder: LiftFolder, root: Pat
         assert folder.is_running
         parent.send_signal(signal.SIGKILL)
         parent.wait()
-        assert follow(watcher) < A_SECOND
+        follow(watcher)
     assert folder.state() is LiftState.CANCELLED
 
 
@@ -249,7 +288,7 @@ def test_an_engine_that_goes_on_without_its_parent(folder: LiftFolder, root: Pat
     follow(later, step_reached(later, step + 10))
     assert later.outcome is None and folder.is_running
     later.cancel()
-    assert follow(later) < A_SECOND
+    follow(later)
     assert code_of(later) is ExitCode.CANCELLED and folder.state() is LiftState.CANCELLED
 
 
@@ -295,11 +334,11 @@ def test_an_engine_of_ones_own_that_goes_on(folder: LiftFolder) -> None:
     third = start_one("deaf", "--resume")
     follow(third, step_reached(third, watcher.status.step + 1))
     third.cancel()
-    assert follow(third) < A_SECOND
+    follow(third)
     assert code_of(third) is ExitCode.CANCELLED and not folder.is_running
 
 
-def test_a_poll_is_quick_however_much_was_told(folder: LiftFolder) -> None:
+def test_a_poll_takes_little_however_much_was_told(folder: LiftFolder) -> None:
     events = EventWriter(folder.events_path)
     events.hello(threads=1, resumed=False)
     events.stage("train", 1, 1, "Training")
@@ -307,18 +346,17 @@ def test_a_poll_is_quick_however_much_was_told(folder: LiftFolder) -> None:
     line = '{"seq": 3, "time": 1.5, "event": "%s", "stage": "train", "step": %d, "steps": 90000, "message": ""}\n'
     with folder.events_path.open("a") as file:
         file.writelines(line % ("warning" if step % 25 == 0 else "progress", step) for step in range(60000))
-    took = []
     with folder.lock():
         watcher = LiftFollower(folder)
         while watcher.status.step < 59999:
-            began = time.process_time()
-            watcher.poll()
-            took.append(time.process_time() - began)
-            assert watcher.outcome is None
-        began = time.process_time()
+            before, step = bytes_read(), watcher.status.step
+            events_of_one_poll = watcher.poll()
+            assert bytes_read() - before < 2 * MOST_BYTES
+            assert watcher.outcome is None and watcher.status.step > step
+            assert len(events_of_one_poll) < 0.1 * MOST_BYTES / len(line), "outdated progress is left out"
+        before = bytes_read()
         folder.state()
-        took.append(time.process_time() - began)
-    assert sorted(took)[len(took) // 2] < 0.005 and max(took) < 0.02
+        assert bytes_read() - before < 3 * TAIL_BYTES
     watcher.poll()
     assert watcher.outcome is not None and watcher.status.label == "Training"
 

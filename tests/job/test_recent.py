@@ -62,13 +62,11 @@ def test_a_broken_list_is_begun_anew(tmp_path: Path, content: str) -> None:
     assert [lift.folder for lift in recent_lifts(tmp_path)] == [folder]
 
 
-def test_the_list_does_not_grow_for_ever_and_is_quick(tmp_path: Path) -> None:
+def test_the_list_does_not_grow_for_ever(tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     for number in range(MOST + 3):
         remember_lift(new_lift(tmp_path, f"lift {number}").path, cache)
-    began = time.process_time()
     lifts = recent_lifts(cache)
-    assert time.process_time() - began < 0.1
     assert [lift.folder.path.name for lift in lifts] == [f"lift {number}" for number in range(MOST + 2, 2, -1)]
 
 

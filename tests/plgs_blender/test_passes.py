@@ -12,7 +12,7 @@ from plgs.engine.job import write_manifest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, lift_scene, passes
 from plgs.plgs_blender.colour import linear_rgba
-from plgs.plgs_blender.pass_nodes import CLASSES, node_of, output_of
+from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, node_of, output_of
 from plgs.plgs_blender.sequence import numbered
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, write_passes, write_tiny_lift
 from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
@@ -36,6 +36,11 @@ def rendered(scene: bpy.types.Scene, output: str, folder: Path) -> np.ndarray:
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels = file.channels()
         return np.stack([channels[c].pixels for c in "RGB"], axis=-1)
+
+
+def set_matte(scene: bpy.types.Scene, node: str, *names: str) -> None:
+    """As a user does who picks instances, or classes, in one of the scene's Cryptomatte nodes."""
+    node_of(compat.compositor_tree(scene), node).matte_id = ",".join(names)
 
 
 def passes_scene() -> bpy.types.Scene:
@@ -69,10 +74,10 @@ def test_the_matte_of_a_named_instance(scene: bpy.types.Scene, tmp_path: Path) -
     view = truth(scene.timeline_markers[0].name)
     passes.show_view(scene, scene.timeline_markers[0].name)
     for names, ids in (([CHAIR_NAME], {1}), ([CABINET_NAME], {2}), ([CHAIR_NAME, CABINET_NAME], {1, 2})):
-        passes.set_matte(scene, names)
+        set_matte(scene, INSTANCES, *names)
         matte = rendered(scene, "Instance matte", tmp_path)[..., 0]
         assert np.array_equal(matte, np.isin(view.instance, list(ids)).astype(np.float32))
-    passes.set_matte(scene, ["chair"], CLASSES)
+    set_matte(scene, CLASSES, "chair")
     assert np.array_equal(rendered(scene, "Class matte", tmp_path)[..., 0], view.semantic == CHAIR_ID)
 
 
@@ -120,7 +125,7 @@ def test_views_without_numbers_are_swapped(lift: Path, tmp_path: Path) -> None:
         scene.render.resolution_x, scene.render.resolution_y = size
         view = truth(str(index), size, frames=2)
         assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
-        passes.set_matte(scene, [CHAIR_NAME])
+        set_matte(scene, INSTANCES, CHAIR_NAME)
         assert np.array_equal(rendered(scene, "Instance matte", tmp_path)[..., 0], view.instance == 1)
 
 

@@ -18,7 +18,7 @@ def test_a_scene_comes_back_as_it_was_written(tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path, frames=6))
     assert [frame.name for frame in scene.frames] == [f"{i:04d}" for i in range(6)]
     assert [frame.name for frame in scene.test_frames] == ["0004"] and len(scene.train_frames) == 5
-    assert scene.warnings == () and scene.has_ground_truth
+    assert scene.warnings == () and all(frame.read_ground_truth for frame in scene.frames)
     K = tiny_intrinsics((64, 48))
     for index, frame in enumerate(scene.frames):
         np.testing.assert_allclose(frame.camera.K, K, rtol=1e-12)

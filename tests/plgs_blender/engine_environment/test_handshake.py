@@ -15,9 +15,9 @@ from plgs.plgs_blender.engine_environment.handshake import Handshake, NoAnswer, 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="shell scripts in the place of Pythons")
 
 
-def ask(python: Path, patience_s: float = 10.0) -> EngineAnswer | NoAnswer:
-    with closing(Handshake(python, patience_s=patience_s)) as handshake:
-        give_up = time.monotonic() + 20
+def ask(python: Path) -> EngineAnswer | NoAnswer:
+    with closing(Handshake(python, patience_s=60.0)) as handshake:
+        give_up = time.monotonic() + 30.0
         while (answer := handshake.poll()) is None:
             assert time.monotonic() < give_up
             time.sleep(0.01)
@@ -31,9 +31,7 @@ def script(path: Path, text: str) -> Path:
 
 
 def test_this_python_answers() -> None:
-    began = time.monotonic()
     answer = ask(Path(sys.executable))
-    assert time.monotonic() - began < 2.0
     assert isinstance(answer, EngineAnswer) and answer.python == sys.version.split()[0]
     assert answer.packages["numpy"] is not None
 
@@ -72,15 +70,23 @@ def test_what_is_no_engine_is_told_apart(tmp_path: Path) -> None:
 
 
 def test_a_script_that_hangs_is_given_up_and_ended(tmp_path: Path) -> None:
-    hanging = script(tmp_path / "hanging", f"echo $$ > {tmp_path / 'pid'}; sleep 60; echo never")
-    began = time.monotonic()
-    answer = ask(hanging, patience_s=0.5)
+    written = tmp_path / "pid"
+    hanging = script(tmp_path / "hanging", f"echo $$ > {written}.part; mv {written}.part {written}; sleep 60")
+    now = [100.0]
+    with closing(Handshake(hanging, patience_s=0.5, clock=lambda: now[0])) as handshake:
+        give_up = time.monotonic() + 30.0
+        while not written.exists():
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+        now[0] = 100.5
+        assert handshake.poll() is None
+        now[0] = 100.6
+        answer = handshake.poll()
     assert isinstance(answer, NoAnswer) and answer.reason is Reason.HUNG
-    assert time.monotonic() - began < 2.0
-    pid = int((tmp_path / "pid").read_text())
+    pid = int(written.read_text())
     assert not Path(f"/proc/{pid}").exists()
 
 
-def test_endless_words_are_no_burden(tmp_path: Path) -> None:
+def test_endless_output_is_no_burden(tmp_path: Path) -> None:
     answer = ask(script(tmp_path / "talkative", "head -c 50000000 /dev/zero; exit 1"))
     assert isinstance(answer, NoAnswer) and len(answer.message) < 1000

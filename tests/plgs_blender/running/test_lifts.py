@@ -62,10 +62,8 @@ def test_cancelled_and_resumed(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
     watch = lifts.start(lift, PYTHON)
     poll_until(watch, lambda: watch.status.step > 5)
-    asked = time.monotonic()
     watch.follower.cancel()
     assert lifts.wait_for(watch).code is ExitCode.CANCELLED
-    assert time.monotonic() - asked < 2.0
     assert watch.can_be_resumed and watch.outcome is not None and watch.outcome.error is None
     reached = watch.status.step
     behaves("long")

@@ -9,10 +9,10 @@ from types import ModuleType
 import bpy
 import numpy as np
 import pytest
+from frame_size import look_through
 from plgs.engine.job import LiftFolder
 from plgs.engine.job.preview_request import PreviewCamera, read_preview_request
 from plgs.engine.scene import Camera, open_scene
-from plgs.plgs_blender.frames import look_through
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.running import live_preview
 

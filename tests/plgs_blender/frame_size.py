@@ -1,0 +1,16 @@
+"""A scene that renders what a frame's camera sees, at the frame's size."""
+
+from __future__ import annotations
+
+import bpy
+
+
+def look_through(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
+    """Make one of our cameras the scene's, with the size and pixel aspect of its frame: what is rendered then lies on
+    the photo pixel by pixel.
+    """
+    render = scene.render
+    scene.camera = ob
+    render.resolution_x, render.resolution_y, render.resolution_percentage = ob["width"], ob["height"], 100
+    aspect = ob["fx"] / ob["fy"]
+    render.pixel_aspect_x, render.pixel_aspect_y = (1.0, aspect) if aspect >= 1.0 else (1.0 / aspect, 1.0)
