@@ -7,7 +7,7 @@ labelled point. Compiled, because a lift asks it some 10^7 times.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -33,6 +33,19 @@ def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
     return keys
 
 
+class HashedPoints(NamedTuple):
+    """``points`` float64 [N, 3] metres; ``order`` int64 [N], their rows sorted by cell; ``first`` int64 [cells + 1],
+    the place in ``order`` of each cell's first; ``table_keys`` and ``table_cells`` int64, the open-addressed table from a
+    cell's key to its number; ``size`` of a cell in metres."""
+
+    points: NDArray[np.float64]
+    order: NDArray[np.int64]
+    first: NDArray[np.int64]
+    table_keys: NDArray[np.int64]
+    table_cells: NDArray[np.int64]
+    size: float
+
+
 class CloudIndex:
     """Points float [N, 3] (world metres) hashed into cells of ``cell_size`` metres.
 
@@ -45,13 +58,13 @@ class CloudIndex:
         self.points = np.ascontiguousarray(points, np.float64)
         self.cell_size = float(cell_size)
         keys = cell_keys(self.points, self.cell_size)
-        self._order = np.argsort(keys, kind="stable")
-        unique, first = np.unique(keys[self._order], return_index=True)
-        self._first = np.append(first, len(keys)).astype(np.int64)
+        order = np.argsort(keys, kind="stable")
+        unique, starts = np.unique(keys[order], return_index=True)
+        first = np.append(starts, len(keys)).astype(np.int64)
         size = 1 << max(4, math.ceil(math.log2(2 * len(unique) + 1)))
-        self._table_keys = np.full(size, -1, np.int64)
-        self._table_cells = np.zeros(size, np.int64)
-        _fill_table(unique, self._table_keys, self._table_cells)
+        table_keys, table_cells = np.full(size, -1, np.int64), np.zeros(size, np.int64)
+        _fill_table(unique, table_keys, table_cells)
+        self._hashed = HashedPoints(self.points, order, first, table_keys, table_cells, self.cell_size)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -67,8 +80,7 @@ class CloudIndex:
         if len(self.points) and len(flat):
             limit = (_OFFSET - 1) * self.cell_size - reach
             usable = np.isfinite(flat).all(1) & (np.abs(flat) < limit).all(1)
-            _nearest(flat, usable, self.points, self._order, self._first, self._table_keys, self._table_cells,
-                     self.cell_size, float(reach), found)  # fmt: skip
+            _nearest(flat, usable, self._hashed, float(reach), found)
         return found.reshape(queries.shape[:-1])
 
     def nearest_of_pixels(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
@@ -101,25 +113,26 @@ def _fill_table(keys: Any, table_keys: Any, table_cells: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _nearest(queries: Any, usable: Any, points: Any, order: Any, first: Any, table_keys: Any, table_cells: Any,
-             size: Any, reach: Any, found: Any) -> None:  # fmt: skip
+def _nearest(queries: Any, usable: Any, hashed: HashedPoints, reach: Any, found: Any) -> None:
     """The 27 cells around a query first; when nothing lies within one cell, every cell within reach."""
+    size = hashed.size
     rings = int(np.ceil(reach / size))
     for q in range(queries.shape[0]):
         if not usable[q]:
             continue
-        best, squared = _scan(queries[q], 1, points, order, first, table_keys, table_cells, size, reach * reach)
+        best, squared = _scan(queries[q], 1, hashed, reach * reach)
         # Beyond one cell a nearer point may lie outside the 27 cells.
         if rings > 1 and (best < 0 or squared > size * size):
-            best, squared = _scan(queries[q], rings, points, order, first, table_keys, table_cells, size, reach * reach)
+            best, squared = _scan(queries[q], rings, hashed, reach * reach)
         found[q] = best
 
 
 @njit(cache=True, nogil=True)
-def _scan(query: Any, rings: Any, points: Any, order: Any, first: Any, table_keys: Any, table_cells: Any,
-          size: Any, limit: Any) -> Any:  # fmt: skip
+def _scan(query: Any, rings: Any, hashed: HashedPoints, limit: Any) -> Any:
     """Nearest point in the (2 rings + 1)^3 cells around the query: (index or -1, squared distance)."""
     x, y, z = query[0], query[1], query[2]
+    points, order, first, size = hashed.points, hashed.order, hashed.first, hashed.size
+    table_keys, table_cells = hashed.table_keys, hashed.table_cells
     cx, cy, cz = int(np.floor(x / size)), int(np.floor(y / size)), int(np.floor(z / size))
     best, squared = -1, limit
     for step_x in range(2 * rings + 1):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -96,6 +96,15 @@ def views_are_sparse(views: Sequence[View], options: ConsistencyOptions) -> bool
     return float(np.median(overlaps)) < SPARSE_OVERLAP
 
 
+class LabelledDepth(NamedTuple):
+    """A view as the kernel takes it: ``depth`` float32 [H, W] metres, ``label`` int32 [H, W], ``intrinsics`` fx, fy,
+    cx, cy in pixels."""
+
+    depth: NDArray[np.float32]
+    label: NDArray[np.int32]
+    intrinsics: tuple[float, float, float, float]
+
+
 def _compare(
     view: View, label: NDArray[np.int32], others: Sequence[tuple[View, NDArray[np.int32]]], options: ConsistencyOptions
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -109,23 +118,23 @@ def _compare(
     for other, other_label in others:
         there = other.camera
         relative = there.world_to_camera @ here.camera_to_world
-        _warp_and_compare(
-            view.depth, label, np.array([here.fx, here.fy, here.cx, here.cy]), relative,
-            other.depth, other_label, np.array([there.fx, there.fy, there.cx, there.cy]),
-            float(metres), float(share), agree, seen,
-        )  # fmt: skip
+        one = LabelledDepth(view.depth, label, (here.fx, here.fy, here.cx, here.cy))
+        two = LabelledDepth(other.depth, other_label, (there.fx, there.fy, there.cx, there.cy))
+        _warp_and_compare(one, two, relative, float(metres), float(share), agree, seen)
     return agree, seen
 
 
 @njit(cache=True, nogil=True)
-def _warp_and_compare(depth: Any, label: Any, intrinsics: Any, relative: Any, other_depth: Any, other_label: Any,
-                      other_intrinsics: Any, metres: Any, share: Any, agree: Any, seen: Any) -> None:  # fmt: skip
+def _warp_and_compare(
+    one: LabelledDepth, two: LabelledDepth, relative: Any, metres: Any, share: Any, agree: Any, seen: Any
+) -> None:
     """w(u): lift by depth, move into the neighbour's camera, project, round to the nearest pixel (its centre
     is +0.5).
     """
-    fx, fy, cx, cy = intrinsics
-    gx, gy, hx, hy = other_intrinsics
-    height, width = other_depth.shape
+    fx, fy, cx, cy = one.intrinsics
+    gx, gy, hx, hy = two.intrinsics
+    depth, label = one.depth, one.label
+    height, width = two.depth.shape
     for j in range(depth.shape[0]):
         for i in range(depth.shape[1]):
             d = depth[j, i]
@@ -140,11 +149,11 @@ def _warp_and_compare(depth: Any, label: Any, intrinsics: Any, relative: Any, ot
             if not (0 <= u < width and 0 <= v < height):
                 continue
             s, t = int(u), int(v)
-            other = other_label[t, s]
+            other = two.label[t, s]
             if other == 0:
                 continue
             if metres != np.inf:
-                there = other_depth[t, s]
+                there = two.depth[t, s]
                 if there <= 0 or abs(z - there) > max(metres, share * z):
                     continue
             seen[j, i] += 1

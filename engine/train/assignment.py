@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ..instances import best_slots
 from ..machine.compiled import Array, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
-from .bands import band_count, band_of
 from .label_losses import TINY
+from .pixel_chunks import chunk_count, chunk_range
 
 NO_SLOT = -1
 ONE, LEAST = np.float32(1), np.float32(TINY)
@@ -46,7 +46,7 @@ def assigned_slots(coverage: torch.Tensor, alpha: torch.Tensor, first: int, thin
     slot_of_segment = np.full(segments + 1, NO_SLOT, np.int16)
     if slots and segments:
         flat = coverage.detach().contiguous().numpy().reshape(-1, coverage.shape[-1])
-        sums = np.zeros((band_count(len(flat)), segments, slots))
+        sums = np.zeros((chunk_count(len(flat)), segments, slots))
         opaque, row = alpha.detach().numpy().reshape(-1), things.row.reshape(-1)
         parallel_for(worker_count(), add_slots, flat, opaque, first, row, sums)
         slot_of_segment[:-1] = best_slots(sums.sum(axis=0) / things.pixels[:, None])
@@ -57,14 +57,14 @@ def assigned_slots(coverage: torch.Tensor, alpha: torch.Tensor, first: int, thin
 def add_slots(
     worker: int, workers: int, coverage: Array, alpha: Array, first: int, row: Array, sums: Array
 ) -> None:
-    """Slot probabilities of every ``workers``-th band of pixels, added up by segment into ``sums`` float64
-    [bands, I, S]."""
-    for band in range(worker, len(sums), workers):
-        start, end = band_of(band, len(row))
+    """Slot probabilities of every ``workers``-th chunk of pixels, added up by segment into ``sums`` float64
+    [chunks, I, S]."""
+    for chunk in range(worker, len(sums), workers):
+        start, end = chunk_range(chunk, len(row))
         for pixel in range(start, end):
             if row[pixel] < 0:
                 continue
             share_of_alpha = ONE / (alpha[pixel] + LEAST)
-            shown, total = coverage[pixel, first:], sums[band, row[pixel]]  # inner loops over whole arrays are fastest
+            shown, total = coverage[pixel, first:], sums[chunk, row[pixel]]  # inner loops over whole arrays are fastest
             for slot in range(len(total)):
                 total[slot] += shown[slot] * share_of_alpha

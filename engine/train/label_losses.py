@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 
 from ..machine import memory
 from ..machine.compiled import Array, compiled, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
-from .bands import band_count, band_of
+from .pixel_chunks import chunk_count, chunk_range
 
 TINY = 1e-8
-TARGETS = 3
-"""Of a pixel: a class, the slot of linear assignment, the slot of M_match."""
 LEAST, ONE, ZERO = np.float32(TINY), np.float32(1), np.float32(0)
 
 
@@ -39,6 +38,24 @@ def label_losses(
     return losses
 
 
+class PixelTargets(NamedTuple):
+    """Of each pixel, int16 [P], -1 = none: its class, its slot by linear assignment, and its slot by M_match."""
+
+    semantic: NDArray[np.int16]
+    assigned: NDArray[np.int16]
+    matched: NDArray[np.int16]
+
+
+class Judged(NamedTuple):
+    """What the targets cost. ``slopes`` float32 [P, 3]: of -log(probability) by the coverage, for each target. Of each
+    chunk of pixels ``sums`` float64 [chunks, 2] of -log(probability) and ``counts`` int64 [chunks, 2] of the pixels
+    that have a target, for both losses."""
+
+    slopes: NDArray[np.float32]
+    sums: NDArray[np.float64]
+    counts: NDArray[np.int64]
+
+
 class _LabelLosses(torch.autograd.Function):
     """The dense gradient of both losses is written once, where slices, divisions and logarithms of whole label pictures
     would write many."""
@@ -48,14 +65,15 @@ class _LabelLosses(torch.autograd.Function):
         ctx: Any, coverage: torch.Tensor, alpha: torch.Tensor, classes: int, *targets: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         flat = coverage.detach().contiguous().numpy().reshape(-1, coverage.shape[-1])
-        ctx.places = [target.to(torch.int16).contiguous().numpy().reshape(-1) for target in targets]
-        ctx.slopes = memory.empty((len(flat), TARGETS), np.float32)
-        sums, counts = np.zeros((band_count(len(flat)), 2)), np.zeros((band_count(len(flat)), 2), np.int64)
+        ctx.targets = PixelTargets(*(target.to(torch.int16).contiguous().numpy().reshape(-1) for target in targets))
+        ctx.slopes = memory.empty((len(flat), len(targets)), np.float32)
+        chunks = chunk_count(len(flat))
+        judged = Judged(ctx.slopes, np.zeros((chunks, 2)), np.zeros((chunks, 2), np.int64))
         opaque = alpha.detach().contiguous().numpy().reshape(-1)
-        parallel_for(worker_count(), judge_pixels, flat, opaque, classes, *ctx.places, ctx.slopes, sums, counts)
-        ctx.known = np.maximum(counts.sum(axis=0), 1)
+        parallel_for(worker_count(), judge_pixels, flat, opaque, classes, ctx.targets, judged)
+        ctx.known = np.maximum(judged.counts.sum(axis=0), 1)
         ctx.classes, ctx.shape = classes, coverage.shape
-        semantic, instance = sums.sum(axis=0) / ctx.known
+        semantic, instance = judged.sums.sum(axis=0) / ctx.known
         return coverage.new_tensor(semantic), coverage.new_tensor(instance)
 
     @staticmethod
@@ -63,8 +81,7 @@ class _LabelLosses(torch.autograd.Function):
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         scales = np.array([gradient.item() for gradient in gradients] / ctx.known, np.float32)
         gradient = memory.empty((len(ctx.slopes), ctx.shape[-1]), np.float32)
-        bands = band_count(len(gradient))
-        parallel_for(worker_count(), spread_slopes, bands, ctx.classes, *ctx.places, ctx.slopes, scales, gradient)
+        parallel_for(worker_count(), spread_slopes, ctx.classes, ctx.targets, ctx.slopes, scales, gradient)
         return torch.from_numpy(gradient).view(ctx.shape), None, None, None, None, None
 
 
@@ -78,22 +95,13 @@ def judge(shown: float, alpha: float) -> Any:
 
 @parallel_kernel
 def judge_pixels(
-    worker: int,
-    workers: int,
-    coverage: Array,
-    alpha: Array,
-    classes: int,
-    semantic: Array,
-    assigned: Array,
-    matched: Array,
-    slopes: Array,
-    sums: Array,
-    counts: Array,
+    worker: int, workers: int, coverage: Array, alpha: Array, classes: int, targets: PixelTargets, judged: Judged
 ) -> None:
-    """Every ``workers``-th band of pixels: ``slopes`` [P, 3], and into ``sums`` float64 and ``counts`` int64
-    [bands, 2] the sums of -log(probability) and how many pixels have a target, of both losses."""
-    for band in range(worker, len(sums), workers):
-        start, end = band_of(band, len(alpha))
+    """Fills ``judged``, every ``workers``-th chunk of pixels."""
+    semantic, assigned, matched = targets.semantic, targets.assigned, targets.matched
+    slopes, sums, counts = judged.slopes, judged.sums, judged.counts
+    for chunk in range(worker, len(sums), workers):
+        start, end = chunk_range(chunk, len(alpha))
         # Probabilities are multiplied as long as float64 holds the product: few logarithms are left to take.
         likely, alike = 1.0, 1.0
         for pixel in range(start, end):
@@ -101,7 +109,7 @@ def judge_pixels(
             if known >= 0:
                 probability, slopes[pixel, 0] = judge(coverage[pixel, known], alpha[pixel])
                 likely *= probability
-                counts[band, 0] += 1
+                counts[chunk, 0] += 1
             if taken >= 0:
                 probability, slopes[pixel, 1] = judge(coverage[pixel, classes + taken], alpha[pixel])
                 alike *= probability
@@ -109,34 +117,26 @@ def judge_pixels(
                 probability, slopes[pixel, 2] = judge(coverage[pixel, classes + agreed], alpha[pixel])
                 alike *= probability
             if taken >= 0 or agreed >= 0:
-                counts[band, 1] += 1
+                counts[chunk, 1] += 1
             if not 1e-200 < likely < 1e200:  # also when it is no number
-                sums[band, 0] -= math.log(likely)
+                sums[chunk, 0] -= math.log(likely)
                 likely = 1.0
             if not 1e-200 < alike < 1e200:
-                sums[band, 1] -= math.log(alike)
+                sums[chunk, 1] -= math.log(alike)
                 alike = 1.0
-        sums[band, 0] -= math.log(likely)
-        sums[band, 1] -= math.log(alike)
+        sums[chunk, 0] -= math.log(likely)
+        sums[chunk, 1] -= math.log(alike)
 
 
 @parallel_kernel
 def spread_slopes(
-    worker: int,
-    workers: int,
-    bands: int,
-    classes: int,
-    semantic: Array,
-    assigned: Array,
-    matched: Array,
-    slopes: Array,
-    scales: Array,
-    gradient: Array,
+    worker: int, workers: int, classes: int, targets: PixelTargets, slopes: Array, scales: Array, gradient: Array
 ) -> None:
-    """Every ``workers``-th band: the slopes times ``scales`` [2] (of either loss) at their channels of ``gradient``
+    """Every ``workers``-th chunk: the slopes times ``scales`` [2] (of either loss) at their channels of ``gradient``
     [P, C + S], zero elsewhere."""
-    for band in range(worker, bands, workers):
-        start, end = band_of(band, len(gradient))
+    semantic, assigned, matched = targets.semantic, targets.assigned, targets.matched
+    for chunk in range(worker, chunk_count(len(gradient)), workers):
+        start, end = chunk_range(chunk, len(gradient))
         for pixel in range(start, end):
             for channel in range(gradient.shape[1]):
                 gradient[pixel, channel] = ZERO

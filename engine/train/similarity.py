@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 
 from ..machine import memory
 from ..machine.threads import parallel_for, worker_count
-from .similarity_kernels import WEIGHTS, compare_strips, scratch_size, strip_count
+from .similarity_kernels import WEIGHTS, Found, Pictures, compare_strips, scratch_size, strip_count
 
 
 def _blur(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -51,14 +51,14 @@ class _Comparison(torch.autograd.Function):
         height, width, channels = image.shape
         length, count, workers = width * channels, image.numel(), worker_count()
         pictures = (image.detach().contiguous().numpy(), photo.values, photo.mean, photo.variance)
-        rows = [picture.reshape(height, length) for picture in pictures]
+        rows = Pictures(*(picture.reshape(height, length) for picture in pictures))
         weights = np.array([l1_weight / count, ssim_weight / count], np.float32)
         gradient = memory.empty((height, length), np.float32)
-        sums = np.zeros((strip_count(height), 2))
+        found = Found(gradient, np.zeros((strip_count(height), 2)))
         scratch = memory.empty((workers, scratch_size(length)), np.float32)
-        parallel_for(workers, compare_strips, *rows, weights, gradient, sums, scratch)
+        parallel_for(workers, compare_strips, rows, weights, found, scratch)
         ctx.save_for_backward(torch.from_numpy(gradient).view(image.shape))
-        difference, similarity = sums.sum(axis=0) / count
+        difference, similarity = found.sums.sum(axis=0) / count
         return image.new_tensor(l1_weight * difference + ssim_weight * similarity)
 
     @staticmethod

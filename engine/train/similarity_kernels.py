@@ -11,6 +11,7 @@ Pictures are float32 [H, 3 W]: the three channels of a pixel stand side by side,
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -111,22 +112,38 @@ def gradient_row(
         difference[i] += abs(off)
 
 
+class Pictures(NamedTuple):
+    """What is compared, float32 [H, L] each: ``image`` and ``photo``, and the photo's blurred mean and variance."""
+
+    image: Array
+    photo: Array
+    photo_mean: Array
+    photo_variance: Array
+
+
+class Found(NamedTuple):
+    """What comes out: ``gradient`` float32 [H, L], and ``sums`` float64 [strips, 2] of |image - photo| and of SSIM."""
+
+    gradient: Array
+    sums: Array
+
+
+class Room(NamedTuple):
+    """A worker's room: ``padded`` [3, L + 2 MARGIN]; ``rows`` [6, L] (three blurred rows, the column sums of |image -
+    photo| and of SSIM, a row of SSIM); and the rings ``moments`` and ``derivatives`` [3, WINDOW, L]."""
+
+    padded: Array
+    rows: Array
+    moments: Array
+    derivatives: Array
+
+
 @contracted_parallel_kernel
 def compare_strips(
-    worker: int,
-    workers: int,
-    image: Array,
-    photo: Array,
-    photo_mean: Array,
-    photo_variance: Array,
-    weights: Array,
-    gradient: Array,
-    sums: Array,
-    scratch: Array,
+    worker: int, workers: int, pictures: Pictures, weights: Array, found: Found, scratch: Array
 ) -> None:
-    """Every ``workers``-th strip: rows of ``gradient`` [H, L], and into ``sums`` float64 [strips, 2] the sums of
-    |image - photo| and of SSIM. ``weights`` float32 [2] as ``gradient_row`` has them."""
-    length = image.shape[1]
+    """Every ``workers``-th strip. ``weights`` float32 [2] as ``gradient_row`` has them."""
+    length, sums = pictures.image.shape[1], found.sums
     own = scratch[worker]
     wide, ring_size = length + 2 * MARGIN, 3 * WINDOW * length
     padded = own[: 3 * wide].reshape(3, wide)
@@ -135,11 +152,10 @@ def compare_strips(
     rest = own[3 * wide + 6 * length :]
     moments = rest[:ring_size].reshape(3, WINDOW, length)
     derivatives = rest[ring_size : 2 * ring_size].reshape(3, WINDOW, length)
+    room = Room(padded, rows, moments, derivatives)
     for strip in range(worker, len(sums), workers):
         rows[3:5] = ZERO
-        compare_strip(
-            strip, image, photo, photo_mean, photo_variance, weights, gradient, padded, rows, moments, derivatives
-        )
+        compare_strip(strip, pictures, weights, found.gradient, room)
         for kind in range(2):
             total = 0.0
             for i in range(length):
@@ -148,20 +164,10 @@ def compare_strips(
 
 
 @contracted
-def compare_strip(
-    strip: int,
-    image: Array,
-    photo: Array,
-    photo_mean: Array,
-    photo_variance: Array,
-    weights: Array,
-    gradient: Array,
-    padded: Array,
-    rows: Array,
-    moments: Array,
-    derivatives: Array,
-) -> None:
-    """One strip. ``rows`` [6, L]: three blurred rows, the column sums of |image - photo| and of SSIM, a row of SSIM."""
+def compare_strip(strip: int, pictures: Pictures, weights: Array, gradient: Array, room: Room) -> None:
+    """One strip of rows."""
+    image, photo = pictures.image, pictures.photo
+    padded, rows, moments, derivatives = room.padded, room.rows, room.moments, room.derivatives
     height = len(image)
     blurred, difference, similarity, ssim = rows[:3], rows[3], rows[4], rows[5]
     first, last = strip * STRIP_ROWS, min((strip + 1) * STRIP_ROWS, height)
@@ -176,7 +182,7 @@ def compare_strip(
         if 0 <= middle < height:
             for moment in range(3):
                 blur_across(moments[moment], middle, blurred[moment])
-            similarity_row(blurred, photo_mean[middle], photo_variance[middle], ssim, padded)
+            similarity_row(blurred, pictures.photo_mean[middle], pictures.photo_variance[middle], ssim, padded)
             for moment in range(3):
                 blur_along(padded[moment], derivatives[moment, middle % WINDOW])
             if first <= middle < last:
