@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -217,6 +218,12 @@ def test_the_extension_needs_nothing_but_blender_numpy_and_the_standard_library(
         if not i.is_relative and first(i.module) not in allowed
     ]  # fmt: skip
     assert wrong == []
+
+
+def test_the_page_on_the_architecture_names_what_is_there() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = {name for name in re.findall(r"`([\w/]+(?:\.py|/))`", page)}
+    assert len(named) > 40 and sorted(name for name in named if not (ROOT / name).exists()) == []
 
 
 def test_no_threads_in_blender() -> None:

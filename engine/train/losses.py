@@ -1,4 +1,7 @@
-"""The losses of the paper's section "Loss Functions" but for those of label pictures (``label_losses``)."""
+"""The losses of the paper's section "Loss Functions" but for those of label pictures (``label_losses``).
+
+Their weights are ``LossWeights`` (``presets``); ``Trainer.step`` multiplies and adds.
+"""
 
 from __future__ import annotations
 
