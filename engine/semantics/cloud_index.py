@@ -35,8 +35,8 @@ def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
 
 class HashedPoints(NamedTuple):
     """``points`` float64 [N, 3] metres; ``order`` int64 [N], their rows sorted by cell; ``first`` int64 [cells + 1],
-    the place in ``order`` of each cell's first; ``table_keys`` and ``table_cells`` int64, the open-addressed table from a
-    cell's key to its number; ``size`` of a cell in metres."""
+    the place in ``order`` of each cell's first; ``table_keys`` and ``table_cells`` int64, the open-addressed table from
+    a cell's key to its number; ``size`` of a cell in metres."""
 
     points: NDArray[np.float64]
     order: NDArray[np.int64]
