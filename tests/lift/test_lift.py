@@ -142,6 +142,7 @@ def test_the_model_can_be_read_again(lifts: Lifts) -> None:
     with np.load(lifts.done.result_path / "anchors.npz") as anchors:
         np.testing.assert_array_equal(scene.anchors.position.numpy(), anchors["xyz"])
     assert scene.channels.class_ids == (1, 2, 3, 5)
+    assert scene.voted is not None and len(scene.voted.label) == len(scene.anchors) * TINY.gaussians_per_anchor
 
 
 def test_passes_have_the_frames_own_size_and_whole_labels(lifts: Lifts) -> None:

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -44,6 +44,7 @@ def test_ranks() -> None:
     assert not any(values[NOTHING].any() for values in channels.values())
 
 
+@settings(deadline=None)
 @given(arrays(np.float32, (2, 3, 9), elements=st.floats(0, 1, width=32)))
 def test_ranks_descend_and_sum_to_one_at_most(stack: np.ndarray) -> None:
     coverage = {f"thing {k}": stack[..., k] for k in range(9)}
@@ -65,6 +66,7 @@ def test_header() -> None:
     assert all(key.startswith("cryptomatte/") and len(key.split("/")[1]) == 7 for key in header)
 
 
+@settings(deadline=None)
 @given(st.text())
 def test_names_become_ordinary_floats(name: str) -> None:
     if name.isprintable():
