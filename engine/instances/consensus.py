@@ -25,9 +25,9 @@ from .matching import Progress
 @dataclass(frozen=True)
 class ConsensusOptions:
     """Masks are joined while views in favour exceed ``agreement`` of those that judge both. An object needs masks in
-    ``support`` of the views that see at least half of its points, in ``min_masks`` of them at least, in 2 where no more
-    than that see it. Where there are more than ``most_masks`` masks, those of keyframes are joined; the others' are
-    told apart by the result.
+    ``support`` of the views that see at least half of its points, and at least ``min_masks``; where few views see it,
+    all of these but one, and 2 at least. Where there are more than ``most_masks`` masks, those of keyframes are joined;
+    the others' are told apart by the result.
     """
 
     rules: JudgingRules = JudgingRules()

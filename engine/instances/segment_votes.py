@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import PanopticMask, View
+from ..scene import VOID, PanopticMask, View
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
 ROWS_AT_A_TIME = 32768
@@ -70,12 +70,13 @@ def member_labels(
     view: View, labels: PanopticLabels, object_of_segment: Mapping[tuple[str, int], int]
 ) -> NDArray[np.int16]:
     """What a view's own mask says: the label of the segment's object, or of its class; int16 [H, W]."""
-    table = np.full(int(view.mask.ids.max(initial=0)) + 1, UNKNOWN_LABEL, np.int16)
-    for segment in view.mask.segments:
-        if 0 < segment.id < len(table):
-            number = object_of_segment.get((view.name, segment.id), 0)
-            table[segment.id] = labels.of_object(number) if number else labels.of_class(segment.class_id)
-    return table[view.mask.ids]
+    present, inverse = np.unique(view.mask.ids, return_inverse=True)
+    class_of = {segment.id: segment.class_id for segment in view.mask.segments}
+    table = np.full(len(present), UNKNOWN_LABEL, np.int16)
+    for place, segment in enumerate(present.tolist()):
+        number = object_of_segment.get((view.name, segment), 0)
+        table[place] = labels.of_object(number) if number else labels.of_class(class_of.get(segment, VOID))
+    return table[inverse.reshape(view.mask.ids.shape)]
 
 
 def segment_labels(
@@ -83,9 +84,10 @@ def segment_labels(
 ) -> NDArray[np.int16]:
     """Each segment with the label that at least ``agreement`` of its labelled pixels show; the other segments' pixels
     as they are ``shown``, int [H, W] of ``count`` labels (-1 = unknown). Void stays unknown. int16 [H, W]."""
-    segments = int(mask.ids.max(initial=0)) + 1
+    present, number = np.unique(mask.ids, return_inverse=True)  # ids may be as large as a PNG's colours
+    segments, ids = len(present), number.reshape(mask.ids.shape)
     voting = (shown >= 0) & (mask.ids > 0)
-    pairs = mask.ids[voting].astype(np.int64) * count + shown[voting]
+    pairs = ids[voting].astype(np.int64) * count + shown[voting]
     pairs, pixels = np.unique(pairs, return_counts=True)
     segment = pairs // count
     total = np.bincount(segment, pixels, segments)
@@ -95,7 +97,7 @@ def segment_labels(
     agreed = pixels[best] >= agreement * total[segment[best]]
     winner = np.full(segments, UNKNOWN_LABEL, np.int16)
     winner[segment[best][agreed]] = (pairs[best] % count)[agreed]
-    relabelled = winner[mask.ids]
+    relabelled = winner[ids]
     kept = np.where(relabelled >= 0, relabelled, shown)
     return np.where(mask.ids > 0, kept, UNKNOWN_LABEL).astype(np.int16)
 

@@ -97,12 +97,13 @@ def objects_by_consent(
     rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
     owner = labels.objects(voted.label)
     owner, origin = regroup_pieces(cloud.xyz, owner, labels.class_of_object, seen, rules)
+    members = masks_of_pieces([masks for masks, _ in things], views, seen, owner, len(origin))
+    owner, members, origin = without_maskless(owner, members, origin)
     unknown = (labels.objects(voted.label) > 0) & (owner == 0)  # crumbs
     class_id = np.where(unknown, VOID, labels.classes(voted.label)).astype(np.int32)
     cloud = replace(cloud, class_id=class_id, confidence=voted.confidence)
-    found = object_instances(
-        views, [things[number - 1] for number in origin], cloud.xyz, owner, preset.voxel_size
-    )
+    kinds = [things[number - 1][1] for number in origin]
+    found = object_instances(views, list(zip(members, kinds, strict=True)), cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
     final = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in instances))
     of_point = final.of_points(cloud.class_id, instance_of_point)
@@ -129,3 +130,33 @@ def thing_objects(
         for masks, class_id in zip(objects.masks, class_of_object[1:], strict=True)
         if class_id in classes.thing_ids
     ]
+
+
+def masks_of_pieces(
+    masks: Sequence[Sequence[MemberMask]],
+    views: Sequence[View],
+    seen: Sequence[ViewPoints],
+    owner: NDArray[np.int32],
+    count: int,
+) -> list[list[MemberMask]]:
+    """The masks of each of ``count`` final objects, in the order of the views: a mask is evidence of the object that
+    owns most of its points. ``owner`` int32 [N]: the final object of each point, 0 = none."""
+    summary_of = {view.name: (number, one) for number, (view, one) in enumerate(zip(views, seen, strict=True))}
+    members: list[list[tuple[int, MemberMask]]] = [[] for _ in range(count)]
+    for mask in (mask for group in masks for mask in group):
+        number, summary = summary_of[mask.frame]
+        owned = np.bincount(owner[summary.row[summary.segment == mask.segment.id]], minlength=count + 1)
+        owned[0] = 0
+        if owned.any():
+            members[int(owned.argmax()) - 1].append((number, mask))
+    return [[mask for _, mask in sorted(group, key=lambda each: each[0])] for group in members]
+
+
+def without_maskless(
+    owner: NDArray[np.int32], members: list[list[MemberMask]], origin: list[int]
+) -> tuple[NDArray[np.int32], list[list[MemberMask]], list[int]]:
+    """Without the objects that no mask speaks for, numbered anew from 1."""
+    kept = [place for place, masks in enumerate(members) if masks]
+    number = np.zeros(len(members) + 1, np.int32)
+    number[[place + 1 for place in kept]] = np.arange(1, len(kept) + 1)
+    return number[owner], [members[place] for place in kept], [origin[place] for place in kept]

@@ -197,9 +197,7 @@ def _segment(info: dict[str, Any], name: str, table: Path, class_ids: dict[int, 
             "Add the category, or correct the id.",
         )
     class_id = class_ids[category_id]
-    group = bool(info.get("iscrowd")) and classes[class_id].is_thing
-    is_thing = classes[class_id].is_thing and not group
-    return Segment(segment_id, class_id, is_thing, _score(info, context, table), group)
+    return Segment(segment_id, class_id, classes[class_id].is_thing, _score(info, context, table))
 
 
 def _score(info: dict[str, Any], context: str, table: Path) -> float:

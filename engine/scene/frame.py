@@ -21,8 +21,8 @@ Size = tuple[int, int]
 class Segment:
     """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1].
 
-    ``is_group``: a region of a thing's class that may be several objects (COCO's crowd, or a thing without an
-    instance): it tells the class, and founds no object.
+    ``is_group``: a region of a thing's class without an instance, which may be several objects: it tells the class, and
+    founds no object.
     """
 
     id: int
