@@ -147,9 +147,10 @@ def _experiments(options: argparse.Namespace) -> int:
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak. "
-        "step: a training step of a lift of the sample, by part, and the drawing of what was lifted."
+        "step: a training step of a lift of the sample, by part, and the drawing of what was lifted. "
+        "bake: a baked frame, by part, and its memory."
     )
-    parser.add_argument("what", choices=("raster", "step"))
+    parser.add_argument("what", choices=("raster", "step", "bake"))
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=_bench)
 
@@ -181,6 +182,10 @@ def _bench(options: argparse.Namespace) -> ExitCode:
         from ..raster.bench import bench_raster
 
         bench_raster(options.json)
+    elif options.what == "bake":
+        from ..passes.bench import bench_bake
+
+        bench_bake(options.json)
     else:
         from ..lift.bench import bench_step
 

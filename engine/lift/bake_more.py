@@ -31,12 +31,12 @@ def bake_frames(folder: LiftFolder, frames: Sequence[str], events: EventWriter, 
         listed = {folder.result_path / file.path for file in read_manifest(folder.result_path).files}
         named = frames_named(scene, frames)
         wanted = [frame for frame in named if not listed.issuperset(baked_files(folder, frame.name))]
-        baker = FrameBaker(scene, read_model(folder), read_shown_instances(folder))
+        baker = FrameBaker(scene.classes, read_model(folder), read_shown_instances(folder))
     new = _NewFrames(folder)
     with stages.stage("bake") as progress:
         try:
             for done, frame in enumerate(wanted, start=1):
-                baker.write(folder, frame, *baker.render(frame), events)
+                baker.write(folder, frame.name, baker.render(frame.camera), events)
                 new.add(frame)
                 progress(done, len(wanted))
         finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .baked_view import BakedView, Matte, ShownInstances, bake_view
 from .coco import write_coco
 from .contact_sheet import SheetRow, chosen, write_contact_sheet
 from .exr import read_exr, write_exr
@@ -17,12 +18,18 @@ from .previews import (
     write_previews,
 )
 from .result_files import InstanceRecord, SegmentLink, write_anchors, write_instances, write_semantic_points
+from .surface import Surface, surface_of
 
 __all__ = [
+    "BakedView",
     "InstanceRecord",
+    "Matte",
     "PanopticLayers",
     "SegmentLink",
     "SheetRow",
+    "ShownInstances",
+    "Surface",
+    "bake_view",
     "chosen",
     "colour_picture",
     "decide",
@@ -35,6 +42,7 @@ __all__ = [
     "read_exr",
     "read_ply",
     "semantic_picture",
+    "surface_of",
     "write_anchors",
     "write_coco",
     "write_contact_sheet",
