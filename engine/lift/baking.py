@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..job import EventWriter, LiftFolder, write_atomically
@@ -41,10 +41,17 @@ class FrameBaker:
         bands = render_bands(self.lifted, camera, self.labels, clip)
         return bake_view(bands, camera, self.classes, self.instances)
 
-    def write(self, folder: LiftFolder, name: str, view: BakedView, events: EventWriter) -> None:
-        """passes/<name>.exr and the three previews (`baked_files`), and tell of them."""
+    def write(
+        self,
+        folder: LiftFolder,
+        name: str,
+        view: BakedView,
+        events: EventWriter,
+        notes: Mapping[str, str] | None = None,
+    ) -> None:
+        """passes/<name>.exr and the three previews (`baked_files`), and tell of them. ``notes`` go into its header."""
         passes, _, semantic, _ = baked_files(folder, name)
-        write_exr(passes, view)
+        write_exr(passes, view, notes)
         write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
         events.artifact(passes, "pass")
         events.preview(semantic)

@@ -83,8 +83,8 @@ def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tup
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """The Gaussians that a camera sees: ``drawn`` decoded, ``rows_of`` int64 [N] the scene's; ``chosen`` int64 [n] the ones
-    to draw; ``row`` and ``reach`` float32 [N] where on the picture, and how far, in pixels; ``near`` metres."""
+    """The Gaussians that a camera sees: ``drawn`` decoded, ``rows_of`` int64 [N] the scene's; ``chosen`` int64 [n]
+    those to draw; ``row`` and ``reach`` float32 [N] where on the picture, and how far, in pixels; ``near`` metres."""
 
     drawn: NeuralGaussians
     rows_of: torch.Tensor

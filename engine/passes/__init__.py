@@ -5,7 +5,7 @@ from __future__ import annotations
 from .baked_view import BakedView, Matte, ShownInstances, bake_view
 from .coco import write_coco
 from .contact_sheet import SheetRow, chosen, write_contact_sheet
-from .exr import read_exr, write_exr
+from .exr import read_exr, read_note, write_exr
 from .layers import PanopticLayers, decide, encoded, linear
 from .ply import read_ply, write_ply
 from .previews import (
@@ -40,6 +40,7 @@ __all__ = [
     "png_bytes",
     "preview_paths",
     "read_exr",
+    "read_note",
     "read_ply",
     "semantic_picture",
     "surface_of",

@@ -19,8 +19,8 @@ LARGEST_ID = 1 << 24
 """Ids below this are exact in 32-bit floats."""
 
 
-def write_exr(path: Path, view: BakedView) -> None:
-    """Write a baked view, whole or not at all; same input, same bytes.
+def write_exr(path: Path, view: BakedView, notes: Mapping[str, str] | None = None) -> None:
+    """Write a baked view, whole or not at all; same input, same bytes. ``notes``: more attributes of the header.
 
     Raises ValueError for ids that a 32-bit float cannot hold, OSError when the file cannot be written.
     """
@@ -28,7 +28,7 @@ def write_exr(path: Path, view: BakedView) -> None:
     if max(int(layers.semantic.max(initial=0)), int(layers.instance.max(initial=0))) >= LARGEST_ID:
         raise ValueError(f"class and instance ids must be below {LARGEST_ID} to be exact in an EXR")
     channels = _pass_channels(view)
-    header: dict[str, str] = {}
+    header = dict(notes or {})
     for matte in view.mattes:
         channels |= cryptomatte.channels(matte.layer.name, matte.ranks)
         header |= cryptomatte.header(matte.layer.name, matte.layer.names)
@@ -59,6 +59,17 @@ def read_exr(path: Path) -> PanopticLayers:
         confidence=confidence,
         entropy=entropy,
     )
+
+
+def read_note(path: Path, name: str) -> str | None:
+    """An attribute of a baked view's header; None where it has none. Raises OSError when the file is unreadable."""
+    import OpenEXR
+
+    if not path.is_file():
+        raise FileNotFoundError(path)
+    with OpenEXR.File(str(path), header_only=True) as file:
+        value = file.header().get(name)
+    return value if isinstance(value, str) else None
 
 
 def _pass_channels(view: BakedView) -> dict[str, NDArray[np.float32]]:

@@ -55,8 +55,8 @@ def test_few_labels_a_gaussian() -> None:
     share = torch.tensor([[0.75, 0.25], [0.5, 0.5], [1.0, 0.0]])
     labels = VotedLabels.of_scene(GaussianLabels(label, share), channels)
     expected = [[0.75, 0.25, 0, 0.25, 0], [0, 0.5, 0.5, 0, 0.5], [0, 0, 1, 0, 1]]
-    torch.testing.assert_close(labels.of(torch.tensor([0, 1, 2])), torch.tensor(expected))
-    torch.testing.assert_close(labels.of(torch.tensor([2])), torch.tensor(expected[2:]))
+    torch.testing.assert_close(labels.of(torch.tensor([0, 1, 2])), torch.tensor(expected, dtype=torch.float32))
+    torch.testing.assert_close(labels.of(torch.tensor([2])), torch.tensor(expected[2:], dtype=torch.float32))
 
 
 def test_votes_are_shown_in_place_of_the_decoders() -> None:
