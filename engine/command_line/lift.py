@@ -1,11 +1,11 @@
-"""``lift``: in a folder that is there, or from a scene. ``bake``: more frames of a finished lift."""
+"""``lift``: in a folder that is there, or from a scene. ``bake``: more views of a finished lift."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-from ..job import ExitCode, JobError, LiftFolder, LiftRequest
+from ..job import ExitCode, JobError, LiftFolder, LiftRequest, read_cameras
 from ..job.report import made_files, metrics_table
 from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupted, Interrupts
@@ -29,7 +29,10 @@ def run_folder(options: argparse.Namespace) -> ExitCode:
 def bake_in_folder(options: argparse.Namespace) -> ExitCode:
     """``bake LIFT``: this process is the engine. Raises JobError."""
     folder = LiftFolder.open(options.lift)
-    return run_bake(folder, options.frames, parent_pipe=_parent_pipe(options, folder))
+    frames = options.frames if options.frames or options.cameras else ["all"]
+    if options.cameras is not None:
+        read_cameras(options.cameras)  # what is wrong is told at once, not after the model was read
+    return run_bake(folder, frames, cameras=options.cameras, parent_pipe=_parent_pipe(options, folder))
 
 
 def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:

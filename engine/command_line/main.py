@@ -37,7 +37,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_lift(commands.add_parser("lift", help="lift posed RGB-D frames and their masks"))
-    _add_bake(commands.add_parser("bake", help="render more frames of a finished lift as passes"))
+    _add_bake(commands.add_parser("bake", help="render more frames of a finished lift, or any cameras, as passes"))
     _add_evaluate(commands.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(commands.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
     _add_experiments(commands.add_parser("experiments", help="lift many scenes and show their figures in one table"))
@@ -62,11 +62,23 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_bake(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Render frames of a finished lift as passes, beside those that are there already."
+    parser.description = (
+        "Render frames of a finished lift, or any cameras, as passes, beside those that are there already. What is "
+        "baked is kept when this is stopped. Several processes may bake one lift at once: each view is baked by one."
+    )
+    parser.epilog = (
+        'A file of cameras is a JSON list of objects such as {"name": "shot.0001", "width": 1920, "height": 1080, '
+        '"K": [[1500, 0, 960], [0, 1500, 540], [0, 0, 1]], "camera_to_world": [[..], [..], [..], [0, 0, 0, 1]], '
+        '"clip": [0.1, 100]}: OpenCV axes (x right, y down, z forward) in the lift\'s world in metres, z up, pixels '
+        "with their centres at +0.5. In place of K there may be fx, fy, cx and cy; clip may be left out. Passes go to "
+        "result/passes/NAME.exr. A view is baked anew where its camera has changed."
+    )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument(
-        "--frames", nargs="+", default=["all"], metavar="FRAME", help="names of frames, test (those held out), or all"
-    )
+        "--frames", nargs="+", metavar="FRAME",
+        help="names of frames, test (those held out), or all (default, without --cameras)",
+    )  # fmt: skip
+    parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")
     _add_stay_with_parent(parser)
     parser.set_defaults(run=_bake)
 
@@ -147,9 +159,10 @@ def _experiments(options: argparse.Namespace) -> int:
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak. "
-        "step: a training step of a lift of the sample, by part, and the drawing of what was lifted."
+        "step: a training step of a lift of the sample, by part, and the drawing of what was lifted. "
+        "bake: a baked frame, by part, and its memory."
     )
-    parser.add_argument("what", choices=("raster", "step"))
+    parser.add_argument("what", choices=("raster", "step", "bake"))
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=_bench)
 
@@ -189,6 +202,10 @@ def _bench(options: argparse.Namespace) -> ExitCode:
         from ..raster.bench import bench_raster
 
         bench_raster(options.json)
+    elif options.what == "bake":
+        from ..passes.bench import bench_bake
+
+        bench_bake(options.json)
     else:
         from ..lift.bench import bench_step
 

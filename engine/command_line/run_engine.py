@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Protocol, TextIO
 
@@ -68,30 +69,64 @@ def run_engine(
             return _run(folder, Task(work, resumed=resume and folder.checkpoints.exists), parent_pipe, terminal)
 
 
-def run_bake(folder: LiftFolder, frames: Sequence[str], *, parent_pipe: int | None = None) -> ExitCode:
-    """Bake more frames of a finished lift ("test", "all", or their names), and answer how it ended.
+def run_bake(
+    folder: LiftFolder, frames: Sequence[str] | None, *, cameras: Path | None = None, parent_pipe: int | None = None
+) -> ExitCode:
+    """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras of a file, and answer how it
+    ended.
 
-    Whatever happens the lift stays finished, and what was baked before stays. Otherwise as `run_engine`.
+    Whatever happens the lift stays finished, and what was baked before stays. Where another process bakes already this
+    one bakes beside it, without a place in the lift's events: unless it is to be followed, by ``parent_pipe``.
+    Otherwise as `run_engine`.
     """
-    with folder.lock():
-        state = folder.state_at_rest()
-        if state is not LiftState.FINISHED:
-            raise JobError(f"this lift is not finished ({state.value})", folder.path, "Resume it first.")
+
+    def work(events: EventWriter, stop: StopSignal) -> None:
+        from ..lift import bake_cameras, bake_frames  # late, as in `_run_lift`
+
+        if cameras is not None:
+            bake_cameras(folder, cameras, events, stop)
+        if frames is not None:
+            bake_frames(folder, frames, events, stop)
+
+    left = "The result is whole, with what was baked so far"
+    task = Task(work, False, BAKE, left, "bake again", "Bake again after closing other programs.")
+    try:
+        lock = folder.lock().__enter__()
+    except JobError:
+        if parent_pipe is not None or folder.state_at_rest() is not LiftState.FINISHED:
+            raise
+        return _bake_beside(folder, task)
+    try:
+        _refuse_unfinished(folder)
         with output_to(folder.log_path) as terminal:
             folder.prepare_bake()
-
-            def work(events: EventWriter, stop: StopSignal) -> None:
-                from ..lift import bake_frames  # late, as in `_run_lift`
-
-                bake_frames(folder, frames, events, stop)
-
-            left = "The result is whole, with what was baked so far"
-            with_less_memory = "Bake again after closing other programs."
-            return _run(folder, Task(work, False, BAKE, left, "bake again", with_less_memory), parent_pipe, terminal)
+            return _run(folder, task, parent_pipe, terminal)
+    finally:
+        lock.__exit__(None, None, None)
 
 
-def _run(folder: LiftFolder, task: Task, parent_pipe: int | None, terminal: TextIO) -> ExitCode:
-    events = EventWriter(folder.events_path)
+def _bake_beside(folder: LiftFolder, task: Task) -> ExitCode:
+    """With a log and events of its own, which go when all went well. The file 'cancel' stops this process too."""
+    own = folder.path / f"bake-{os.getpid()}"
+    log_path, events_path = own.with_suffix(".log"), own.with_suffix(".jsonl")
+    with output_to(log_path) as terminal:
+        code = _run(folder, task, None, terminal, events_path)
+    events_path.unlink(missing_ok=True)
+    if code is ExitCode.FINISHED:
+        log_path.unlink(missing_ok=True)
+    return code
+
+
+def _refuse_unfinished(folder: LiftFolder) -> None:
+    state = folder.state_at_rest()
+    if state is not LiftState.FINISHED:
+        raise JobError(f"this lift is not finished ({state.value})", folder.path, "Resume it first.")
+
+
+def _run(
+    folder: LiftFolder, task: Task, parent_pipe: int | None, terminal: TextIO, events_path: Path | None = None
+) -> ExitCode:
+    events = EventWriter(events_path or folder.events_path)
     try:
         events.hello(threads=_threads(), resumed=task.resumed, task=task.name)
         _remember(folder)

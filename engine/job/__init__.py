@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from .atomic import sha256, write_atomically
+from .bake_locks import BakeLocks
+from .cameras import BakeCamera, read_cameras
 from .checkpoint import Checkpoint, CheckpointStore
 from .errors import Cancelled, JobError
 from .events import Event, EventReader, EventWriter, last_run
 from .exit_code import ExitCode
 from .folder import LiftFolder, LiftState
-from .manifest import Manifest, ResultFile, add_files, check_sizes, read_manifest, verify, write_manifest
+from .manifest import Manifest, ResultFile, add_files, check_sizes, drop_files, read_manifest, verify, write_manifest
 from .request import BAKES, PRESETS, UPS, LiftRequest
 from .stop import StopSignal, Watchdog
 
@@ -16,6 +18,8 @@ __all__ = [
     "BAKES",
     "PRESETS",
     "UPS",
+    "BakeCamera",
+    "BakeLocks",
     "Cancelled",
     "Checkpoint",
     "CheckpointStore",
@@ -33,7 +37,9 @@ __all__ = [
     "Watchdog",
     "add_files",
     "check_sizes",
+    "drop_files",
     "last_run",
+    "read_cameras",
     "read_manifest",
     "sha256",
     "verify",

@@ -9,6 +9,7 @@ from enum import Enum
 from pathlib import Path
 
 from .atomic import PART, remove_parts
+from .bake_locks import BakeLocks
 from .checkpoint import CheckpointStore
 from .errors import JobError
 from .events import last_events
@@ -17,7 +18,7 @@ from .manifest import check_sizes
 from .request import LiftRequest
 
 LIFT, BAKE = "lift", "bake"
-"""What an engine may do in a lift folder: lift, or bake more frames of a finished lift."""
+"""What an engine may do in a lift folder: lift, or bake more views of a finished lift."""
 LIVE_PREVIEW = "result/previews/live.png"
 """A picture of the model while it is trained, replaced by rename every few seconds; gone when the lift is finished."""
 
@@ -178,10 +179,13 @@ class LiftFolder:
         remove_parts(self.path)
 
     def prepare_bake(self) -> None:
-        """Clear away an earlier run's cancel file and torn files; the result stays.
+        """Clear away an earlier run's cancel file and torn files; the result stays. Not where another process bakes:
+        they are that one's.
 
         Only for the engine that holds the lock.
         """
+        if BakeLocks(self.path).others_at_work():
+            return
         self.cancel_path.unlink(missing_ok=True)
         remove_parts(self.path)
 

@@ -46,14 +46,20 @@ def to_text(value: Mapping[str, object]) -> str:
 
 def read_object(path: Path, fix: str) -> dict[str, Json]:
     """The JSON object in a file. Raises JobError, with ``fix`` as the advice, when there is none."""
+    value = read_value(path, fix)
+    if not isinstance(value, dict):
+        raise JobError("does not hold a JSON object", path, fix)
+    return value
+
+
+def read_value(path: Path, fix: str) -> Json:
+    """What JSON a file holds. Raises JobError, with ``fix`` as the advice, when there is none."""
     try:
-        value = json.loads(path.read_bytes())
+        value: Json = json.loads(path.read_bytes())
     except OSError as error:
         raise JobError(f"cannot be read ({error.strerror})", path, fix) from error
     except RecursionError as error:
         raise JobError("is nested too deeply", path, fix) from error
     except ValueError as error:  # covers broken JSON and broken UTF-8
         raise JobError(f"is not JSON ({error})", path, fix) from error
-    if not isinstance(value, dict):
-        raise JobError("does not hold a JSON object", path, fix)
     return value

@@ -79,6 +79,15 @@ def add_files(result: Path, paths: Sequence[Path]) -> None:
     write_atomically(result / NAME, to_text(content))
 
 
+def drop_files(result: Path, paths: Sequence[Path]) -> None:
+    """List files no more that are about to be made anew. Otherwise as ``add_files``."""
+    read_manifest(result)
+    content = read_object(result / NAME, _FIX)
+    dropped = {path.relative_to(result).as_posix() for path in paths}
+    content["files"] = [entry for entry in _objects(content["files"]) if entry["path"] not in dropped]
+    write_atomically(result / NAME, to_text(content))
+
+
 def _entry(path: Path, result: Path) -> dict[str, Json]:
     return {"path": path.relative_to(result).as_posix(), "bytes": path.stat().st_size, "sha256": sha256(path)}
 

@@ -16,6 +16,7 @@ import hashlib
 import json
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,13 +75,14 @@ def read_preview_request(path: Path) -> PreviewRequest | None:
     if isinstance(frame, str):
         return frame
     try:
-        return _camera(content)
+        return camera_from(content)
     except (KeyError, ValueError, OverflowError) as error:
         raise JobError(f"is no camera ({error})", path, _FIX) from error
 
 
-def _camera(content: dict[str, Json]) -> PreviewCamera:
-    """Raises KeyError, ValueError or OverflowError when something is missing, or cannot be drawn."""
+def camera_from(content: Mapping[str, Json]) -> PreviewCamera:
+    """From the keys that the module's docstring tells. Raises KeyError, ValueError or OverflowError when something is
+    missing, or cannot be drawn."""
     pose, lens = _matrix(content["camera_to_world"], 4), _matrix(content["K"], 3)
     width, height = _side(content["width"]), _side(content["height"])
     rows = [row[:3] for row in pose[:3]]

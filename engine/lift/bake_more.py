@@ -1,14 +1,32 @@
-"""Passes of more frames of a finished lift: what a lift that bakes them writes, bit for bit."""
+"""Passes of more views of a finished lift: its frames, bit for bit as a lift that bakes them writes them, and any
+camera's. Several processes may bake one lift at once: each view is baked by one of them."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import torch
 
-from ..job import EventWriter, JobError, LiftFolder, StopSignal, add_files, read_manifest
-from ..scene import Frame, Scene, open_scene
+from ..job import (
+    BakeCamera,
+    BakeLocks,
+    EventWriter,
+    JobError,
+    LiftFolder,
+    StopSignal,
+    add_files,
+    drop_files,
+    read_cameras,
+    read_manifest,
+)
+from ..job.cameras import refuse_equal_names
+from ..model.rendering import ClipRange
+from ..passes import read_note
+from ..scene import Camera, Frame, Scene, open_scene
 from ..train.progress import StageReporter
 from .baking import FrameBaker, baked_files
 from .scene_files import read_model, read_shown_instances
@@ -16,6 +34,18 @@ from .scene_files import read_model, read_shown_instances
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
 KEEP_EVERY_S = 20.0
 """A kill loses at most this much work: so often what was baked is taken into the manifest."""
+CAMERA_NOTE = "plgs/camera"
+"""In the header of a view that is no frame's: the fingerprint of its camera."""
+
+
+@dataclass(frozen=True, eq=False)
+class WantedView:
+    """A view to bake. ``fingerprint`` of a camera that is no frame's, else empty."""
+
+    name: str
+    camera: Camera
+    clip: ClipRange = ClipRange()
+    fingerprint: str = ""
 
 
 def bake_frames(folder: LiftFolder, frames: Sequence[str], events: EventWriter, stop: StopSignal) -> None:
@@ -24,24 +54,74 @@ def bake_frames(folder: LiftFolder, frames: Sequence[str], events: EventWriter, 
     Raises SceneError when the scene cannot be read any more, JobError for a frame that it does not have, Cancelled when
     stopped; what was baked until then stays.
     """
+    with BakeLocks(folder.path) as locks:
+        _bake(folder, locks, lambda scene: _views_of(frames_named(scene, frames)), events, stop)
+
+
+def bake_cameras(folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal) -> None:
+    """Bake the views of a file of cameras (see `job.cameras`) that are not baked yet, as `bake_frames` does; those that
+    were baked from another camera of the same name are baked anew.
+
+    Raises JobError for what is no camera, or has the name of a frame; otherwise as `bake_frames`.
+    """
+
+    def views_in(scene: Scene) -> list[WantedView]:
+        wanted = read_cameras(cameras)
+        refuse_equal_names([camera.name for camera in wanted], cameras, [frame.name for frame in scene.frames])
+        return [view_from(camera) for camera in wanted]
+
+    with BakeLocks(folder.path) as locks:
+        _bake(folder, locks, views_in, events, stop)
+
+
+def view_from(camera: BakeCamera) -> WantedView:
+    """As the engine renders it."""
+    pinhole = camera.pinhole
+    (fx, _, cx), (_, fy, cy), _ = pinhole.K
+    seen = Camera(pinhole.width, pinhole.height, fx, fy, cx, cy, np.array(pinhole.camera_to_world))
+    return WantedView(camera.name, seen, ClipRange(camera.near, camera.far), camera.fingerprint)
+
+
+def _views_of(frames: Sequence[Frame]) -> list[WantedView]:
+    return [WantedView(frame.name, frame.camera) for frame in frames]
+
+
+def _bake(
+    folder: LiftFolder,
+    locks: BakeLocks,
+    views_in: Callable[[Scene], list[WantedView]],
+    events: EventWriter,
+    stop: StopSignal,
+) -> None:
     torch.use_deterministic_algorithms(True)
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
         asked = folder.request
         scene = open_scene(asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth)
-        listed = {folder.result_path / file.path for file in read_manifest(folder.result_path).files}
-        named = frames_named(scene, frames)
-        wanted = [frame for frame in named if not listed.issuperset(baked_files(folder, frame.name))]
-        baker = FrameBaker(scene, read_model(folder), read_shown_instances(folder))
-    new = _NewFrames(folder)
+        wanted = [view for view in views_in(scene) if not is_baked(folder, view)]
+        baker = FrameBaker(scene.classes, read_model(folder), read_shown_instances(folder))
+    new = _NewViews(folder, locks)
     with stages.stage("bake") as progress:
         try:
-            for done, frame in enumerate(wanted, start=1):
-                baker.write(folder, frame, *baker.render(frame), events)
-                new.add(frame)
+            for done, view in enumerate(wanted, start=1):
+                with locks.claim(view.name) as is_ours:
+                    if is_ours and not is_baked(folder, view):
+                        new.make_room(view)
+                        notes = {CAMERA_NOTE: view.fingerprint} if view.fingerprint else {}
+                        baker.write(folder, view.name, baker.render(view.camera, view.clip), events, notes)
+                        new.add(view, at_once=locks.others_at_work())
                 progress(done, len(wanted))
         finally:
             new.keep()
+
+
+def is_baked(folder: LiftFolder, view: WantedView) -> bool:
+    """Whether the result has this view, from this camera. Raises JobError, OSError."""
+    files = baked_files(folder, view.name)
+    listed = {folder.result_path / file.path for file in read_manifest(folder.result_path).files}
+    if not listed.issuperset(files):
+        return False
+    return not view.fingerprint or read_note(files[0], CAMERA_NOTE) == view.fingerprint
 
 
 def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
@@ -56,20 +136,31 @@ def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
     return [frame for frame in scene.frames if frame.name in wanted]
 
 
-class _NewFrames:
+class _NewViews:
     """Takes what was baked into the manifest, now and then."""
 
-    def __init__(self, folder: LiftFolder) -> None:
-        self._folder, self._frames, self._kept_at = folder, list[Frame](), time.monotonic()
+    def __init__(self, folder: LiftFolder, locks: BakeLocks) -> None:
+        self._folder, self._locks = folder, locks
+        self._views, self._kept_at = list[WantedView](), time.monotonic()
 
-    def add(self, frame: Frame) -> None:
-        self._frames.append(frame)
-        if time.monotonic() - self._kept_at > KEEP_EVERY_S:
+    def make_room(self, view: WantedView) -> None:
+        """Before a view is baked anew: the result is whole without it. Raises OSError."""
+        listed = {self._folder.result_path / file.path for file in read_manifest(self._folder.result_path).files}
+        old = listed.intersection(baked_files(self._folder, view.name))
+        if old:
+            with self._locks.manifest():
+                drop_files(self._folder.result_path, sorted(old))
+
+    def add(self, view: WantedView, *, at_once: bool) -> None:
+        """``at_once``: before another process looks for what is left to bake."""
+        self._views.append(view)
+        if at_once or time.monotonic() - self._kept_at > KEEP_EVERY_S:
             self.keep()
 
     def keep(self) -> None:
         """Raises OSError."""
-        files = [path for frame in self._frames for path in baked_files(self._folder, frame.name)]
+        files = [path for view in self._views for path in baked_files(self._folder, view.name)]
         if files:
-            add_files(self._folder.result_path, files)
-        self._frames, self._kept_at = [], time.monotonic()
+            with self._locks.manifest():
+                add_files(self._folder.result_path, files)
+        self._views, self._kept_at = [], time.monotonic()

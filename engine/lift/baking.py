@@ -3,55 +3,56 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..job import EventWriter, LiftFolder, write_atomically
 from ..metrics.report import LIFTED, PredictedView, Report, add_rivals
-from ..model.render import render_view
-from ..model.rendering import PanopticRendering
-from ..model.scene_labels import scene_labels
+from ..model.render import render_bands
+from ..model.rendering import ClipRange
+from ..model.scene_labels import shown_labels
 from ..model.structured import StructuredScene
 from ..passes import (
+    BakedView,
     PanopticLayers,
     SheetRow,
+    ShownInstances,
+    bake_view,
     chosen,
     colour_picture,
-    decide,
     preview_paths,
     write_contact_sheet,
     write_exr,
     write_previews,
 )
-from ..scene import Frame, Scene
+from ..scene import Camera, ClassTable, Frame, Scene
 from ..train.progress import StageReporter
-from .scene_files import ShownInstances
 
 
 class FrameBaker:
-    """Renders frames of a lifted scene and turns them into layers."""
+    """Renders views of a lifted scene and turns them into layers."""
 
-    def __init__(self, scene: Scene, lifted: StructuredScene, instances: ShownInstances) -> None:
-        self.scene, self.lifted, self.labels = scene, lifted, scene_labels(lifted)
+    def __init__(self, classes: ClassTable, lifted: StructuredScene, instances: ShownInstances) -> None:
+        self.classes, self.lifted, self.labels = classes, lifted, shown_labels(lifted)
         self.instances, self.colours = instances, instances.colours
 
-    def render(self, frame: Frame) -> tuple[PanopticRendering, PanopticLayers]:
-        """The model seen from a frame's camera at the frame's own size: never anything of its mask."""
-        rendering = render_view(self.lifted, frame.camera, self.labels)
-        return rendering, decide(rendering, self.scene.classes, self.instances.class_of)
+    def render(self, camera: Camera, clip: ClipRange | None = None) -> BakedView:
+        """The model seen from a camera at the camera's own size: never anything of a frame's mask."""
+        bands = render_bands(self.lifted, camera, self.labels, clip)
+        return bake_view(bands, camera, self.classes, self.instances)
 
     def write(
         self,
         folder: LiftFolder,
-        frame: Frame,
-        rendering: PanopticRendering,
-        layers: PanopticLayers,
+        name: str,
+        view: BakedView,
         events: EventWriter,
+        notes: Mapping[str, str] | None = None,
     ) -> None:
-        """passes/<frame>.exr and the three previews (`baked_files`), and tell of them."""
-        passes, _, semantic, _ = baked_files(folder, frame.name)
-        write_exr(passes, layers, rendering, self.scene.classes, self.instances.names)
-        write_previews(folder.previews_path, frame.name, layers, self.scene.classes, self.colours)
+        """passes/<name>.exr and the three previews (`baked_files`), and tell of them. ``notes`` go into its header."""
+        passes, _, semantic, _ = baked_files(folder, name)
+        write_exr(passes, view, notes)
+        write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
         events.artifact(passes, "pass")
         events.preview(semantic)
 
@@ -70,27 +71,32 @@ def predicted(layers: PanopticLayers) -> PredictedView:
 
 
 def bake_and_evaluate(
-    folder: LiftFolder, baker: FrameBaker, wanted: Sequence[Frame], events: EventWriter, stages: StageReporter
+    folder: LiftFolder,
+    scene: Scene,
+    baker: FrameBaker,
+    wanted: Sequence[Frame],
+    events: EventWriter,
+    stages: StageReporter,
 ) -> None:
     """Bake ``wanted``, score the held-out frames, and write contact sheet and metrics.json.
 
     Ground truth goes into metrics.json alone. Raises Cancelled, SceneError, OSError.
     """
-    scene = baker.scene
     baked_names = {frame.name for frame in wanted}
     frames = [frame for frame in scene.frames if frame.held_out or frame.name in baked_names]
     shown = {scene.test_frames[index].name for index in chosen(len(scene.test_frames))}
     report, rows = Report(scene.classes), []
     with stages.stage("bake") as progress:
         for done, frame in enumerate(frames, start=1):
-            rendering, layers = baker.render(frame)
+            view = baker.render(frame.camera)
             if frame.name in baked_names:
-                baker.write(folder, frame, rendering, layers, events)
+                baker.write(folder, frame.name, view, events)
             if frame.held_out:
-                report.add(LIFTED, frame, predicted(layers))
+                report.add(LIFTED, frame, predicted(view.layers))
             if frame.name in shown:
                 photo, mask = frame.read_colour(frame.size), frame.mask(frame.size)
-                rows.append(SheetRow(frame.name, photo, mask.class_map(), layers))
+                rows.append(SheetRow(frame.name, photo, mask.class_map(), view.layers))
+            del view  # before the next is made
             progress(done, len(frames))
         if rows:
             write_contact_sheet(folder.previews_path / "contact_sheet.png", rows, scene.classes, baker.colours)

@@ -17,9 +17,8 @@ from ..job import EventWriter, JobError, LiftFolder, write_atomically
 from ..job.preview_request import PreviewCamera, PreviewRequest, read_preview_request
 from ..model.render import render_view
 from ..model.structured import StructuredScene
-from ..passes import decide, panoptic_picture, png_bytes
+from ..passes import ShownInstances, decide, panoptic_picture, png_bytes
 from ..scene import Camera, Frame, Scene, size_within
-from .scene_files import ShownInstances
 
 log = logging.getLogger("plgs.lift")
 

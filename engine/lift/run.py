@@ -85,8 +85,8 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
         if preset.labels == "votes" and prepared.label_maps is not None:
             trainer.scene.voted = vote_labels(trainer.scene, scene.train_frames, prepared.label_maps, preset, progress)
         write_scene_files(folder, scene, views, prepared, trainer.scene, events)
-    baker = FrameBaker(scene, trainer.scene, instances)
-    bake_and_evaluate(folder, baker, frames_to_bake(scene, request.bake), events, stages)
+    baker = FrameBaker(scene.classes, trainer.scene, instances)
+    bake_and_evaluate(folder, scene, baker, frames_to_bake(scene, request.bake), events, stages)
     previews.clear_away()
     write_manifest(
         folder.result_path,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -15,7 +14,15 @@ from ..instances import Evidence, GlobalInstance, MaskExtent, mask_extents
 from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
 from ..model.baking import bake
 from ..model.structured import StructuredScene, from_tensors, to_tensors
-from ..passes import InstanceRecord, SegmentLink, write_anchors, write_instances, write_ply, write_semantic_points
+from ..passes import (
+    InstanceRecord,
+    SegmentLink,
+    ShownInstances,
+    write_anchors,
+    write_instances,
+    write_ply,
+    write_semantic_points,
+)
 from ..scene import ClassTable, Scene, View, distinct_colour
 from .preparation import PreparedLift
 
@@ -65,19 +72,6 @@ def read_model(folder: LiftFolder) -> StructuredScene:
     with safe_open(folder.result_path / "model.safetensors", "pt") as file:
         facts = json.loads(file.metadata()["plgs"])
         return from_tensors({name: file.get_tensor(name) for name in file.keys()}, facts)  # noqa: SIM118
-
-
-@dataclass(frozen=True)
-class ShownInstances:
-    """What pictures and passes need to know of the instances, by id. ``class_of``: the class that all of an instance is
-    shown with, or None when every pixel decides for itself."""
-
-    names: Mapping[int, str]
-    class_of: Mapping[int, int] | None
-
-    @property
-    def colours(self) -> dict[int, tuple[int, int, int]]:
-        return {instance: distinct_colour(instance) for instance in self.names}
 
 
 def shown_instances(prepared: PreparedLift, classes: ClassTable) -> ShownInstances:

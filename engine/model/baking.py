@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .gaussians import decode_rows
-from .scene_labels import LEAST_OF_CLASS, scene_labels, shown_probabilities
+from .gaussians import decode_rows, no_labels
+from .scene_labels import LEAST_OF_CLASS, shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
 CHUNK = 65536
@@ -77,14 +77,16 @@ def bake(
     parts: list[dict[str, NDArray]] = []
     anchor_parts: list[dict[str, NDArray]] = []
     k, classes = scene.anchors.gaussians_per_anchor, len(scene.channels.class_ids)
-    table = scene_labels(scene)
-    known = None if table is None else table.probabilities
+    known = shown_labels(scene)
+    without = None if known is None else no_labels(scene.anchors)
     for start in range(0, len(scene.anchors), CHUNK):
         rows = torch.arange(start, min(start + CHUNK, len(scene.anchors)))
-        decoded = decode_rows(scene.anchors, scene.decoders, rows, centre, known_labels=known)
-        shown = decoded.labels
+        decoded = decode_rows(scene.anchors, scene.decoders, rows, centre, known_labels=without)
         if known is None:
-            shown = shown_probabilities(shown[:, :classes], shown[:, classes:], scene.channels)
+            by_class, by_slot = decoded.labels[:, :classes], decoded.labels[:, classes:]
+            shown = shown_probabilities(by_class, by_slot, scene.channels)
+        else:
+            shown = known.of(decoded.rows(k))
         labels = shown.numpy()
         class_id, instance_id = decided_labels(labels, scene.channels, thing_ids)
         parts.append(

@@ -28,3 +28,7 @@ class NeuralGaussians:
     all_opacities: torch.Tensor
     kept: torch.Tensor
     cluster_loss: torch.Tensor
+
+    def rows(self, k: int) -> torch.Tensor:
+        """Which of the scene's M * k Gaussians they are, int64 [N]."""
+        return self.visible.index_select(0, self.kept // k) * k + self.kept % k

@@ -2,51 +2,150 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
 import numpy as np
 import torch
 
 from ..raster import rasterize
+from ..raster.conventions import NEAR
 from ..scene import Camera
-from .gaussians import decode
-from .rendering import PanopticRendering
-from .scene_labels import SceneLabels, scene_labels, shown_probabilities
-from .structured import StructuredScene
+from .gaussians import decode, no_labels
+from .neural_gaussians import NeuralGaussians
+from .rendering import ClipRange, PanopticRendering
+from .scene_labels import ShownLabels, shown_labels, shown_probabilities
+from .structured import LabelChannels, StructuredScene
+
+MOST_BYTES = 1 << 27
+"""Of a band's label coverage. Larger ones gain no time; smaller ones cost some."""
+TILE_ROWS = 16
+"""Bands begin with a row of the rasteriser's tiles."""
+REACH = 3.5
+"""Standard deviations within which a Gaussian's alpha can reach 1/255, and a little more."""
+BLUR = 0.3
+"""Added to the variance of a footprint, pixels squared (see ``rasterize``)."""
 
 
 @torch.no_grad()
-def render_view(scene: StructuredScene, camera: Camera, labels: SceneLabels | None = None) -> PanopticRendering:
+def render_view(scene: StructuredScene, camera: Camera, labels: ShownLabels | None = None) -> PanopticRendering:
     """Colour, depth and label coverage of one view, at the camera's size.
 
-    ``labels``: what ``scene_labels`` made of this very scene, which saves decoding them for each view.
+    ``labels``: what ``shown_labels`` made of this very scene, which saves decoding them for each view.
     """
-    if labels is None and scene.voted is not None:
-        labels = scene_labels(scene)
-    known = None if labels is None else labels.probabilities
-    gaussians = decode(scene.anchors, scene.decoders, camera, known_labels=known)
+    (rendering,) = render_bands(scene, camera, labels, most_bytes=None)
+    return rendering
+
+
+@torch.no_grad()
+def render_bands(
+    scene: StructuredScene,
+    camera: Camera,
+    labels: ShownLabels | None = None,
+    clip: ClipRange | None = None,
+    most_bytes: int | None = MOST_BYTES,
+) -> Iterator[PanopticRendering]:
+    """The same view in bands of rows, from the top, so that the memory does not grow with labels times pixels.
+
+    ``most_bytes``: of a band's label coverage; None for all rows at once. ``labels`` as for ``render_view``.
+    """
+    labels = shown_labels(scene) if labels is None and scene.voted is not None else labels
+    known = None if labels is None else no_labels(scene.anchors)
+    drawn = decode(scene.anchors, scene.decoders, camera, known_labels=known)
+    k = scene.anchors.gaussians_per_anchor
+    return draw_bands(drawn, drawn.rows(k), labels, scene.channels, camera, clip or ClipRange(), most_bytes)
+
+
+@torch.no_grad()
+def draw_bands(
+    drawn: NeuralGaussians,
+    rows_of: torch.Tensor,
+    labels: ShownLabels | None,
+    channels: LabelChannels,
+    camera: Camera,
+    clip: ClipRange,
+    most_bytes: int | None,
+) -> Iterator[PanopticRendering]:
+    """As ``render_bands``, of Gaussians that are decoded; ``rows_of`` int64 [N]: which of the scene's they are."""
+    seen = _see(drawn, rows_of, camera, clip)
+    bands = row_bands(camera, len(channels.class_ids) + len(channels.slot_ids), most_bytes)
+    for rows in bands:
+        yield _draw_rows(seen if len(bands) == 1 else seen.reaching(rows), labels, channels, camera, rows)
+
+
+def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tuple[int, int]]:
+    """First and one past the last row of each band, all of one height but the last."""
+    fitting = camera.height if most_bytes is None else most_bytes // (4 * channels * camera.width)
+    count = -(-camera.height // max(fitting, TILE_ROWS))
+    height = -(-camera.height // (count * TILE_ROWS)) * TILE_ROWS
+    return [(first, min(first + height, camera.height)) for first in range(0, camera.height, height)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """The Gaussians that a camera sees: ``drawn`` decoded, ``rows_of`` int64 [N] the scene's; ``chosen`` int64 [n]
+    those to draw; ``row`` and ``reach`` float32 [N] where on the picture, and how far, in pixels; ``near`` metres."""
+
+    drawn: NeuralGaussians
+    rows_of: torch.Tensor
+    chosen: torch.Tensor
+    row: torch.Tensor
+    reach: torch.Tensor
+    near: float
+
+    def reaching(self, rows: tuple[int, int]) -> _Seen:
+        """Those that may cover a pixel of these rows, and some more."""
+        first, end = rows
+        touches = (self.row + self.reach >= first) & (self.row - self.reach <= end)
+        return replace(self, chosen=self.chosen[touches[self.chosen]])
+
+    def of(self, values: torch.Tensor) -> torch.Tensor:
+        """The rows of those to draw."""
+        return values if len(self.chosen) == len(values) else values.index_select(0, self.chosen)
+
+
+def _see(drawn: NeuralGaussians, rows_of: torch.Tensor, camera: Camera, clip: ClipRange) -> _Seen:
+    to_camera, near = torch.from_numpy(camera.world_to_camera).float(), max(clip.near, NEAR)
+    _, down, depth = (drawn.means @ to_camera[:3, :3].T + to_camera[:3, 3]).unbind(1)
+    chosen = ((depth > near) & (depth < clip.far)).nonzero().squeeze(1)
+    slope = down / depth.clamp_min(near)
+    # the largest standard deviation, seen at the slant of the ray, bounds that of the footprint's rows
+    deviation = drawn.scales.amax(dim=1) * camera.fy / depth.clamp_min(near) * (1 + slope * slope).sqrt()
+    reach = REACH * (deviation * deviation + BLUR).sqrt() + 1.0
+    return _Seen(drawn, rows_of, chosen, slope * camera.fy + camera.cy, reach, near)
+
+
+def _draw_rows(
+    seen: _Seen, labels: ShownLabels | None, channels: LabelChannels, camera: Camera, rows: tuple[int, int]
+) -> PanopticRendering:
+    drawn = seen.drawn
     rendering = rasterize(
-        gaussians.means,
-        gaussians.scales,
-        gaussians.quats,
-        gaussians.opacities,
-        gaussians.colours,
-        gaussians.labels,
+        seen.of(drawn.means),
+        seen.of(drawn.scales),
+        seen.of(drawn.quats),
+        seen.of(drawn.opacities),
+        seen.of(drawn.colours),
+        seen.of(drawn.labels) if labels is None else labels.of(seen.of(seen.rows_of)),
         torch.from_numpy(camera.camera_to_world).float(),
         torch.from_numpy(camera.K).float(),
         camera.width,
         camera.height,
+        near=seen.near,
+        rows=rows,
     )
     alpha = rendering.alpha.numpy()
     assert rendering.labels is not None  # drawn with labels
-    classes, coverage = len(scene.channels.class_ids), rendering.labels
+    classes, coverage = len(channels.class_ids), rendering.labels
     if labels is None:
-        coverage = shown_probabilities(coverage[..., :classes], coverage[..., classes:], scene.channels)
+        coverage = shown_probabilities(coverage[..., :classes], coverage[..., classes:], channels)
     return PanopticRendering(
-        camera=camera,
+        camera=camera.of_rows(*rows),
         image=rendering.image.clamp_(0.0, 1.0).numpy(),
         alpha=alpha,
         depth=np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 1e-3),
         class_coverage=coverage[..., :classes].numpy(),
         instance_coverage=coverage[..., classes:].numpy(),
-        class_ids=scene.channels.class_ids,
-        instance_ids=scene.channels.shown_ids,
+        class_ids=channels.class_ids,
+        instance_ids=channels.shown_ids,
     )
+

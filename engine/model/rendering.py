@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +12,17 @@ from numpy.typing import NDArray
 from ..scene import Camera
 
 
+class ClipRange(NamedTuple):
+    """Planar depths in metres: what is centred nearer than ``near`` or farther than ``far`` is not drawn."""
+
+    near: float = 0.0
+    far: float = math.inf
+
+
 @dataclass(frozen=True, eq=False)
 class PanopticRendering:
-    """A rendered view before anything is decided about its pixels.
+    """A rendered view, or some rows of one (``camera`` is then that of the rows), before anything is decided about its
+    pixels.
 
     ``image`` float32 [H, W, 3], sRGB-encoded in [0, 1] over black; ``alpha`` float32 [H, W]; ``depth`` float32 [H, W],
     expected planar depth in metres (0 where nothing was hit). ``class_coverage`` float32 [H, W, C] holds

@@ -23,6 +23,38 @@ class SceneLabels:
 
     probabilities: torch.Tensor
 
+    def of(self, rows: torch.Tensor) -> torch.Tensor:
+        """The probabilities of the Gaussians of ``rows`` int64 [N], float32 [N, C + U]."""
+        return self.probabilities.index_select(0, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class VotedLabels:
+    """As ``SceneLabels``, from the few labels that each Gaussian was voted to be: the memory does not grow with the
+    number of classes and instances. ``class_of_label`` int64 [C + U]: the semantic channel of each label."""
+
+    voted: GaussianLabels
+    classes: int
+    class_of_label: torch.Tensor
+
+    @classmethod
+    def of_scene(cls, voted: GaussianLabels, channels: LabelChannels) -> VotedLabels:
+        classes = len(channels.class_ids)
+        of_instance = [channels.class_ids.index(channels.class_of_slot[slot]) for slot in channels.instance_slots]
+        return cls(voted, classes, torch.tensor([*range(classes), *of_instance]))
+
+    def of(self, rows: torch.Tensor) -> torch.Tensor:
+        """The probabilities of the Gaussians of ``rows`` int64 [N], float32 [N, C + U]."""
+        label = self.voted.label.index_select(0, rows).long()
+        share = self.voted.share.index_select(0, rows)
+        table = torch.zeros(len(rows), len(self.class_of_label))
+        table.scatter_add_(1, self.class_of_label[label], share)
+        owned = torch.where(label >= self.classes, share, torch.zeros_like(share))
+        return table.scatter_add_(1, label, owned)
+
+
+ShownLabels = SceneLabels | VotedLabels
+
 
 def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: LabelChannels) -> torch.Tensor:
     """Probabilities (or coverage) of classes [..., C] and instances [..., U] together, [..., C + U], from those of the
@@ -43,17 +75,20 @@ def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: La
     return torch.cat([by_class.index_add(-1, of_class, instances), instances], dim=-1)
 
 
+def shown_labels(scene: StructuredScene) -> ShownLabels | None:
+    """What the Gaussians of a finished scene show: as they were voted, else as ``scene_labels`` has it."""
+    return scene_labels(scene) if scene.voted is None else VotedLabels.of_scene(scene.voted, scene.channels)
+
+
 @torch.no_grad()
 def scene_labels(scene: StructuredScene) -> SceneLabels | None:
-    """The labels of a scene that does not change while they are used.
+    """The labels that the decoders give the Gaussians of a scene that does not change while they are used.
 
     None when labels depend on the view, or when there are too many to keep.
     """
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
     gaussians = len(anchors) * anchors.gaussians_per_anchor
     width = len(channels.class_ids) + len(channels.instance_slots)
-    if scene.voted is not None:
-        return SceneLabels(voted_probabilities(scene.voted, channels))
     if decoders.shape.label_view_input or 4 * gaussians * width > MOST_BYTES:
         return None
     probabilities = torch.empty(gaussians, width)
@@ -63,15 +98,3 @@ def scene_labels(scene: StructuredScene) -> SceneLabels | None:
         probabilities[start : start + len(classes)] = shown_probabilities(classes, slots, channels)
         start += len(classes)
     return SceneLabels(probabilities)
-
-
-def voted_probabilities(voted: GaussianLabels, channels: LabelChannels) -> torch.Tensor:
-    """The table of ``SceneLabels`` from the few labels that each Gaussian was voted to be."""
-    classes = len(channels.class_ids)
-    of_instance = [channels.class_ids.index(channels.class_of_slot[slot]) for slot in channels.instance_slots]
-    class_of_label = torch.tensor([*range(classes), *of_instance])
-    table = torch.zeros(len(voted.label), classes + len(of_instance))
-    label = voted.label.long()
-    table.scatter_add_(1, class_of_label[label], voted.share)
-    owned = torch.where(label >= classes, voted.share, torch.zeros_like(voted.share))
-    return table.scatter_add_(1, label, owned)

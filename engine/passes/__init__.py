@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from .baked_view import BakedView, Matte, ShownInstances, bake_view
 from .coco import write_coco
 from .contact_sheet import SheetRow, chosen, write_contact_sheet
-from .exr import read_exr, write_exr
+from .exr import read_exr, read_note, write_exr
 from .layers import PanopticLayers, decide, encoded, linear
 from .ply import read_ply, write_ply
 from .previews import (
@@ -17,12 +18,18 @@ from .previews import (
     write_previews,
 )
 from .result_files import InstanceRecord, SegmentLink, write_anchors, write_instances, write_semantic_points
+from .surface import Surface, surface_of
 
 __all__ = [
+    "BakedView",
     "InstanceRecord",
+    "Matte",
     "PanopticLayers",
     "SegmentLink",
     "SheetRow",
+    "ShownInstances",
+    "Surface",
+    "bake_view",
     "chosen",
     "colour_picture",
     "decide",
@@ -33,8 +40,10 @@ __all__ = [
     "png_bytes",
     "preview_paths",
     "read_exr",
+    "read_note",
     "read_ply",
     "semantic_picture",
+    "surface_of",
     "write_anchors",
     "write_coco",
     "write_contact_sheet",

@@ -8,54 +8,57 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.rendering import PanopticRendering
 from ..scene import VOID, ClassTable
-from .deciding import NOTHING
+from .ranking import RANKS
 
-RANKS = 6
-"""Pairs a pixel: three layers of channels of two pairs each."""
-SMALLEST = 1 / 256
-"""Coverage below this is left out: no picture shows it, and noise does not compress."""
-
-Coverage = dict[str, NDArray[np.float32]]
-"""Matte name to coverage float32 [H, W] in [0, 1]."""
+CRYPTO_INSTANCE, CRYPTO_CLASS = "CryptoInstance", "CryptoClass"
 
 
-def class_coverage(rendering: PanopticRendering, classes: ClassTable) -> Coverage:
-    """Coverage of each class by its name; the blending weights times the class probabilities."""
+@dataclass(frozen=True, eq=False)
+class MatteLayer:
+    """A Cryptomatte layer: which columns of a coverage it shows, and under which name each."""
+
+    name: str
+    columns: tuple[int, ...]
+    names: tuple[str, ...]
+
+    @property
+    def ids(self) -> NDArray[np.float32]:
+        """The float of each name, float32 [L]."""
+        return np.array([*map(name_float, self.names)], np.float32)
+
+
+def class_layer(class_ids: Sequence[int], classes: ClassTable) -> MatteLayer:
+    """Every class but void; ``class_ids``: those of the columns of ``class_coverage``."""
     names = matte_names({category.id: category.name for category in classes.categories})
-    return {
-        names[class_id]: rendering.class_coverage[..., column]
-        for column, class_id in enumerate(rendering.class_ids)
-        if class_id != VOID and class_id in names
-    }
+    return _layer(CRYPTO_CLASS, class_ids, {one: name for one, name in names.items() if one != VOID})
 
 
-def instance_coverage(rendering: PanopticRendering, classes: ClassTable, instance_names: Mapping[int, str]) -> Coverage:
-    """Coverage of each instance by its name.
+def instance_layer(
+    instance_ids: Sequence[int],
+    instance_names: Mapping[int, str],
+    classes: ClassTable,
+    instance_classes: Mapping[int, int] | None = None,
+) -> MatteLayer:
+    """Every instance, those of stuff left out where ``instance_classes`` (instance id to class id) tells them;
+    ``instance_ids``: those of the columns of ``instance_coverage``."""
+    ids = [one for one in instance_ids if one and _is_thing(one, classes, instance_classes)]
+    return _layer(CRYPTO_INSTANCE, instance_ids, matte_names({i: instance_names.get(i, f"instance {i}") for i in ids}))
 
-    Stuff has instance probabilities too (nothing forbids them), so a pixel's instances together get no more
-    than its things cover. They fill that up in descending order of their own coverage: at the edge of a chair
-    before a wall the chair keeps its share, and the wall's idea of an instance gets nothing.
-    """
-    things = [column for column, c in enumerate(rendering.class_ids) if c in classes.thing_ids]
-    left = rendering.class_coverage[..., things].sum(axis=-1)
-    columns = [column for column, i in enumerate(rendering.instance_ids) if i != 0]
-    coverage = rendering.instance_coverage[..., columns]
-    order = np.argsort(-coverage, axis=-1, kind="stable")
-    ranked = np.take_along_axis(coverage, order, axis=-1)
-    before = np.cumsum(ranked, axis=-1) - ranked
-    filled = np.clip(left[..., None] - before, 0.0, ranked)
-    result = np.zeros_like(coverage)
-    np.put_along_axis(result, order, filled, axis=-1)
-    ids = [rendering.instance_ids[column] for column in columns]
-    names = matte_names({i: instance_names.get(i, f"instance {i}") for i in ids})
-    return {names[i]: result[..., k] for k, i in enumerate(ids)}
+
+def _is_thing(instance: int, classes: ClassTable, instance_classes: Mapping[int, int] | None) -> bool:
+    return instance_classes is None or instance_classes.get(instance) in classes.thing_ids
+
+
+def _layer(name: str, ids: Sequence[int], names: Mapping[int, str]) -> MatteLayer:
+    columns = tuple(column for column, one in enumerate(ids) if one in names)
+    return MatteLayer(name, columns, tuple(names[ids[column]] for column in columns))
 
 
 def matte_names(names: Mapping[int, str]) -> dict[int, str]:
@@ -72,29 +75,12 @@ def matte_names(names: Mapping[int, str]) -> dict[int, str]:
     return {key: name if seen[name] == 1 else f"{name} #{key}" for key, name in clean.items()}
 
 
-def channels(layer: str, coverage: Coverage, alpha: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-    """The rank channels ``<layer>00.r`` .. ``<layer>02.a``: pairs in descending order of coverage, sum <= 1."""
-    shape = alpha.shape
-    names = list(coverage)
-    stack = np.stack([coverage[name] for name in names], axis=-1) if names else np.zeros((*shape, 0), np.float32)
-    stack = np.where((stack >= SMALLEST) & (alpha[..., None] >= NOTHING), stack, 0.0).astype(np.float32)
-    total = stack.sum(axis=-1, keepdims=True)
-    stack = stack / np.maximum(total, 1.0)
-    order = np.argsort(-stack, axis=-1, kind="stable")[..., :RANKS]
-    ranked = np.take_along_axis(stack, order, axis=-1)
-    floats = np.array([*map(name_float, names)], np.float32)
-    result = {}
-    for rank in range(RANKS):
-        layer_name, pair = f"{layer}{rank // 2:02d}", "rg" if rank % 2 == 0 else "ba"
-        present = rank < ranked.shape[-1]
-        share = ranked[..., rank] if present else np.zeros(shape, np.float32)
-        ids = np.where(share > 0, floats[order[..., rank]], 0) if present else np.zeros(shape)
-        result[f"{layer_name}.{pair[0]}"] = np.ascontiguousarray(ids, np.float32)
-        result[f"{layer_name}.{pair[1]}"] = np.ascontiguousarray(share, np.float32)
-    return result
+def channels(layer: str, planes: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+    """The rank channels ``<layer>00.r`` .. ``<layer>02.a`` of float32 [2 RANKS, H, W]: id and coverage in turns."""
+    return {f"{layer}{plane // 4:02d}.{'rgba'[plane % 4]}": planes[plane] for plane in range(2 * RANKS)}
 
 
-def header(layer: str, names: list[str]) -> dict[str, str]:
+def header(layer: str, names: Sequence[str]) -> dict[str, str]:
     """The layer's metadata: how names became floats, and which names there are."""
     prefix = f"cryptomatte/{murmur3(layer.encode()):08x}"[:19] + "/"
     manifest = {name: f"{name_bits(name):08x}" for name in names}

@@ -9,40 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import write_atomically
-from ..model.rendering import PanopticRendering
-from ..scene import ClassTable
+from ..machine.crew import worker_count
 from . import cryptomatte
+from .baked_view import BakedView
 from .layers import PanopticLayers
 
 LAYER = "PLGS"
-CRYPTO_INSTANCE, CRYPTO_CLASS = "CryptoInstance", "CryptoClass"
 LARGEST_ID = 1 << 24
 """Ids below this are exact in 32-bit floats."""
 
 
-def write_exr(
-    path: Path,
-    layers: PanopticLayers,
-    rendering: PanopticRendering,
-    classes: ClassTable,
-    instance_names: Mapping[int, str],
-) -> None:
-    """Write a baked view, whole or not at all; same input, same bytes.
+def write_exr(path: Path, view: BakedView, notes: Mapping[str, str] | None = None) -> None:
+    """Write a baked view, whole or not at all; same input, same bytes. ``notes``: more attributes of the header.
 
-    ``instance_names`` (instance id to name, such as "chair 1") become matte names; see ``matte_names``.
     Raises ValueError for ids that a 32-bit float cannot hold, OSError when the file cannot be written.
     """
+    layers = view.layers
     if max(int(layers.semantic.max(initial=0)), int(layers.instance.max(initial=0))) >= LARGEST_ID:
         raise ValueError(f"class and instance ids must be below {LARGEST_ID} to be exact in an EXR")
-    channels = _pass_channels(layers)
-    header: dict[str, str] = {}
-    mattes = {
-        CRYPTO_INSTANCE: cryptomatte.instance_coverage(rendering, classes, instance_names),
-        CRYPTO_CLASS: cryptomatte.class_coverage(rendering, classes),
-    }
-    for layer, coverage in mattes.items():
-        channels |= cryptomatte.channels(layer, coverage, rendering.alpha)
-        header |= cryptomatte.header(layer, list(coverage))
+    channels = _pass_channels(view)
+    header = dict(notes or {})
+    for matte in view.mattes:
+        channels |= cryptomatte.channels(matte.layer.name, matte.ranks)
+        header |= cryptomatte.header(matte.layer.name, matte.layer.names)
     write_atomically(path, lambda part: _write(part, header, channels))
 
 
@@ -72,13 +61,27 @@ def read_exr(path: Path) -> PanopticLayers:
     )
 
 
-def _pass_channels(layers: PanopticLayers) -> dict[str, NDArray[np.float32]]:
+def read_note(path: Path, name: str) -> str | None:
+    """An attribute of a baked view's header; None where it has none. Raises OSError when the file is unreadable."""
+    import OpenEXR
+
+    if not path.is_file():
+        raise FileNotFoundError(path)
+    with OpenEXR.File(str(path), header_only=True) as file:
+        value = file.header().get(name)
+    return value if isinstance(value, str) else None
+
+
+def _pass_channels(view: BakedView) -> dict[str, NDArray[np.float32]]:
+    layers = view.layers
     channels = {f"{LAYER}.Combined.{c}": layers.combined[..., k] for k, c in enumerate("RGBA")}
     channels[f"{LAYER}.Depth.V"] = layers.depth
     channels[f"{LAYER}.Semantic.V"] = layers.semantic.astype(np.float32)
     channels[f"{LAYER}.Instance.V"] = layers.instance.astype(np.float32)
     channels[f"{LAYER}.Confidence.V"] = layers.confidence
     channels[f"{LAYER}.Entropy.V"] = layers.entropy
+    for name, planes in (("Normal", view.surface.normal), ("Position", view.surface.position)):
+        channels |= {f"{LAYER}.{name}.{c}": planes[k] for k, c in enumerate("XYZ")}
     return {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
 
 
@@ -86,5 +89,5 @@ def _write(path: Path, text: Mapping[str, str], channels: dict[str, NDArray[np.f
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **text}
-    with OpenEXR.File(header, channels) as file:
+    with OpenEXR.File(header, channels, worker_count()) as file:
         file.write(str(path))

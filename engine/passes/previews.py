@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,10 @@ Colour = tuple[int, int, int]
 STUFF = (52, 54, 58)
 """Where there is no instance: dark, so that objects stand out."""
 NOTHING = (0, 0, 0)
+LINEAR_STEPS = (1 << 16) - 1
+"""So finely linear values are told apart before they become bytes: the smallest byte is 20 steps wide."""
+MOST_COLOURS = 1 << 16
+"""Ids below this are looked up in a table."""
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
@@ -52,7 +57,15 @@ def preview_paths(folder: Path, frame: str) -> tuple[Path, Path, Path]:
 
 def colour_picture(layers: PanopticLayers) -> Picture:
     """The rendered colours as a viewer shows them."""
-    return np.rint(encoded(layers.combined[..., :3]) * 255).astype(np.uint8)
+    steps = layers.combined[..., :3] * np.float32(LINEAR_STEPS)
+    steps += np.float32(0.5)
+    return _encoded_bytes()[np.clip(steps, 0, LINEAR_STEPS, out=steps).astype(np.uint16)]
+
+
+@cache
+def _encoded_bytes() -> NDArray[np.uint8]:
+    """The sRGB byte of every linear value k / LINEAR_STEPS."""
+    return np.rint(encoded(np.arange(LINEAR_STEPS + 1) / LINEAR_STEPS) * 255).astype(np.uint8)
 
 
 def semantic_picture(semantic: NDArray[np.int32], classes: ClassTable) -> Picture:
@@ -65,10 +78,15 @@ def semantic_picture(semantic: NDArray[np.int32], classes: ClassTable) -> Pictur
 
 def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] | None = None) -> Picture:
     """A colour an instance (``distinct_colour`` of its id unless ``colours`` has one), dark grey elsewhere."""
-    ids, index = np.unique(instance, return_inverse=True)
     given = colours or {}
+    if int(instance.max(initial=0)) >= MOST_COLOURS:
+        ids, place = np.unique(instance, return_inverse=True)
+        place = place.reshape(instance.shape)
+    else:
+        present, place = np.bincount(instance.ravel()), instance
+        ids = np.arange(len(present)) * (present > 0)
     table = [STUFF if i == 0 else given.get(i, distinct_colour(i)) for i in ids.tolist()]
-    return np.array(table, np.uint8)[index.reshape(instance.shape)]
+    return np.array(table, np.uint8).reshape(-1, 3)[place]
 
 
 def panoptic_picture(layers: PanopticLayers, classes: ClassTable, instance_colours: Mapping[int, Colour]) -> Picture:

@@ -25,7 +25,8 @@ class Pinhole:
     """A pinhole camera.
 
     ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world; ``focal`` and
-    ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres.
+    ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. Where only some rows of a
+    picture are drawn ``height`` is theirs, ``above`` the rows before them and ``whole_height`` the picture's.
     """
 
     rotation: tuple[float, ...]
@@ -35,15 +36,21 @@ class Pinhole:
     width: int
     height: int
     near: float
+    above: int = 0
+    whole_height: int | None = None
 
     def slope_limits(self) -> tuple[float, float, float, float]:
-        """(x low, x high, y low, y high): the slopes x/z and y/z to which the Jacobian's point is clamped."""
+        """(x low, x high, y low, y high): the slopes x/z and y/z to which the Jacobian's point is clamped.
+
+        Those of the whole picture, so that a Gaussian has the same footprint in all of its rows.
+        """
         (fx, fy), (cx, cy) = self.focal, self.principal
+        cy, height = cy + self.above, self.whole_height or self.height
         margin_x = CLAMP_MARGIN * 0.5 * self.width / fx
-        margin_y = CLAMP_MARGIN * 0.5 * self.height / fy
+        margin_y = CLAMP_MARGIN * 0.5 * height / fy
         return (
             -cx / fx - margin_x,
             (self.width - cx) / fx + margin_x,
             -cy / fy - margin_y,
-            (self.height - cy) / fy + margin_y,
+            (height - cy) / fy + margin_y,
         )

@@ -35,6 +35,7 @@ def rasterize(
     height: int,
     *,
     near: float = NEAR,
+    rows: tuple[int, int] | None = None,
     top_k: int = 0,
     want_means2d_grad: bool = False,
     backend: Backend | None = None,
@@ -53,14 +54,18 @@ def rasterize(
     skipped below 1/255 and nowhere else; a pixel ends before the Gaussian that would leave a transmittance <= 1e-4;
     order by planar depth rounded to float32, ties by index.
 
+    ``rows``: first and one past the last row to draw of the picture; the layers have these rows only, with the values
+    that they have in the whole (the back end ``gsplat`` draws Gaussians that are centred far above or below them a
+    little otherwise).
+
     ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device:
     ``numba`` on the CPU, ``gsplat`` on CUDA.
 
-    Raises ``ValueError`` on shapes, dtypes or devices that do not fit, an empty image, skew, or an unknown
-    back end.
+    Raises ``ValueError`` on shapes, dtypes or devices that do not fit, an empty image, rows that are not in it, skew,
+    or an unknown back end.
     """
     _check(means, scales, quats, opacities, colours, labels)
-    pinhole = _pinhole(camera_to_world, K, width, height, near)
+    pinhole = _pinhole(camera_to_world, K, width, height, near, rows or (0, height))
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
     rasterize_there = _load(_pick(backend, means))
@@ -144,9 +149,13 @@ def _pinhole(
     width: int,
     height: int,
     near: float,
+    rows: tuple[int, int],
 ) -> Pinhole:
     if width < 1 or height < 1:
         raise ValueError(f"the image is {width}x{height}; both must be at least 1")
+    first, end = rows
+    if not 0 <= first < end <= height:
+        raise ValueError(f"rows {first} to {end} are not in an image of {height} rows")
     pose = _rows(camera_to_world, "camera_to_world", (4, 4))
     (fx, skew, cx), (_, fy, cy), _ = _rows(intrinsics, "K", (3, 3))
     if skew != 0.0:
@@ -158,10 +167,12 @@ def _pinhole(
         rotation=(*x_axis, *y_axis, *z_axis),
         centre=centre,
         focal=(fx, fy),
-        principal=(cx, cy),
+        principal=(cx, cy - first),
         width=int(width),
-        height=int(height),
+        height=int(end - first),
         near=float(near),
+        above=int(first),
+        whole_height=int(height),
     )
 
 

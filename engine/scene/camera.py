@@ -48,6 +48,10 @@ class Camera:
         x, y = width / self.width, height / self.height
         return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.camera_to_world)
 
+    def of_rows(self, first: int, end: int) -> Camera:
+        """The camera whose picture is rows ``first`` to ``end`` (not included) of this one's."""
+        return Camera(self.width, end - first, self.fx, self.fy, self.cx, self.cy - first, self.camera_to_world)
+
     def unproject(self, depth: NDArray[np.float32]) -> NDArray[np.float64]:
         """Lift planar depth, float [height, width] metres, to world points, float64 [height, width, 3].
 

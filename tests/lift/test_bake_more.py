@@ -6,12 +6,15 @@ import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from engine.command_line.run_engine import run_bake
 from engine.job import (
+    BakeLocks,
     Cancelled,
     EventWriter,
     ExitCode,
@@ -24,9 +27,10 @@ from engine.job import (
 )
 from engine.lift import bake_frames, bake_more, run_lift
 from engine.lift.baking import FrameBaker
+from engine.passes import read_exr
 from engine.train.presets import PRESETS
 from tests.lift.test_lift import files_of
-from tests.tiny_scene import write_tiny_scene
+from tests.tiny_scene import tiny_pose, write_tiny_scene
 from tests.train.tiny_lift import TINY
 
 
@@ -97,8 +101,10 @@ def test_as_a_run_of_the_engine(lift: LiftFolder, capfd: pytest.CaptureFixture[s
 
 def test_only_a_finished_lift_can_be_baked(lift: LiftFolder) -> None:
     with lift.lock(), pytest.raises(JobError, match="another engine"):
-        run_bake(lift, ["all"])
+        run_bake(lift, ["all"], parent_pipe=0)  # whoever follows it would see the other one's events
     lift.manifest_path.unlink()
+    with lift.lock(), pytest.raises(JobError, match="another engine"):
+        run_bake(lift, ["all"])
     with pytest.raises(JobError, match="not finished"):
         run_bake(lift, ["all"])
 
@@ -109,12 +115,12 @@ def test_the_result_is_whole_whenever_it_ends(
 ) -> None:
     render, rendered = FrameBaker.render, []
 
-    def render_three(self: FrameBaker, frame: object) -> object:
+    def render_three(self: FrameBaker, *arguments: Any) -> object:
         verify(lift.result_path)
-        rendered.append(frame)
+        rendered.append(arguments)
         if len(rendered) == 3:
             raise failure
-        return render(self, frame)  # type: ignore[arg-type]
+        return render(self, *arguments)
 
     monkeypatch.setattr(FrameBaker, "render", render_three)
     with pytest.raises(type(failure)):
@@ -126,6 +132,67 @@ def test_the_result_is_whole_whenever_it_ends(
 def test_a_kill_loses_little(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bake_more, "KEEP_EVERY_S", -1.0)
     listed = []
-    monkeypatch.setattr(bake_more, "add_files", lambda result, paths: listed.append({path.stem for path in paths}))
+    add_files = bake_more.add_files
+
+    def add(result: Path, paths: list[Path]) -> None:
+        listed.append({path.stem for path in paths})
+        add_files(result, paths)
+
+    monkeypatch.setattr(bake_more, "add_files", add)
     bake(lift, "0000", "0001")
     assert [stems & {"0000", "0001"} for stems in listed] == [{"0000"}, {"0001"}]
+
+
+def write_cameras(path: Path, names: list[str], shift: float = 0.0) -> Path:
+    """Cameras that no frame has, wider than the frames."""
+    pose = tiny_pose(1, 6)
+    pose[2, 3] += shift
+    lens = {"fx": 50.0, "fy": 52.0, "cx": 40.5, "cy": 22.0, "width": 80, "height": 45}
+    path.write_text(json.dumps([{"name": name, "camera_to_world": pose.tolist(), **lens} for name in names]))
+    return path
+
+
+def test_any_camera(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cameras = write_cameras(tmp_path / "cameras.json", ["shot.0001", "shot.0002"])
+    assert run_bake(lift, None, cameras=cameras) is ExitCode.FINISHED
+    exr = lift.passes_path / "shot.0001.exr"
+    layers = read_exr(exr)
+    assert layers.depth.shape == (45, 80) and (layers.depth > 0).mean() > 0.5
+    assert exr.read_bytes() == (lift.passes_path / "shot.0002.exr").read_bytes()  # the same camera
+    listed = {str(file.path) for file in verify(lift.result_path).files}
+    assert {"passes/shot.0001.exr", "previews/shot.0001_colour.png", "previews/shot.0002_instance.png"} <= listed
+    times = exr.stat().st_mtime_ns
+    assert run_bake(lift, None, cameras=cameras) is ExitCode.FINISHED
+    assert exr.stat().st_mtime_ns == times  # what is done is kept
+    assert run_bake(lift, None, cameras=write_cameras(cameras, ["shot.0001"], shift=0.2)) is ExitCode.FINISHED
+    assert np.abs(read_exr(exr).depth - layers.depth).max() > 0.01  # the camera has moved
+    verify(lift.result_path)
+
+
+def test_a_camera_does_not_take_a_frames_place(
+    lift: LiftFolder, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    cameras = write_cameras(tmp_path / "cameras.json", ["shot", "0000"])
+    assert run_bake(lift, None, cameras=cameras) is ExitCode.BAD_INPUT
+    assert "a frame of the scene is named '0000'" in capfd.readouterr().err
+    assert not (lift.passes_path / "shot.exr").exists()
+
+
+def test_beside_another_process(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = lift.events_path.read_bytes()
+    view = FrameBaker.render
+
+    def render(self: FrameBaker, *arguments: Any) -> object:
+        (lift.passes_path / ".part-another.exr").touch()  # which must not be cleared away
+        assert any((lift.path / "bake").glob("process-*.lock"))
+        return view(self, *arguments)
+
+    monkeypatch.setattr(FrameBaker, "render", render)
+    with lift.lock(), BakeLocks(lift.path) as others, others.claim("0001") as is_ours:
+        assert is_ours
+        assert run_bake(lift, ["0000", "0001"]) is ExitCode.FINISHED
+    assert lift.events_path.read_bytes() == seen
+    assert {path.stem for path in lift.passes_path.glob("[0-9]*.exr")} == {"0000", "0004"}  # 0001 is the other one's
+    assert (lift.passes_path / ".part-another.exr").exists()
+    assert not [*lift.path.glob("bake-*"), *(lift.path / "bake").glob("process-*")]
+    verify(lift.result_path)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
-from engine.passes import cryptomatte
-from tests.passes.views import CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, made_rendering
+from engine.passes import ShownInstances, bake_view, cryptomatte
+from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, WALL, made_rendering
 
 
 @pytest.mark.parametrize(
@@ -22,36 +21,47 @@ def test_hash(text: str, seed: int, expected: int) -> None:
     assert cryptomatte.murmur3(text.encode(), seed) == expected
 
 
+def mattes(instance_classes: dict[int, int] | None = None) -> dict[str, np.ndarray]:
+    """Every rank channel of the rendering made by hand."""
+    rendering = made_rendering()
+    view = bake_view([rendering], rendering.camera, CLASSES, ShownInstances(NAMES, instance_classes))
+    found: dict[str, np.ndarray] = {}
+    for matte in view.mattes:
+        found |= cryptomatte.channels(matte.layer.name, matte.ranks)
+    return found
+
+
+def coverage_of(found: dict[str, np.ndarray], layer: str, name: str) -> np.ndarray:
+    """What a matte of this name pulls, float32 [H, W]."""
+    bits = np.float32(cryptomatte.name_float(name))
+    pairs = [(f"{layer}0{rank // 2}.{'rb'[rank % 2]}", f"{layer}0{rank // 2}.{'ga'[rank % 2]}") for rank in range(6)]
+    return sum(np.where(found[ids] == bits, found[shares], 0) for ids, shares in pairs)
+
+
 def test_instances_get_no_more_than_things_cover() -> None:
-    coverage = cryptomatte.instance_coverage(made_rendering(), CLASSES, NAMES)
-    assert coverage["chair 1"][LEFT] == pytest.approx(1.0)
-    assert coverage["chair 1"][EDGE] == pytest.approx(0.6)
-    assert coverage["chair 2"][EDGE] == pytest.approx(0.0, abs=1e-6)
-    assert coverage["chair 2"][RIGHT] == pytest.approx(1.0)
-    assert not coverage["chair 2"][0, 3:5].any()
+    found = mattes()
+    chair_1, chair_2 = (coverage_of(found, "CryptoInstance", name) for name in ("chair 1", "chair 2"))
+    assert chair_1[LEFT] == pytest.approx(1.0)
+    assert chair_1[EDGE] == pytest.approx(0.6)
+    assert chair_2[EDGE] == pytest.approx(0.0, abs=1e-6)
+    assert chair_2[RIGHT] == pytest.approx(1.0)
+    assert not chair_2[0, 3:5].any()
+
+
+def test_an_object_of_one_class_has_its_own_coverage() -> None:
+    found = mattes({3: CHAIR, 70001: WALL})
+    assert coverage_of(found, "CryptoInstance", "chair 1")[EDGE] == pytest.approx(0.7)
+    assert not coverage_of(found, "CryptoInstance", "chair 2").any()  # what is stuff is no object
 
 
 def test_ranks() -> None:
-    rendering = made_rendering()
-    coverage = cryptomatte.class_coverage(rendering, CLASSES)
-    assert list(coverage) == ["wall", "chair", "sofa long"]
-    channels = cryptomatte.channels("CryptoClass", coverage, rendering.alpha)
-    assert len(channels) == 12
-    assert channels["CryptoClass00.r"][0, 2] == np.float32(cryptomatte.name_float("chair"))
-    assert channels["CryptoClass00.g"][0, 2] == pytest.approx(0.6)
-    assert channels["CryptoClass00.b"][0, 2] == np.float32(cryptomatte.name_float("wall"))
-    assert channels["CryptoClass00.a"][0, 2] == pytest.approx(0.4)
-    assert not any(values[NOTHING].any() for values in channels.values())
-
-
-@settings(deadline=None)
-@given(arrays(np.float32, (2, 3, 9), elements=st.floats(0, 1, width=32)))
-def test_ranks_descend_and_sum_to_one_at_most(stack: np.ndarray) -> None:
-    coverage = {f"thing {k}": stack[..., k] for k in range(9)}
-    channels = cryptomatte.channels("L", coverage, np.ones((2, 3), np.float32))
-    ranks = np.stack([channels[f"L0{r // 2}.{'ga'[r % 2]}"] for r in range(6)])
-    assert (np.diff(ranks, axis=0) <= 0).all()
-    assert ranks.sum(axis=0).max() <= 1 + 1e-5
+    found = mattes()
+    assert len(found) == 24
+    assert found["CryptoClass00.r"][0, 2] == np.float32(cryptomatte.name_float("chair"))
+    assert found["CryptoClass00.g"][0, 2] == pytest.approx(0.6)
+    assert found["CryptoClass00.b"][0, 2] == np.float32(cryptomatte.name_float("wall"))
+    assert found["CryptoClass00.a"][0, 2] == pytest.approx(0.4)
+    assert not any(values[NOTHING].any() for values in found.values())
 
 
 def test_names() -> None:

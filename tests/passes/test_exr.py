@@ -8,16 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.passes import decide, read_exr, write_exr
+from engine.passes import BakedView, ShownInstances, bake_view, decide, read_exr, write_exr
 from tests.passes.views import CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, made_rendering
 
 OpenEXR = pytest.importorskip("OpenEXR")
 
 
 def _write(path: Path) -> Path:
-    rendering = made_rendering()
-    write_exr(path, decide(rendering, CLASSES), rendering, CLASSES, NAMES)
+    write_exr(path, _baked())
     return path
+
+
+def _baked() -> BakedView:
+    rendering = made_rendering()
+    return bake_view([rendering], rendering.camera, CLASSES, ShownInstances(NAMES))
 
 
 def test_round_trip(tmp_path: Path) -> None:
@@ -35,7 +39,20 @@ def test_single_part_zip_float(tmp_path: Path) -> None:
         assert {channel.pixels.dtype for channel in file.channels().values()} == {np.dtype(np.float32)}
     assert {"PLGS.Combined.R", "PLGS.Combined.A", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.V"} < names
     assert {"PLGS.Confidence.V", "PLGS.Entropy.V", "CryptoInstance00.r", "CryptoClass02.a"} < names
-    assert len(names) == 9 + 12 + 12
+    assert {f"PLGS.{layer}.{axis}" for layer in ("Normal", "Position") for axis in "XYZ"} < names
+    assert len(names) == 9 + 6 + 12 + 12
+
+
+def test_the_surface_is_in_the_world(tmp_path: Path) -> None:
+    camera, layers = made_rendering().camera, decide(made_rendering(), CLASSES)
+    with OpenEXR.File(str(_write(tmp_path / "a.exr")), separate_channels=True) as file:
+        found = {name: channel.pixels for name, channel in file.channels().items()}
+    position = np.stack([found[f"PLGS.Position.{axis}"] for axis in "XYZ"], axis=-1)
+    normal = np.stack([found[f"PLGS.Normal.{axis}"] for axis in "XYZ"], axis=-1)
+    rendered = layers.depth > 0
+    np.testing.assert_allclose(position[rendered], camera.unproject(layers.depth)[rendered], atol=1e-6)
+    np.testing.assert_allclose(normal[rendered], np.broadcast_to([0, 0, -1], normal[rendered].shape), atol=1e-6)
+    assert not position[~rendered].any() and not normal[~rendered].any()
 
 
 def test_same_input_same_bytes(tmp_path: Path) -> None:
@@ -43,10 +60,10 @@ def test_same_input_same_bytes(tmp_path: Path) -> None:
 
 
 def test_refusals(tmp_path: Path) -> None:
-    rendering = made_rendering()
-    layers = replace(decide(rendering, CLASSES), instance=np.full((6, 8), 1 << 24, np.int32))
+    view = _baked()
+    layers = replace(view.layers, instance=np.full((6, 8), 1 << 24, np.int32))
     with pytest.raises(ValueError, match="exact"):
-        write_exr(tmp_path / "a.exr", layers, rendering, CLASSES, NAMES)
+        write_exr(tmp_path / "a.exr", replace(view, layers=layers))
     with OpenEXR.File({}, {"Y": np.zeros((2, 2), np.float32)}) as file:
         file.write(str(tmp_path / "b.exr"))
     with pytest.raises(ValueError, match="no pass of a lift"):

@@ -68,6 +68,7 @@ def test_layers_arrive_with_their_values(scene: bpy.types.Scene, lift: Path, tmp
         assert np.allclose(rendered(scene, "Combined", tmp_path), (view.colour / 255.0) ** 2.2, atol=1e-5)
         assert np.allclose(rendered(scene, "Confidence", tmp_path), 0.9)
         assert np.allclose(rendered(scene, "Entropy", tmp_path), 0.1)
+        assert np.allclose(rendered(scene, "Normal", tmp_path)[..., :3], (0, 0, 1))
 
 
 def test_the_matte_of_a_named_instance(scene: bpy.types.Scene, tmp_path: Path) -> None:

@@ -66,6 +66,9 @@ def write_passes(path: Path, frame: Frame, size: tuple[int, int]) -> None:
         "PLGS.Confidence.V": np.full(view.depth.shape, 0.9),
         "PLGS.Entropy.V": np.full(view.depth.shape, 0.1),
     }
+    position = frame.camera.resized(*size).unproject(view.depth)
+    channels |= {f"PLGS.Position.{axis}": position[..., i] for i, axis in enumerate("XYZ")}
+    channels |= {f"PLGS.Normal.{axis}": np.full(view.depth.shape, i == 2) for i, axis in enumerate("XYZ")}
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     layers = {
         "CryptoInstance": (view.instance, {number: name for number, name, _, _ in _BOXES}),

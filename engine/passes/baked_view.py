@@ -1,0 +1,95 @@
+"""A view as it is baked: its layers, its surface and its mattes, from a rendering in bands of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.rendering import PanopticRendering
+from ..scene import Camera, ClassTable, distinct_colour
+from .cryptomatte import MatteLayer, class_layer, instance_layer
+from .layers import PanopticLayers, decide
+from .ranking import RANKS, rank_coverage
+from .surface import Surface, surface_of
+
+
+@dataclass(frozen=True, eq=False)
+class Matte:
+    """A Cryptomatte layer and its ranks, float32 [2 RANKS, H, W]: id and coverage in turns."""
+
+    layer: MatteLayer
+    ranks: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class BakedView:
+    """All that is written of a view."""
+
+    layers: PanopticLayers
+    surface: Surface
+    mattes: tuple[Matte, ...]
+
+
+@dataclass(frozen=True)
+class ShownInstances:
+    """What pictures and passes need to know of the instances, by id. ``class_of``: the class that all of an instance is
+    shown with, or None when every pixel decides for itself."""
+
+    names: Mapping[int, str]
+    class_of: Mapping[int, int] | None = None
+
+    @property
+    def colours(self) -> dict[int, tuple[int, int, int]]:
+        return {instance: distinct_colour(instance) for instance in self.names}
+
+
+def bake_view(
+    bands: Iterable[PanopticRendering], camera: Camera, classes: ClassTable, instances: ShownInstances
+) -> BakedView:
+    """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after the other: the coverage of
+    no more than one is held. Raises ValueError when there is none."""
+    shape = (2 * RANKS, camera.height, camera.width)
+    of_instances, of_classes = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    layers: list[PanopticLayers] = []
+    row = 0
+    for band in bands:
+        rows = slice(row, row + len(band.alpha))
+        layers.append(decide(band, classes, instances.class_of))
+        by_class = class_layer(band.class_ids, classes)
+        rank_coverage(band.class_coverage, by_class.columns, by_class.ids, band.alpha, None, of_classes[:, rows])
+        by_instance = instance_layer(band.instance_ids, instances.names, classes, instances.class_of)
+        limit = things_coverage(band, classes) if instances.class_of is None else None
+        coverage, out = band.instance_coverage, of_instances[:, rows]
+        rank_coverage(coverage, by_instance.columns, by_instance.ids, band.alpha, limit, out)
+        row = rows.stop
+        del band, coverage  # before the next is made
+    if not layers:
+        raise ValueError("there is no band to bake")
+    whole = joined(layers)
+    mattes = Matte(by_instance, of_instances), Matte(by_class, of_classes)
+    return BakedView(whole, surface_of(whole.depth, camera), mattes)
+
+
+def things_coverage(rendering: PanopticRendering, classes: ClassTable) -> NDArray[np.float32]:
+    """What the pixels' things cover, float32 [H, W].
+
+    Where every pixel decides for itself stuff has instance probabilities too (nothing forbids them), so a pixel's
+    instances together get no more than this: at the edge of a chair before a wall the chair keeps its share, and the
+    wall's idea of an instance gets nothing. Where an object is of one class its coverage is part of its class's.
+    """
+    things = [column for column, one in enumerate(rendering.class_ids) if one in classes.thing_ids]
+    total = np.zeros_like(rendering.alpha)
+    for column in things:
+        total += rendering.class_coverage[..., column]
+    return total
+
+
+def joined(bands: list[PanopticLayers]) -> PanopticLayers:
+    """Bands of rows put together, from the top."""
+    if len(bands) == 1:
+        return bands[0]
+    names = [field.name for field in fields(PanopticLayers)]
+    return PanopticLayers(**{name: np.concatenate([getattr(band, name) for band in bands]) for name in names})

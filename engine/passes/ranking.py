@@ -1,0 +1,107 @@
+"""The kernel behind Cryptomatte's ranks: the largest coverages of every pixel, in one pass over the pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine.compiled import Array, compiled
+from ..machine.crew import share, worker_count
+from ..machine.shared import shared
+from .deciding import FAINT, ONE, ZERO
+
+RANKS = 6
+"""Pairs a pixel: three layers of channels of two pairs each."""
+SMALLEST = 1 / 256
+"""Coverage below this is left out: no picture shows it, and noise does not compress."""
+CHUNK = 4096
+"""Pixels that a worker takes at a time."""
+
+_LEAST = np.float32(SMALLEST)
+
+
+def rank_coverage(
+    coverage: NDArray[np.float32],
+    columns: Sequence[int],
+    ids: NDArray[np.float32],
+    alpha: NDArray[np.float32],
+    limit: NDArray[np.float32] | None,
+    out: NDArray[np.float32],
+) -> None:
+    """The RANKS largest of some columns of a coverage float32 [H, W, C], as (id, coverage) pairs in descending order,
+    ties to the earlier column.
+
+    ``ids`` float32 [L]: what stands for each of the L ``columns``; ``limit`` float32 [H, W] or None: what the pixel's
+    pairs cover together at most, given to the largest first; ``out`` float32 [2 RANKS, H, W]. Nothing (0, 0) follows
+    the last pair, and pixels where nothing was rendered have none.
+    """
+    height, width, count = coverage.shape
+    flat = coverage.reshape(height * width, count)
+    limits = np.empty(0, np.float32) if limit is None else limit.reshape(-1)
+    planes = out.reshape(2 * RANKS, -1)
+    workers = worker_count()
+    best = np.empty((workers, 2, RANKS), np.float32)
+    wanted = np.array(columns, np.int64)
+    share(workers, rank_pixels, flat, wanted, ids, alpha.reshape(-1), limits, best, planes)
+
+
+@shared
+def rank_pixels(
+    worker: int,
+    workers: int,
+    coverage: Array,
+    columns: Array,
+    ids: Array,
+    alpha: Array,
+    limit: Array,
+    best: Array,
+    out: Array,
+) -> None:
+    """Every ``workers``-th chunk of the pixels. ``best`` float32 [workers, 2, RANKS] is scratch: ids and shares."""
+    own_ids, own_shares = best[worker, 0], best[worker, 1]
+    for start in range(worker * CHUNK, len(alpha), workers * CHUNK):
+        for pixel in range(start, min(start + CHUNK, len(alpha))):
+            total = largest_first(coverage[pixel], columns, ids, own_ids, own_shares)
+            if len(limit):
+                total = min(total, limit[pixel])
+                fill(own_ids, own_shares, limit[pixel])
+            is_shown = alpha[pixel] >= FAINT
+            scale = ONE / max(total, ONE)
+            for rank in range(RANKS):
+                out[2 * rank, pixel] = own_ids[rank] if is_shown else ZERO
+                out[2 * rank + 1, pixel] = own_shares[rank] * scale if is_shown else ZERO
+
+
+@compiled
+def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, own_shares: Array) -> np.float32:
+    """Insert the coverages of a pixel into the ranks, largest first; returns the sum of all that count."""
+    total, last = ZERO, RANKS - 1
+    for rank in range(RANKS):
+        own_ids[rank] = own_shares[rank] = ZERO
+    for place in range(len(columns)):
+        value = coverage[columns[place]]
+        if value < _LEAST:
+            continue
+        total += value
+        if value <= own_shares[last]:
+            continue
+        rank = last
+        while rank > 0 and own_shares[rank - 1] < value:
+            own_ids[rank], own_shares[rank] = own_ids[rank - 1], own_shares[rank - 1]
+            rank -= 1
+        own_ids[rank], own_shares[rank] = ids[place], value
+    return total
+
+
+@compiled
+def fill(own_ids: Array, own_shares: Array, limit: float) -> None:
+    """Let the ranks cover no more than ``limit`` together, the largest first."""
+    left = limit
+    for rank in range(RANKS):
+        value = min(own_shares[rank], left)
+        left -= value
+        if value < _LEAST:
+            own_ids[rank] = value = ZERO
+        own_shares[rank] = value

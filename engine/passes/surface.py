@@ -1,0 +1,112 @@
+"""Where the rendered surface lies in the world, and which way it faces."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine.compiled import Array, compiled
+from ..machine.crew import share, worker_count
+from ..machine.shared import shared
+from ..scene import Camera
+
+REACH = 0.01
+"""Of the picture's width: the window that a normal is fitted to reaches so far to each side."""
+SAME_SURFACE = 0.06
+"""Pixels whose inverse depths differ by more than this share are of different surfaces."""
+LEAST_SPREAD = 1e-3
+"""Of the window's own spread: points with less lie on a line, and tell no plane."""
+
+
+class Surface(NamedTuple):
+    """``position`` float32 [3, H, W], world metres; ``normal`` float32 [3, H, W], world, of length 1, towards the
+    camera. Both 0 where nothing was rendered."""
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+
+def surface_of(depth: NDArray[np.float32], camera: Camera) -> Surface:
+    """Position and normal of every pixel from its depth float32 [H, W], planar metres, 0 = none.
+
+    A plane's inverse depth is linear in the pixel coordinates. So a plane is fitted to the inverse depths of 25 pixels
+    around (those of the same surface), by least squares; its normal is the pixel's. The Gaussians' own shortest axes
+    are no measure of it: they lie 20 to 30 degrees off in the middle, these normals 3 to 8.
+    """
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
+    step = max(1, round(REACH * camera.width / 2))
+    surface = Surface(np.empty((3, *depth.shape), np.float32), np.empty((3, *depth.shape), np.float32))
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    pose = np.ascontiguousarray(camera.camera_to_world, np.float64)
+    share(worker_count(), fit_rows, inverse, step, lens, pose, surface.position, surface.normal)
+    return surface
+
+
+@shared
+def fit_rows(
+    worker: int, workers: int, inverse: Array, step: int, lens: Array, pose: Array, position: Array, normal: Array
+) -> None:
+    """Every ``workers``-th row. ``lens`` float64 [4]: fx, fy, cx, cy; ``pose`` float64 [4, 4], camera to world."""
+    height, width = inverse.shape
+    for row in range(worker, height, workers):
+        for column in range(width):
+            q = inverse[row, column]
+            if q <= 0:
+                position[:, row, column] = 0.0
+                normal[:, row, column] = 0.0
+                continue
+            x, y = (column + 0.5 - lens[2]) / lens[0], (row + 0.5 - lens[3]) / lens[1]
+            right, down, mean = inverse_slopes(inverse, row, column, step)
+            # q = (n . (x, y, 1)) / d for the plane n . p = d: so n / d is read off its slopes
+            nx, ny = right * lens[0], down * lens[1]
+            nz = mean - nx * x - ny * y
+            to_camera = -1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
+            for axis in range(3):
+                turned = pose[axis, 0] * nx + pose[axis, 1] * ny + pose[axis, 2] * nz
+                ray = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2]
+                normal[axis, row, column] = turned * to_camera
+                position[axis, row, column] = ray / q + pose[axis, 3]
+
+
+@compiled
+def inverse_slopes(inverse: Array, row: int, column: int, step: int) -> tuple[float, float, float]:
+    """Least squares over 5 x 5 pixels ``step`` apart: change of the inverse depth a pixel to the right and down, and
+    its value at the pixel. Without change where too few pixels are of the same surface."""
+    height, width = inverse.shape
+    q = inverse[row, column]
+    count = su = sv = sq = suu = suv = svv = suq = svq = 0.0
+    for v in range(-2, 3):
+        y = row + v * step
+        if y < 0 or y >= height:
+            continue
+        for u in range(-2, 3):
+            x = column + u * step
+            if x < 0 or x >= width:
+                continue
+            other = inverse[y, x] - q
+            if abs(other) > SAME_SURFACE * q:
+                continue
+            count += 1.0
+            su += u
+            sv += v
+            sq += other
+            suu += u * u
+            suv += u * v
+            svv += v * v
+            suq += u * other
+            svq += v * other
+    suu -= su * su / count
+    suv -= su * sv / count
+    svv -= sv * sv / count
+    suq -= su * sq / count
+    svq -= sv * sq / count
+    spread = suu * svv - suv * suv
+    if spread <= LEAST_SPREAD * suu * svv or suu <= 0.0 or svv <= 0.0:
+        return 0.0, 0.0, q
+    right = (suq * svv - svq * suv) / spread
+    down = (svq * suu - suq * suv) / spread
+    mean = q + (sq - right * su - down * sv) / count
+    return right / step, down / step, mean

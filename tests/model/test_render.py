@@ -1,0 +1,70 @@
+"""A view in bands of rows is the view; few labels a Gaussian show what a table of all shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from engine.model.render import render_bands, render_view, row_bands
+from engine.model.rendering import ClipRange, PanopticRendering
+from engine.model.scene_labels import VotedLabels, shown_labels
+from engine.model.structured import GaussianLabels, LabelChannels
+from engine.scene import Camera
+from tests.model.test_scene_labels import some_scene
+
+CAMERA = Camera(70, 90, 70.0, 75.0, 33.0, 47.0, np.eye(4))
+LAYERS = ("image", "alpha", "depth", "class_coverage", "instance_coverage")
+
+
+def stacked(bands: list[PanopticRendering], layer: str) -> np.ndarray:
+    return np.concatenate([getattr(band, layer) for band in bands])
+
+
+def test_bands_are_the_view() -> None:
+    scene = some_scene((4, 9, 0, 0, 0))
+    whole, bands = render_view(scene, CAMERA), list(render_bands(scene, CAMERA, most_bytes=1))
+    assert [len(band.alpha) for band in bands] == [16, 16, 16, 16, 16, 10]
+    assert whole.alpha.max() > 0.3
+    for layer in LAYERS:
+        np.testing.assert_allclose(stacked(bands, layer), getattr(whole, layer), atol=2e-4, err_msg=layer)
+    points = [band.camera.unproject(band.depth) for band in bands]
+    np.testing.assert_allclose(np.concatenate(points), CAMERA.unproject(whole.depth), atol=1e-3)
+
+
+def test_bands_hold_no_more_than_asked_for() -> None:
+    camera = Camera(1296, 968, 900.0, 900.0, 648.0, 484.0, np.eye(4))
+    bands = row_bands(camera, 500, 1 << 27)
+    assert bands[0][0] == 0 and bands[-1][1] == 968
+    assert all(end == first for (_, end), (first, _) in zip(bands, bands[1:], strict=False))
+    assert max(end - first for first, end in bands) * 1296 * 500 * 4 <= 1.3 * (1 << 27)
+    assert row_bands(camera, 500, None) == [(0, 968)]
+
+
+def test_what_is_clipped_is_not_drawn() -> None:
+    scene = some_scene((4, 9, 0, 0, 0))
+    (near,) = render_bands(scene, CAMERA, clip=ClipRange(far=2.0))
+    (far,) = render_bands(scene, CAMERA, clip=ClipRange(near=2.0))
+    assert near.depth.max() < 2.0 and (far.depth[far.alpha > 1e-3] > 2.0 - 1e-5).all()
+    (nothing,) = render_bands(scene, CAMERA, clip=ClipRange(near=90.0))
+    assert not nothing.alpha.any() and not nothing.depth.any()
+
+
+def test_few_labels_a_gaussian() -> None:
+    channels = LabelChannels((2, 5, 7), (4, 9, 0), (5, 7, 0))
+    label = torch.tensor([[0, 3], [1, 4], [4, 2]], dtype=torch.int16)
+    share = torch.tensor([[0.75, 0.25], [0.5, 0.5], [1.0, 0.0]])
+    labels = VotedLabels.of_scene(GaussianLabels(label, share), channels)
+    expected = [[0.75, 0.25, 0, 0.25, 0], [0, 0.5, 0.5, 0, 0.5], [0, 0, 1, 0, 1]]
+    torch.testing.assert_close(labels.of(torch.tensor([0, 1, 2])), torch.tensor(expected, dtype=torch.float32))
+    torch.testing.assert_close(labels.of(torch.tensor([2])), torch.tensor(expected[2:], dtype=torch.float32))
+
+
+def test_votes_are_shown_in_place_of_the_decoders() -> None:
+    scene = some_scene((4, 9, 0, 0, 0))
+    scene.channels = LabelChannels((2, 5, 7), (4, 9, 0, 0, 0), (5, 7, 0, 0, 0))
+    scene.voted = GaussianLabels(torch.full((320, 1), 4, dtype=torch.int16), torch.ones(320, 1))
+    assert isinstance(shown_labels(scene), VotedLabels)
+    shown = render_view(scene, CAMERA)
+    np.testing.assert_allclose(shown.instance_coverage[..., 1], shown.alpha, atol=1e-5)
+    np.testing.assert_allclose(shown.class_coverage[..., 2], shown.alpha, atol=1e-5)
+    assert not shown.class_coverage[..., :2].any()
