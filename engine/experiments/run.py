@@ -71,6 +71,8 @@ def lift_options(experiment: Experiment, scene: SceneToLift) -> argparse.Namespa
         seed=experiment.seed,
         masks=None,
         up=scene.up,
+        scene_format=None,
+        depth=None,
         bake="none",
         resume=True,
     )

@@ -7,12 +7,25 @@ from .consensus import ConsensusOptions, MemberMask, ObjectMasks, find_objects
 from .linear_assignment import assign_slots, best_slots
 from .masks import instance_map, restrict_to_things, vote_instances
 from .matching import Evidence, GlobalInstance, MatchingOptions, limit_instances, match_views
+from .object_votes import object_classes, vote_classes
 from .objects import object_instances
 from .oriented_box import OrientedBox, fit_box, intersection_volume
+from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 from .pieces import PieceRules, regroup_pieces
+from .segment_votes import SegmentVoting, VotedLabels, member_labels, segment_labels, vote_panoptic_labels
 from .segments import LocalInstance, MaskExtent, SegmentOptions, local_instances, mask_extents
 
 __all__ = [
+    "object_classes",
+    "vote_classes",
+    "UNKNOWN_LABEL",
+    "PanopticLabels",
+    "decide_labels",
+    "SegmentVoting",
+    "VotedLabels",
+    "member_labels",
+    "segment_labels",
+    "vote_panoptic_labels",
     "ConsensusOptions",
     "Evidence",
     "GlobalInstance",

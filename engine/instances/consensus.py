@@ -34,7 +34,7 @@ class ConsensusOptions:
     agreement: float = 0.35
     min_masks: int = 3
     support: float = 0.1
-    most_masks: int = 6000
+    most_masks: int = 4000
 
 
 @dataclass(frozen=True)

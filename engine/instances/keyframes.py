@@ -24,10 +24,14 @@ def choose_keyframes(space: MasksInSpace, most_masks: int) -> NDArray[np.int64]:
     chosen = np.zeros(views, bool)
     chosen[np.linspace(0, views - 1, wanted).round().astype(np.int64)] = True
     seen = np.asarray(space.sight.sum(0)).reshape(-1)
-    lacking = np.minimum(seen, SIGHTINGS) - np.asarray(space.sight[chosen].sum(0)).reshape(-1)
-    for view in np.flatnonzero(~chosen):
-        points = space.sight[view].indices
-        if len(points) and (lacking[points] > 0).mean() > WORTH_IT:
-            chosen[view] = True
-            lacking[points] -= 1
+    sighted = np.asarray(space.sight[chosen].sum(0)).reshape(-1)
+    # One sighting after the other: asked for all at once, they would all come from the first views of a surface.
+    for wanted in range(1, SIGHTINGS + 1):
+        lacking = np.minimum(seen, wanted) - sighted
+        for view in np.flatnonzero(~chosen):
+            points = space.sight[view].indices
+            if len(points) and (lacking[points] > 0).mean() > WORTH_IT:
+                chosen[view] = True
+                lacking[points] -= 1
+                sighted[points] += 1
     return np.flatnonzero(chosen)

@@ -19,11 +19,11 @@ from ..model.scene_labels import scene_labels
 from ..passes import decide
 from ..raster.bench import processor_name
 from ..scene import ClassTable, View, load_view, open_scene
-from ..train.preparation import PreparedLift, prepare
 from ..train.presets import PRESETS, Preset
 from ..train.progress import StageReporter
 from ..train.step_clock import MeasuringClock
 from ..train.trainer import Trainer
+from .preparation import PreparedLift, prepare
 from .run import STAGES
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample" / "room"

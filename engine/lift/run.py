@@ -21,13 +21,13 @@ from ..job.prediction import learn_slowness
 from ..machine.log_compilation import log_compilation
 from ..model.structured import StructuredScene
 from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene_to_lift, size_within
-from ..train.preparation import prepare
 from ..train.presets import chosen_preset
 from ..train.progress import StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .live_previews import LivePreviews
+from .preparation import prepare
 from .scene_files import shown_instances, write_scene_files
 from .voting import vote_labels
 

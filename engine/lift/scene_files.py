@@ -17,7 +17,7 @@ from ..model.baking import bake
 from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..passes import InstanceRecord, SegmentLink, write_anchors, write_instances, write_ply, write_semantic_points
 from ..scene import ClassTable, Scene, View, distinct_colour
-from ..train.preparation import PreparedLift
+from .preparation import PreparedLift
 
 
 def write_scene_files(

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..instances import segment_labels
 from ..model.label_voting import LabelVotes, contributors, shown_labels
 from ..model.structured import GaussianLabels, StructuredScene
 from ..scene import Frame, PanopticMask, size_within
 from ..scene.hole_filling import fill_holes
 from ..scene.pixels import resize_nearest
-from ..semantics import segment_labels
 from ..train.presets import Preset
 
 

@@ -13,10 +13,10 @@ from ..model.label_voting import LabelVotes, contributors, shown_labels
 from ..model.render import render_view
 from ..passes import decide
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
-from ..train.preparation import prepare
 from ..train.presets import PRESETS, Schedule, WarmStart
 from ..train.progress import StageReporter
 from ..train.trainer import Trainer
+from .preparation import prepare
 from .run import STAGES
 
 WALL, PICTURE = 1, 2

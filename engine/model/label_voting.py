@@ -29,7 +29,7 @@ class VotingOptions:
     Pixels whose rendered depth is more than ``depth_gap_m`` metres and ``depth_gap_share`` of the depth off the
     sensor's abstain. The decoders have ``prior`` votes on each Gaussian. The ``kept`` likeliest labels are kept."""
 
-    contributors: int = 8
+    contributors: int = 4
     power: float = 0.5
     depth_gap_m: float = 0.15
     depth_gap_share: float = 0.05

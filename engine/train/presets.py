@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from ..instances.consensus import ConsensusOptions
+from ..instances.segment_votes import SegmentVoting
 from ..job.effort import EFFORTS, Effort
 from ..model.growing import GrowthRules
 from ..model.label_voting import VotingOptions
-from ..semantics.segment_votes import SegmentVoting
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Preset:
     weigh_sharpness: bool = True
     labels: Literal["decoders", "votes"] = "votes"
     vote_size_within: tuple[int, int] = (320, 320)
-    vote_rounds: int = 1
+    vote_rounds: int = 2
     label_every: int = 4
     voting: VotingOptions = VotingOptions()
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..instances import UNKNOWN_LABEL, PanopticLabels, segment_labels
 from ..model.baking import decided_labels
 from ..model.gaussians import decode
 from ..model.growing import GrowthStatistics, grow_and_prune
@@ -19,7 +20,7 @@ from ..model.scene_labels import scene_labels
 from ..model.structured import StructuredScene
 from ..raster import Rendering, rasterize
 from ..scene import VOID, PanopticMask, View
-from ..semantics import UNKNOWN_LABEL, PanopticLabels, pseudo_labels, segment_labels
+from ..semantics import pseudo_labels
 from .assignment import assigned_slots
 from .depth_loss import depth_loss
 from .label_losses import label_losses
@@ -29,6 +30,8 @@ from .presets import Preset
 from .step_clock import StepClock
 from .targets import ViewTargets, columns_of, slots_of
 
+SATURATED = 0.99
+"""Where a photo is as bright as can be, the room may be brighter than what is seen of it."""
 LARGEST_SCALE = 1.0
 """Metres. Scales are brought back to this at each round of growth, as Scaffold-GS does in its own units."""
 
@@ -154,11 +157,12 @@ class Trainer:
 
     def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> torch.Tensor:
         """The rendered picture with the photo's exposure, and with its black border, which then has no gradient."""
-        photo = target.photo.values
+        photo = torch.from_numpy(target.photo.values)
         if target.gain is not None:
-            image = (image * target.gain).clamp_max(1.0)
+            image = image * target.gain
+            image = torch.where(photo >= SATURATED, image.clamp_max(1.0), image)
         if target.border is not None:
-            image = torch.where(target.border[..., None], torch.from_numpy(photo), image)
+            image = torch.where(target.border[..., None], photo, image)
         return image
 
     def _descend(self, loss: torch.Tensor, gaussians: NeuralGaussians, rendering: Rendering) -> None:

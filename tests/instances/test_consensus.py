@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,20 +8,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances import ConsensusOptions, find_objects, object_instances, without_strays
-from engine.instances.consensus import consents, join, shown_classes, view_points
+from engine.instances import ConsensusOptions, ObjectMasks, find_objects, object_instances, shown_classes
+from engine.instances.agreement import view_points
+from engine.instances.consensus import consents
+from engine.instances.joining import join
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
 
 POINTS = 60
-LEFT, RIGHT, BACK = slice(0, 10), slice(10, 20), slice(20, 60)
+LEFT, RIGHT, BACK, SPOT = slice(0, 10), slice(10, 20), slice(20, 60), slice(40, 50)
 OPTIONS = ConsensusOptions()
 
 
-def strip(name: str, ids: np.ndarray, classes: dict[int, int]) -> View:
+def strip(name: str, ids: np.ndarray, classes: dict[int, int], groups: Sequence[int] = ()) -> View:
     """A view that shows point i in the three pixels of column i: no geometry, only outlines."""
     camera = Camera(POINTS, 3, 1.0, 1.0, 0.0, 0.0, np.eye(4))
-    segments = tuple(Segment(i, c, c >= CHAIR, 0.8) for i, c in classes.items())
+    segments = tuple(Segment(i, c, c >= CHAIR and i not in groups, 0.8, i in groups) for i, c in classes.items())
     picture = np.repeat(ids[None].astype(np.int32), 3, 0)
     shape = picture.shape
     return View(
@@ -50,22 +53,85 @@ def split(name: str) -> View:
     return strip(name, ids, {1: WALL, 2: CHAIR, 3: CHAIR, 4: SOFA})
 
 
+def swallowed(name: str) -> View:
+    """The left chair is drawn as wall: it has no outline of its own."""
+    ids = np.full(POINTS, 7)
+    ids[RIGHT] = 4
+    return strip(name, ids, {4: CHAIR, 7: WALL})
+
+
+def invented(name: str) -> View:
+    """A chair where there is only wall."""
+    ids = np.full(POINTS, 7)
+    ids[LEFT], ids[RIGHT], ids[SPOT] = 3, 4, 5
+    return strip(name, ids, {3: CHAIR, 4: CHAIR, 5: CHAIR, 7: WALL})
+
+
+def blind(name: str) -> View:
+    """All void: it sees every point and says nothing."""
+    return strip(name, np.zeros(POINTS), {})
+
+
+def objects_in(views: Sequence[View], options: ConsensusOptions = OPTIONS) -> ObjectMasks:
+    return find_objects(views, seen, POINTS, options)[0]
+
+
+def owners(objects: ObjectMasks, *parts: slice) -> list[int]:
+    """The one object that each part's points belong to."""
+    found = [np.unique(objects.object_of_point[part]) for part in parts]
+    assert [len(each) for each in found] == [1] * len(parts)
+    return [int(each[0]) for each in found]
+
+
+def frames_of(objects: ObjectMasks, number: int) -> set[str]:
+    return {mask.frame for mask in objects.masks[number - 1]}
+
+
 def test_merging_splitting_and_misnaming_views_are_outvoted() -> None:
     views = [good("a"), merged("b"), good("c", left=SOFA), split("d"), good("e"), good("f", left=WALL)]
-    objects, _ = find_objects(views, seen, POINTS, OPTIONS)
-    owner = objects.object_of_point
-    groups = [np.unique(owner[part]) for part in (LEFT, RIGHT, BACK)]
-    assert [len(group) for group in groups] == [1, 1, 1] and len(np.unique(np.concatenate(groups))) == 3
-    left = objects.masks[int(groups[0][0]) - 1]
-    assert {mask.frame for mask in left} == {"a", "c", "d", "e", "f"}
+    objects = objects_in(views)
+    left, right, back = owners(objects, LEFT, RIGHT, BACK)
+    assert len({left, right, back}) == 3
+    assert frames_of(objects, left) == {"a", "c", "d", "e", "f"}
+
+
+def test_views_that_draw_two_chairs_as_one_abstain() -> None:
+    views = [*(good(name) for name in "abcdef"), *(merged(name) for name in "ghij")]
+    objects = objects_in(views)
+    left, right, back = owners(objects, LEFT, RIGHT, BACK)
+    assert len({left, right, back}) == 3
+    assert frames_of(objects, left) == frames_of(objects, right) == set("abcdef")
+    # The merging views do not judge what belongs together, so nobody is against.
+    assert {mask.consent for mask in objects.masks[left - 1]} == {1.0}
+    assert frames_of(objects, back) == set("abcdefghij")
+
+
+def test_a_chair_that_some_views_take_for_wall_stays_a_chair() -> None:
+    views = [*(good(name) for name in "abcdef"), *(swallowed(name) for name in "ghij")]
+    objects = objects_in(views)
+    left, right, back = owners(objects, LEFT, RIGHT, BACK)
+    assert len({left, right, back}) == 3
+    assert frames_of(objects, left) == set("abcdef") and frames_of(objects, right) == set("abcdefghij")
+    assert all(mask.segment.class_id == CHAIR for mask in objects.masks[left - 1])
+
+
+@pytest.mark.parametrize("inventing", [1, 3])
+def test_a_thing_that_few_views_see_in_a_wall_is_wall(inventing: int) -> None:
+    views = [good(name) for name in "abcdefghij"]
+    for place in range(inventing):
+        views[3 * place] = invented("abcdefghij"[3 * place])
+    objects = objects_in(views)
+    left, right, back = owners(objects, LEFT, RIGHT, BACK)
+    assert len({left, right, back}) == len(objects.masks) == 3
+    assert frames_of(objects, left) == set("abcdefghij")
 
 
 def test_consent_says_how_many_views_put_a_mask_to_its_object() -> None:
-    # Of the six views all but d, which splits the left chair, show any two of its masks inside one mask.
+    # Of the six views d splits the left chair; b, which merges it with the right one, abstains.
     views = [good("a"), merged("b"), good("c"), split("d"), good("e"), good("f")]
-    objects, _ = find_objects(views, seen, POINTS, OPTIONS)
-    left = objects.masks[int(objects.object_of_point[7]) - 1]
-    assert [(mask.frame, mask.consent) for mask in left] == [(frame, 5 / 6) for frame in "acddef"]
+    objects = objects_in(views)
+    left = objects.masks[owners(objects, LEFT)[0] - 1]
+    assert [(mask.frame, mask.consent) for mask in left] == [(frame, 4 / 5) for frame in "acddef"]
     assert consents(np.array([[9.0, 4.0], [4.0, 9.0]]), np.array([[9.0, 5.0], [5.0, 9.0]])) == [0.8, 0.8]
     assert consents(np.ones((1, 1)), np.ones((1, 1))) == [None]
 
@@ -75,19 +141,42 @@ def test_a_view_that_missed_an_object_says_nothing_about_it() -> None:
     ids = missing.mask.ids.copy()
     ids[:, LEFT] = 0
     missing = replace(missing, mask=PanopticMask(ids, missing.mask.segments[1:]))
-    objects, _ = find_objects([good("a"), missing, good("c"), good("d")], seen, POINTS, OPTIONS)
+    objects = objects_in([good("a"), missing, good("c"), good("d")])
     assert len(objects.masks) == 3 and (objects.object_of_point[LEFT] > 0).all()
 
 
-def test_objects_of_too_few_masks_are_dropped() -> None:
-    objects, _ = find_objects([good("a"), good("b")], seen, POINTS, OPTIONS)
-    assert not objects.object_of_point.any() and objects.masks == ()
-    assert len(find_objects([good("a")], seen, POINTS, replace(OPTIONS, min_masks=1))[0].masks) == 3
+def test_what_may_be_several_objects_founds_none() -> None:
+    ids = np.full(POINTS, 7)
+    ids[LEFT], ids[RIGHT] = 3, 3
+    views = [strip(name, ids, {3: CHAIR, 7: WALL}, groups=[3]) for name in "abcd"]
+    objects = objects_in(views)
+    assert len(objects.masks) == 1 and not objects.object_of_point[:20].any()
+    # Where other views tell the chairs apart, the group does not join them.
+    objects = objects_in([*views, *(good(name) for name in "efgh")])
+    left, right = owners(objects, LEFT, RIGHT)
+    assert left != right and frames_of(objects, left) == set("efgh")
+
+
+@pytest.mark.parametrize(("showing", "blinded", "is_found"), [(2, 0, True), (2, 1, True), (2, 2, False), (3, 2, True)])
+def test_what_few_views_see_needs_two_or_three_masks(showing: int, blinded: int, is_found: bool) -> None:
+    views = [*(good(f"good {i}") for i in range(showing)), *(blind(f"blind {i}") for i in range(blinded))]
+    assert len(objects_in(views).masks) == (3 if is_found else 0)
+
+
+@pytest.mark.parametrize(("showing", "is_found"), [(3, False), (4, True)])
+def test_what_many_views_see_needs_masks_in_a_share_of_them(showing: int, is_found: bool) -> None:
+    views = [*(good(f"good {i}") for i in range(showing)), *(blind(f"blind {i}") for i in range(40 - showing))]
+    objects = objects_in(views)
+    assert len(objects.masks) == (3 if is_found else 0) and bool(objects.object_of_point.any()) is is_found
+
+
+def test_one_view_alone_founds_objects_only_when_asked_to() -> None:
+    assert objects_in([good("a")]).masks == ()
+    assert len(objects_in([good("a")], replace(OPTIONS, min_masks=1)).masks) == 3
 
 
 def test_views_without_masks_have_no_objects() -> None:
-    empty = strip("a", np.zeros(POINTS), {})
-    objects, summaries = find_objects([empty], seen, POINTS, OPTIONS)
+    objects, summaries = find_objects([blind("a")], seen, POINTS, OPTIONS)
     assert not objects.object_of_point.any() and len(summaries) == 1
 
 
@@ -129,24 +218,14 @@ def test_joining_is_the_greedy_one(seed: int, count: int) -> None:
 
 def test_things_become_instances_with_boxes() -> None:
     views = [good(name) for name in "abc"]
-    objects, _ = find_objects(views, seen, POINTS, OPTIONS)
+    objects = objects_in(views)
+    left, right = owners(objects, LEFT, RIGHT)
     xyz = np.zeros((POINTS, 3))
     xyz[:, 0] = np.arange(POINTS)
-    owner = np.where(np.arange(POINTS) < 20, objects.object_of_point, 0).astype(np.int32)
-    classes = np.full(len(objects.masks) + 1, CHAIR, np.int32)
-    instances, of_point = object_instances(views, objects, xyz, classes, owner, 0.1)
-    assert [item.id for item in instances] == [1, 2] and [item.class_id for item in instances] == [CHAIR, CHAIR]
-    assert [item.views for item in instances] == [3, 3] and instances[0].evidence[0].pixels == 30
+    owner = np.zeros(POINTS, np.int32)
+    owner[LEFT], owner[RIGHT] = 1, 2
+    things = [(objects.masks[left - 1], CHAIR), (objects.masks[right - 1], SOFA)]
+    instances = object_instances(views, things, xyz, owner, 0.1)
+    assert [(one.id, one.class_id, one.views) for one in instances] == [(1, CHAIR, 3), (2, SOFA, 3)]
+    assert instances[0].evidence[0].pixels == 30
     assert instances[0].box.size[0] == pytest.approx(9.0)
-    assert set(of_point[:20].tolist()) == {1, 2} and not of_point[20:].any()
-
-
-def test_crumbs_on_the_wall_behind_leave_the_object() -> None:
-    chair = np.random.default_rng(0).uniform(0, 0.4, (300, 3))
-    crumbs = chair[:20] + [3.0, 0.0, 0.0]
-    half = chair[:150] + [0.0, 2.0, 0.0]
-    owner = np.array([1] * 300 + [1] * 20 + [1] * 150 + [2], np.int32)
-    kept = without_strays(np.concatenate([chair, crumbs, half, [[9.0, 9.0, 9.0]]]), owner, reach=0.15)
-    assert (kept[:300] == 1).all() and not kept[300:320].any()
-    assert (kept[320:470] == 1).all(), "a piece that is large enough belongs to the object"
-    assert kept[470] == 2, "a lone point is all there is of its object"

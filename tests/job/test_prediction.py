@@ -66,6 +66,11 @@ def test_chosen_steps_are_taken_however_many_views_there_are() -> None:
     assert chosen == replace(preset, steps=7, steps_a_view=0.0, size_within=(100, 50))
 
 
+def test_many_views_need_more_steps() -> None:
+    effort = replace(EFFORTS["preview"], steps=100, steps_a_view=2.5)
+    assert [effort.steps_for(views) for views in (1, 40, 41, 1000)] == [100, 100, 102, 2500]
+
+
 def test_needs_neither_torch_nor_numpy(root: Path) -> None:
     code = "import engine.job.prediction, sys; assert not {'torch', 'numpy'} & set(sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=root).returncode == 0

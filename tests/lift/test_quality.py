@@ -14,7 +14,7 @@ from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.lift import run_lift
 
 ROOT = Path(__file__).resolve().parents[2]
-STEPS, SIZE = 60, (160, 120)
+STEPS, SIZE = 200, (160, 120)
 """Little work; a real preview reaches more."""
 
 

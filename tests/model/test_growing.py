@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import torch
 
 from engine.model.anchors import Anchors, initial_anchors
@@ -28,11 +31,13 @@ def watched(anchors: Anchors, opacity: float = 1.0) -> GrowthStatistics:
     return statistics
 
 
-def round_of(anchors: Anchors, statistics: GrowthStatistics, most: int = 10_000) -> tuple[torch.Tensor, Anchors]:
+def round_of(
+    anchors: Anchors, statistics: GrowthStatistics, most: int = 10_000, rules: GrowthRules = RULES
+) -> tuple[torch.Tensor, Anchors]:
     result = grow_and_prune(
         anchors,
         statistics,
-        RULES,
+        rules,
         voxel_size=0.1,
         steps_between=100,
         random=np.random.default_rng(0),
@@ -56,6 +61,30 @@ def test_an_anchor_is_judged_only_after_enough_visits() -> None:
     statistics.visits[:] = 70
     keep, _ = round_of(anchors, statistics)
     assert keep.all()
+
+
+@pytest.mark.parametrize(("visits", "is_judged"), [(10, False), (11, True)])
+def test_an_anchor_that_few_views_see_is_judged_after_the_least_visits(visits: int, is_judged: bool) -> None:
+    """In a short lift of many views a visit is rare: shares of the steps would never be reached."""
+    anchors = grid()
+    anchors.offset[0, 0] = torch.tensor([30.0, 0.0, 0.0])
+    anchors.log_scale[0] = np.log(0.1)
+    rules = replace(RULES, least_visits=10)
+    statistics = GrowthStatistics.empty(anchors)
+    statistics.visits[5] = visits
+    # Half as many sightings are enough to grow, as of the shares.
+    statistics.drawn[0, 0] = visits * rules.seen_share / rules.visited_share
+    statistics.gradient[0, 0] = 1.0
+    keep, grown = round_of(anchors, statistics, rules=rules)
+    assert bool(keep[5]) is not is_judged and int(keep.sum()) == len(anchors) - is_judged
+    assert bool(len(grown)) is is_judged
+    assert statistics.visits[5] == (0 if is_judged else visits)
+
+
+def test_the_least_visits_are_no_more_than_the_shares_ask_for() -> None:
+    rules = replace(RULES, least_visits=10)
+    assert [rules.enough(rules.visited_share, steps) for steps in (5, 100)] == [5 * rules.visited_share, 10]
+    assert RULES.enough(RULES.visited_share, 100) == 100 * RULES.visited_share
 
 
 def test_a_strong_gradient_grows_an_anchor_in_a_free_cell_with_the_greatest_feature() -> None:

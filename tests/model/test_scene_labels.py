@@ -7,62 +7,125 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from engine.model import scene_labels as subject
-from engine.model.anchors import initial_anchors
-from engine.model.decoders import Decoders, DecoderShape
 from engine.model.render import render_view
-from engine.model.scene_labels import scene_labels
-from engine.model.structured import LabelChannels, StructuredScene
-from engine.scene import Camera
+from engine.model.scene_labels import scene_labels, shown_probabilities, voted_probabilities
+from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, LabelChannels
+from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, some_scene
 
-CAMERA = Camera(40, 30, 40.0, 40.0, 20.0, 15.0, np.eye(4))
-SHAPE = DecoderShape(8, 4, 3, 5, distance_input=False, label_view_input=False)
-
-
-def some_scene(slot_ids: tuple[int, ...], shape: DecoderShape = SHAPE) -> StructuredScene:
-    random = np.random.default_rng(0)
-    positions = random.uniform([-1, -1, 1.5], [1, 1, 3], (80, 3)).astype(np.float32)
-    feature = random.normal(size=(80, 8)).astype(np.float32)
-    anchors = initial_anchors(positions, np.ones(80, int), gaussians_per_anchor=4, feature=feature, voxel_size=0.1)
-    return StructuredScene(anchors, Decoders(shape, 3), LabelChannels((2, 5, 7), slot_ids), 0.1)
+SLOTS = [(4, 9, NO_OBJECT, SPARE, SPARE), (NO_OBJECT, 4, SPARE, 9, SPARE), (NO_OBJECT, *[SPARE] * 4), (1, 2, 3, 4, 0)]
+CLASSES = st.sampled_from(CLASS_IDS)
 
 
-@pytest.mark.parametrize("slot_ids", [(4, 9, 0, 0, 0), (0, 4, 0, 9, 0), (0, 0, 0, 0, 0), (1, 2, 3, 4, 5)])
+def classes_of(slot_ids: tuple[int, ...]) -> tuple[int, ...]:
+    """Some class for each instance."""
+    return tuple(CLASS_IDS[slot % 3] if slot > 0 else 0 for slot in slot_ids)
+
+
+@pytest.mark.parametrize("slot_ids", SLOTS)
+@pytest.mark.parametrize("one_class", [False, True])
 @pytest.mark.parametrize("kernels", ["vector", "plain"])
 def test_a_view_is_the_same_with_and_without(
-    slot_ids: tuple[int, ...], kernels: str, monkeypatch: pytest.MonkeyPatch
+    slot_ids: tuple[int, ...], one_class: bool, kernels: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """What is drawn from labels of finished Gaussians differs a little where objects are of one class: a product of
+    means is no mean of products."""
     monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
     monkeypatch.setattr(subject, "CHUNK", 33)
-    scene = some_scene(slot_ids)
+    scene = some_scene(slot_ids, class_of_slot=classes_of(slot_ids) if one_class else ())
     labels = scene_labels(scene)
     assert labels is not None
     with_labels, without = render_view(scene, CAMERA, labels), render_view(scene, CAMERA)
     assert without.alpha.max() > 0.3
-    assert with_labels.instance_ids == without.instance_ids == tuple(slot for slot in slot_ids if slot)
+    instances = tuple(slot for slot in slot_ids if slot > 0)
+    assert with_labels.instance_ids == without.instance_ids == instances
     for layer in ("image", "alpha", "depth"):
         assert np.array_equal(getattr(with_labels, layer), getattr(without, layer))
-    for layer in ("class_coverage", "instance_coverage"):
-        np.testing.assert_allclose(getattr(with_labels, layer), getattr(without, layer), atol=1e-5)
-    assert without.class_coverage.shape == (30, 40, 3)
-    np.testing.assert_allclose(without.class_coverage.sum(axis=2), without.alpha, atol=1e-5)
+    np.testing.assert_allclose(with_labels.instance_coverage, without.instance_coverage, atol=1e-5)
+    np.testing.assert_allclose(with_labels.class_coverage, without.class_coverage, atol=0.05 if one_class else 1e-5)
+    for shown in (with_labels, without):
+        assert shown.class_coverage.shape == (30, 40, 3)
+        np.testing.assert_allclose(shown.class_coverage.sum(axis=2), shown.alpha, atol=1e-5)
 
 
 def test_labels_that_depend_on_the_view_are_not_kept() -> None:
-    assert scene_labels(some_scene((1, 0, 0, 0, 0), replace(SHAPE, label_view_input=True))) is None
+    assert scene_labels(some_scene(SLOTS[0], replace(SHAPE, label_view_input=True))) is None
 
 
 def test_too_many_labels_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = some_scene((1, 0, 0, 0, 0))
-    monkeypatch.setattr(subject, "MOST_BYTES", 80 * 4 * 4 * 4)
+    scene = some_scene((1, NO_OBJECT, SPARE, SPARE, SPARE))
+    size = 4 * GAUSSIANS * (len(CLASS_IDS) + 1)
+    monkeypatch.setattr(subject, "MOST_BYTES", size)
     assert scene_labels(scene) is not None
-    monkeypatch.setattr(subject, "MOST_BYTES", 80 * 4 * 4 * 4 - 1)
+    monkeypatch.setattr(subject, "MOST_BYTES", size - 1)
     assert scene_labels(scene) is None
 
 
-def test_probabilities_sum_to_one() -> None:
-    labels = scene_labels(some_scene((1, 2, 3, 4, 5)))
+def test_classes_sum_to_one_and_instances_leave_what_is_no_objects() -> None:
+    labels = scene_labels(some_scene((1, 2, 3, 4, NO_OBJECT)))
     assert labels is not None
-    torch.testing.assert_close(labels.probabilities[:, :3].sum(dim=1), torch.ones(320))
-    torch.testing.assert_close(labels.probabilities[:, 3:].sum(dim=1), torch.ones(320))
+    torch.testing.assert_close(labels.probabilities[:, :3].sum(dim=1), torch.ones(GAUSSIANS))
+    assert (labels.probabilities[:, 3:].sum(dim=1) < 1).all()
+
+
+def softmaxed(random: np.random.Generator, shape: tuple[int, ...], alpha: torch.Tensor) -> torch.Tensor:
+    logits = torch.from_numpy(random.normal(0, 3, shape))
+    return logits.softmax(dim=-1) * alpha[..., None]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.lists(CLASSES, max_size=5), st.integers(0, 2))
+def test_an_instance_gives_all_it_has_to_its_own_class(seed: int, of_class: list[int], spare: int) -> None:
+    random = np.random.default_rng(seed)
+    slot_ids = (*range(1, len(of_class) + 1), NO_OBJECT, *[SPARE] * spare)
+    order = random.permutation(len(slot_ids)).tolist()
+    meanings = [(slot, of_class[slot - 1] if slot > 0 else 0) for slot in slot_ids]
+    channels = LabelChannels(
+        CLASS_IDS, tuple(meanings[place][0] for place in order), tuple(meanings[place][1] for place in order)
+    )
+    alpha = torch.from_numpy(random.uniform(0, 1, (4, 6)))
+    classes = softmaxed(random, (4, 6, 3), alpha)
+    slots = softmaxed(random, (4, 6, len(slot_ids)), alpha)
+    shown = shown_probabilities(classes, slots, channels)
+    assert shown.shape == (4, 6, 3 + len(of_class)) and (shown >= 0).all()
+    by_class, instances = shown[..., :3], shown[..., 3:]
+    torch.testing.assert_close(by_class.sum(dim=-1), alpha)
+    torch.testing.assert_close(instances, slots[..., list(channels.instance_slots)])
+    # What is no object's is shared by the semantic channels; no class has less than its instances.
+    alone = alpha - instances.sum(dim=-1)
+    owned = torch.zeros_like(by_class)
+    for place, slot in enumerate(channels.instance_slots):
+        owned[..., CLASS_IDS.index(channels.class_of_slot[slot])] += instances[..., place]
+    share = classes / classes.sum(dim=-1, keepdim=True)
+    torch.testing.assert_close(by_class, owned + share * alone[..., None])
+
+
+def test_where_every_pixel_decides_for_itself_nothing_is_moved() -> None:
+    channels = LabelChannels(CLASS_IDS, (8, NO_OBJECT, 9, SPARE))
+    classes, slots = torch.tensor([[0.2, 0.3, 0.4]]), torch.tensor([[0.1, 0.2, 0.3, 0.3]])
+    assert shown_probabilities(classes, slots, channels).tolist() == torch.cat([classes, slots[:, ::2]], 1).tolist()
+
+
+CHANNELS = LabelChannels(CLASS_IDS, (4, 9, NO_OBJECT, SPARE), (7, 5, 0, 0))
+
+
+def test_voted_labels_are_shown_as_they_were_voted() -> None:
+    label = torch.tensor([[3, 0, 2], [4, 3, 1], [1, 0, 2]], dtype=torch.int16)
+    share = torch.tensor([[0.5, 0.25, 0.25], [0.75, 0.25, 0.0], [0.0, 0.0, 0.0]])
+    table = voted_probabilities(GaussianLabels(label, share), CHANNELS)
+    # classes 2, 5, 7, then the instances 4 (of class 7) and 9 (of class 5)
+    assert table.tolist() == [[0.25, 0, 0.75, 0.5, 0], [0, 0.75, 0.25, 0.25, 0.75], [0] * 5]
+
+
+def test_a_scene_with_voted_labels_shows_them_and_not_its_decoders() -> None:
+    scene = some_scene((4, 9, NO_OBJECT, SPARE, SPARE), class_of_slot=(7, 5, 0, 0, 0))
+    label = torch.full((GAUSSIANS, 1), 4, dtype=torch.int16)
+    voted = replace(scene, voted=GaussianLabels(label, torch.ones(GAUSSIANS, 1)))
+    plain, shown = render_view(scene, CAMERA), render_view(voted, CAMERA)
+    assert np.array_equal(plain.image, shown.image)
+    np.testing.assert_allclose(shown.instance_coverage[..., 1], shown.alpha, atol=1e-5)
+    np.testing.assert_allclose(shown.class_coverage[..., 1], shown.alpha, atol=1e-5)
+    assert not shown.instance_coverage[..., 0].any() and not shown.class_coverage[..., [0, 2]].any()

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.model.rendering import PanopticRendering
+from engine.model.scene_labels import LEAST_OF_CLASS
 from engine.passes import decide, encoded, linear
 from engine.scene import Camera, Category, ClassTable
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NOTHING, RIGHT, SOFA, WALL, made_rendering
@@ -47,28 +48,43 @@ def test_alpha_does_not_change_what_is_decided() -> None:
     assert faint.confidence == pytest.approx(full.confidence, abs=1e-5)
 
 
-def test_an_object_is_of_one_class_throughout() -> None:
-    layers = decide(made_rendering(), CLASSES, {70001: SOFA, 3: CHAIR, 99: CHAIR})
-    assert (layers.semantic[RIGHT] == SOFA).all()
-    assert layers.confidence[RIGHT] == pytest.approx(0.25)
-    assert (layers.semantic[LEFT] == CHAIR).all()
-    assert layers.semantic[0, 3] == WALL
-
-
-def test_an_instance_cannot_impose_a_class_that_nothing_there_speaks_for() -> None:
-    layers = decide(made_rendering(), CLASSES, {70001: WALL})
-    assert (layers.semantic[RIGHT] == CHAIR).all()
-    assert not layers.instance[RIGHT].any()
-
-
-def test_a_likely_class_outweighs_a_little_more_coverage() -> None:
-    """Where no instance was found the slots are arbitrary: the one of the pixel's own class is the better guess."""
+def with_right_chair(instances: dict[int, float]) -> PanopticRendering:
+    """The right chair, 75 % chair and 25 % sofa, with other coverage of instances."""
     rendering = made_rendering()
-    rendering.instance_coverage[RIGHT] = 0.0
-    rendering.instance_coverage[RIGHT][..., list(rendering.instance_ids).index(3)] = 0.3
-    rendering.instance_coverage[RIGHT][..., list(rendering.instance_ids).index(70001)] = 0.4
-    layers = decide(rendering, CLASSES, {70001: SOFA, 3: CHAIR})
+    for column, one in enumerate(rendering.instance_ids):
+        rendering.instance_coverage[RIGHT][..., column] = instances.get(one, 0.0)
+    return rendering
+
+
+def test_an_object_is_shown_with_its_class_or_not_at_all() -> None:
+    layers = decide(made_rendering(), CLASSES, {70001: CHAIR, 3: CHAIR, 99: CHAIR})
+    assert (layers.semantic[RIGHT] == CHAIR).all() and (layers.instance[RIGHT] == 70001).all()
+    layers = decide(made_rendering(), CLASSES, {70001: SOFA, 3: CHAIR})
+    assert (layers.semantic[RIGHT] == CHAIR).all() and not layers.instance[RIGHT].any()
+    assert layers.confidence[RIGHT] == pytest.approx(0.75)
+    assert (layers.semantic[LEFT] == CHAIR).all() and (layers.instance[LEFT] == 3).all()
+    assert layers.semantic[0, 3] == WALL and layers.instance[0, 3] == 0
+
+
+def test_a_thing_that_no_object_owns_has_its_own_class_and_no_instance() -> None:
+    of_class = {3: CHAIR, 70001: SOFA}
+    for instances in ({}, {70001: 0.25}):
+        layers = decide(with_right_chair(instances), CLASSES, of_class)
+        assert (layers.semantic[RIGHT] == CHAIR).all() and not layers.instance[RIGHT].any()
+    layers = decide(with_right_chair({3: 0.2, 70001: 0.25}), CLASSES, of_class)
     assert (layers.semantic[RIGHT] == CHAIR).all() and (layers.instance[RIGHT] == 3).all()
+
+
+def test_an_object_with_little_of_its_class_is_not_there() -> None:
+    for share, shown in ((0.9, 0), (1.1, 3)):
+        layers = decide(with_right_chair({3: share * LEAST_OF_CLASS * 0.75}), CLASSES, {3: CHAIR})
+        assert (layers.instance[RIGHT] == shown).all() and (layers.semantic[RIGHT] == CHAIR).all()
+
+
+def test_where_every_pixel_decides_for_itself_no_object_is_one_of_them() -> None:
+    for instances, shown in (({3: 0.4, 70001: 0.1}, 0), ({3: 0.4, 70001: 0.3}, 3)):
+        layers = decide(with_right_chair(instances), CLASSES)
+        assert (layers.instance[RIGHT] == shown).all() and (layers.semantic[RIGHT] == CHAIR).all()
 
 
 def test_void_and_spare_slots_never_win_and_ties_go_to_the_lower_id() -> None:
@@ -92,15 +108,16 @@ def test_combined_is_linear() -> None:
 
 
 def coarse_rendering(seed: int, height: int = 23, width: int = 29) -> tuple[PanopticRendering, ClassTable]:
-    """Coverages of few values, so that ties abound; void and spare channels, ids in no order, some pixels empty."""
+    """Coverages of few values, so that ties abound, and of few bits, so that sums are exact in any order; void and
+    spare channels, ids in no order, some pixels empty."""
     random = np.random.default_rng(seed)
     classes, slots = int(random.integers(1, 12)), int(random.integers(0, 9))
     class_ids = random.permutation(20)[:classes] + (0 if seed % 3 else 1)
     class_ids[class_ids == 0] = 0 if classes > 1 else 20
     table = ClassTable(tuple(Category(int(one), str(one), bool(one % 2), (0, 0, 0)) for one in range(1, 22)))
-    alpha = random.choice(np.array([0, 5e-4, 0.3, 1], np.float32), (height, width))
-    by_class = random.integers(0, 4, (height, width, classes)).astype(np.float32) * alpha[..., None] / 7
-    by_slot = random.integers(0, 4, (height, width, slots)).astype(np.float32) * alpha[..., None] / 7
+    alpha = random.choice(np.array([0, 2**-11, 0.25, 1], np.float32), (height, width))
+    by_class = random.integers(0, 4, (height, width, classes)).astype(np.float32) * alpha[..., None] / 8
+    by_slot = random.integers(0, 4, (height, width, slots)).astype(np.float32) * alpha[..., None] / 8
     ids = [int(one) for one in random.permutation(30)[:slots]]  # 0 may be among them
     image = random.uniform(-0.1, 1.1, (height, width, 3)).astype(np.float32)
     camera = Camera(width, height, 8.0, 8.0, 4.0, 3.0, np.eye(4))
@@ -128,13 +145,14 @@ def plain_decision(
         shown = max(likely, key=lambda one: (likely[one], -one))
         if shown in classes.thing_ids:
             weight = {one: rendering.instance_coverage[pixel][s] for one, s in slots}
+            alone = rendering.alpha[pixel]
+            for each in weight.values():
+                alone -= each
             if owned:
-                weight = {one: w * likely.get(owned.get(one, 0), np.float32(0)) for one, w in weight.items()}
+                weight = {one: w for one, w in weight.items() if owned.get(one) == shown}
+                alone = np.float32(LEAST_OF_CLASS) * rendering.class_coverage[pixel][dict(order)[shown]]
             best = max(weight, key=lambda one: (weight[one], -one), default=0)
-            if best and weight[best] > 0:
-                instance[pixel] = best
-                shown = owned[best] if owned.get(best) in likely else shown
-                instance[pixel] = best if shown in classes.thing_ids else 0
+            instance[pixel] = best if best and weight[best] > max(alone, 0) else 0
         semantic[pixel], confidence[pixel] = shown, likely[shown]
         terms = probability.astype(float) * np.log(np.maximum(probability, 1e-12).astype(float))
         entropy[pixel] = -terms.sum() / np.log(max(len(order), 2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from engine.train.losses import reconstruction_loss
@@ -34,7 +35,18 @@ def test_ssim_matches_a_direct_computation() -> None:
 def test_equal_images_cost_only_their_volume() -> None:
     image = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(1))
     moments, scales = PhotoMoments.of(image), torch.full((5, 3), 0.1)
-    loss = reconstruction_loss(image, moments, scales, ssim_weight=0.2, volume_weight=0.001)
+    loss = reconstruction_loss(image, moments, scales, photo_weight=1.0, ssim_weight=0.2, volume_weight=0.001)
     np.testing.assert_allclose(loss.item(), 0.001 * 5 * 1e-3, atol=1e-6)
 
 
+def test_a_photo_that_counts_half_leaves_the_volume_as_it_is() -> None:
+    random = torch.Generator().manual_seed(1)
+    image, photo = (torch.rand(16, 16, 3, generator=random) for _ in range(2))
+    scales = torch.full((5, 3), 0.5)
+
+    def loss(photo_weight: float, volume_weight: float) -> float:
+        weights = {"photo_weight": photo_weight, "ssim_weight": 0.2, "volume_weight": volume_weight}
+        return reconstruction_loss(image, PhotoMoments.of(photo), scales, **weights).item()
+
+    assert loss(0.5, 0.1) == pytest.approx(0.5 * loss(1.0, 0.0) + loss(0.0, 0.1), rel=1e-5)
+    assert loss(0.0, 0.1) == pytest.approx(0.1 * 5 * 0.5**3)

@@ -7,6 +7,7 @@ from dataclasses import asdict
 
 import pytest
 
+from engine.job.effort import EFFORTS, chosen_effort
 from engine.job.request import PRESETS as OFFERED
 from engine.train.presets import PRESETS, Preset, chosen_preset
 
@@ -19,18 +20,66 @@ def test_those_offered_are_those_there_are() -> None:
 def test_schedules_lie_within_the_lift(preset: Preset) -> None:
     schedule = preset.schedule
     assert 0 <= schedule.statistics_from < schedule.grow_from < schedule.grow_until <= 1
-    assert 0 < schedule.self_training_every < 1
+    assert 0 < schedule.self_training_every <= 1  # 1: no rounds, since votes have relabelled the segments before
     assert preset.neighbours >= 0 and 0 < preset.agreement <= 1 and -1 < preset.tau_new < 0
+    assert preset.vote_rounds >= 1 and preset.instance_slots >= 0
     json.dumps(asdict(preset))  # it goes into the manifest
 
 
-def test_the_papers_numbers() -> None:
-    paper = PRESETS["paper"]
-    assert (paper.steps, paper.voxel_size, paper.gaussians_per_anchor, paper.instance_slots) == (30_000, 0.02, 10, 25)
-    assert paper.schedule.self_training_every * paper.steps == 5000
-    assert (paper.schedule.grow_from * paper.steps, paper.schedule.grow_until * paper.steps) == (1500, 15_000)
-    assert (paper.weights.ssim, paper.weights.volume) == (0.2, 0.001)
-    assert (paper.objects, paper.warm_start, paper.seeded_features, paper.agreement) == ("boxes", None, False, 1.0)
+PAPERS_NUMBERS = {
+    "steps": 30_000,
+    "voxel_size": 0.02,
+    "gaussians_per_anchor": 10,
+    "features": 32,
+    "instance_slots": 25,
+    "agreement": 1.0,
+}
+PAPERS_WAYS = {
+    "objects": "boxes",
+    "linear_assignment": True,
+    "one_class_an_object": False,
+    "seeded_features": False,
+    "warm_start": None,
+    "steps_a_view": 0,
+    "fill_holes": False,
+    "fit_exposure": False,
+    "weigh_sharpness": False,
+    "labels": "decoders",
+}
+
+
+@pytest.mark.parametrize(("field", "value"), (PAPERS_NUMBERS | PAPERS_WAYS).items())
+def test_the_preset_paper_keeps_to_the_letter(field: str, value: object) -> None:
+    assert getattr(PRESETS["paper"], field) == value
+
+
+def test_the_papers_schedule_and_losses() -> None:
+    """Section "Implementation Details"; growth is Scaffold-GS's, which judges by shares of the steps."""
+    paper, schedule, weights = PRESETS["paper"], PRESETS["paper"].schedule, PRESETS["paper"].weights
+    assert schedule.self_training_every * paper.steps == pytest.approx(5000)
+    assert (schedule.grow_from * paper.steps, schedule.grow_until * paper.steps) == (1500, 15_000)
+    assert (weights.ssim, weights.volume, weights.semantic, weights.instance) == (0.2, 0.001, 0.2, 0.2)
+    assert weights.depth == 0 and paper.growth.least_visits is None
+    assert paper.distance_input and paper.label_view_input and paper.neighbours > 0
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_lifts_take_the_steps_that_were_predicted(name: str) -> None:
+    for views in (1, 100, 101, 2000):
+        assert PRESETS[name].for_views(views).steps == EFFORTS[name].steps_for(views)
+        chosen = chosen_preset(name, steps=7), chosen_effort(name, steps=7)
+        assert chosen[0].for_views(views).steps == chosen[1].steps_for(views) == 7
+
+
+def test_many_views_are_each_seen_often_enough() -> None:
+    for preset in (PRESETS["preview"], PRESETS["standard"]):
+        assert preset.for_views(3) == preset, "few views are seen often anyway"
+        many = preset.for_views(2000)
+        assert many.steps == 2000 * preset.steps_a_view > preset.steps
+        assert many.growth.least_visits is not None
+        # In the half of the lift in which anchors grow, a view comes up more than twice.
+        assert many.steps * many.schedule.grow_until > 2 * 2000
+    assert PRESETS["paper"].for_views(2000) == PRESETS["paper"]
 
 
 def test_what_a_user_chooses() -> None:

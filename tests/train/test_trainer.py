@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from engine.job import Cancelled
+from engine.model.render import render_view
+from engine.model.structured import NO_OBJECT
 from engine.scene import ClassTable, View
+from engine.train.losses import reconstruction_loss
 from engine.train.presets import LossWeights
 from engine.train.state import restore, trainer_state
 from engine.train.trainer import Trainer, pseudo_label_steps
@@ -43,7 +47,7 @@ def test_a_restored_trainer_goes_on_bit_for_bit(tiny: Input, tmp_path: Path) -> 
         losses.append(whole.step().loss)
         stored[whole.step_number] = whole_state(whole)
     assert len(whole.scene.anchors) > started_with
-    assert all(target.pseudo is not None for target in whole.targets)
+    assert all(target.pseudo is not None and target.pseudo_slot is not None for target in whole.targets)
 
     # Before the first step, before any growth, between growth and pseudo labels, and after both.
     for step in (0, 2, 3, 9):
@@ -133,6 +137,79 @@ def test_what_is_not_rendered_has_no_say_in_pseudo_labels(tiny: Input, tmp_path:
     nothing, something = trainer.targets[0].pseudo, trainer.targets[1].pseudo
     assert nothing is not None and (nothing == -1).all()
     assert something is not None and (something >= 0).any()
+
+
+def test_pseudo_labels_give_segments_a_class_and_its_object(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, TINY, tmp_path)
+    trainer.refresh_pseudo_labels()
+    channels = trainer.scene.channels
+    owned = 0
+    for target in trainer.targets:
+        classes, slots = target.semantic, target.slot
+        assert target.pseudo is not None and target.pseudo_slot is not None
+        known = classes >= 0
+        assert torch.equal(slots >= 0, known), "what has a class has an object, or none for certain"
+        for slot in slots.unique().tolist():
+            own = classes[slots == slot]
+            if slot in channels.instance_slots:
+                owned += len(own)
+                assert (own == channels.class_ids.index(channels.class_of_slot[slot])).all()
+            else:
+                assert slot == channels.slot_ids.index(NO_OBJECT) or (slot == -1 and (own == -1).all())
+    assert owned > 0
+    plain = trainer_of(*tiny, replace(TINY, one_class_an_object=False), tmp_path)
+    plain.refresh_pseudo_labels()
+    assert all(target.pseudo is not None and target.pseudo_slot is None for target in plain.targets)
+
+
+def test_border_pixels_have_no_gradient(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, TINY, tmp_path)
+    target = trainer.targets[0]
+    image = torch.rand(target.photo.values.shape, requires_grad=True)
+    border = torch.zeros(image.shape[:2], dtype=torch.bool)
+    border[:4] = True
+    target.border = border
+    picture = trainer._as_photographed(image, target)
+    reconstruction_loss(
+        picture, target.photo, torch.zeros(0, 3), photo_weight=1.0, ssim_weight=0.2, volume_weight=0.0
+    ).backward()
+    assert image.grad is not None and not image.grad[border].any() and image.grad[~border].abs().min() > 0
+
+
+def test_the_rooms_colours_are_learnt_from_photos_of_many_exposures(tiny: Input, tmp_path: Path) -> None:
+    """Up to what all photos have in common, which nobody can tell from the room's own light."""
+    views, classes = tiny
+    gains = np.geomspace(0.25, 1.0, len(views))[np.random.default_rng(2).permutation(len(views))]
+    photos = [
+        replace(view, colour=np.round(gain * view.colour).astype(np.uint8))
+        for view, gain in zip(views, gains, strict=True)
+    ]
+    common = float(np.exp(np.log(gains).mean()))
+    room = [replace(view, colour=np.round(common * view.colour).astype(np.uint8)) for view in views]
+    errors = {}
+    for fit in (True, False):
+        trainer = trainer_of(photos, classes, replace(TINY, steps=42, fit_exposure=fit), tmp_path)
+        while not trainer.finished:
+            trainer.step()
+        errors[fit] = colour_error(room, trainer)
+        if fit:
+            found = np.array([target.gain.mean() for target in trainer.targets if target.gain is not None])
+            np.testing.assert_allclose(found, gains / common, rtol=0.1)
+        else:
+            assert all(target.gain is None for target in trainer.targets)
+    assert errors[True] < 0.85 * errors[False]
+
+
+def test_depth_is_brought_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
+    views, classes = tiny
+    errors = {}
+    for weight in (0.0, 0.5):
+        trainer = trainer_of(views, classes, replace(TINY, steps=42, weights=LossWeights(depth=weight)), tmp_path)
+        while not trainer.finished:
+            trainer.step()
+        drawn = [render_view(trainer.scene, view.camera).depth for view in views]
+        errors[weight] = np.median([np.abs(one - view.depth) for one, view in zip(drawn, views, strict=True)])
+    assert errors[0.5] < 0.8 * errors[0.0]
 
 
 def test_a_view_that_sees_nothing_does_no_harm(tiny: Input, tmp_path: Path) -> None:

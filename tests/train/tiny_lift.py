@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from engine.job import EventWriter, StopSignal
+from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES
 from engine.model.growing import GrowthRules
 from engine.scene import ClassTable, View, load_view, open_scene
-from engine.train.preparation import PreparedLift, prepare
 from engine.train.presets import PRESETS, Preset, Schedule, WarmStart
 from engine.train.progress import StageReporter
 from engine.train.trainer import Trainer
@@ -21,6 +21,7 @@ STEPS = 12
 TINY = replace(
     PRESETS["preview"],
     steps=STEPS,
+    steps_a_view=0,
     voxel_size=0.2,
     gaussians_per_anchor=3,
     instance_slots=4,

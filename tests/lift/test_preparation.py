@@ -9,12 +9,15 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from engine.train import preparation
-from engine.train.preparation import PreparedLift, slots
+from engine.instances import GlobalInstance, PanopticLabels, fit_box
+from engine.lift import preparation
+from engine.lift.preparation import PreparedLift, label_channels
+from engine.model.structured import NO_OBJECT, SPARE
 from tests.tiny_scene import CABINET, CABINET_ID, CHAIR, CHAIR_ID, WALL_ID
 from tests.train.tiny_lift import TINY, prepared_for, views_of
 
 BOXES = {CHAIR_ID: CHAIR, CABINET_ID: CABINET}
+SOME_BOX = fit_box(np.random.default_rng(0).uniform(0, 1, (30, 3)), 0.1)
 
 
 @pytest.fixture(scope="module", params=["boxes", "consent"])
@@ -51,7 +54,10 @@ def test_points_belong_to_the_object_they_lie_on(prepared: PreparedLift) -> None
 def test_targets_show_the_masks(prepared: PreparedLift) -> None:
     channels = prepared.scene.channels
     assert channels.class_ids == (1, 2, 3, 5)  # no view looks up
-    assert set(channels.slot_ids[:2]) == {1, 2} and set(channels.slot_ids[2:]) == {0}
+    assert set(channels.slot_ids[:2]) == {1, 2} and channels.slot_ids[2:] == (NO_OBJECT, SPARE, SPARE)
+    assert [channels.class_of_slot[slot] for slot in channels.instance_slots] == [
+        {one.id: one.class_id for one in prepared.instances}[number] for number in channels.shown_ids
+    ]
     for target in prepared.targets:
         shape = (target.camera.height, target.camera.width)
         assert target.photo.values.shape == (*shape, 3) and target.things.row.shape == shape
@@ -59,9 +65,12 @@ def test_targets_show_the_masks(prepared: PreparedLift) -> None:
         assert (target.projected >= 0).float().mean() > 0.95
         matched, projected = target.matched.numpy(), target.projected.numpy()
         things = {channels.class_ids.index(CHAIR_ID), channels.class_ids.index(CABINET_ID)}
-        assert set(projected[matched >= 0].tolist()) <= things
+        owned = (matched == 0) | (matched == 1)
+        assert set(projected[owned].tolist()) <= things
         # One instance, one class: the slots tell chair and cabinet apart.
         assert {len(set(projected[matched == slot].tolist())) for slot in (0, 1)} <= {0, 1}
+        # What is known to be no object's is taught to be so; the unknown is taught nothing.
+        assert ((matched == channels.slot_ids.index(NO_OBJECT)) == ((projected >= 0) & ~owned)).all()
 
 
 def test_anchors_know_their_class(prepared: PreparedLift) -> None:
@@ -87,5 +96,38 @@ def test_what_is_done_otherwise_than_asked_is_said(tmp_path: Path, monkeypatch: 
     assert "overlap too little" in said and "not every 10.0 cm" in said
 
 
-def test_spare_slots() -> None:
-    assert slots((), 3) == (0, 0, 0)
+def test_there_is_a_slot_for_no_object_however_many_objects_there_are() -> None:
+    assert label_channels((1, 5), [], replace(TINY, instance_slots=3)).slot_ids == (NO_OBJECT, *[SPARE] * 3)
+    found = [GlobalInstance(number, np.zeros((1, 3)), SOME_BOX, (), CHAIR_ID) for number in (1, 2, 3)]
+    channels = label_channels((1, 5), found, replace(TINY, instance_slots=2))
+    assert channels.slot_ids == (1, 2, 3, NO_OBJECT) and channels.class_of_slot == (*[CHAIR_ID] * 3, 0)
+    assert label_channels((1, 5), found, replace(TINY, one_class_an_object=False)).class_of_slot == ()
+
+
+def test_every_segment_is_given_its_class_and_object(tmp_path: Path) -> None:
+    views, classes = views_of(tmp_path / "scene")
+    prepared = prepared_for(views, classes, TINY, tmp_path)
+    labels = PanopticLabels(prepared.cloud.class_ids, tuple(one.class_id for one in prepared.instances))
+    assert prepared.label_maps is not None
+    for view, label_map in zip(views, prepared.label_maps, strict=True):
+        true = view.mask.class_map()
+        assert (labels.classes(label_map) == true).mean() > 0.98
+        assert ((labels.objects(label_map) > 0) == np.isin(true, [CHAIR_ID, CABINET_ID])).mean() > 0.98
+    boxes = prepared_for(views, classes, replace(TINY, objects="boxes"), tmp_path)
+    assert boxes.label_maps is None
+
+
+def test_holes_of_the_depth_get_points_but_are_no_target(tmp_path: Path) -> None:
+    """A dark patch of the floor: its surface is placed, but what the sensor did not see is not trained on."""
+    views, classes = views_of(tmp_path / "scene")
+    hole = (slice(36, 46), slice(4, 60))
+    holed = [replace(view, depth=view.depth.copy()) for view in views]
+    for view in holed:
+        view.depth[hole] = 0
+    sizes = {}
+    for fill in (True, False):
+        prepared = prepared_for(holed, classes, replace(TINY, fill_holes=fill), tmp_path)
+        assert all(not target.depth.numpy()[hole].any() for target in prepared.targets)
+        sizes[fill] = len(prepared.cloud)
+    whole = len(prepared_for(views, classes, TINY, tmp_path).cloud)
+    assert sizes[False] < sizes[True] and sizes[True] > 0.97 * whole

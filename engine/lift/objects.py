@@ -1,0 +1,131 @@
+"""Which masks are one object, and which points and pixels belong to it.
+
+The paper's way is Algorithm 1 on oriented boxes. Ours, from top to bottom: the views agree on objects, whatever they
+call them; they vote on each object's class; segments and points vote on what every pixel shows; the pieces of an object
+in space are looked at once more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..instances import (
+    UNKNOWN_LABEL,
+    GlobalInstance,
+    MatchingOptions,
+    MemberMask,
+    ObjectMasks,
+    PanopticLabels,
+    PieceRules,
+    SegmentOptions,
+    ViewPoints,
+    find_objects,
+    limit_instances,
+    match_views,
+    object_classes,
+    object_instances,
+    regroup_pieces,
+    segment_labels,
+    shown_classes,
+    vote_classes,
+    vote_instances,
+    vote_panoptic_labels,
+)
+from ..scene import VOID, ClassTable, View
+from ..semantics import SemanticPointCloud
+from ..train.presets import Preset
+from ..train.progress import StageProgress
+
+LARGEST_GAP = 0.15
+"""Metres between neighbouring points of one object: about what a far view leaves between two pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """The ``cloud`` with its final classes, the ``instances`` with ids 1.., the instance of each point int32 [N] (0 =
+    none), how many more instances were ``dropped``, and ``label_maps`` as ``PreparedLift`` has them."""
+
+    cloud: SemanticPointCloud
+    instances: list[GlobalInstance]
+    instance_of_point: NDArray[np.int32]
+    dropped: int
+    label_maps: list[NDArray[np.int16]] | None = None
+
+
+def instances_by_boxes(
+    views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
+) -> Matching:
+    """The paper's way: Algorithm 1 on the thing segments of all views."""
+    found = match_views(
+        views,
+        classes.thing_ids,
+        SegmentOptions(voxel_size=preset.voxel_size),
+        MatchingOptions(tau_new=preset.tau_new),
+        progress,
+    )
+    owner_of_segment = {(item.frame, item.segment_id): one.id for one in found for item in one.evidence}
+    index, reach = cloud.index(), 2 * preset.voxel_size
+    owner = vote_instances(
+        views, lambda view: index.nearest_of_pixels(view.camera, view.depth, reach), len(cloud), owner_of_segment
+    )
+    owner[~np.isin(cloud.class_id, sorted(classes.thing_ids))] = 0
+    instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
+    return Matching(cloud, instances, instance_of_point, dropped)
+
+
+def objects_by_consent(
+    views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
+) -> Matching:
+    """Ours: objects that the views agree on, whatever they call them; the views vote on each object's class; then
+    segments and points vote on what every pixel shows."""
+    index, reach = cloud.index(), 2 * cloud.spacing
+    rows = {view.name: index.nearest_of_pixels(view.camera, view.depth, reach) for view in views}
+    objects, seen = find_objects(views, lambda view: rows[view.name], len(cloud), preset.consensus, progress)
+    things = thing_objects(objects, views, seen, cloud, classes)
+    in_order = [rows[view.name] for view in views]
+    labels = PanopticLabels(cloud.class_ids, tuple(class_id for _, class_id in things))
+    member_of = {
+        (mask.frame, mask.segment.id): number
+        for number, (masks, _) in enumerate(things, start=1)
+        for mask in masks
+    }
+    voted = vote_panoptic_labels(views, in_order, len(cloud), labels, member_of, preset.segment_voting)
+    rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
+    owner = labels.objects(voted.label)
+    owner, origin = regroup_pieces(cloud.xyz, owner, labels.class_of_object, seen, rules)
+    unknown = (labels.objects(voted.label) > 0) & (owner == 0)  # crumbs
+    class_id = np.where(unknown, VOID, labels.classes(voted.label)).astype(np.int32)
+    cloud = replace(cloud, class_id=class_id, confidence=voted.confidence)
+    found = object_instances(
+        views, [things[number - 1] for number in origin], cloud.xyz, owner, preset.voxel_size
+    )
+    instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
+    final = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in instances))
+    of_point = final.of_points(cloud.class_id, instance_of_point)
+    maps = [
+        segment_labels(view.mask, np.append(of_point, UNKNOWN_LABEL)[row], len(final), preset.segment_voting.agreement)
+        for view, row in zip(views, in_order, strict=True)
+    ]
+    return Matching(cloud, instances, instance_of_point, dropped, maps)
+
+
+def thing_objects(
+    objects: ObjectMasks,
+    views: Sequence[View],
+    seen: Sequence[ViewPoints],
+    cloud: SemanticPointCloud,
+    classes: ClassTable,
+) -> list[tuple[tuple[MemberMask, ...], int]]:
+    """The objects that the views vote to be things: their masks, and the class of each."""
+    shown = ((one.row, shown_classes(view, one), one.pixels) for view, one in zip(views, seen, strict=True))
+    votes = vote_classes(shown, objects.object_of_point, len(objects.masks), cloud.class_ids)
+    class_of_object, _ = object_classes(votes, cloud.class_ids)
+    return [
+        (masks, int(class_id))
+        for masks, class_id in zip(objects.masks, class_of_object[1:], strict=True)
+        if class_id in classes.thing_ids
+    ]

@@ -1,0 +1,104 @@
+"""From views to a scene that can be trained: what the paper does before the first step.
+
+Consistency-enhanced masks, the semantic point cloud, Algorithm 1, anchors by voxelisation, and the projected targets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..instances import GlobalInstance
+from ..model.structured import StructuredScene
+from ..scene import ClassTable, View
+from ..scene.hole_filling import fill_holes
+from ..semantics import (
+    CloudOptions,
+    ConsistencyOptions,
+    SemanticPointCloud,
+    build_point_cloud,
+    consistency_masks,
+    views_are_sparse,
+)
+from ..train.presets import Preset
+from ..train.progress import StageReporter
+from ..train.targets import ViewTargets
+from .objects import instances_by_boxes, objects_by_consent
+from .starting_scene import label_channels, starting_scene
+from .targets_of_views import targets_of
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedLift:
+    """What training starts from. ``cloud`` with ``instance_of_point`` int32 [N] (0 = none) and ``instances`` also go
+    into the result. ``class_of_instance``: instance id to the class that all of it is shown with, or None when every
+    pixel decides for itself. ``label_maps``: the panoptic label that each view's pixels were given, int16 [H, W] (-1 =
+    unknown), where segments and points voted on them; else None."""
+
+    scene: StructuredScene
+    targets: list[ViewTargets]
+    cloud: SemanticPointCloud
+    instance_of_point: NDArray[np.int32]
+    instances: tuple[GlobalInstance, ...]
+    class_of_instance: Mapping[int, int] | None
+    label_maps: list[NDArray[np.int16]] | None
+
+
+def prepare(
+    views: Sequence[View], classes: ClassTable, preset: Preset, seed: int, stages: StageReporter
+) -> PreparedLift:
+    """Everything before the first step. Raises what the progress callbacks raise (Cancelled)."""
+    class_ids = used_classes(views)
+    with stages.stage("consistency") as progress:
+        placed = [filled_view(view) for view in views] if preset.fill_holes else list(views)
+        comparison = consistency_options(placed, preset)
+        if comparison.neighbours < preset.neighbours:
+            stages.events.warning("neighbouring views overlap too little to compare labels: all labels are used")
+        options = CloudOptions(
+            spacing=preset.voxel_size / 2, cap=preset.most_points, ballot=preset.ballot, majority=preset.majority
+        )
+        cloud = build_point_cloud(placed, consistency_masks(placed, comparison), class_ids, options, progress)
+        if cloud.spacing > options.spacing:
+            wanted, got = (f"{100 * metres:.1f} cm" for metres in (options.spacing, cloud.spacing))
+            stages.events.warning(f"the scene is large: the point cloud has a point every {got}, not every {wanted}")
+    with stages.stage("match") as progress:
+        match = objects_by_consent if preset.objects == "consent" else instances_by_boxes
+        matching = match(placed, cloud, classes, preset, progress)
+        if matching.dropped:
+            found = len(matching.instances) + matching.dropped
+            stages.events.warning(f"the {matching.dropped} smallest of {found} instances are left out")
+    channels = label_channels(class_ids, matching.instances, preset)
+    viewpoints = np.array([view.camera.centre for view in views])
+    scene = starting_scene(matching.cloud, matching.instance_of_point, channels, viewpoints, preset, seed)
+    targets = list(targets_of(views, placed, matching, channels, classes, preset))
+    class_of_instance = {one.id: one.class_id for one in matching.instances} if preset.one_class_an_object else None
+    return PreparedLift(
+        scene,
+        targets,
+        matching.cloud,
+        matching.instance_of_point,
+        tuple(matching.instances),
+        class_of_instance,
+        matching.label_maps,
+    )
+
+
+def filled_view(view: View) -> View:
+    """The view with the planar holes of its depth filled."""
+    return replace(view, depth=fill_holes(view.depth, view.mask.ids))
+
+
+def used_classes(views: Sequence[View]) -> tuple[int, ...]:
+    """Ids of the classes that the masks use, ascending: the semantic channels."""
+    return tuple(sorted({segment.class_id for view in views for segment in view.mask.segments} - {0}))
+
+
+def consistency_options(views: Sequence[View], preset: Preset) -> ConsistencyOptions:
+    """The preset's choice, or no comparison where views are too sparse for one (as the paper does on HyperSim)."""
+    options = ConsistencyOptions(neighbours=preset.neighbours, agreement=preset.agreement)
+    if not preset.neighbours:
+        return options
+    return ConsistencyOptions(neighbours=0) if views_are_sparse(views, options) else options

@@ -1,0 +1,140 @@
+"""Objects cut into pieces and put together again by the views that see several of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.instances import PieceRules, ViewPoints, regroup_pieces
+from engine.instances.pieces import connected_pieces
+from tests.instances.two_chairs import CHAIR, SOFA
+
+RULES = PieceRules(reach=0.15)
+SIZE = 20
+"""Points of each block."""
+
+
+def block(x: float, points: int = SIZE) -> np.ndarray:
+    """Points 10 cm apart along y at ``x`` metres."""
+    return np.column_stack([np.full(points, x), 0.1 * np.arange(points), np.zeros(points)])
+
+
+def view(*segments: tuple[int, slice | np.ndarray], points: int) -> ViewPoints:
+    """A view that shows the rows of each segment."""
+    shown = np.full(points, -1, np.int32)
+    for segment, rows in segments:
+        shown[rows] = segment
+    row = np.flatnonzero(shown >= 0).astype(np.int32)
+    return ViewPoints(row, shown[row], np.ones(len(row), np.int32))
+
+
+FAR, NEAR = 3.0, 0.1
+FIRST, SECOND = slice(0, SIZE), slice(SIZE, 2 * SIZE)
+
+
+def two_blocks(x: float) -> np.ndarray:
+    return np.concatenate([block(0.0), block(x)])
+
+
+def together() -> ViewPoints:
+    return view((3, slice(0, 2 * SIZE)), points=2 * SIZE)
+
+
+def apart() -> ViewPoints:
+    return view((3, FIRST), (4, SECOND), points=2 * SIZE)
+
+
+def only(part: slice) -> ViewPoints:
+    return view((3, part), points=2 * SIZE)
+
+
+def regrouped(
+    xyz: np.ndarray, owner: list[int], classes: list[int], views: list[ViewPoints]
+) -> tuple[list[int], list[int]]:
+    """The object of each block's points, and where the objects come from."""
+    object_of_point = np.repeat(np.array(owner, np.int32), SIZE)
+    found, origin = regroup_pieces(xyz, object_of_point, classes, views, RULES)
+    assert found.dtype == np.int32
+    blocks = found.reshape(-1, SIZE)
+    assert (blocks == blocks[:, :1]).all()
+    return blocks[:, 0].tolist(), origin
+
+
+def test_a_piece_that_no_view_joins_to_the_rest_is_an_object_of_its_own() -> None:
+    views = [only(FIRST), only(SECOND)] * 3
+    assert regrouped(two_blocks(FAR), [1, 1], [CHAIR], views) == ([1, 2], [1, 1])
+
+
+def test_pieces_that_the_views_tell_apart_are_two_objects() -> None:
+    views = [apart()] * 4 + [together()]
+    assert regrouped(two_blocks(FAR), [1, 1], [CHAIR], views) == ([1, 2], [1, 1])
+
+
+def test_pieces_that_views_join_stay_one_object() -> None:
+    """A table's legs: not connected as far as points go."""
+    views = [together(), together(), apart()]
+    assert regrouped(two_blocks(FAR), [1, 1], [CHAIR], views) == ([1, 1], [1])
+
+
+def test_a_piece_in_between_holds_two_others_together() -> None:
+    xyz = np.concatenate([block(0.0), block(FAR), block(2 * FAR)])
+    points = 3 * SIZE
+    left = view((3, slice(0, 2 * SIZE)), points=points)
+    right = view((8, slice(SIZE, 3 * SIZE)), points=points)
+    assert regrouped(xyz, [1, 1, 1], [CHAIR], [left, right]) == ([1, 1, 1], [1])
+    assert regrouped(xyz, [1, 1, 1], [CHAIR], [left, left]) == ([1, 1, 2], [1, 1])
+
+
+def test_what_was_seen_from_both_ends_of_a_room_becomes_one_object() -> None:
+    views = [only(FIRST)] * 5 + [only(SECOND)] * 5 + [together()] * 2
+    assert regrouped(two_blocks(NEAR), [1, 2], [SOFA, SOFA], views) == ([1, 1], [1])
+
+
+@pytest.mark.parametrize(
+    ("x", "classes", "views"),
+    [
+        (NEAR, [SOFA, SOFA], [together(), apart(), apart()]),
+        (NEAR, [SOFA, SOFA], [together(), only(FIRST), only(SECOND)]),
+        (NEAR, [SOFA, CHAIR], [together()] * 4),
+        (FAR, [SOFA, SOFA], [together()] * 4),
+    ],
+    ids=["most views tell them apart", "one view is not enough", "two classes", "they do not touch"],
+)
+def test_two_objects_stay_two(x: float, classes: list[int], views: list[ViewPoints]) -> None:
+    assert regrouped(two_blocks(x), [1, 2], classes, views) == ([1, 2], [1, 2])
+
+
+def test_a_view_that_shows_void_there_does_not_judge() -> None:
+    void = view((0, slice(0, 2 * SIZE)), points=2 * SIZE)
+    assert regrouped(two_blocks(NEAR), [1, 2], [SOFA, SOFA], [together()] * 2 + [void] * 9) == ([1, 1], [1])
+
+
+def test_crumbs_vanish() -> None:
+    chair = np.random.default_rng(0).uniform(0, 0.4, (400, 3))
+    crumb = chair[:10] + [3.0, 0.0, 0.0]  # enough points for a piece, but little of the chair
+    few = chair[:4] + [0.0, 3.0, 0.0]
+    xyz = np.concatenate([chair, crumb, few, [[9.0, 9.0, 9.0]]])
+    owner = np.array([1] * 414 + [2], np.int32)
+    everything = view((3, slice(0, 415)), points=415)
+    found, origin = regroup_pieces(xyz, owner, [CHAIR, SOFA], [everything] * 3, RULES)
+    assert (found[:400] == 1).all() and not found[400:414].any()
+    assert found[414] == 0 and origin == [1], "a lone point is no object"
+
+
+def test_the_largest_piece_says_which_object_a_group_comes_from() -> None:
+    xyz = np.concatenate([block(0.0, 10), block(NEAR, 30)])
+    owner = np.repeat(np.array([1, 2], np.int32), [10, 30])
+    all_of_it = view((3, slice(0, 40)), points=40)
+    found, origin = regroup_pieces(xyz, owner, [SOFA, SOFA], [all_of_it] * 2, RULES)
+    assert (found == 1).all() and origin == [2]
+
+
+def test_without_objects_there_are_none() -> None:
+    found, origin = regroup_pieces(two_blocks(FAR), np.zeros(2 * SIZE, np.int32), [], [together()], RULES)
+    assert not found.any() and origin == []
+
+
+def test_points_hang_together_within_reach() -> None:
+    points = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.5, 0, 0], [0.2, 0.14, 0]])
+    assert connected_pieces(points, 0.15).tolist() == [0, 0, 0, 1, 0]
+    assert connected_pieces(points[:1], 0.15).tolist() == [0]

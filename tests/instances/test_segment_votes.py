@@ -1,0 +1,161 @@
+"""Segments and points that vote on panoptic labels in turn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from engine.instances import (
+    UNKNOWN_LABEL,
+    PanopticLabels,
+    SegmentVoting,
+    VotedLabels,
+    member_labels,
+    segment_labels,
+    segment_votes,
+    vote_panoptic_labels,
+)
+from engine.scene import PanopticMask, Segment, View
+from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, square, wall_view
+
+COUNT = 7
+
+
+def mask_of(ids: list[list[int]]) -> PanopticMask:
+    return PanopticMask(np.array(ids, np.int32), ())
+
+
+def test_a_segment_takes_the_label_of_most_of_its_pixels() -> None:
+    mask = mask_of([[4, 4, 4, 9, 9, 9], [0, 0, 0, 0, 0, 0]])
+    shown = np.array([[2, 2, 5, 1, -1, -1], [3, 3, 3, 3, 3, 3]])
+    found = segment_labels(mask, shown, COUNT, 0.5)
+    assert found.dtype == np.int16
+    # Pixels without a label have no say and are given one; void stays unknown.
+    assert found.tolist() == [[2, 2, 2, 1, 1, 1], [-1] * 6]
+
+
+def test_a_segment_that_does_not_agree_stays_as_it_is_shown() -> None:
+    mask = mask_of([[4, 4, 4, 4, 4, 9]])
+    shown = np.array([[1, 1, 2, 5, -1, 3]])
+    assert segment_labels(mask, shown, COUNT, 0.6).tolist() == [[1, 1, 2, 5, -1, 3]]
+    assert segment_labels(mask, shown, COUNT, 0.5).tolist() == [[1, 1, 1, 1, 1, 3]]
+
+
+def test_where_nothing_is_known_nothing_is_said() -> None:
+    mask = mask_of([[4, 4, 0]])
+    assert segment_labels(mask, np.full((1, 3), -1), COUNT, 0.5).tolist() == [[-1, -1, -1]]
+    assert segment_labels(mask_of([[0, 0]]), np.array([[1, 2]]), COUNT, 0.5).tolist() == [[-1, -1]]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([0.3, 0.5, 0.8]))
+def test_every_segment_is_labelled_as_told(seed: int, agreement: float) -> None:
+    random = np.random.default_rng(seed)
+    mask = PanopticMask(random.integers(0, 6, (4, 7)).astype(np.int32) * 1000, ())
+    shown = random.integers(-1, 3, (4, 7))
+    expected = np.full((4, 7), UNKNOWN_LABEL)
+    for segment in np.unique(mask.ids[mask.ids > 0]):
+        own = mask.ids == segment
+        votes = np.bincount(shown[own & (shown >= 0)], minlength=3)
+        agreed = votes.any() and votes.max() >= agreement * votes.sum()
+        expected[own] = votes.argmax() if agreed else shown[own]
+    np.testing.assert_array_equal(segment_labels(mask, shown, 3, agreement), expected)
+
+
+LABELS = PanopticLabels(CLASS_IDS, (SOFA,))
+WALL_LABEL, CHAIR_LABEL, OBJECT = 0, 2, 4
+COLUMNS, ROWS = slice(12, 28), slice(8, 22)
+OPTIONS = SegmentVoting()
+
+
+def drawn(name: str, columns: slice = COLUMNS, class_id: int = SOFA, rows: slice = ROWS) -> View:
+    """A view from one place for all, so that pixel and point are the same: a thing on a wall."""
+    return wall_view(name, 0.0, classes=square(class_id, WALL, columns, rows).astype(np.int32))
+
+
+def voted(views: list[View], members: set[str], options: SegmentVoting = OPTIONS) -> VotedLabels:
+    """The thing's masks in the views ``members`` are the object's. Each point is the surface of one pixel."""
+    width, height = SIZE
+    rows = np.arange(width * height, dtype=np.int32).reshape(height, width)
+    members_of = {
+        (view.name, segment.id): 1 for view in views for segment in view.mask.segments
+        if view.name in members and segment.is_thing
+    }  # fmt: skip
+    return vote_panoptic_labels(views, [rows] * len(views), rows.size, LABELS, members_of, options)
+
+
+def wrong(found: np.ndarray) -> int:
+    """Points, or pixels, that are not labelled as they should be."""
+    return int((found.reshape(SIZE[::-1]) != square(OBJECT, WALL_LABEL, COLUMNS, ROWS)).sum())
+
+
+def test_a_view_says_what_its_masks_belong_to() -> None:
+    view = drawn("a")
+    assert wrong(member_labels(view, LABELS, {("a", SOFA): 1})) == 0
+    plain = member_labels(view, LABELS, {("b", SOFA): 1})
+    assert plain[ROWS, COLUMNS].max() == plain[ROWS, COLUMNS].min() == LABELS.of_class(SOFA)
+    ids = np.where(view.mask.ids == WALL, 0, view.mask.ids)
+    void = replace(view, mask=PanopticMask(ids, (*view.mask.segments, Segment(90, CHAIR, True))))
+    assert (member_labels(void, LABELS, {})[0] == UNKNOWN_LABEL).all()
+
+
+def test_a_view_that_is_wrong_about_the_class_is_taught_by_the_others() -> None:
+    views = [drawn("a"), drawn("b"), drawn("c", class_id=CHAIR)]
+    found = voted(views, {"a", "b"})
+    assert wrong(found.label) == 0
+    assert [wrong(each) for each in found.maps] == [0, 0, 0]
+    np.testing.assert_allclose(found.confidence, 1)
+    # Without rounds the third view still says what its own mask does.
+    alone = voted(views, {"a", "b"}, replace(OPTIONS, rounds=0))
+    assert wrong(alone.label) == 0 and alone.confidence.reshape(SIZE[::-1])[ROWS, COLUMNS] == pytest.approx(2 / 3)
+    assert wrong(alone.maps[0]) == 0 and (alone.maps[2][ROWS, COLUMNS] == CHAIR_LABEL).all()
+
+
+def test_a_ragged_outline_is_outvoted() -> None:
+    ragged = drawn("c", columns=slice(COLUMNS.start - 2, COLUMNS.stop - 2))
+    views = [drawn("a"), drawn("b"), ragged]
+    found = voted(views, set("abc"))
+    assert wrong(found.label) == 0
+    # Labels of pixels keep the outlines of their own mask.
+    assert [wrong(each) for each in found.maps] == [0, 0, 4 * (ROWS.stop - ROWS.start)]
+
+
+def test_a_segment_over_two_things_votes_point_by_point() -> None:
+    """One view draws the thing and as much of the wall as one segment: it has no say, but does no harm."""
+    both = drawn("c", columns=slice(COLUMNS.start, COLUMNS.stop + 14))
+    views = [drawn("a"), drawn("b"), both]
+    found = voted(views, set("ab"), replace(OPTIONS, agreement=0.6))
+    assert wrong(found.label) == 0 and [wrong(each) for each in found.maps] == [0, 0, 0]
+
+
+def test_what_no_view_labels_is_unknown() -> None:
+    view = drawn("a")
+    found = voted([replace(view, mask=PanopticMask(np.zeros_like(view.mask.ids), ()))], set())
+    assert (found.label == UNKNOWN_LABEL).all() and not found.confidence.any()
+    assert (found.maps[0] == UNKNOWN_LABEL).all()
+
+
+def test_a_near_view_does_not_outvote_the_others_by_its_pixels() -> None:
+    near, far = np.zeros((4, 4), np.int32), np.full((4, 4), -1, np.int32)
+    far[0, 0] = 0
+    ids = np.ones((4, 4), np.int32)
+    views = [
+        replace(drawn(name), mask=PanopticMask(ids, (Segment(1, class_id, False),)))
+        for name, class_id in (("near", CHAIR), *((f"far {i}", WALL) for i in range(5)))
+    ]
+    # 16 pixels have 4 votes, five single pixels 5.
+    found = vote_panoptic_labels(views, [near, *[far] * 5], 1, LABELS, {}, replace(OPTIONS, rounds=0))
+    assert found.label.tolist() == [WALL_LABEL] and found.confidence == pytest.approx(5 / 9)
+
+
+def test_many_points_are_decided_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    views = [drawn("a"), drawn("b"), drawn("c", class_id=CHAIR)]
+    whole = voted(views, {"a", "b"})
+    monkeypatch.setattr(segment_votes, "ROWS_AT_A_TIME", 37)
+    parts = voted(views, {"a", "b"})
+    np.testing.assert_array_equal(parts.label, whole.label)
+    np.testing.assert_array_equal(parts.confidence, whole.confidence)

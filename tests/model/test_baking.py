@@ -1,0 +1,103 @@
+"""What baked Gaussians and anchors are said to be: no ghosts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from engine.model.baking import bake, decided_labels
+from engine.model.rendering import PanopticRendering
+from engine.model.scene_labels import LEAST_OF_CLASS
+from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, LabelChannels
+from engine.passes import decide
+from engine.scene import Camera, Category, ClassTable
+from tests.model.some_scene import CLASS_IDS, GAUSSIANS, some_scene
+
+WALL, CHAIR, SOFA = CLASS_IDS
+THINGS = frozenset({CHAIR, SOFA})
+ONE_CLASS = LabelChannels(CLASS_IDS, (4, NO_OBJECT, 9, SPARE), (SOFA, 0, CHAIR, 0))
+OWN_CLASSES = LabelChannels(CLASS_IDS, (4, NO_OBJECT, 9, SPARE))
+
+
+def decided(rows: list[list[float]], channels: LabelChannels = ONE_CLASS) -> list[tuple[int, int]]:
+    class_id, instance_id = decided_labels(np.array(rows, np.float32), channels, THINGS)
+    assert class_id.dtype == instance_id.dtype == np.int32
+    return list(zip(class_id.tolist(), instance_id.tolist(), strict=True))
+
+
+def test_a_thing_that_no_object_owns_has_its_own_class_and_no_instance() -> None:
+    # wall, chair, sofa; then the sofa 4 and the chair 9
+    assert decided([[0.1, 0.9, 0, 0, 0], [0, 0.6, 0.4, 0.4, 0]]) == [(CHAIR, 0), (CHAIR, 0)]
+    assert decided([[0, 0.6, 0.4, 0.4, 0.5]]) == [(CHAIR, 9)]
+
+
+def test_an_object_with_little_of_its_class_is_not_there() -> None:
+    little, enough = 0.8 * LEAST_OF_CLASS - 0.001, 0.8 * LEAST_OF_CLASS + 0.001
+    assert decided([[0.2, 0.8, 0, 0, little], [0.2, 0.8, 0, 0, enough]]) == [(CHAIR, 0), (CHAIR, 9)]
+
+
+def test_stuff_has_no_instance() -> None:
+    stuff = LabelChannels(CLASS_IDS, (4, NO_OBJECT), (WALL, 0))
+    assert decided([[0.9, 0.1, 0, 0.9]], stuff) == [(WALL, 0)]
+
+
+def test_where_every_pixel_decides_for_itself_no_object_is_one_of_them() -> None:
+    assert decided([[0, 1, 0, 0.4, 0.1]], OWN_CLASSES) == [(CHAIR, 0)]
+    assert decided([[0, 1, 0, 0.6, 0.1]], OWN_CLASSES) == [(CHAIR, 4)]
+
+
+def test_without_instances_there_are_classes() -> None:
+    assert decided([[0, 1, 0], [1, 0, 0]], LabelChannels(CLASS_IDS, (NO_OBJECT, SPARE))) == [(CHAIR, 0), (WALL, 0)]
+
+
+TABLE = ClassTable(tuple(Category(one, str(one), one in THINGS, (0, 0, 0)) for one in CLASS_IDS))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([ONE_CLASS, OWN_CLASSES]))
+def test_gaussians_are_decided_as_pixels_are(seed: int, channels: LabelChannels) -> None:
+    random = np.random.default_rng(seed)
+    owned = random.dirichlet([0.4] * 3, (8, 9))[..., :2]
+    classes = random.dirichlet([0.4] * 3, (8, 9)) * (1 - owned.sum(-1, keepdims=True) * bool(channels.class_of_slot))
+    if channels.class_of_slot:
+        classes[..., CLASS_IDS.index(SOFA)] += owned[..., 0]
+        classes[..., CLASS_IDS.index(CHAIR)] += owned[..., 1]
+    shown = np.concatenate([classes, owned], axis=2).astype(np.float32)
+    ones = np.ones((8, 9), np.float32)
+    rendering = PanopticRendering(
+        Camera(9, 8, 8.0, 8.0, 4.0, 3.0, np.eye(4)),
+        np.zeros((8, 9, 3), np.float32),
+        ones,
+        ones,
+        shown[..., :3],
+        shown[..., 3:],
+        CLASS_IDS,
+        channels.shown_ids,
+    )
+    layers = decide(rendering, TABLE, {4: SOFA, 9: CHAIR} if channels.class_of_slot else None)
+    class_id, instance_id = decided_labels(shown.reshape(-1, 5), channels, THINGS)
+    np.testing.assert_array_equal(layers.semantic.reshape(-1), class_id)
+    np.testing.assert_array_equal(layers.instance.reshape(-1), instance_id)
+
+
+def test_voted_labels_are_baked() -> None:
+    """Every fourth anchor was voted to be wall, a chair of no object, chair 9, sofa 4."""
+    scene = some_scene((4, NO_OBJECT, 9, SPARE, SPARE), class_of_slot=(SOFA, 0, CHAIR, 0, 0))
+    of_anchor = np.resize(np.array([0, 1, 4, 3], np.int16), len(scene.anchors))
+    k = scene.anchors.gaussians_per_anchor
+    label = torch.from_numpy(np.repeat(of_anchor, k)[:, None].copy())
+    scene = replace(scene, voted=GaussianLabels(label, torch.ones(GAUSSIANS, 1)))
+    gaussians, anchors = bake(scene, np.zeros(3), THINGS)
+    classes = np.array([WALL, CHAIR, 0, SOFA, CHAIR], np.int32)[of_anchor]
+    instances = np.array([0, 0, 0, 4, 9], np.int32)[of_anchor]
+    drawn = anchors.class_id > 0
+    assert drawn.sum() > 40
+    np.testing.assert_array_equal(anchors.class_id[drawn], classes[drawn])
+    np.testing.assert_array_equal(anchors.instance_id[drawn], instances[drawn])
+    assert not anchors.instance_id[~drawn].any() and not anchors.opacity[~drawn].any()
+    pairs = set(zip(gaussians.class_id.tolist(), gaussians.instance_id.tolist(), strict=True))
+    assert pairs == {(WALL, 0), (CHAIR, 0), (CHAIR, 9), (SOFA, 4)}

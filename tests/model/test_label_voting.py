@@ -1,0 +1,176 @@
+"""Labels voted onto Gaussians, against the gradient of a float64 rendering: what each takes part in a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from engine.instances import PanopticLabels, decide_labels
+from engine.model.gaussians import decode
+from engine.model.label_voting import Contributors, LabelVotes, VotingOptions, contributors, shown_labels
+from engine.model.render import render_view
+from engine.model.scene_labels import LEAST_OF_CLASS, scene_labels, voted_probabilities
+from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene
+from engine.raster import rasterize
+from engine.scene import Camera
+from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, some_scene
+
+SLOT_IDS, CLASS_OF_SLOT = (4, NO_OBJECT, 9, SPARE, SPARE), (7, 0, 5, 0, 0)
+LABELS = len(CLASS_IDS) + 2
+SIZE = (CAMERA.height, CAMERA.width)
+ALL = VotingOptions(contributors=GAUSSIANS, power=1.0, prior=0.0, kept=LABELS)
+UNKNOWN_DEPTH = np.zeros(SIZE, np.float32)
+
+
+@pytest.fixture(scope="module")
+def scene() -> StructuredScene:
+    return some_scene(SLOT_IDS, class_of_slot=CLASS_OF_SLOT)
+
+
+def moved(by: float) -> Camera:
+    pose = CAMERA.camera_to_world.copy()
+    pose[0, 3] += by
+    return replace(CAMERA, camera_to_world=pose)
+
+
+def made_up_labels(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(-1, LABELS, SIZE).astype(np.int16)
+
+
+def blending_weights(scene: StructuredScene, camera: Camera, label: np.ndarray) -> np.ndarray:
+    """Sum of each Gaussian's blending weights over the pixels of each label, float64 [G, L]: the gradient of a
+    rendering of labels, summed where a pixel has the label, with respect to the Gaussians' labels."""
+    drawn = decode(scene.anchors, scene.decoders, camera)
+    learnt = (drawn.means, drawn.scales, drawn.quats, drawn.opacities, drawn.colours)
+    own = torch.zeros(len(drawn.kept), LABELS, dtype=torch.float64, requires_grad=True)
+    pose, intrinsics = torch.from_numpy(camera.camera_to_world), torch.from_numpy(camera.K)
+    exact = (each.detach().double() for each in learnt)
+    rendering = rasterize(*exact, own, pose, intrinsics, camera.width, camera.height, backend="reference")
+    assert rendering.labels is not None
+    wanted = torch.from_numpy(label[..., None] == np.arange(LABELS))
+    (rendering.labels * wanted).sum().backward()
+    k = scene.anchors.gaussians_per_anchor
+    weights = np.zeros((GAUSSIANS, LABELS))
+    assert own.grad is not None
+    weights[drawn.visible[drawn.kept // k] * k + drawn.kept % k] = own.grad.numpy()
+    return weights
+
+
+def dense(voted: GaussianLabels) -> np.ndarray:
+    """Shares by label, float32 [G, L]."""
+    table = torch.zeros(len(voted.label), LABELS)
+    return table.scatter_(1, voted.label.long(), voted.share).numpy()
+
+
+def shares(votes: np.ndarray) -> np.ndarray:
+    return votes / np.maximum(votes.sum(1, keepdims=True), 1e-8)
+
+
+@pytest.mark.parametrize("power", [1.0, 0.5])
+def test_votes_are_sums_of_blending_weights(scene: StructuredScene, power: float) -> None:
+    options = replace(ALL, power=power)
+    votes, expected = LabelVotes(scene, options), np.zeros((GAUSSIANS, LABELS))
+    for seed, camera in enumerate((CAMERA, moved(0.3))):
+        label = made_up_labels(seed)
+        votes.add(contributors(scene, camera, options.contributors), label, UNKNOWN_DEPTH)
+        weights = blending_weights(scene, camera, label)
+        expected += weights * np.maximum(weights.sum(1, keepdims=True), 1e-12) ** (power - 1)
+    seen = expected.sum(1) > 1e-3
+    assert seen.sum() > 30
+    np.testing.assert_allclose(dense(votes.result())[seen], shares(expected)[seen], atol=2e-3)
+
+
+def test_pixels_at_the_wrong_depth_abstain(scene: StructuredScene) -> None:
+    seen = contributors(scene, CAMERA, ALL.contributors)
+    label = made_up_labels(0)
+    sensor = seen.depth.copy()
+    sensor[:, ::3] += 0.9 * ALL.depth_gap_m
+    sensor[:, 1::3] += 1.1 * ALL.depth_gap_m
+    sensor[:5] = 0  # not measured
+    votes = LabelVotes(scene, ALL)
+    votes.add(seen, label, sensor)
+    abstaining = label.copy()
+    abstaining[5:, 1::3] = -1
+    plain = LabelVotes(scene, ALL)
+    plain.add(seen, abstaining, UNKNOWN_DEPTH)
+    np.testing.assert_array_equal(dense(votes.result()), dense(plain.result()))
+
+
+def test_far_off_a_share_of_the_depth_is_allowed(scene: StructuredScene) -> None:
+    seen = contributors(scene, CAMERA, 8)
+    far = replace_depth(seen, 20.0)
+    label = np.zeros(SIZE, np.int16)
+    for gap, voting in ((0.9, True), (1.1, False)):
+        votes = LabelVotes(scene, ALL)
+        sensor = np.full(SIZE, 20.0, np.float32)
+        votes.add(replace_depth(far, 20.0 * (1 + gap * ALL.depth_gap_share)), label, sensor)
+        assert bool(votes.result().share.any()) is voting
+
+
+def replace_depth(view: Contributors, metres: float) -> Contributors:
+    return replace(view, depth=np.full(SIZE, metres, np.float32))
+
+
+def test_the_decoders_serve_where_nothing_was_seen(scene: StructuredScene) -> None:
+    options = replace(ALL, prior=0.3)
+    decoded = scene_labels(scene)
+    assert decoded is not None
+    silent = LabelVotes(scene, options).result()
+    shown = voted_probabilities(silent, scene.channels)
+    torch.testing.assert_close(shown, decoded.probabilities, atol=1e-5, rtol=0)
+    votes = LabelVotes(scene, options)
+    label = np.full(SIZE, 3, np.int16)
+    votes.add(contributors(scene, CAMERA, options.contributors), label, UNKNOWN_DEPTH)
+    weight = blending_weights(scene, CAMERA, label).sum(1)
+    prior = dense(silent)
+    expected = (prior * options.prior + weight[:, None] * (np.arange(LABELS) == 3)) / (options.prior + weight)[:, None]
+    np.testing.assert_allclose(dense(votes.result()), expected, atol=2e-3)
+
+
+def test_only_the_likeliest_labels_are_kept(scene: StructuredScene) -> None:
+    votes = {kept: LabelVotes(scene, replace(ALL, kept=kept, prior=0.3)) for kept in (2, LABELS + 3)}
+    for each in votes.values():
+        each.add(contributors(scene, CAMERA, 8), made_up_labels(0), UNKNOWN_DEPTH)
+    few, all_of_them = votes[2].result(), votes[LABELS + 3].result()
+    assert few.label.shape == few.share.shape == (GAUSSIANS, 2) and all_of_them.label.shape == (GAUSSIANS, LABELS)
+    assert torch.equal(few.share, all_of_them.share[:, :2]) and (few.share[:, 0] >= few.share[:, 1]).all()
+    torch.testing.assert_close(all_of_them.share.sum(1), torch.ones(GAUSSIANS))
+
+
+def test_labels_that_depend_on_the_view_are_no_prior() -> None:
+    """There is no one label that such a decoder would give a Gaussian."""
+    dependent = some_scene(SLOT_IDS, replace(SHAPE, label_view_input=True), CLASS_OF_SLOT)
+    assert not LabelVotes(dependent, replace(ALL, prior=0.3)).result().share.any()
+
+
+def test_contributors_have_the_depth_that_is_drawn(scene: StructuredScene) -> None:
+    seen, drawn = contributors(scene, CAMERA, 8), render_view(scene, CAMERA)
+    solid = drawn.alpha > 0.31
+    np.testing.assert_allclose(seen.depth[solid], drawn.depth[solid], rtol=1e-5)
+    assert not seen.depth[drawn.alpha < 0.29].any()
+    assert (np.diff(seen.weight, axis=2) <= 0).all()
+    np.testing.assert_array_equal(seen.gaussian < 0, seen.weight == 0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_pixel_shows_what_its_gaussians_were_voted_to_be(scene: StructuredScene, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    label = np.stack([random.permutation(LABELS)[:3] for _ in range(20)])
+    share = random.dirichlet([0.3] * 3, 20)
+    voted = GaussianLabels(torch.from_numpy(label.astype(np.int16)), torch.from_numpy(share.astype(np.float32)))
+    gaussian, weight = random.integers(0, 20, (5, 6, 4)), random.uniform(0, 0.25, (5, 6, 4))
+    gaussian[np.arange(4) >= random.integers(0, 5, (5, 6, 1))] = -1
+    view = Contributors(gaussian, np.where(gaussian < 0, 0, weight).astype(np.float32), np.ones((5, 6), np.float32))
+    totals = np.zeros((5, 6, LABELS))
+    for place in np.ndindex(gaussian.shape):
+        if gaussian[place] >= 0:
+            totals[place[:2]][label[gaussian[place]]] += weight[place] * share[gaussian[place]]
+    panoptic = PanopticLabels(CLASS_IDS, (7, 5))
+    expected, _ = decide_labels(totals.reshape(-1, LABELS), panoptic, LEAST_OF_CLASS)
+    np.testing.assert_array_equal(shown_labels(scene, voted, view).reshape(-1), expected)
