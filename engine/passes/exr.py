@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import write_atomically
-from ..machine.crew import worker_count
+from ..machine.threads import worker_count
 from . import cryptomatte
 from .baked_view import BakedView
 from .layers import PanopticLayers

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.compiled import Array, compiled
-from ..machine.crew import share, worker_count
-from ..machine.shared import shared
+from ..machine.compiled import Array, compiled, parallel_kernel
+from ..machine.threads import parallel_for, worker_count
 from .deciding import FAINT, ONE, ZERO
 
 RANKS = 6
@@ -44,22 +44,24 @@ def rank_coverage(
     workers = worker_count()
     best = np.empty((workers, 2, RANKS), np.float32)
     wanted = np.array(columns, np.int64)
-    share(workers, rank_pixels, flat, wanted, ids, alpha.reshape(-1), limits, best, planes)
+    pixels = RankedPixels(flat, alpha.reshape(-1), limits)
+    parallel_for(workers, rank_pixels, pixels, wanted, ids, best, planes)
 
 
-@shared
+class RankedPixels(NamedTuple):
+    """``coverage`` float32 [P, C], ``alpha`` [P], and ``limit`` [P], or empty where there is none."""
+
+    coverage: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    limit: NDArray[np.float32]
+
+
+@parallel_kernel
 def rank_pixels(
-    worker: int,
-    workers: int,
-    coverage: Array,
-    columns: Array,
-    ids: Array,
-    alpha: Array,
-    limit: Array,
-    best: Array,
-    out: Array,
+    worker: int, workers: int, pixels: RankedPixels, columns: Array, ids: Array, best: Array, out: Array
 ) -> None:
     """Every ``workers``-th chunk of the pixels. ``best`` float32 [workers, 2, RANKS] is scratch: ids and shares."""
+    coverage, alpha, limit = pixels.coverage, pixels.alpha, pixels.limit
     own_ids, own_shares = best[worker, 0], best[worker, 1]
     for start in range(worker * CHUNK, len(alpha), workers * CHUNK):
         for pixel in range(start, min(start + CHUNK, len(alpha))):

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.compiled import Array, compiled
-from ..machine.crew import share, worker_count
-from ..machine.shared import shared
+from ..machine.compiled import Array, compiled, parallel_kernel
+from ..machine.threads import parallel_for, worker_count
 from ..scene import Camera
 
 REACH = 0.01
@@ -41,11 +40,11 @@ def surface_of(depth: NDArray[np.float32], camera: Camera) -> Surface:
     surface = Surface(np.empty((3, *depth.shape), np.float32), np.empty((3, *depth.shape), np.float32))
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     pose = np.ascontiguousarray(camera.camera_to_world, np.float64)
-    share(worker_count(), fit_rows, inverse, step, lens, pose, surface.position, surface.normal)
+    parallel_for(worker_count(), fit_rows, inverse, step, lens, pose, surface.position, surface.normal)
     return surface
 
 
-@shared
+@parallel_kernel
 def fit_rows(
     worker: int, workers: int, inverse: Array, step: int, lens: Array, pose: Array, position: Array, normal: Array
 ) -> None:
