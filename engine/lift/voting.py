@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..instances import segment_labels
-from ..model.label_voting import LabelVotes, contributors, shown_labels
+from ..model.label_voting import LabelVotes, contributors, pixel_labels
 from ..model.structured import GaussianLabels, StructuredScene
 from ..scene import Frame, PanopticMask, size_within
 from ..scene.hole_filling import fill_holes
@@ -38,7 +38,7 @@ def vote_labels(
             size = size_within(frame.size, preset.vote_size_within)
             mask, depth = frame.mask(size), frame.depth(size)
             seen = contributors(scene, frame.camera.resized(*size), preset.voting.contributors)
-            shown = resize_nearest(label_map, size) if voted is None else shown_labels(scene, voted, seen)
+            shown = resize_nearest(label_map, size) if voted is None else pixel_labels(scene, voted, seen)
             votes.add(seen, _of_segments(mask, shown, count, preset), fill_holes(depth, mask.ids))
             progress(number * len(frames) + place + 1, preset.vote_rounds * len(frames))
         voted = votes.result()

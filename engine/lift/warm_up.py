@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from ..job import EventWriter, StopSignal
-from ..model.label_voting import LabelVotes, contributors, shown_labels
+from ..model.label_voting import LabelVotes, contributors, pixel_labels
 from ..model.render import render_view
 from ..passes import decide
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
@@ -42,7 +42,7 @@ def warm_up() -> None:
         votes = LabelVotes(trainer.scene, preset.voting)
         seen = contributors(trainer.scene, views[0].camera, preset.voting.contributors)
         votes.add(seen, np.zeros(views[0].depth.shape, np.int16), views[0].depth)
-        shown_labels(trainer.scene, votes.result(), seen)
+        pixel_labels(trainer.scene, votes.result(), seen)
         events.close()
 
 

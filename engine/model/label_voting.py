@@ -115,7 +115,7 @@ def _apart(shown: torch.Tensor, scene: StructuredScene, classes: int) -> torch.T
     return torch.cat([alone, owned], dim=1)
 
 
-def shown_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributors) -> NDArray[np.int16]:
+def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributors) -> NDArray[np.int16]:
     """The label of each pixel, int16 [H, W], -1 where (nearly) nothing is drawn: class first, then the object of that
     class, as a pixel of the passes is decided."""
     channels = scene.channels
@@ -124,7 +124,7 @@ def shown_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributo
     class_of_label = np.array([*range(classes), *of_instance], np.int64)
     out = np.full(view.depth.shape, -1, np.int16)
     few = voted.label.numpy(), voted.share.numpy()
-    _show_labels(view.gaussian, view.weight, *few, class_of_label, classes, np.float32(LEAST_OF_CLASS), out)
+    _decide_pixels(view.gaussian, view.weight, *few, class_of_label, classes, np.float32(LEAST_OF_CLASS), out)
     return out
 
 
@@ -154,10 +154,10 @@ def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, vo
 
 
 @njit(cache=True, nogil=True)
-def _show_labels(
+def _decide_pixels(
     gaussian: Any, weight: Any, label: Any, share: Any, class_of_label: Any, classes: Any, least: Any, out: Any
 ) -> None:
-    """The loop behind ``shown_labels``."""
+    """The loop behind ``pixel_labels``."""
     height, width, count = weight.shape
     total = np.zeros(len(class_of_label), np.float32)
     by_class = np.zeros(classes, np.float32)

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from engine.instances import PanopticLabels, decide_labels
 from engine.model.gaussians import decode
-from engine.model.label_voting import Contributors, LabelVotes, VotingOptions, contributors, shown_labels
+from engine.model.label_voting import Contributors, LabelVotes, VotingOptions, contributors, pixel_labels
 from engine.model.render import render_view
-from engine.model.scene_labels import LEAST_OF_CLASS, scene_labels, voted_probabilities
+from engine.model.scene_labels import LEAST_OF_CLASS, VotedLabels, scene_labels
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene
 from engine.raster import rasterize
 from engine.scene import Camera
@@ -121,7 +121,7 @@ def test_the_decoders_serve_where_nothing_was_seen(scene: StructuredScene) -> No
     decoded = scene_labels(scene)
     assert decoded is not None
     silent = LabelVotes(scene, options).result()
-    shown = voted_probabilities(silent, scene.channels)
+    shown = VotedLabels.of_scene(silent, scene.channels).of(torch.arange(len(silent.label)))
     torch.testing.assert_close(shown, decoded.probabilities, atol=1e-5, rtol=0)
     votes = LabelVotes(scene, options)
     label = np.full(SIZE, 3, np.int16)
@@ -173,4 +173,4 @@ def test_a_pixel_shows_what_its_gaussians_were_voted_to_be(scene: StructuredScen
             totals[place[:2]][label[gaussian[place]]] += weight[place] * share[gaussian[place]]
     panoptic = PanopticLabels(CLASS_IDS, (7, 5))
     expected, _ = decide_labels(totals.reshape(-1, LABELS), panoptic, LEAST_OF_CLASS)
-    np.testing.assert_array_equal(shown_labels(scene, voted, view).reshape(-1), expected)
+    np.testing.assert_array_equal(pixel_labels(scene, voted, view).reshape(-1), expected)

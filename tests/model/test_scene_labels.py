@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from engine.model import scene_labels as subject
 from engine.model.render import render_view
-from engine.model.scene_labels import scene_labels, shown_probabilities, voted_probabilities
+from engine.model.scene_labels import VotedLabels, scene_labels, shown_probabilities
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, LabelChannels
 from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, some_scene
 
@@ -115,7 +115,7 @@ CHANNELS = LabelChannels(CLASS_IDS, (4, 9, NO_OBJECT, SPARE), (7, 5, 0, 0))
 def test_voted_labels_are_shown_as_they_were_voted() -> None:
     label = torch.tensor([[3, 0, 2], [4, 3, 1], [1, 0, 2]], dtype=torch.int16)
     share = torch.tensor([[0.5, 0.25, 0.25], [0.75, 0.25, 0.0], [0.0, 0.0, 0.0]])
-    table = voted_probabilities(GaussianLabels(label, share), CHANNELS)
+    table = VotedLabels.of_scene(GaussianLabels(label, share), CHANNELS).of(torch.arange(len(label)))
     # classes 2, 5, 7, then the instances 4 (of class 7) and 9 (of class 5)
     assert table.tolist() == [[0.25, 0, 0.75, 0.5, 0], [0, 0.75, 0.25, 0.25, 0.75], [0] * 5]
 
