@@ -28,8 +28,9 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
     "passes": {"scene", "job", "machine", "raster", "model", "train"},
     "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
+    "export": {"scene", "job", "passes", "lift"},
     "experiments": {"scene", "job", "metrics"},
-    "command_line": {"scene", "job", "raster", "metrics", "passes", "lift", "experiments"},  # bench raster
+    "command_line": {"scene", "job", "raster", "metrics", "passes", "lift", "export", "experiments"},  # bench raster
     "__main__": {"command_line"},
 }
 # Each part of the extension, the same way. `engine` means scene and job only: the rest runs in a process of its own.
