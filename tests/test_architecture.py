@@ -27,10 +27,11 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "metrics": {"scene"},
     "model": {"scene", "machine", "raster"},
     "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
-    "passes": {"scene", "job", "machine", "model"},
+    "passes": {"scene", "job", "machine", "raster", "model"},
     "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
+    "export": {"scene", "job", "passes", "lift"},
     "experiments": {"scene", "job", "metrics"},
-    "command_line": {"scene", "job", "raster", "lift", "experiments"},
+    "command_line": {"scene", "job", "raster", "passes", "lift", "export", "experiments"},
     "__main__": {"command_line"},
 }
 # Each part of the extension, the same way. `engine` means scene and job only: the rest runs in a process of its own.

@@ -12,6 +12,8 @@ from .. import __version__
 from ..job import PRESETS, UPS, ExitCode, JobError
 from ..job.options import add_lift_options, add_scene_options, readable
 
+EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh")
+
 
 def main(arguments: Sequence[str]) -> int:
     """Run a command and return its exit code. Bad arguments end with SystemExit(2), as argparse has it."""
@@ -38,6 +40,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_lift(commands.add_parser("lift", help="lift posed RGB-D frames and their masks"))
     _add_bake(commands.add_parser("bake", help="render more frames of a finished lift, or any cameras, as passes"))
+    _add_export(commands.add_parser("export", help="write a finished lift in a form that other programs read"))
     _add_evaluate(commands.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(commands.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
     _add_experiments(commands.add_parser("experiments", help="lift many scenes and show their figures in one table"))
@@ -70,8 +73,8 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         'A file of cameras is a JSON list of objects such as {"name": "shot.0001", "width": 1920, "height": 1080, '
         '"K": [[1500, 0, 960], [0, 1500, 540], [0, 0, 1]], "camera_to_world": [[..], [..], [..], [0, 0, 0, 1]], '
         '"clip": [0.1, 100]}: OpenCV axes (x right, y down, z forward) in the lift\'s world in metres, z up, pixels '
-        "with their centres at +0.5. In place of K there may be fx, fy, cx and cy; clip may be left out. Passes go to "
-        "result/passes/NAME.exr. A view is baked anew where its camera has changed."
+        "with their centres at +0.5. In place of K there may be fx, fy, cx and cy; clip may be left out. The passes go "
+        "to result/passes/NAME.exr. A view is baked anew where its camera has changed."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument(
@@ -81,6 +84,22 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")
     _add_stay_with_parent(parser)
     parser.set_defaults(run=_bake)
+
+
+def _add_export(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "coco: COCO panoptic (panoptic.json, panoptic/). instances: 16-bit PNGs of classes and instances, and in "
+        "colours. scannet: label-filt/ and instance-filt/. points: the labelled points and Gaussians (PLY). boxes: the "
+        "objects' boxes (JSON, CSV). mesh: the surface, cut into a mesh an instance and one a stuff class (PLY, GLB). "
+        "Frames that are not baked are rendered."
+    )
+    parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
+    parser.add_argument("--to", required=True, choices=EXPORTS, help="what to write")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where to")
+    parser.add_argument(
+        "--frames", nargs="+", default=["all"], metavar="FRAME", help="names of frames, test (those held out), or all"
+    )
+    parser.set_defaults(run=_export)
 
 
 def _add_stay_with_parent(parser: argparse.ArgumentParser) -> None:
@@ -142,6 +161,12 @@ def _bake(options: argparse.Namespace) -> ExitCode:
     from . import lift
 
     return lift.bake_in_folder(options)
+
+
+def _export(options: argparse.Namespace) -> ExitCode:
+    from .export import export_lift
+
+    return export_lift(options)
 
 
 def _evaluate(options: argparse.Namespace) -> ExitCode:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import platform
 import signal
 import sys
 import threading
@@ -107,8 +108,8 @@ def run_bake(
 
 def _bake_beside(folder: LiftFolder, task: Task) -> ExitCode:
     """With a log and events of its own, which go when all went well. The file 'cancel' stops this process too."""
-    own = folder.path / f"bake-{os.getpid()}"
-    log_path, events_path = own.with_suffix(".log"), own.with_suffix(".jsonl")
+    own = folder.path / f"bake-{platform.node()}-{os.getpid()}"
+    log_path, events_path = Path(f"{own}.log"), Path(f"{own}.jsonl")
     with output_to(log_path) as terminal:
         code = _run(folder, task, None, terminal, events_path)
     events_path.unlink(missing_ok=True)

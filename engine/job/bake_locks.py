@@ -5,12 +5,12 @@ The files lie in bake/ in the lift folder and are empty: locks that end with the
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
+from uuid import uuid4
 
 from .errors import JobError
 from .lock import FileLock, is_locked
@@ -24,7 +24,7 @@ class BakeLocks:
 
     def __init__(self, lift: Path) -> None:
         self._folder = lift / "bake"
-        self._own = self._folder / f"process-{os.getpid()}.lock"
+        self._own = self._folder / f"process-{uuid4().hex}.lock"
         self._held: FileLock | None = None
 
     def __enter__(self) -> BakeLocks:

@@ -29,16 +29,16 @@ def write_coco(
     or more, OSError.
     """
     images, annotations = [], []
-    for name, semantic, instance in views:
+    for number, (name, semantic, instance) in enumerate(views, start=1):
         if max(int(semantic.max(initial=0)), int(instance.max(initial=0))) >= MOST_IDS:
             raise ValueError(f"{name}: class and instance ids must be below {MOST_IDS} for COCO panoptic")
         ids = np.where(semantic == VOID, 0, semantic * MOST_IDS + instance)
         colours = np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=-1).astype(np.uint8)
         write_atomically(folder / "panoptic" / f"{name}.png", png_bytes(colours))
         height, width = ids.shape
-        images.append({"id": name, "file_name": f"{name}.png", "width": width, "height": height})
+        images.append({"id": number, "file_name": f"{name}.png", "width": width, "height": height})
         segments = _segments(ids)
-        annotations.append({"image_id": name, "file_name": f"{name}.png", "segments_info": segments})
+        annotations.append({"image_id": number, "file_name": f"{name}.png", "segments_info": segments})
     categories = [
         {"id": c.id, "name": c.name, "isthing": int(c.is_thing), "color": list(c.colour)} for c in classes.categories
     ]

@@ -1,0 +1,185 @@
+"""The lifted scene as meshes: rendered depth fused into one surface, cut into a mesh an instance and one a stuff class.
+
+One truncated signed distance field takes all views (open3d's voxel blocks). Its surface's vertices are then labelled by
+the views that see them: each votes with what it shows there. So the meshes meet where the labels change, without gaps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..job import JobError, write_atomically
+from ..passes import PanopticLayers, ShownInstances, colour_picture
+from ..passes.cryptomatte import matte_names
+from ..scene import Camera, ClassTable, Frame
+from .ply_tables import write_ply_table
+
+VOXEL = 0.02
+"""Metres."""
+TRUNCATION = 4.0
+"""Voxels to each side of the surface that a view tells of."""
+FARTHEST = 8.0
+"""Metres: rendered depth beyond is not fused."""
+LEAST_ALPHA = 0.7
+"""Where less is covered a pixel's depth is no surface's."""
+WIDEST = 640
+"""Pixels: larger views are fused at every n-th pixel."""
+SEEN_WITHIN = 0.05
+"""Metres between a vertex and the view's depth there, for the view to vote."""
+LEAST_TRIANGLES = 20
+"""A mesh of fewer is crumbs."""
+MOST_INSTANCES = 1 << 16
+"""A label is class * this + instance."""
+
+Views = Iterable[tuple[Frame, PanopticLayers]]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """``xyz`` float32 [V, 3] m, ``rgb`` uint8 [V, 3], ``normal`` float32 [V, 3], ``triangles`` int64 [T, 3]."""
+
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    normal: NDArray[np.float32]
+    triangles: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class SmallView:
+    """A view as it is fused: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W]."""
+
+    camera: Camera
+    depth: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    label: NDArray[np.int64]
+
+
+def write_meshes(output: Path, views: Views, classes: ClassTable, instances: ShownInstances) -> None:
+    """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one an instance
+    and one a stuff class (glTF's axes, y up). Raises JobError where no surface was rendered, OSError."""
+    small = [_small(frame, layers) for frame, layers in views]
+    surface = fuse(small)
+    if not len(surface.triangles):
+        fix = "Export more frames, or lift the scene with better depth."
+        raise JobError("the rendered views show no surface", output, fix)
+    label = vertex_labels(surface.xyz, small)
+    class_id, instance_id = np.divmod(label, MOST_INSTANCES)
+    columns: dict[str, NDArray[Any]] = {name: surface.xyz[:, axis] for axis, name in enumerate("xyz")}
+    columns |= {name: surface.normal[:, axis] for axis, name in enumerate(("nx", "ny", "nz"))}
+    columns |= {name: surface.rgb[:, channel] for channel, name in enumerate(("red", "green", "blue"))}
+    columns |= {"class_id": class_id.astype(np.int32), "instance_id": instance_id.astype(np.int32)}
+    write_ply_table(output / "mesh.ply", columns, surface.triangles)
+    names = label_names(np.unique(label), classes, instances.names)
+    for value, triangles in by_label(surface.triangles, label).items():
+        if value in names and len(triangles) >= LEAST_TRIANGLES:
+            path = output / "meshes" / f"{names[value]}.glb"
+            write_atomically(path, lambda part, chosen=triangles: _write_glb(part, surface, chosen))
+
+
+def _small(frame: Frame, layers: PanopticLayers) -> SmallView:
+    """Every n-th pixel, from the middle of each n by n block."""
+    n = max(1, round(frame.camera.width / WIDEST))
+    pick = (slice(n // 2, None, n), slice(n // 2, None, n))
+    depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0)[pick]
+    label = layers.semantic.astype(np.int64) * MOST_INSTANCES + layers.instance
+    height, width = depth.shape
+    whole, half = frame.camera, 0.5 - (n // 2 + 0.5) / n
+    camera = Camera(
+        width, height, whole.fx / n, whole.fy / n, whole.cx / n + half, whole.cy / n + half, whole.camera_to_world
+    )
+    rgb = colour_picture(layers)[pick]
+    return SmallView(camera, np.ascontiguousarray(depth, np.float32), np.ascontiguousarray(rgb), label[pick])
+
+
+def fuse(views: list[SmallView]) -> Surface:
+    """The zero level of the truncated signed distance field of all views."""
+    import open3d
+
+    core: Any = open3d.core  # its stubs want a dtype and a device of what has them
+    grid = open3d.t.geometry.VoxelBlockGrid(
+        attr_names=("tsdf", "weight", "color"),
+        attr_dtypes=(core.float32, core.float32, core.float32),
+        attr_channels=((1,), (1,), (3,)),
+        voxel_size=VOXEL,
+        block_resolution=16,
+        block_count=10_000,
+    )
+    for view in views:
+        depth = open3d.t.geometry.Image(core.Tensor(view.depth))
+        colour = open3d.t.geometry.Image(core.Tensor(view.rgb.astype(np.float32) / 255))
+        centred = view.camera.K
+        centred[:2, 2] -= 0.5  # open3d's pixels have their centres at whole numbers
+        lens, pose = core.Tensor(centred), core.Tensor(view.camera.world_to_camera)
+        blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, FARTHEST, TRUNCATION)
+        if len(blocks):
+            grid.integrate(blocks, depth, colour, lens, lens, pose, 1.0, FARTHEST, TRUNCATION)
+    mesh = grid.extract_triangle_mesh(2.0).to_legacy()
+    mesh.remove_degenerate_triangles()
+    mesh.compute_vertex_normals()
+    return Surface(
+        np.asarray(mesh.vertices, np.float32),
+        np.rint(np.clip(np.asarray(mesh.vertex_colors), 0, 1) * 255).astype(np.uint8),
+        np.asarray(mesh.vertex_normals, np.float32),
+        np.asarray(mesh.triangles, np.int64),
+    )
+
+
+def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView]) -> NDArray[np.int64]:
+    """The label that most views show at each vertex, of those whose depth is there; 0 where none is. int64 [V]."""
+    known = np.unique(np.concatenate([np.unique(view.label) for view in views]))
+    votes = np.zeros((len(xyz), len(known)), np.uint16)
+    for view in views:
+        pixel, depth = view.camera.project(xyz)
+        column, row = (np.floor(pixel[:, axis]).astype(np.int64) for axis in (0, 1))
+        inside = (depth > 0) & (column >= 0) & (column < view.camera.width) & (row >= 0) & (row < view.camera.height)
+        vertex = np.flatnonzero(inside)
+        row, column = row[vertex], column[vertex]
+        seen = np.abs(view.depth[row, column] - depth[vertex]) < SEEN_WITHIN
+        place = np.searchsorted(known, view.label[row[seen], column[seen]])
+        votes[vertex[seen], place] += 1
+    return np.where(votes.any(axis=1), known[votes.argmax(axis=1)], 0)
+
+
+def by_label(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
+    """The triangles [T, 3] of each label: that of two corners, else the first's."""
+    corners = label[triangles]
+    own = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
+    order = np.argsort(own, kind="stable")
+    values, starts = np.unique(own[order], return_index=True)
+    return dict(zip(values.tolist(), np.split(triangles[order], starts[1:]), strict=True))
+
+
+def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mapping[int, str]) -> dict[int, str]:
+    """File names of the labels: an instance's own, or its class's where it is none. Void has none."""
+    names = {}
+    for value in labels.tolist():
+        class_id, instance = divmod(value, MOST_INSTANCES)
+        if class_id in classes:
+            names[value] = instances.get(instance, f"instance {instance}") if instance else classes[class_id].name
+    safe = {value: "".join("-" if c in '<>:/|?*' else c for c in name) for value, name in matte_names(names).items()}
+    return matte_names(safe)
+
+
+def _write_glb(path: Path, surface: Surface, triangles: NDArray[np.int64]) -> None:
+    import open3d
+
+    used, corners = np.unique(triangles, return_inverse=True)
+    mesh = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(_upright(surface.xyz[used])),
+        open3d.utility.Vector3iVector(corners.reshape(-1, 3).astype(np.int32)),
+    )
+    mesh.vertex_normals = open3d.utility.Vector3dVector(_upright(surface.normal[used]))
+    mesh.vertex_colors = open3d.utility.Vector3dVector(surface.rgb[used] / 255.0)
+    if not open3d.io.write_triangle_mesh(path, mesh):
+        raise OSError(f"cannot write {path}")
+
+
+def _upright(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """From z up to glTF's y up."""
+    return values[:, (0, 2, 1)].astype(np.float64) * (1, 1, -1)

@@ -1,0 +1,77 @@
+"""One export from end to end."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..job import JobError, LiftFolder, read_manifest
+from ..passes import PanopticLayers, write_coco
+from ..scene import Frame
+from .boxes import write_boxes
+from .label_images import write_label_images, write_scannet
+from .points import write_points
+from .source import FinishedLift
+
+
+def export(folder: LiftFolder, kind: str, output: Path, frames: Sequence[str]) -> None:
+    """Write a finished lift as ``kind`` (of KINDS) into the folder ``output``, of ``frames`` ("test", "all", names).
+
+    Raises JobError for a lift that is not finished or an output that is no folder, SceneError, OSError.
+    """
+    read_manifest(folder.result_path)
+    if output.exists() and not output.is_dir():
+        raise JobError("the export needs a folder, this is a file", output, "Name another one.")
+    KINDS[kind](FinishedLift(folder, frames), output)
+
+
+def _coco(lift: FinishedLift, output: Path) -> None:
+    views = ((frame.name, layers.semantic, layers.instance) for frame, layers in _shown(lift))
+    try:
+        write_coco(output, lift.classes, views)
+    except ValueError as error:
+        raise JobError(str(error), output, "Export instances instead: they have 16 bits each.") from error
+
+
+def _instances(lift: FinishedLift, output: Path) -> None:
+    write_label_images(output, _shown(lift), lift.classes, lift.instances)
+
+
+def _scannet(lift: FinishedLift, output: Path) -> None:
+    write_scannet(output, _shown(lift), lift.classes)
+
+
+def _points(lift: FinishedLift, output: Path) -> None:
+    write_points(output, lift.folder, np.array([frame.camera.centre for frame in lift.scene.frames]))
+
+
+def _boxes(lift: FinishedLift, output: Path) -> None:
+    write_boxes(output, lift.records)
+
+
+def _mesh(lift: FinishedLift, output: Path) -> None:
+    from .mesh import write_meshes
+
+    write_meshes(output, _shown(lift), lift.classes, lift.instances)
+
+
+KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
+    "coco": _coco,
+    "instances": _instances,
+    "scannet": _scannet,
+    "points": _points,
+    "boxes": _boxes,
+    "mesh": _mesh,
+}
+
+
+def _shown(lift: FinishedLift) -> Iterator[tuple[Frame, PanopticLayers]]:
+    """The views, with a line that counts them on standard error where that is a terminal."""
+    for number, view in enumerate(lift.views(), start=1):
+        yield view
+        if sys.stderr.isatty():
+            end = "\n" if number == len(lift.frames) else ""
+            print(f"\r{number} of {len(lift.frames)} frames", end=end, file=sys.stderr, flush=True)

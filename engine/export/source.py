@@ -1,0 +1,60 @@
+"""What is exported: a finished lift, its labels, and its views, rendered where they are not baked."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from ..job import LiftFolder, read_manifest
+from ..lift.bake_more import frames_named
+from ..lift.baking import FrameBaker, baked_files
+from ..lift.scene_files import read_model, read_shown_instances
+from ..passes import PanopticLayers, ShownInstances, read_exr
+from ..scene import ClassTable, Frame, Scene, open_scene
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedLift:
+    """A lift and the frames of it to export. Reads what it is asked for; raises SceneError, JobError, OSError then."""
+
+    folder: LiftFolder
+    names: Sequence[str]
+
+    @cached_property
+    def scene(self) -> Scene:
+        request = self.folder.request
+        return open_scene(request.scene, request.masks, request.up)
+
+    @property
+    def classes(self) -> ClassTable:
+        return self.scene.classes
+
+    @cached_property
+    def frames(self) -> list[Frame]:
+        """In recording order."""
+        return frames_named(self.scene, self.names)
+
+    @cached_property
+    def instances(self) -> ShownInstances:
+        return read_shown_instances(self.folder)
+
+    @cached_property
+    def records(self) -> list[dict[str, Any]]:
+        """The instances as instances.json lists them."""
+        content = json.loads((self.folder.result_path / "instances.json").read_text(encoding="utf-8"))
+        records: list[dict[str, Any]] = content["instances"]
+        return records
+
+    @cached_property
+    def _baker(self) -> FrameBaker:
+        return FrameBaker(self.classes, read_model(self.folder), self.instances)
+
+    def views(self) -> Iterator[tuple[Frame, PanopticLayers]]:
+        """Every frame as the lift shows it, at the frame's own size."""
+        listed = {self.folder.result_path / file.path for file in read_manifest(self.folder.result_path).files}
+        for frame in self.frames:
+            baked = baked_files(self.folder, frame.name)[0]
+            yield frame, read_exr(baked) if baked in listed else self._baker.render(frame.camera).layers

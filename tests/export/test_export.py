@@ -1,0 +1,153 @@
+"""Every export of a small lift, read back by another reader where there is one."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from engine.command_line.main import EXPORTS, main
+from engine.export import KINDS
+from engine.export.source import FinishedLift
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.lift import run_lift
+from engine.train.presets import PRESETS
+from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import TINY
+
+
+@pytest.fixture(scope="module")
+def lift(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiftFolder]:
+    """Six frames, of which the held-out one is baked."""
+    root = tmp_path_factory.mktemp("export")
+    scene = write_tiny_scene(root / "scene", frames=6, noise=0.1)
+    preview = PRESETS["preview"]
+    PRESETS["preview"] = TINY
+    folder = LiftFolder.create(root / "lift", LiftRequest(scene=scene, bake="test"))
+    try:
+        events = EventWriter(folder.events_path)
+        run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
+        events.close()
+        yield folder
+    finally:
+        PRESETS["preview"] = preview
+        torch.use_deterministic_algorithms(False)
+
+
+@pytest.fixture(scope="module")
+def truth(lift: LiftFolder) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Class and instance ids of every frame, as the lift shows them."""
+    return {f.name: (layers.semantic, layers.instance) for f, layers in FinishedLift(lift, ["all"]).views()}
+
+
+def run(lift: LiftFolder, kind: str, output: Path, *more: str) -> None:
+    assert main(["export", str(lift.path), "--to", kind, "-o", str(output), *more]) == 0
+
+
+def test_the_command_knows_every_kind() -> None:
+    assert tuple(KINDS) == EXPORTS
+
+
+def test_coco(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+    run(lift, "coco", tmp_path)
+    content = json.loads((tmp_path / "panoptic.json").read_text())
+    images = {image["id"]: image for image in content["images"]}
+    categories = {category["id"]: category for category in content["categories"]}
+    assert len(images) == len(truth) == 6
+    mask = pytest.importorskip("pycocotools.mask")
+    for annotation in content["annotations"]:
+        image = images[annotation["image_id"]]
+        bgr = cv2.imread(str(tmp_path / "panoptic" / annotation["file_name"])).astype(np.int64)
+        ids = bgr[..., 2] + 256 * bgr[..., 1] + 65536 * bgr[..., 0]
+        assert ids.shape == (image["height"], image["width"])
+        semantic, instance = truth[Path(image["file_name"]).stem]
+        shown = {(int(c), int(i)) for c, i in zip(semantic.ravel(), instance.ravel(), strict=True) if c}
+        assert len(annotation["segments_info"]) == len(shown)
+        for segment in annotation["segments_info"]:
+            encoded = mask.encode(np.asfortranarray(ids == segment["id"], np.uint8))
+            assert mask.area(encoded) == segment["area"] > 0
+            assert mask.toBbox(encoded).tolist() == segment["bbox"]
+            pixels = ids == segment["id"]
+            assert set(semantic[pixels].tolist()) == {segment["category_id"]}
+            assert len(set(instance[pixels].tolist())) == 1
+            assert categories[segment["category_id"]]["isthing"] or not instance[pixels].any()
+
+
+def test_label_images(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+    run(lift, "instances", tmp_path)
+    for name, (semantic, instance) in truth.items():
+        for folder, ids in (("class", semantic), ("instance", instance)):
+            image = cv2.imread(str(tmp_path / folder / f"{name}.png"), cv2.IMREAD_UNCHANGED)
+            assert image.dtype == np.uint16 and (image == ids).all()
+            assert cv2.imread(str(tmp_path / f"{folder}_colour" / f"{name}.png")).shape == (*ids.shape, 3)
+    labels = json.loads((tmp_path / "labels.json").read_text(encoding="utf-8"))
+    shown = {int(i) for _, instance in truth.values() for i in np.unique(instance)} - {0}
+    assert shown <= {one["id"] for one in labels["instances"]}
+    assert {one["class_id"] for one in labels["instances"]} <= {one["id"] for one in labels["classes"]}
+
+
+def test_scannet(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+    run(lift, "scannet", tmp_path, "--frames", "0001", "test")
+    assert {path.stem for path in (tmp_path / "label-filt").iterdir()} == {"0001", "0004"}
+    for folder, which in (("label-filt", 0), ("instance-filt", 1)):
+        image = cv2.imread(str(tmp_path / folder / "0001.png"), cv2.IMREAD_UNCHANGED)
+        assert image.dtype == np.uint16 and (image == truth["0001"][which]).all()
+    rows = [line.split("\t") for line in (tmp_path / "labels.tsv").read_text(encoding="utf-8").splitlines()]
+    assert rows[0] == ["id", "raw_category", "category"] and ["5", "chair", "chair"] in rows
+
+
+def test_points_are_read_by_open3d(lift: LiftFolder, tmp_path: Path) -> None:
+    open3d = pytest.importorskip("open3d")
+    run(lift, "points", tmp_path)
+    with np.load(lift.result_path / "semantic_points.npz") as points:
+        cloud = open3d.t.io.read_point_cloud(str(tmp_path / "points.ply")).point
+        np.testing.assert_array_equal(cloud.positions.numpy(), points["xyz"])
+        np.testing.assert_array_equal(cloud.colors.numpy(), points["rgb"])
+        for name in ("class_id", "instance_id", "confidence"):
+            np.testing.assert_array_equal(cloud[name].numpy()[:, 0], points[name])
+    normals = cloud.normals.numpy()
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-3)
+    floor = points_on_the_floor = cloud.positions.numpy()[:, 2] < 0.02
+    assert points_on_the_floor.any() and np.median(normals[floor, 2]) > 0.9  # up, towards the cameras
+    assert (tmp_path / "gaussians.ply").read_bytes() == (lift.result_path / "gaussians.ply").read_bytes()
+
+
+def test_boxes(lift: LiftFolder, tmp_path: Path) -> None:
+    run(lift, "boxes", tmp_path)
+    records = json.loads((lift.result_path / "instances.json").read_text())["instances"]
+    boxes = json.loads((tmp_path / "boxes.json").read_text())["boxes"]
+    with (tmp_path / "boxes.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(records) == len(boxes) == len(rows) > 0
+    for record, box, row in zip(records, boxes, rows, strict=True):
+        assert box["size"] == record["size"] and box["name"] == row["name"] == record["name"]
+        assert [float(row[f"centre_{axis}"]) for axis in "xyz"] == record["centre"]
+
+
+def test_meshes(lift: LiftFolder, tmp_path: Path) -> None:
+    open3d = pytest.importorskip("open3d")
+    run(lift, "mesh", tmp_path)
+    whole = open3d.t.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
+    xyz, labels = whole.vertex.positions.numpy(), whole.vertex["class_id"].numpy()[:, 0]
+    assert len(whole.triangle.indices) > 1000 and set(np.unique(labels)) <= {0, 1, 2, 3, 5, 13}
+    floor = xyz[labels == 2]
+    assert len(floor) > 100 and abs(np.median(floor[:, 2])) < 0.1  # metres
+    names = {path.stem for path in (tmp_path / "meshes").iterdir()}
+    assert "floor" in names and any(name.startswith("chair") for name in names)
+    read = open3d.io.read_triangle_mesh(str(tmp_path / "meshes" / "floor.glb"))
+    assert abs(np.median(np.asarray(read.vertices)[:, 1])) < 0.1  # y is up in glTF
+    assert np.asarray(read.vertex_colors).max() > 0.1
+
+
+def test_refusals(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert main(["export", str(lift.path), "--to", "boxes", "-o", str(tmp_path / "file")]) == 2
+    assert main(["export", str(lift.path), "--to", "coco", "-o", str(tmp_path), "--frames", "9"]) == 2
+    told = capsys.readouterr().err
+    assert "needs a folder" in told and "no frame 9" in told
