@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..job import ExitCode, JobError, LiftFolder, LiftRequest, write_atomically
+from ..job import ExitCode, JobError, LiftFolder, LiftRequest, refuse_used, write_atomically
 from ..job.options import request_from
 from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupts
@@ -88,6 +88,7 @@ def refuse_bad_input(experiment: Experiment, asked: Sequence[argparse.Namespace]
     for options in asked:
         request = request_from(options)
         if not (options.output / "request.json").exists():
+            refuse_used(options.output)
             check_scene_folder(request)
             continue
         lift = LiftFolder.open(options.output)

@@ -9,7 +9,7 @@ from .checkpoint import Checkpoint, CheckpointStore
 from .errors import Cancelled, JobError
 from .events import Event, EventReader, EventWriter, last_run
 from .exit_code import ExitCode
-from .folder import LiftFolder, LiftState
+from .folder import LiftFolder, LiftState, refuse_used
 from .manifest import Manifest, ResultFile, add_files, check_sizes, drop_files, read_manifest, verify, write_manifest
 from .request import BAKES, PRESETS, UPS, LiftRequest
 from .stop import StopSignal, Watchdog
@@ -41,6 +41,7 @@ __all__ = [
     "last_run",
     "read_cameras",
     "read_manifest",
+    "refuse_used",
     "sha256",
     "verify",
     "write_atomically",

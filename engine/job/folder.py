@@ -50,7 +50,7 @@ class LiftFolder:
         path = path.absolute()
         try:
             path.mkdir(parents=True, exist_ok=True)
-            _refuse_used(path)
+            refuse_used(path)
             _write_new(path / "request.json", request.to_json())
         except FileExistsError as error:
             fix = "Choose another output folder."
@@ -213,7 +213,13 @@ class LiftFolder:
         return True
 
 
-def _refuse_used(path: Path) -> None:
+def refuse_used(path: Path) -> None:
+    """Raise JobError when a lift folder cannot be made of ``path`` because something is there already; OSError when
+    that cannot be told."""
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise JobError("is in the way", path, "Choose another output folder.")
     if (path / "request.json").exists():
         fix = "Add --resume to go on with it, or choose another output folder."
         raise JobError("already holds a lift", path, fix)

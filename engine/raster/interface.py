@@ -65,7 +65,7 @@ def rasterize(
     or an unknown back end.
     """
     _check(means, scales, quats, opacities, colours, labels)
-    pinhole = _pinhole(camera_to_world, K, width, height, near, rows or (0, height))
+    pinhole = _pinhole(camera_to_world, K, width, height, near, rows)
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
     rasterize_there = _load(_pick(backend, means))
@@ -149,11 +149,11 @@ def _pinhole(
     width: int,
     height: int,
     near: float,
-    rows: tuple[int, int],
+    rows: tuple[int, int] | None = None,
 ) -> Pinhole:
     if width < 1 or height < 1:
         raise ValueError(f"the image is {width}x{height}; both must be at least 1")
-    first, end = rows
+    first, end = rows or (0, height)
     if not 0 <= first < end <= height:
         raise ValueError(f"rows {first} to {end} are not in an image of {height} rows")
     pose = _rows(camera_to_world, "camera_to_world", (4, 4))

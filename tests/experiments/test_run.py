@@ -95,6 +95,20 @@ def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behav
     assert not experiment.folder.exists()
 
 
+def test_a_foreign_folder_is_told_before_any_lift(experiment: Experiment, behave: Behave) -> None:
+    foreign = experiment.folder / "kitchen-preview"
+    foreign.mkdir(parents=True)
+    (foreign / "notes.txt").touch()
+    with pytest.raises(JobError, match=r"notes\.txt"):
+        run(experiment)
+    (foreign / "notes.txt").unlink()
+    foreign.rmdir()
+    foreign.touch()
+    with pytest.raises(JobError, match="in the way"):
+        run(experiment)
+    assert not (experiment.folder / "office-preview").exists()
+
+
 def test_a_finished_lift_with_other_settings_is_not_taken(experiment: Experiment, behave: Behave) -> None:
     with_steps = replace(experiment, steps=7)
     assert run(with_steps) is ExitCode.FINISHED
