@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ def write_meshes(output: Path, views: Views, classes: ClassTable, instances: Sho
     for value, triangles in by_label(surface.triangles, label).items():
         if value in names and len(triangles) >= LEAST_TRIANGLES:
             path = output / "meshes" / f"{names[value]}.glb"
-            write_atomically(path, lambda part, chosen=triangles: _write_glb(part, surface, chosen))
+            write_atomically(path, partial(_write_glb, surface, triangles))
 
 
 def _small(frame: Frame, layers: PanopticLayers) -> SmallView:
@@ -102,7 +103,8 @@ def fuse(views: list[SmallView]) -> Surface:
     import open3d
 
     core: Any = open3d.core  # its stubs want a dtype and a device of what has them
-    grid = open3d.t.geometry.VoxelBlockGrid(
+    new_grid: Any = open3d.t.geometry.VoxelBlockGrid  # and shapes in a type of their own
+    grid = new_grid(
         attr_names=("tsdf", "weight", "color"),
         attr_dtypes=(core.float32, core.float32, core.float32),
         attr_channels=((1,), (1,), (3,)),
@@ -166,7 +168,7 @@ def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mappi
     return matte_names(safe)
 
 
-def _write_glb(path: Path, surface: Surface, triangles: NDArray[np.int64]) -> None:
+def _write_glb(surface: Surface, triangles: NDArray[np.int64], path: Path) -> None:
     import open3d
 
     used, corners = np.unique(triangles, return_inverse=True)

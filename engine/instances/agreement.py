@@ -41,10 +41,15 @@ class MasksInSpace:
         """Points of each mask, int64 [M]."""
         return np.diff(self.holds.indptr).astype(np.int64)
 
-    def select(self, rows: NDArray[np.intp]) -> MasksInSpace:
-        """The masks of these rows, seen by the same views."""
+    def of_views(self, views: NDArray[np.int64]) -> MasksInSpace:
+        """The masks of these views; the others see nothing any more."""
+        from scipy import sparse
+
+        rows = np.flatnonzero(np.isin(self.view, views))
         chosen = [self.masks[row] for row in rows]
-        return MasksInSpace(chosen, self.view[rows], self.is_thing[rows], self.holds[rows], self.sight)
+        seeing = np.isin(np.arange(self.sight.shape[0]), views).astype(np.float32)
+        sight = (sparse.diags(seeing) @ self.sight).tocsr()
+        return MasksInSpace(chosen, self.view[rows], self.is_thing[rows], self.holds[rows], sight)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ class ConsensusOptions:
     """Masks are joined while views in favour exceed ``agreement`` of those that judge both. An object needs masks in
     ``support`` of the views that see at least half of its points, and at least ``min_masks``; where few views see it,
     all of these but one, and 2 at least. Where there are more than ``most_masks`` masks, those of keyframes are joined;
-    the others' are told apart by the result.
+    those of the other views go to the object that owns most of their points.
     """
 
     rules: JudgingRules = JudgingRules()
@@ -50,8 +50,8 @@ class MemberMask:
 
 @dataclass(frozen=True, eq=False)
 class ObjectMasks:
-    """``object_of_point`` int32 [N], 0 = in no object, else 1.. ; ``masks`` those of each object, in the order
-    of the views, object i at place i - 1.
+    """``object_of_point`` int32 [N], 0 = in no object, else 1.. ; ``masks`` those of each object, object i at
+    place i - 1.
     """
 
     object_of_point: NDArray[np.int32]
@@ -75,7 +75,23 @@ def find_objects(
             progress(done, len(views))
     space = masks_in_space(views, summaries, points, options.rules.min_points)
     keyframes = choose_keyframes(space, options.most_masks)
-    return objects_of_masks(space.select(np.flatnonzero(np.isin(space.view, keyframes))), options), summaries
+    found = objects_of_masks(space.of_views(keyframes), options)
+    others = np.flatnonzero(~np.isin(space.view, keyframes))
+    return with_contained(found, space, others, options.rules.contained), summaries
+
+
+def with_contained(
+    objects: ObjectMasks, space: MasksInSpace, rows: NDArray[np.intp], contained: float
+) -> ObjectMasks:
+    """The objects with those masks ``rows`` (of views that are no keyframes) of whose points they own ``contained``."""
+    masks = [list(own) for own in objects.masks]
+    for row in rows:
+        owner = objects.object_of_point[space.holds[row].indices]
+        owned = np.bincount(owner, minlength=len(masks) + 1)
+        owned[0] = 0
+        if owned.max() >= contained * len(owner):
+            masks[int(owned.argmax()) - 1].append(MemberMask(*space.masks[row], None))
+    return ObjectMasks(objects.object_of_point, tuple(map(tuple, masks)))
 
 
 def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> ObjectMasks:

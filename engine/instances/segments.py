@@ -82,7 +82,7 @@ def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptio
     for segment in sorted(view.mask.segments, key=lambda segment: segment.id):
         inside = (view.mask.ids == segment.id) & (view.depth > 0)
         pixels = int(inside.sum())
-        if segment.class_id not in class_ids or pixels < options.min_points:
+        if segment.class_id not in class_ids or segment.is_group or pixels < options.min_points:
             continue
         kept = _eroded(inside, margin, options)
         thinned = thin(points[kept], options.voxel_size)

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..job import EventWriter, StopSignal
 from ..model.label_voting import LabelVotes, contributors, pixel_labels
-from ..model.render import render_view
-from ..passes import decide
+from ..model.render import render_bands
+from ..passes import ShownInstances, bake_view
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
 from ..train.presets import PRESETS, Schedule, WarmStart
 from ..train.progress import StageReporter
@@ -24,7 +24,7 @@ WALL, PICTURE = 1, 2
 
 
 def warm_up() -> None:
-    """Take every compiled path of a lift once: believing, matching, projecting, drawing and its way back, deciding."""
+    """Take every compiled path of a lift once: believing, matching, projecting, drawing and its way back, baking."""
     classes = ClassTable(
         (Category(WALL, "wall", False, (200, 200, 200)), Category(PICTURE, "picture", True, (200, 0, 0)))
     )
@@ -38,7 +38,8 @@ def warm_up() -> None:
         trainer = Trainer(prepared.scene, prepared.targets, views, preset, 0)
         while not trainer.finished:
             trainer.step()
-        decide(render_view(trainer.scene, views[0].camera), classes, prepared.class_of_instance)
+        camera, shown = views[0].camera, ShownInstances({}, prepared.class_of_instance)
+        bake_view(render_bands(trainer.scene, camera), camera, classes, shown)
         votes = LabelVotes(trainer.scene, preset.voting)
         seen = contributors(trainer.scene, views[0].camera, preset.voting.contributors)
         votes.add(seen, np.zeros(views[0].depth.shape, np.int16), views[0].depth)

@@ -1,8 +1,8 @@
 """Growing anchors where the picture is poorly explained, pruning those that stay transparent (Scaffold-GS,
 section 3.3).
 
-Only the reconstruction loss feeds the statistics: they are gathered from gradients of the projected Gaussian centres,
-and label losses never reach those.
+Only the reconstruction loss and the depth loss, where there is one, feed the statistics: they are gathered from
+gradients of the projected Gaussian centres, and label losses never reach those.
 """
 
 from __future__ import annotations

@@ -19,8 +19,11 @@ from numpy.typing import NDArray
 from ..raster import rasterize
 from ..scene import Camera
 from .gaussians import decode
-from .scene_labels import LEAST_OF_CLASS, scene_labels
+from .scene_labels import LEAST_OF_CLASS
 from .structured import GaussianLabels, StructuredScene
+
+CHUNK = 16384
+"""Anchors whose labels are decoded at a time, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -92,27 +95,26 @@ class LabelVotes:
         shown = np.where(votes, label, -1).astype(np.int16)
         _add_votes(view.gaussian, view.weight, shown, np.float32(options.power), self._seen, self._votes)
 
+    @torch.no_grad()
     def result(self) -> GaussianLabels:
-        """The likeliest labels of every Gaussian, the decoders' among them."""
-        table = scene_labels(self.scene)
-        if table is not None and self.options.prior > 0:
-            classes = len(self.scene.channels.class_ids)
-            self._votes += self.options.prior * _apart(table.probabilities, self.scene, classes).numpy()
-        votes = torch.from_numpy(self._votes)
-        share = votes / votes.sum(dim=1, keepdim=True).clamp_min(1e-8)
-        most = share.topk(min(self.options.kept, self._labels), dim=1)
-        return GaussianLabels(most.indices.to(torch.int16), most.values.contiguous())
+        """The likeliest labels of every Gaussian, the decoders' among them; their shares sum to 1."""
+        k, kept = self.scene.anchors.gaussians_per_anchor, min(self.options.kept, self._labels)
+        parts = []
+        for start in range(0, len(self.scene.anchors), CHUNK):
+            feature = self.scene.anchors.feature.detach()[start : start + CHUNK]
+            votes = torch.from_numpy(self._votes[start * k : (start + len(feature)) * k])
+            parts.append((votes + self.options.prior * self._decoded(feature)).topk(kept, dim=1))
+        share = torch.cat([part.values for part in parts])
+        label = torch.cat([part.indices for part in parts]).to(torch.int16)
+        return GaussianLabels(label, share / share.sum(dim=1, keepdim=True).clamp_min(1e-8))
 
-
-def _apart(shown: torch.Tensor, scene: StructuredScene, classes: int) -> torch.Tensor:
-    """What ``shown_probabilities`` gave, with the classes' share of no object instead of their whole share."""
-    channels = scene.channels
-    of_class = torch.tensor([channels.class_ids.index(channels.class_of_slot[s]) for s in channels.instance_slots])
-    owned = shown[:, classes:]
-    if not owned.shape[1]:
-        return shown
-    alone = shown[:, :classes].index_add(1, of_class, owned, alpha=-1).clamp_min(0)
-    return torch.cat([alone, owned], dim=1)
+    def _decoded(self, feature: torch.Tensor) -> torch.Tensor:
+        """What the label decoders say of the anchors with these features: probabilities of the classes without an
+        object, then of the instances, [anchors * k, C + U]."""
+        channels, decoders = self.scene.channels, self.scene.decoders
+        classes, slots = (logits.flatten(0, 1).softmax(dim=1) for logits in decoders.label_logits(feature, feature))
+        instances = slots[:, list(channels.instance_slots)]
+        return torch.cat([classes * (1 - instances.sum(dim=1, keepdim=True)), instances], dim=1)
 
 
 def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributors) -> NDArray[np.int16]:

@@ -56,16 +56,15 @@ def bake_view(
     layers: list[PanopticLayers] = []
     row = 0
     for band in bands:
-        rows = slice(row, row + len(band.alpha))
         layers.append(decide(band, classes, instances.class_of))
         by_class = class_layer(band.class_ids, classes)
-        rank_coverage(band.class_coverage, by_class.columns, by_class.ids, band.alpha, None, of_classes[:, rows])
+        rank_coverage(band.class_coverage, by_class.columns, by_class.ids, band.alpha, None, of_classes, row)
         by_instance = instance_layer(band.instance_ids, instances.names, classes, instances.class_of)
         limit = things_coverage(band, classes) if instances.class_of is None else None
-        coverage, out = band.instance_coverage, of_instances[:, rows]
-        rank_coverage(coverage, by_instance.columns, by_instance.ids, band.alpha, limit, out)
-        row = rows.stop
-        del band, coverage  # before the next is made
+        columns, ids = by_instance.columns, by_instance.ids
+        rank_coverage(band.instance_coverage, columns, ids, band.alpha, limit, of_instances, row)
+        row += len(band.alpha)
+        del band  # before the next is made
     if not layers:
         raise ValueError("there is no band to bake")
     whole = joined(layers)

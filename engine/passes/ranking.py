@@ -29,23 +29,25 @@ def rank_coverage(
     alpha: NDArray[np.float32],
     limit: NDArray[np.float32] | None,
     out: NDArray[np.float32],
+    first_row: int = 0,
 ) -> None:
-    """The RANKS largest of some columns of a coverage float32 [H, W, C], as (id, coverage) pairs in descending order,
+    """The RANKS largest of some columns of a coverage float32 [h, W, C], as (id, coverage) pairs in descending order,
     ties to the earlier column.
 
-    ``ids`` float32 [L]: what stands for each of the L ``columns``; ``limit`` float32 [H, W] or None: what the pixel's
-    pairs cover together at most, given to the largest first; ``out`` float32 [2 RANKS, H, W]. Nothing (0, 0) follows
-    the last pair, and pixels where nothing was rendered have none.
+    ``ids`` float32 [L]: what stands for each of the L ``columns``; ``limit`` float32 [h, W] or None: what the pixel's
+    pairs cover together at most, given to the largest first; ``out`` float32 [2 RANKS, H, W], in one piece, of which h
+    rows from ``first_row`` are written. Nothing (0, 0) follows the last pair, and pixels where nothing was rendered
+    have none.
     """
     height, width, count = coverage.shape
     flat = coverage.reshape(height * width, count)
     limits = np.empty(0, np.float32) if limit is None else limit.reshape(-1)
-    planes = out.reshape(2 * RANKS, -1)
+    planes = out.reshape(2 * RANKS, -1)  # in one piece, whatever the rows: the kernel is compiled for one layout
     workers = worker_count()
     best = np.empty((workers, 2, RANKS), np.float32)
     wanted = np.array(columns, np.int64)
     pixels = RankedPixels(flat, alpha.reshape(-1), limits)
-    parallel_for(workers, rank_pixels, pixels, wanted, ids, best, planes)
+    parallel_for(workers, rank_pixels, pixels, wanted, ids, best, planes, first_row * width)
 
 
 class RankedPixels(NamedTuple):
@@ -58,9 +60,10 @@ class RankedPixels(NamedTuple):
 
 @parallel_kernel
 def rank_pixels(
-    worker: int, workers: int, pixels: RankedPixels, columns: Array, ids: Array, best: Array, out: Array
+    worker: int, workers: int, pixels: RankedPixels, columns: Array, ids: Array, best: Array, out: Array, first: int
 ) -> None:
-    """Every ``workers``-th chunk of the pixels. ``best`` float32 [workers, 2, RANKS] is scratch: ids and shares."""
+    """Every ``workers``-th chunk of the pixels. ``best`` float32 [workers, 2, RANKS] is scratch: ids and shares;
+    ``first``: place of the first pixel in ``out``."""
     coverage, alpha, limit = pixels.coverage, pixels.alpha, pixels.limit
     own_ids, own_shares = best[worker, 0], best[worker, 1]
     for start in range(worker * CHUNK, len(alpha), workers * CHUNK):
@@ -72,8 +75,8 @@ def rank_pixels(
             is_shown = alpha[pixel] >= FAINT
             scale = ONE / max(total, ONE)
             for rank in range(RANKS):
-                out[2 * rank, pixel] = own_ids[rank] if is_shown else ZERO
-                out[2 * rank + 1, pixel] = own_shares[rank] * scale if is_shown else ZERO
+                out[2 * rank, first + pixel] = own_ids[rank] if is_shown else ZERO
+                out[2 * rank + 1, first + pixel] = own_shares[rank] * scale if is_shown else ZERO
 
 
 @compiled

@@ -36,11 +36,14 @@ class ThingSegments:
         return cls(row, np.bincount(row[row >= 0], minlength=len(present) - without))
 
 
-def assigned_slots(coverage: torch.Tensor, alpha: torch.Tensor, first: int, things: ThingSegments) -> torch.Tensor:
+def assigned_slots(
+    coverage: torch.Tensor, alpha: torch.Tensor, first: int, things: ThingSegments, no_object: int | None = None
+) -> torch.Tensor:
     """Target slot of each pixel, int16 [H, W], -1 where there is none.
 
     ``coverage`` float32 [H, W, C] holds the blended slot probabilities from channel ``first`` on; over ``alpha``
-    [H, W] they are probabilities. As ``instances.assign_slots``, whose docstring tells the method.
+    [H, W] they are probabilities. No thing is given the slot ``no_object``. As ``instances.assign_slots``, whose
+    docstring tells the method.
     """
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     slot_of_segment = np.full(segments + 1, NO_SLOT, np.int16)
@@ -49,7 +52,10 @@ def assigned_slots(coverage: torch.Tensor, alpha: torch.Tensor, first: int, thin
         sums = np.zeros((chunk_count(len(flat)), segments, slots))
         opaque, row = alpha.detach().numpy().reshape(-1), things.row.reshape(-1)
         parallel_for(worker_count(), add_slots, flat, opaque, first, row, sums)
-        slot_of_segment[:-1] = best_slots(sums.sum(axis=0) / things.pixels[:, None])
+        mean = sums.sum(axis=0) / things.pixels[:, None]
+        able = [slot for slot in range(slots) if slot != no_object]
+        found = best_slots(mean[:, able])
+        slot_of_segment[:-1] = np.where(found >= 0, np.array(able, np.int16)[found], NO_SLOT)
     return torch.from_numpy(slot_of_segment[things.row])  # row -1 is the last entry: no slot
 
 

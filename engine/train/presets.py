@@ -129,6 +129,13 @@ class Preset:
     label_every: int = 4
     voting: VotingOptions = VotingOptions()
 
+    def __post_init__(self) -> None:
+        can_vote = self.objects == "consent" and self.one_class_an_object and self.vote_rounds >= 1
+        if self.labels == "votes" and not can_vote:
+            raise ValueError("labels by votes need objects by consent, each of one class, and at least one round")
+        if self.label_every < 1:
+            raise ValueError(f"labels are trained in every n-th step, and n is {self.label_every}")
+
     def for_views(self, views: int) -> Preset:
         """With as many steps as so many views need."""
         return replace(self, steps=max(self.steps, round(self.steps_a_view * views)))

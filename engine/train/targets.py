@@ -90,7 +90,7 @@ def view_targets(
         projected=columns_of(projected_class, channels.class_ids).to(torch.int16),
         matched=slots_of(matched_instance, projected_class != 0, channels),
         things=ThingSegments.of(np.where(is_thing, view.mask.ids, 0)),
-        depth=torch.from_numpy(np.ascontiguousarray(view.depth)),
+        depth=torch.from_numpy(view.depth if view.border is None else np.where(view.border, np.float32(0), view.depth)),
         border=None if view.border is None else torch.from_numpy(view.border),
         weight=weight,
         gain=None if gain is None else torch.from_numpy(gain).float(),

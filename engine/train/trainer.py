@@ -17,7 +17,7 @@ from ..model.neural_gaussians import NeuralGaussians
 from ..model.render import render_view
 from ..model.rendering import PanopticRendering
 from ..model.scene_labels import scene_labels
-from ..model.structured import StructuredScene
+from ..model.structured import NO_OBJECT, StructuredScene
 from ..raster import Rendering, rasterize
 from ..scene import VOID, PanopticMask, View
 from ..semantics import pseudo_labels
@@ -185,7 +185,13 @@ class Trainer:
         classes = len(self.scene.channels.class_ids)
         assert rendering.labels is not None  # drawn with labels
         if self.preset.linear_assignment:
-            assigned = assigned_slots(rendering.labels, rendering.alpha, classes, target.things)
+            assigned = assigned_slots(
+                rendering.labels,
+                rendering.alpha,
+                classes,
+                target.things,
+                self.scene.channels.slot_ids.index(NO_OBJECT),
+            )
             self.clock.lap("linear assignment")
         else:
             assigned = torch.full_like(target.slot, -1)

@@ -113,8 +113,8 @@ def test_points_are_read_by_open3d(lift: LiftFolder, tmp_path: Path) -> None:
             np.testing.assert_array_equal(cloud[name].numpy()[:, 0], points[name])
     normals = cloud.normals.numpy()
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-3)
-    floor = points_on_the_floor = cloud.positions.numpy()[:, 2] < 0.02
-    assert points_on_the_floor.any() and np.median(normals[floor, 2]) > 0.9  # up, towards the cameras
+    floor = cloud.positions.numpy()[:, 2] < 0.02
+    assert floor.any() and np.median(normals[floor, 2]) > 0.9  # up, towards the cameras
     assert (tmp_path / "gaussians.ply").read_bytes() == (lift.result_path / "gaussians.ply").read_bytes()
 
 
@@ -133,9 +133,11 @@ def test_boxes(lift: LiftFolder, tmp_path: Path) -> None:
 def test_meshes(lift: LiftFolder, tmp_path: Path) -> None:
     open3d = pytest.importorskip("open3d")
     run(lift, "mesh", tmp_path)
-    whole = open3d.t.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
-    xyz, labels = whole.vertex.positions.numpy(), whole.vertex["class_id"].numpy()[:, 0]
-    assert len(whole.triangle.indices) > 1000 and set(np.unique(labels)) <= {0, 1, 2, 3, 5, 13}
+    surface = open3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
+    vertices = open3d.t.io.read_point_cloud(str(tmp_path / "mesh.ply")).point  # which knows the labels, too
+    xyz, labels = vertices.positions.numpy(), vertices["class_id"].numpy()[:, 0]
+    np.testing.assert_allclose(np.asarray(surface.vertices), xyz)
+    assert len(surface.triangles) > 1000 and set(np.unique(labels)) <= {0, 1, 2, 3, 5, 13}
     floor = xyz[labels == 2]
     assert len(floor) > 100 and abs(np.median(floor[:, 2])) < 0.1  # metres
     names = {path.stem for path in (tmp_path / "meshes").iterdir()}

@@ -8,8 +8,8 @@ from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 
 from engine.lift import warm_up
-from engine.model.render import render_view
-from engine.passes import decide
+from engine.model.render import render_bands
+from engine.passes import ShownInstances, bake_view
 from tests.train.tiny_lift import TINY, colour_error, trainer_of, views_of
 
 
@@ -30,5 +30,8 @@ def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
         trainer.step()
     colour_error(views, trainer)
     for owned in (None, {1: 5}):
-        decide(render_view(trainer.scene, views[0].camera), classes, owned)
+        camera = views[0].camera
+        for most_bytes in (None, 1):  # whole, and in bands
+            bands = render_bands(trainer.scene, camera, most_bytes=most_bytes)
+            bake_view(bands, camera, classes, ShownInstances({}, owned))
     assert compiled() == before

@@ -41,6 +41,9 @@ def test_as_a_sort_of_everything_has_it(seed: int) -> None:
         if alpha[pixel]:
             expected[:] = sorted_pairs(coverage[pixel][columns], ids, None if limit is None else float(limit[pixel]))
         np.testing.assert_allclose(out[(slice(None), *pixel)].reshape(RANKS, 2), expected, atol=1e-6)
+    below = np.full((2 * RANKS, height + 2, width), np.nan, np.float32)
+    rank_coverage(coverage, columns, ids, alpha, limit, below, first_row=2)
+    assert (below[:, 2:] == out).all() and np.isnan(below[:, :2]).all()
     shares = out[1::2]
     assert (np.diff(shares, axis=0) <= 0).all() and shares.sum(axis=0).max() <= 1 + 1e-5
 
