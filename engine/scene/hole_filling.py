@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 class HoleFilling:
     """``ring`` pixels around a hole are looked at, of which at least ``least_ring`` must have depth. ``flatness``: the
     median residual of the plane in shares of the depth, above which the hole stays. Filled depth is within
-    ``stretch`` times the ring's nearest and farthest."""
+    ``stretch`` times the ring's nearest and farthest. Holes of at most ``speck`` pixels take the mean of what is
+    around them instead, where that is flat: a noisy sensor has thousands."""
 
     ring: int = 6
     least_ring: int = 12
     flatness: float = 0.02
     stretch: float = 2.5
+    speck: int = 9
 
 
 def fill_holes(
@@ -44,13 +46,32 @@ def fill_holes(
     for segment in np.unique(segments[hole]):
         own = segments == segment
         count, component, boxes, _ = cv2.connectedComponentsWithStats((hole & own).astype(np.uint8), connectivity=4)
-        for number in range(1, count):
+        is_speck = boxes[:, cv2.CC_STAT_AREA] <= rules.speck
+        _fill_specks(filled, depth, is_speck[component] & hole & own, rules)
+        for number in np.flatnonzero(~is_speck[1:]) + 1:
             left, top, width, height = boxes[number, :4]
             rows = slice(max(top - reach, 0), top + height + reach)
             columns = slice(max(left - reach, 0), left + width + reach)
             inside = component[rows, columns] == number
             _fill_one(filled[rows, columns], depth[rows, columns], inside, own[rows, columns], rules)
     return filled
+
+
+def _fill_specks(
+    filled: NDArray[np.float32], depth: NDArray[np.float32], speck: NDArray[np.bool_], rules: HoleFilling
+) -> None:
+    """Fill all of the small holes at once, in place: with the mean of the 5x5 pixels around, where these are flat."""
+    import cv2
+
+    if not speck.any():
+        return
+    known = depth > 0
+    count = cv2.blur(known.astype(np.float32), (5, 5), borderType=cv2.BORDER_CONSTANT)
+    mean = cv2.blur(depth, (5, 5), borderType=cv2.BORDER_CONSTANT) / np.maximum(count, 1e-6)
+    farthest = cv2.dilate(depth, np.ones((5, 5), np.uint8))
+    nearest = cv2.erode(np.where(known, depth, np.float32(np.inf)), np.ones((5, 5), np.uint8))
+    flat = (count > 0) & (farthest <= (1.0 + 2.0 * rules.flatness) * nearest)
+    filled[speck & flat] = mean[speck & flat]
 
 
 def _fill_one(
