@@ -74,7 +74,7 @@ def mask_extents(mask: PanopticMask) -> dict[int, MaskExtent]:
 
 def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptions) -> list[LocalInstance]:
     """I_local: the view's segments of the given classes that have enough points, in ascending order of
-    segment id.
+    segment id. A region that may be several objects (a thing's class without an instance) is none.
     """
     points = view.camera.unproject(view.depth)
     margin = edge_distance(view.mask.ids)
@@ -82,7 +82,7 @@ def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptio
     for segment in sorted(view.mask.segments, key=lambda segment: segment.id):
         inside = (view.mask.ids == segment.id) & (view.depth > 0)
         pixels = int(inside.sum())
-        if segment.class_id not in class_ids or pixels < options.min_points:
+        if segment.class_id not in class_ids or segment.is_group or pixels < options.min_points:
             continue
         kept = _eroded(inside, margin, options)
         thinned = thin(points[kept], options.voxel_size)
