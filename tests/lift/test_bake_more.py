@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
 
 from engine.command_line.run_engine import run_bake
 from engine.job import (
@@ -129,3 +131,22 @@ def test_a_kill_loses_little(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(bake_more, "add_files", lambda result, paths: listed.append({path.stem for path in paths}))
     bake(lift, "0000", "0001")
     assert [stems & {"0000", "0001"} for stems in listed] == [{"0000"}, {"0001"}]
+
+
+def test_a_model_that_cannot_be_read_is_told_in_one_line(lift: LiftFolder) -> None:
+    model = lift.result_path / "model.safetensors"
+    whole = model.read_bytes()
+    with safe_open(model, "pt") as file:
+        facts = json.loads(file.metadata()["plgs"])
+    save_file(load_file(model), model, metadata={"plgs": json.dumps(facts | {"format": 1})})
+    with pytest.raises(JobError, match="model format 1 is not known"):
+        bake(lift, "0002")
+    model.write_bytes(whole[:100])
+    with pytest.raises(JobError, match="the model cannot be read"):
+        bake(lift, "0002")
+    model.write_bytes(whole)
+    manifest = json.loads(lift.manifest_path.read_text())
+    del manifest["settings"]["one_class_an_object"]
+    lift.manifest_path.write_text(json.dumps(manifest))
+    with pytest.raises(JobError, match="one class"):
+        bake(lift, "0002")
