@@ -46,7 +46,7 @@ class SceneResult:
 def read_result(scene: str, lift: LiftFolder) -> SceneResult:
     """The figures of a finished lift. Raises JobError when its files cannot be read."""
     manifest = read_manifest(lift.result_path)
-    content = read_object(lift.result_path / "metrics.json", "Resume the lift: it makes the result anew.")
+    content = read_object(lift.result_path / "metrics.json", "Delete it: the same command then makes it anew.")
     tables = content.get("tables")
     seconds = lifting_seconds(EventReader(lift.events_path).poll())
     rows = scores_by_method([table for table in tables if isinstance(table, dict)] if isinstance(tables, list) else [])

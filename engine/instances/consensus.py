@@ -90,7 +90,8 @@ def with_contained(
         owned = np.bincount(owner, minlength=len(masks) + 1)
         owned[0] = 0
         if owned.max() >= contained * len(owner):
-            masks[int(owned.argmax()) - 1].append(MemberMask(*space.masks[row], None))
+            frame, segment = space.masks[row]
+            masks[int(owned.argmax()) - 1].append(MemberMask(frame, segment, None))
     return ObjectMasks(objects.object_of_point, tuple(map(tuple, masks)))
 
 

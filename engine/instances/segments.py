@@ -74,7 +74,7 @@ def mask_extents(mask: PanopticMask) -> dict[int, MaskExtent]:
 
 def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptions) -> list[LocalInstance]:
     """I_local: the view's segments of the given classes that have enough points, in ascending order of
-    segment id.
+    segment id. A region that may be several objects (a thing's class without an instance) is none.
     """
     points = view.camera.unproject(view.depth)
     margin = edge_distance(view.mask.ids)

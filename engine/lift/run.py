@@ -82,7 +82,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     paces = train(trainer, folder, stages, previews)
 
     with stages.stage("result") as progress:
-        if preset.labels == "votes" and prepared.label_maps is not None:
+        if preset.labels == "votes" and prepared.label_maps is not None and preset.one_class_an_object:
             trainer.scene.voted = vote_labels(trainer.scene, scene.train_frames, prepared.label_maps, preset, progress)
         write_scene_files(folder, scene, views, prepared, trainer.scene, events)
     baker = FrameBaker(scene.classes, trainer.scene, instances)

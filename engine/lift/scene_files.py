@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from ..instances import Evidence, GlobalInstance, MaskExtent, mask_extents
-from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
+from ..job import EventWriter, JobError, LiftFolder, read_manifest, write_atomically
 from ..model.baking import bake
 from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..passes import (
@@ -68,10 +68,16 @@ def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
 
 
 def read_model(folder: LiftFolder) -> StructuredScene:
-    """What `write_model` wrote, bit for bit. Raises ValueError for a format that this version does not know."""
-    with safe_open(folder.result_path / "model.safetensors", "pt") as file:
-        facts = json.loads(file.metadata()["plgs"])
-        return from_tensors({name: file.get_tensor(name) for name in file.keys()}, facts)  # noqa: SIM118
+    """What `write_model` wrote, bit for bit. Raises JobError for a file that is damaged, or of a format that this
+    version does not know."""
+    path = folder.result_path / "model.safetensors"
+    try:
+        with safe_open(path, "pt") as file:
+            facts = json.loads(file.metadata()["plgs"])
+            return from_tensors({name: file.get_tensor(name) for name in file.keys()}, facts)  # noqa: SIM118
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        fix = "Lift the scene anew, into another folder."
+        raise JobError(f"the model cannot be read ({error})", path, fix) from error
 
 
 def shown_instances(prepared: PreparedLift, classes: ClassTable) -> ShownInstances:
@@ -82,7 +88,11 @@ def shown_instances(prepared: PreparedLift, classes: ClassTable) -> ShownInstanc
 def read_shown_instances(folder: LiftFolder) -> ShownInstances:
     """Of a finished lift. Raises JobError when its manifest cannot be read, OSError."""
     listed = json.loads((folder.result_path / "instances.json").read_text(encoding="utf-8"))["instances"]
-    one_class = read_manifest(folder.result_path).settings["one_class_an_object"]
+    settings = read_manifest(folder.result_path).settings
+    if "one_class_an_object" not in settings:
+        what, fix = "does not tell whether an object has one class", "Lift the scene anew, into another folder."
+        raise JobError(what, folder.manifest_path, fix)
+    one_class = settings["one_class_an_object"]
     class_of = {one["id"]: one["class_id"] for one in listed} if one_class else None
     return ShownInstances({one["id"]: one["name"] for one in listed}, class_of)
 

@@ -103,7 +103,9 @@ class LabelVotes:
         for start in range(0, len(self.scene.anchors), CHUNK):
             feature = self.scene.anchors.feature.detach()[start : start + CHUNK]
             votes = torch.from_numpy(self._votes[start * k : (start + len(feature)) * k])
-            parts.append((votes + self.options.prior * self._decoded(feature)).topk(kept, dim=1))
+            if not self.scene.decoders.shape.label_view_input:  # else they say nothing without a view
+                votes = votes + self.options.prior * self._decoded(feature)
+            parts.append(votes.topk(kept, dim=1))
         share = torch.cat([part.values for part in parts])
         label = torch.cat([part.indices for part in parts]).to(torch.int16)
         return GaussianLabels(label, share / share.sum(dim=1, keepdim=True).clamp_min(1e-8))

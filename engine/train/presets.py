@@ -88,7 +88,8 @@ class Preset:
     segments are assigned to slots in each step. ``fit_exposure``: each photo is compared after the model's picture was
     brought to its exposure; ``weigh_sharpness``: blurred photos count less. ``labels``: what the finished scene shows,
     what the label decoders say, or what the views vote on its Gaussians ("votes", masks read within
-    ``vote_size_within``), in ``vote_rounds``. Labels are trained in every ``label_every``-th step.
+    ``vote_size_within``), in ``vote_rounds``; votes need objects
+    by consent, of one class each, else decoders serve. Labels are trained in every ``label_every``-th step.
     """
 
     name: str
@@ -130,11 +131,8 @@ class Preset:
     voting: VotingOptions = VotingOptions()
 
     def __post_init__(self) -> None:
-        can_vote = self.objects == "consent" and self.one_class_an_object and self.vote_rounds >= 1
-        if self.labels == "votes" and not can_vote:
-            raise ValueError("labels by votes need objects by consent, each of one class, and at least one round")
-        if self.label_every < 1:
-            raise ValueError(f"labels are trained in every n-th step, and n is {self.label_every}")
+        if self.vote_rounds < 1 or self.label_every < 1:
+            raise ValueError(f"vote_rounds and label_every must be at least 1: {self.vote_rounds}, {self.label_every}")
 
     def for_views(self, views: int) -> Preset:
         """With as many steps as so many views need."""

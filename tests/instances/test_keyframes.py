@@ -83,14 +83,14 @@ def test_no_view_is_left_out_that_shows_much_that_others_do_not(seed: int, most_
         assert not len(seen[view]) or lacking[seen[view]].mean() <= WORTH_IT
 
 
-def test_an_object_of_18_views_among_2000_is_found() -> None:
-    """Evenly chosen views of so few masks would see it twice at most."""
-    views, sight = 2000, 18
+@pytest.mark.parametrize(("views", "sight"), [(2000, 18), (600, 120)])
+def test_an_object_of_few_or_many_views_is_found(views: int, sight: int) -> None:
+    """Evenly chosen views of so few masks would see one of 18 twice at most; one of 120 has masks in few of them."""
     space = corridor(views, sight)
     options = ConsensusOptions(most_masks=views // 4)
     keyframes = choose_keyframes(space, options.most_masks)
     assert len(keyframes) < 0.4 * views
-    objects = objects_of_masks(space.select(np.flatnonzero(np.isin(space.view, keyframes))), options)
+    objects = objects_of_masks(space.of_views(keyframes), options)
     thing = np.repeat(np.arange(views + sight - 1), POINTS_A_COLUMN) // THING
     inner = sightings(space, np.arange(views)) == sight
     owner = objects.object_of_point[inner]

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from engine.instances.segments import MaskExtent, SegmentOptions, edge_distance, local_instances, mask_extents, thin
@@ -15,6 +17,12 @@ def test_only_big_enough_segments_of_the_asked_classes_enter() -> None:
     assert [item.segment.id for item in found] == [2]
     assert len(local_instances(view, frozenset({WALL}), SegmentOptions(0.05))) == 1
     assert not local_instances(view, THINGS, SegmentOptions(0.05, min_points=10**6))
+
+
+def test_a_region_that_may_be_several_objects_does_not_enter() -> None:
+    view = view_of("a", look((0, -3, 1.5), (0, 0, 0.4), (160, 120)), [CHAIR_BOX])
+    groups = tuple(replace(segment, is_thing=False, is_group=True) for segment in view.mask.segments)
+    assert not local_instances(replace(view, mask=PanopticMask(view.mask.ids, groups)), THINGS, SegmentOptions(0.05))
 
 
 def test_erosion_takes_the_bleed_but_spares_small_segments() -> None:

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
 
 from engine.command_line.run_engine import run_bake
 from engine.job import (
@@ -196,3 +198,22 @@ def test_beside_another_process(lift: LiftFolder, tmp_path: Path, monkeypatch: p
     assert (lift.passes_path / ".part-another.exr").exists()
     assert not [*lift.path.glob("bake-*"), *(lift.path / "bake").glob("process-*")]
     verify(lift.result_path)
+
+
+def test_a_model_that_cannot_be_read_is_told_in_one_line(lift: LiftFolder) -> None:
+    model = lift.result_path / "model.safetensors"
+    whole = model.read_bytes()
+    with safe_open(model, "pt") as file:
+        facts = json.loads(file.metadata()["plgs"])
+    save_file(load_file(model), model, metadata={"plgs": json.dumps(facts | {"format": 1})})
+    with pytest.raises(JobError, match="model format 1 is not known"):
+        bake(lift, "0002")
+    model.write_bytes(whole[:100])
+    with pytest.raises(JobError, match="the model cannot be read"):
+        bake(lift, "0002")
+    model.write_bytes(whole)
+    manifest = json.loads(lift.manifest_path.read_text())
+    del manifest["settings"]["one_class_an_object"]
+    lift.manifest_path.write_text(json.dumps(manifest))
+    with pytest.raises(JobError, match="one class"):
+        bake(lift, "0002")
