@@ -42,10 +42,10 @@ class VotingOptions:
 
 @dataclass(frozen=True, eq=False)
 class Contributors:
-    """Of one view, at P pixels: ``gaussian`` int64 [H, W, K], rows of the scene's labels (-1 = none), ``weight``
+    """Of one view, at P pixels: ``gaussian`` int32 [H, W, K], rows of the scene's labels (-1 = none), ``weight``
     float32 [H, W, K], largest first, and ``depth`` float32 [H, W] metres, 0 where (nearly) nothing is drawn."""
 
-    gaussian: NDArray[np.int64]
+    gaussian: NDArray[np.int32]
     weight: NDArray[np.float32]
     depth: NDArray[np.float32]
 
@@ -73,7 +73,8 @@ def contributors(scene: StructuredScene, camera: Camera, count: int) -> Contribu
     row = torch.cat([drawn.visible[drawn.kept // k] * k + drawn.kept % k, torch.tensor([-1])])
     alpha = rendering.alpha.numpy()
     depth = np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0.3)
-    return Contributors(row[rendering.top_indices.long()].numpy(), rendering.top_weights.numpy(), depth)
+    gaussian = row.to(torch.int32)[rendering.top_indices.long()]
+    return Contributors(gaussian.numpy(), rendering.top_weights.numpy(), depth)
 
 
 class LabelVotes:
