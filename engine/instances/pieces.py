@@ -30,7 +30,7 @@ class PieceRules:
 
     reach: float = 0.15
     min_points: int = 5
-    crumb: float = 0.03
+    crumb: float = 0.1
     contained: float = 0.7
     stay: float = 0.3
     join: float = 0.6
