@@ -70,7 +70,7 @@ def _fill_specks(
     mean = cv2.blur(depth, (5, 5), borderType=cv2.BORDER_CONSTANT) / np.maximum(count, 1e-6)
     farthest = cv2.dilate(depth, np.ones((5, 5), np.uint8))
     nearest = cv2.erode(np.where(known, depth, np.float32(np.inf)), np.ones((5, 5), np.uint8))
-    flat = (count > 0) & (farthest <= (1.0 + 2.0 * rules.flatness) * nearest)
+    flat = (count > 0) & (farthest / (1.0 + 2.0 * rules.flatness) <= nearest)
     filled[speck & flat] = mean[speck & flat]
 
 

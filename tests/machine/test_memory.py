@@ -40,6 +40,7 @@ def test_several_arrays_in_one_block() -> None:
 
 
 def test_several_arrays_are_given_out_again_when_none_is_held() -> None:
+    memory._blocks.clear()  # other tests' blocks of this size would be given out first
     first, second = memory.several((5000, np.float32), (6000, np.float32))
     address = first.ctypes.data
     del first

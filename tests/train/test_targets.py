@@ -38,6 +38,6 @@ def test_stuff_is_taught_to_be_no_object_and_the_unknown_nothing() -> None:
     expected = square(CHANNELS.slot_ids.index(7), CHANNELS.slot_ids.index(NO_OBJECT), slice(10, 20))
     np.testing.assert_array_equal(target.slot[2:], expected[2:])
     assert target.weight == 0.25 and target.border is not None and torch.equal(target.border, torch.from_numpy(border))
-    np.testing.assert_array_equal(target.depth, view.depth)
+    np.testing.assert_array_equal(target.depth, np.where(border, 0, view.depth))  # a border shows nothing
     target.pseudo, target.pseudo_slot = torch.zeros_like(target.projected), torch.ones_like(target.matched)
     assert target.semantic is target.pseudo and target.slot is target.pseudo_slot
