@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import JobError, write_atomically
-from ..passes import PanopticLayers, ShownInstances, colour_picture
+from ..passes import PanopticLayers, ShownInstances, colour_picture, linear
 from ..passes.cryptomatte import matte_names
 from ..scene import Camera, ClassTable, Frame
+from .glb import glb_bytes
 from .ply_tables import write_ply_table
 
 VOXEL = 0.02
@@ -79,8 +79,8 @@ def write_meshes(output: Path, views: Views, classes: ClassTable, instances: Sho
     names = label_names(np.unique(label), classes, instances.names)
     for value, triangles in by_label(surface.triangles, label).items():
         if value in names and len(triangles) >= LEAST_TRIANGLES:
-            path = output / "meshes" / f"{names[value]}.glb"
-            write_atomically(path, partial(_write_glb, surface, triangles))
+            content = _glb(names[value], surface, triangles)
+            write_atomically(output / "meshes" / f"{names[value]}.glb", content)
 
 
 def _small(frame: Frame, layers: PanopticLayers) -> SmallView:
@@ -168,20 +168,13 @@ def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mappi
     return matte_names(safe)
 
 
-def _write_glb(surface: Surface, triangles: NDArray[np.int64], path: Path) -> None:
-    import open3d
-
+def _glb(name: str, surface: Surface, triangles: NDArray[np.int64]) -> bytes:
+    """The part of the surface that these triangles are."""
     used, corners = np.unique(triangles, return_inverse=True)
-    mesh = open3d.geometry.TriangleMesh(
-        open3d.utility.Vector3dVector(_upright(surface.xyz[used])),
-        open3d.utility.Vector3iVector(corners.reshape(-1, 3).astype(np.int32)),
-    )
-    mesh.vertex_normals = open3d.utility.Vector3dVector(_upright(surface.normal[used]))
-    mesh.vertex_colors = open3d.utility.Vector3dVector(surface.rgb[used] / 255.0)
-    if not open3d.io.write_triangle_mesh(path, mesh):
-        raise OSError(f"cannot write {path}")
+    xyz, normal = _upright(surface.xyz[used]), _upright(surface.normal[used])
+    return glb_bytes(name, xyz, normal, linear(surface.rgb[used] / 255), corners.reshape(-1, 3))
 
 
-def _upright(values: NDArray[np.float32]) -> NDArray[np.float64]:
+def _upright(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """From z up to glTF's y up."""
-    return values[:, (0, 2, 1)].astype(np.float64) * (1, 1, -1)
+    return values[:, (0, 2, 1)] * np.array([1, 1, -1], np.float32)

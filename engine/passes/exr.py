@@ -89,5 +89,6 @@ def _write(path: Path, text: Mapping[str, str], channels: dict[str, NDArray[np.f
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **text}
+    OpenEXR.set_global_thread_count(worker_count())  # none to begin with, whatever a file asks for
     with OpenEXR.File(header, channels, worker_count()) as file:
         file.write(str(path))

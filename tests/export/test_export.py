@@ -143,7 +143,8 @@ def test_meshes(lift: LiftFolder, tmp_path: Path) -> None:
     names = {path.stem for path in (tmp_path / "meshes").iterdir()}
     assert "floor" in names and any(name.startswith("chair") for name in names)
     read = open3d.io.read_triangle_mesh(str(tmp_path / "meshes" / "floor.glb"))
-    assert abs(np.median(np.asarray(read.vertices)[:, 1])) < 0.1  # y is up in glTF
+    assert len(read.triangles) > 100 and abs(np.median(np.asarray(read.vertices)[:, 1])) < 0.1  # y is up in glTF
+    assert np.median(np.asarray(read.vertex_normals)[:, 1]) > 0.8
     assert np.asarray(read.vertex_colors).max() > 0.1
 
 
