@@ -18,14 +18,16 @@ from numpy.typing import NDArray
 class HoleFilling:
     """``ring`` pixels around a hole are looked at, of which at least ``least_ring`` must have depth. ``flatness``: the
     median residual of the plane in shares of the depth, above which the hole stays. Filled depth is within
-    ``stretch`` times the ring's nearest and farthest. Holes of at most ``speck`` pixels take the mean of what is
-    around them instead, where that is flat: a noisy sensor has thousands."""
+    ``stretch`` times the ring's nearest and farthest. Where a segment has more than ``many`` holes, those of at most
+    ``speck`` pixels take the mean of what is around them instead, if that is flat: a noisy sensor has thousands, and a
+    plane for each would take long."""
 
     ring: int = 6
     least_ring: int = 12
     flatness: float = 0.02
     stretch: float = 2.5
     speck: int = 9
+    many: int = 100
 
 
 def fill_holes(
@@ -46,7 +48,7 @@ def fill_holes(
     for segment in np.unique(segments[hole]):
         own = segments == segment
         count, component, boxes, _ = cv2.connectedComponentsWithStats((hole & own).astype(np.uint8), connectivity=4)
-        is_speck = boxes[:, cv2.CC_STAT_AREA] <= rules.speck
+        is_speck = (boxes[:, cv2.CC_STAT_AREA] <= rules.speck) & (count > rules.many)
         _fill_specks(filled, depth, is_speck[component] & hole & own, rules)
         for number in np.flatnonzero(~is_speck[1:]) + 1:
             left, top, width, height = boxes[number, :4]

@@ -125,3 +125,13 @@ def test_flatness_decides_what_is_a_plane(flatness: float) -> None:
     depth = measured(FLOOR, noise=0.01)
     filled = fill_holes(depth, ONE_SEGMENT, HoleFilling(flatness=flatness))
     assert bool((filled[HOLE] > 0).all()) is (flatness == 1.0)
+
+
+def test_thousands_of_specks_are_filled_at_once() -> None:
+    """With the mean around them: near, if not exact."""
+    true = plane((0.1, 0.1, 1.0), 3.0)
+    depth = measured(true)
+    depth[np.random.default_rng(0).random(depth.shape) < 0.08] = 0
+    specks = fill_holes(depth, ONE_SEGMENT)
+    assert (specks > 0).all()
+    np.testing.assert_allclose(specks, true, rtol=0.02)
