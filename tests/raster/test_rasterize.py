@@ -209,3 +209,17 @@ def test_refuses_what_does_not_fit() -> None:
         rasterize(*scene.tensors, *where, backend="gsplat")
     with pytest.raises(ValueError, match="at least 1"):
         rasterize(*scene.tensors, scene.pose, scene.intrinsics, 0, 8)
+
+
+def test_rows_of_a_picture_are_those_of_the_whole() -> None:
+    room = room_workload(2000, 96, 72)
+    inputs = [torch.from_numpy(each) for each in (room.means, room.scales, room.quats, room.opacities, room.colours)]
+    labels, camera = torch.from_numpy(room.labels), (room.camera_to_world, room.intrinsics, room.width, room.height)
+    whole = rasterize(*inputs, labels, *camera)
+    for first, end in ((0, 16), (7, 33), (33, 72)):
+        some = rasterize(*inputs, labels, *camera, rows=(first, end))
+        for layer in LAYERS:
+            expected = getattr(whole, layer)[first:end]
+            torch.testing.assert_close(getattr(some, layer), expected, atol=2e-4, rtol=1e-3)
+    with pytest.raises(ValueError, match="not in an image"):
+        rasterize(*inputs, labels, *camera, rows=(3, 73))
