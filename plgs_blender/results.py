@@ -205,7 +205,7 @@ def _instance(entry: dict[str, Any]) -> Instance:
 
 
 def _mask(entry: dict[str, Any]) -> Mask:
-    cost, agreement = entry.get("cost"), entry.get("consent")  # its name in the file, since the first version
+    cost, agreement = entry.get("cost"), entry.get("agreement")
     return Mask(
         frame=_text(entry["frame"]),
         segment_id=_whole(entry["segment_id"]),

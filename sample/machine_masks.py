@@ -82,7 +82,7 @@ def true_regions(scene: Path, frame: str, categories: list[dict[str, Any]]) -> l
 
 
 def _pieces(pixels: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
-    """Connected pieces, largest first; crumbs go with the largest."""
+    """Connected pieces, largest first; fragments go with the largest."""
     _, labels = cv2.connectedComponents(pixels.astype(np.uint8), connectivity=4)
     counts = np.bincount(labels.ravel())
     order = sorted(range(1, len(counts)), key=lambda label: (-counts[label], label))

@@ -34,7 +34,7 @@ WIDEST = 640
 SEEN_WITHIN = 0.05
 """Metres between a vertex and the view's depth there, for the view to vote."""
 LEAST_TRIANGLES = 20
-"""A mesh of fewer is crumbs."""
+"""A mesh of fewer is fragments."""
 MOST_INSTANCES = 1 << 16
 """A label is class * this + instance."""
 

@@ -1,4 +1,4 @@
-"""Which masks are one object? Oriented boxes and Algorithm 1, the views' consent, linear assignment."""
+"""Which masks are one object? Oriented boxes and Algorithm 1, the views' agreement, linear assignment."""
 
 from __future__ import annotations
 

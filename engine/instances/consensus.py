@@ -39,13 +39,13 @@ class ConsensusOptions:
 
 @dataclass(frozen=True)
 class MemberMask:
-    """A mask of an object. ``consent``: of the times that a view judges this mask together with another one
+    """A mask of an object. ``agreement``: of the times that a view judges this mask together with another one
     of the object, the share in which it shows both inside one mask; None when no view judges such a pair.
     """
 
     frame: str
     segment: Segment
-    consent: float | None
+    agreement: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> ObjectMa
     found = []
     for each in members:
         own = np.ix_(place[each], place[each])
-        shares = consents(favour[own], judging[own])
+        shares = agreements(favour[own], judging[own])
         chosen = (space.masks[row] for row in each)
         found.append(tuple(MemberMask(frame, one, share) for (frame, one), share in zip(chosen, shares, strict=True)))
     return ObjectMasks(owner, tuple(found))
@@ -138,8 +138,8 @@ def _is_supported(space: MasksInSpace, members: NDArray[np.intp], options: Conse
     return len(np.unique(space.view[members])) >= max(least, options.support * seeing)
 
 
-def consents(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:
-    """``MemberMask.consent`` of an object's m masks, from how many views judge each pair of them, and how many
+def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:
+    """``MemberMask.agreement`` of an object's m masks, from how many views judge each pair of them, and how many
     of these are in favour, both [m, m]. A mask's judgement of itself does not count.
     """
     judged = judging.sum(1) - np.diag(judging)

@@ -42,7 +42,7 @@ class MatchingOptions:
 @dataclass(frozen=True)
 class Evidence:
     """One segment that belongs to an instance; ``pixels``: how many it has with depth. ``cost`` O of the match, None
-    for the segment that founded it. ``consent`` where the views' consent joined it instead: ``MemberMask.consent``.
+    for the segment that founded it. ``agreement`` where the views' agreement joined it instead: ``MemberMask.agreement``.
     """
 
     frame: str
@@ -51,7 +51,7 @@ class Evidence:
     score: float
     pixels: int
     cost: float | None
-    consent: float | None = None
+    agreement: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

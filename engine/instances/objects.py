@@ -41,7 +41,7 @@ def object_instances(
                 one.segment.score,
                 pixels.get((one.frame, one.segment.id), 0),
                 cost=None,
-                consent=one.consent,
+                agreement=one.agreement,
             )
             for one in masks
         )

@@ -1,4 +1,4 @@
-"""Objects as pieces in space: what hangs together, what the views join, and what is only a crumb.
+"""Objects as pieces in space: what hangs together, what the views join, and what is only a fragment.
 
 Clustered masks can put two things into one object that stand apart, or leave one thing in two objects when it was seen
 from both ends of a room. The views decide again, about connected pieces of points instead of masks: a view that sees
@@ -22,7 +22,7 @@ from .agreement import ViewPoints
 @dataclass(frozen=True)
 class PieceRules:
     """Points nearer than ``reach`` metres hang together. A piece of fewer than ``min_points`` points, or of less than
-    ``crumb`` of its object's largest piece, is a crumb: a mask's ragged edge on the wall behind. A view judges a piece
+    ``fragment`` of its object's largest piece, is a fragment: a mask's ragged edge on the wall behind. A view judges a piece
     of which it sees ``min_points``, and shows it inside a mask that has ``contained`` of these. Pieces of one object
     stay together when at least ``stay`` of the views that judge both join them, pieces of two objects of one class
     that touch become one object when at least ``join`` do, two views at least.
@@ -30,7 +30,7 @@ class PieceRules:
 
     reach: float = 0.15
     min_points: int = 5
-    crumb: float = 0.1
+    fragment: float = 0.1
     contained: float = 0.7
     stay: float = 0.3
     join: float = 0.6
@@ -72,7 +72,7 @@ def regroup_pieces(
 def _pieces(
     xyz: NDArray[np.floating], object_of_point: NDArray[np.int32], rules: PieceRules
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The piece of each point, int64 [N], -1 for none and for crumbs; and the object of each piece, int64 [P]."""
+    """The piece of each point, int64 [N], -1 for none and for fragments; and the object of each piece, int64 [P]."""
     piece = np.full(len(xyz), -1, np.int64)
     owner: list[int] = []
     for number in range(1, int(object_of_point.max(initial=0)) + 1):
@@ -81,7 +81,7 @@ def _pieces(
             continue
         part = connected_pieces(np.asarray(xyz[rows], np.float64), rules.reach)
         size = np.bincount(part)
-        for each in np.flatnonzero(size >= max(rules.min_points, rules.crumb * size.max())):
+        for each in np.flatnonzero(size >= max(rules.min_points, rules.fragment * size.max())):
             piece[rows[part == each]] = len(owner)
             owner.append(number)
     return piece, np.array(owner, np.int64)

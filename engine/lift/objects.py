@@ -77,7 +77,7 @@ def instances_by_boxes(
     return Matching(cloud, instances, instance_of_point, dropped)
 
 
-def objects_by_consent(
+def objects_by_agreement(
     views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
 ) -> Matching:
     """Ours: objects that the views agree on, whatever they call them; the views vote on each object's class; then
@@ -99,7 +99,7 @@ def objects_by_consent(
     owner, origin = regroup_pieces(cloud.xyz, owner, labels.class_of_object, seen, rules)
     members = masks_of_pieces([masks for masks, _ in things], views, seen, owner, len(origin))
     owner, members, origin = without_maskless(owner, members, origin)
-    unknown = (labels.objects(voted.label) > 0) & (owner == 0)  # crumbs
+    unknown = (labels.objects(voted.label) > 0) & (owner == 0)  # fragments
     class_id = np.where(unknown, VOID, labels.classes(voted.label)).astype(np.int32)
     cloud = replace(cloud, class_id=class_id, confidence=voted.confidence)
     kinds = [things[number - 1][1] for number in origin]

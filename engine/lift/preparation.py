@@ -26,7 +26,7 @@ from ..semantics import (
 from ..train.presets import Preset
 from ..train.progress import StageReporter
 from ..train.targets import ViewTargets
-from .objects import instances_by_boxes, objects_by_consent
+from .objects import instances_by_boxes, objects_by_agreement
 from .starting_scene import label_channels, starting_scene
 from .targets_of_views import targets_of
 
@@ -58,14 +58,14 @@ def prepare(
         if comparison.neighbours < preset.neighbours:
             stages.events.warning("neighbouring views overlap too little to compare labels: all labels are used")
         options = CloudOptions(
-            spacing=preset.voxel_size / 2, cap=preset.most_points, ballot=preset.ballot, majority=preset.majority
+            spacing=preset.voxel_size / 2, cap=preset.most_points, vote_by=preset.vote_by, majority=preset.majority
         )
         cloud = build_point_cloud(placed, consistency_masks(placed, comparison), class_ids, options, progress)
         if cloud.spacing > options.spacing:
             wanted, got = (f"{100 * metres:.1f} cm" for metres in (options.spacing, cloud.spacing))
             stages.events.warning(f"the scene is large: the point cloud has a point every {got}, not every {wanted}")
     with stages.stage("match") as progress:
-        match = objects_by_consent if preset.objects == "consent" else instances_by_boxes
+        match = objects_by_agreement if preset.objects == "agreement" else instances_by_boxes
         matching = match(placed, cloud, classes, preset, progress)
         if matching.dropped:
             found = len(matching.instances) + matching.dropped

@@ -148,7 +148,7 @@ def segment_link(item: Evidence, extent: MaskExtent) -> SegmentLink:
         class_id=item.class_id,
         score=item.score,
         cost=item.cost,
-        consent=item.consent,
+        agreement=item.agreement,
         pixels=item.pixels,
         share=extent.share,
         rectangle=extent.rectangle,

@@ -16,7 +16,7 @@ from ..scene import Camera, ClassTable
 VOXEL_SIZE = 0.05
 """Metres."""
 SMALLEST_OBJECT = 20
-"""Voxels; 20 voxels of 5 cm are 0.05 m^2 of surface. Smaller crumbs share instance 0, else each would count
+"""Voxels; 20 voxels of 5 cm are 0.05 m^2 of surface. Smaller fragments share instance 0, else each would count
 as an invented object and the rival would look worse than it is."""
 
 _BITS, _HALF = 21, 1 << 20
@@ -119,7 +119,7 @@ def _count(
 
 
 def _objects(voxels: NDArray[np.int64], class_id: NDArray[np.int32], things: frozenset[int]) -> NDArray[np.int32]:
-    """Instance ids int32 [N]: 1.. by connected component of equal thing class, 0 for stuff and crumbs."""
+    """Instance ids int32 [N]: 1.. by connected component of equal thing class, 0 for stuff and fragments."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -80,7 +80,7 @@ def decide_blocks(
         largest(share, size, likely, likeliest)
         choose(pixels, columns, start, size, share, likeliest, decided)
         natural_logarithm(share.reshape(-1), exponent.reshape(-1), logarithm.reshape(-1))
-        undecidedness(share, logarithm, size, likely, pixels.alpha[start:], decided.entropy[start:])
+        normalised_entropy(share, logarithm, size, likely, pixels.alpha[start:], decided.entropy[start:])
         combine(pixels, start, size, linear_light, decided.combined)
 
 
@@ -182,7 +182,7 @@ def natural_logarithm(values: Array, exponent: Array, out: Array) -> None:
 
 
 @compiled
-def undecidedness(share: Array, logarithm: Array, size: int, total: Array, alpha: Array, entropy: Array) -> None:
+def normalised_entropy(share: Array, logarithm: Array, size: int, total: Array, alpha: Array, entropy: Array) -> None:
     """Entropy of the probabilities over the logarithm of their number, 0 where nothing was rendered."""
     total[:size] = ZERO
     for number in range(len(share)):

@@ -25,7 +25,7 @@ class SegmentLink:
     """A mask's segment that was matched to an instance: its own class and score, its ``pixels`` with depth at the
     size of the lift, and where it lies in the picture (``share`` of the pixels; ``rectangle`` left, top, right,
     bottom, 0..1). Why it was matched: ``cost`` of Algorithm 1, -1.5 (same box) to 0, None for the segment that
-    founded the instance; or ``consent``, the share of the views' judgements that put it together with the
+    founded the instance; or ``agreement``, the share of the views' judgements that put it together with the
     instance's other masks. The way that was not gone has None.
     """
 
@@ -34,7 +34,7 @@ class SegmentLink:
     class_id: int
     score: float
     cost: float | None
-    consent: float | None
+    agreement: float | None
     pixels: int
     share: float
     rectangle: tuple[float, float, float, float]

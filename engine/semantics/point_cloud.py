@@ -25,7 +25,7 @@ Progress = Callable[[int, int], None]
 class CloudOptions:
     """``spacing`` of the clusters in metres (half the anchors' voxel size does well), enlarged until at most
     ``cap`` clusters remain; ``lloyd_steps`` after seeding; a cluster whose winner has less than ``majority``
-    of the votes is unknown. ``ballot``: in each view a cluster has as many votes as pixels ("pixels", the paper's
+    of the votes is unknown. ``vote_by``: in each view a cluster has as many votes as pixels ("pixels", the paper's
     points), or the square root of that ("views"), so that a near view cannot outvote the others by its mass of pixels.
     At most about ``max_pixels`` pixels are used, every s-th row and column.
     ``method`` "k_means" is textbook K-means on the whole cloud, slow.
@@ -37,13 +37,13 @@ class CloudOptions:
     majority: float = 0.5
     max_pixels: int = 16_000_000
     method: str = "grid"
-    ballot: str = "pixels"
+    vote_by: str = "pixels"
 
     def __post_init__(self) -> None:
         if self.method not in ("grid", "k_means"):
             raise ValueError(f'method must be "grid" or "k_means", got {self.method!r}')
-        if self.ballot not in ("pixels", "views"):
-            raise ValueError(f'ballot must be "pixels" or "views", got {self.ballot!r}')
+        if self.vote_by not in ("pixels", "views"):
+            raise ValueError(f'vote_by must be "pixels" or "views", got {self.vote_by!r}')
         if self.spacing <= 0 or self.cap < 1 or self.lloyd_steps < 0 or self.max_pixels < 1:
             raise ValueError(f"spacing, cap and max_pixels must be positive: {self}")
 
@@ -128,7 +128,7 @@ def build_point_cloud(
     votes = np.zeros((len(centres), len(class_ids)), np.float32)
     rgb, members = np.zeros((len(centres), 3)), np.zeros(len(centres))
     for view, believed in zip(views, keep, strict=True):
-        _vote(view, believed, index, spacing, stride, options.ballot, np.asarray(class_ids), votes, rgb, members)
+        _vote(view, believed, index, spacing, stride, options.vote_by, np.asarray(class_ids), votes, rgb, members)
         done += 1
         report(done, total)
     colour = np.rint(rgb / np.maximum(members, 1)[:, None]).astype(np.uint8)
@@ -154,7 +154,7 @@ def _points(view: View, stride: int) -> NDArray[np.float64]:
 
 
 def _vote(
-    view: View, believed: NDArray[np.bool_], index: CloudIndex, spacing: float, stride: int, ballot: str,
+    view: View, believed: NDArray[np.bool_], index: CloudIndex, spacing: float, stride: int, vote_by: str,
     class_ids: NDArray[np.int64], votes: NDArray[np.float32], rgb: NDArray[np.float64], members: NDArray[np.float64],
 ) -> None:  # fmt: skip
     """Add a view's members, colours and believed labels to the clusters, in place."""
@@ -172,7 +172,7 @@ def _vote(
     voting = believed[::stride, ::stride][valid][found] & (column < len(class_ids))
     voting &= class_ids[np.minimum(column, len(class_ids) - 1)] == label
     cells, count = np.unique(cluster[voting] * len(class_ids) + column[voting], return_counts=True)
-    if ballot == "views":
+    if vote_by == "views":
         pixels = np.bincount(cluster, minlength=len(members))
         votes.reshape(-1)[cells] += count / np.sqrt(pixels[cells // len(class_ids)])
     else:

@@ -75,21 +75,21 @@ class Preset:
 
     ``size_within`` (width, height): frames are brought into this box for the lift, never enlarged; ``voxel_size``
     metres (the paper's epsilon); ``neighbours`` is N_w and ``agreement`` the share of them that must agree (1 = the
-    paper's product). ``instance_slots`` is the least number of slots. ``ballot`` and ``majority``: how the cloud's
+    paper's product). ``instance_slots`` is the least number of slots. ``vote_by`` and ``majority``: how the cloud's
     points vote (see CloudOptions). ``objects``: how segments of all views become
-    instances, "boxes" (Algorithm 1) or "consent" (ours, with a vote of the views on each object's class).
+    instances, "boxes" (Algorithm 1) or "agreement" (ours, with a vote of the views on each object's class).
     ``most_instances`` caps them. ``one_class_an_object``: what is shown of an instance has the instance's class.
     ``most_points`` caps the semantic point cloud. ``seeded_features``: start features from colour and label of the
     anchors instead of zero; ``warm_start`` fits the decoders to them.
 
     ``steps_a_view``: where there are many views, the steps are as many as let each be seen so often.
     ``fill_holes``: planar holes of the depth are filled before anything is placed in space. ``segment_voting``: how
-    segments and points vote on the labels of objects found by consent. ``linear_assignment``: whether a view's
+    segments and points vote on the labels of objects found by agreement. ``linear_assignment``: whether a view's
     segments are assigned to slots in each step. ``fit_exposure``: each photo is compared after the model's picture was
     brought to its exposure; ``weigh_sharpness``: blurred photos count less. ``labels``: what the finished scene shows,
     what the label decoders say, or what the views vote on its Gaussians ("votes", masks read within
     ``vote_size_within``), in ``vote_rounds``; votes need objects
-    by consent, of one class each, else decoders serve. Labels are trained in every ``label_every``-th step.
+    by agreement, of one class each, else decoders serve. Labels are trained in every ``label_every``-th step.
     """
 
     name: str
@@ -104,9 +104,9 @@ class Preset:
     label_view_input: bool = False
     neighbours: int = 0
     agreement: float = 1.0
-    ballot: Literal["views", "pixels"] = "views"
+    vote_by: Literal["views", "pixels"] = "views"
     majority: float = 0.0
-    objects: Literal["boxes", "consent"] = "consent"
+    objects: Literal["boxes", "agreement"] = "agreement"
     most_instances: int = 200
     one_class_an_object: bool = True
     most_points: int = Effort.most_points
@@ -166,7 +166,7 @@ PRESETS = {
             neighbours=4,
             objects="boxes",
             one_class_an_object=False,
-            ballot="pixels",
+            vote_by="pixels",
             majority=0.5,
             seeded_features=False,
             warm_start=None,

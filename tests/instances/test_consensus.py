@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from engine.instances import ConsensusOptions, ObjectMasks, find_objects, object_instances, shown_classes
 from engine.instances.agreement import view_points
-from engine.instances.consensus import consents
+from engine.instances.consensus import agreements
 from engine.instances.joining import join
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
@@ -102,7 +102,7 @@ def test_views_that_draw_two_chairs_as_one_abstain() -> None:
     assert len({left, right, back}) == 3
     assert frames_of(objects, left) == frames_of(objects, right) == set("abcdef")
     # The merging views do not judge what belongs together, so nobody is against.
-    assert {mask.consent for mask in objects.masks[left - 1]} == {1.0}
+    assert {mask.agreement for mask in objects.masks[left - 1]} == {1.0}
     assert frames_of(objects, back) == set("abcdefghij")
 
 
@@ -126,14 +126,14 @@ def test_a_thing_that_few_views_see_in_a_wall_is_wall(inventing: int) -> None:
     assert frames_of(objects, left) == set("abcdefghij")
 
 
-def test_consent_says_how_many_views_put_a_mask_to_its_object() -> None:
+def test_agreement_says_how_many_views_put_a_mask_to_its_object() -> None:
     # Of the six views d splits the left chair; b, which merges it with the right one, abstains.
     views = [good("a"), merged("b"), good("c"), split("d"), good("e"), good("f")]
     objects = objects_in(views)
     left = objects.masks[owners(objects, LEFT)[0] - 1]
-    assert [(mask.frame, mask.consent) for mask in left] == [(frame, 4 / 5) for frame in "acddef"]
-    assert consents(np.array([[9.0, 4.0], [4.0, 9.0]]), np.array([[9.0, 5.0], [5.0, 9.0]])) == [0.8, 0.8]
-    assert consents(np.ones((1, 1)), np.ones((1, 1))) == [None]
+    assert [(mask.frame, mask.agreement) for mask in left] == [(frame, 4 / 5) for frame in "acddef"]
+    assert agreements(np.array([[9.0, 4.0], [4.0, 9.0]]), np.array([[9.0, 5.0], [5.0, 9.0]])) == [0.8, 0.8]
+    assert agreements(np.ones((1, 1)), np.ones((1, 1))) == [None]
 
 
 def test_a_view_that_missed_an_object_says_nothing_about_it() -> None:

@@ -109,11 +109,11 @@ def test_a_view_that_shows_void_there_does_not_judge() -> None:
     assert regrouped(two_blocks(NEAR), [1, 2], [SOFA, SOFA], [together()] * 2 + [void] * 9) == ([1, 1], [1])
 
 
-def test_crumbs_vanish() -> None:
+def test_fragments_vanish() -> None:
     chair = np.random.default_rng(0).uniform(0, 0.4, (400, 3))
-    crumb = chair[:10] + [3.0, 0.0, 0.0]  # enough points for a piece, but little of the chair
+    fragment = chair[:10] + [3.0, 0.0, 0.0]  # enough points for a piece, but little of the chair
     few = chair[:4] + [0.0, 3.0, 0.0]
-    xyz = np.concatenate([chair, crumb, few, [[9.0, 9.0, 9.0]]])
+    xyz = np.concatenate([chair, fragment, few, [[9.0, 9.0, 9.0]]])
     owner = np.array([1] * 414 + [2], np.int32)
     everything = view((3, slice(0, 415)), points=415)
     found, origin = regroup_pieces(xyz, owner, [CHAIR, SOFA], [everything] * 3, RULES)

@@ -129,7 +129,7 @@ def test_instances(lifts: Lifts) -> None:
         assert not {segment["frame"] for segment in one["segments"]} & set(HELD_OUT)
         assert len(one["segments"]) >= one["views"]
         for segment in one["segments"]:
-            assert segment["cost"] is None and 0 < segment["consent"] <= 1, "matched by consent, not by boxes"
+            assert segment["cost"] is None and 0 < segment["agreement"] <= 1, "matched by agreement, not by boxes"
             assert segment["pixels"] > 0 and 0 < segment["share"] < 1
             left, top, right, bottom = segment["rectangle"]
             assert 0 <= left < right <= 1 and 0 <= top < bottom <= 1

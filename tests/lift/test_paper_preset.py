@@ -31,7 +31,7 @@ def test_algorithm_1_finds_the_rooms_objects(lift: LiftFolder) -> None:
     found = json.loads((lift.result_path / "instances.json").read_text())["instances"]
     assert sorted(one["class_id"] for one in found) == [CABINET_ID, CHAIR_ID]
     # Matched by boxes: every mask but an instance's first has a cost, and no view was asked for its agreement.
-    assert all(segment["consent"] is None for one in found for segment in one["segments"])
+    assert all(segment["agreement"] is None for one in found for segment in one["segments"])
     assert all(sum(segment["cost"] is None for segment in one["segments"]) == 1 for one in found)
 
 

@@ -20,9 +20,9 @@ BOXES = {CHAIR_ID: CHAIR, CABINET_ID: CABINET}
 SOME_BOX = fit_box(np.random.default_rng(0).uniform(0, 1, (30, 3)), 0.1)
 
 
-@pytest.fixture(scope="module", params=["boxes", "consent"])
+@pytest.fixture(scope="module", params=["boxes", "agreement"])
 def prepared(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> PreparedLift:
-    way: Literal["boxes", "consent"] = request.param
+    way: Literal["boxes", "agreement"] = request.param
     folder = tmp_path_factory.mktemp(way)
     views, classes = views_of(folder / "scene")
     return prepared_for(views, classes, replace(TINY, objects=way, voxel_size=0.1), folder)

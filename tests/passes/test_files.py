@@ -134,7 +134,7 @@ def test_instances(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "instances.json").read_text(encoding="utf-8"))
     assert [instance["id"] for instance in content["instances"]] == [1, 2]
     link = content["instances"][0]["segments"][0]
-    assert (link["cost"], link["consent"], link["pixels"]) == (None, 0.75, 1200)
+    assert (link["cost"], link["agreement"], link["pixels"]) == (None, 0.75, 1200)
     assert (link["share"], link["rectangle"]) == (0.25, [0.0, 0.1, 0.5, 0.6])
     assert content["classes"][1] == {"id": 5, "name": "chair", "is_thing": True, "colour": [210, 70, 60]}
     with pytest.raises(ValueError, match="unique"):

@@ -144,7 +144,7 @@ def _masks_of(number: int, class_id: int, scene: Scene, size: tuple[int, int]) -
             masks.append(
                 {
                     "frame": frame.name, "segment_id": 10 + number, "class_id": class_id, "score": 0.875,
-                    "cost": None, "consent": 0.75, "pixels": int(seen.sum()), "share": float(seen.mean()),
+                    "cost": None, "agreement": 0.75, "pixels": int(seen.sum()), "share": float(seen.mean()),
                     "rectangle": [float(columns[0]) / width, float(rows[0]) / height,
                                   float(columns[-1] + 1) / width, float(rows[-1] + 1) / height],
                 }

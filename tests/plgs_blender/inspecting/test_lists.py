@@ -87,7 +87,7 @@ def test_lifts_of_older_versions_know_less(extension: None, lift: Path, tmp_path
     content = json.loads(path.read_text())
     for entry in content["instances"]:
         for mask in entry["segments"]:
-            for name in ("consent", "pixels", "share", "rectangle"):
+            for name in ("agreement", "pixels", "share", "rectangle"):
                 del mask[name]
         if not has_masks:
             del entry["segments"]
