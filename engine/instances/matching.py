@@ -42,7 +42,7 @@ class MatchingOptions:
 @dataclass(frozen=True)
 class Evidence:
     """One segment that belongs to an instance; ``pixels``: how many it has with depth. ``cost`` O of the match, None
-    for the segment that founded it. ``agreement`` where the views' agreement joined it instead: ``MemberMask.agreement``.
+    for the segment that founded it. ``agreement`` where the views joined it instead: ``MemberMask.agreement``.
     """
 
     frame: str

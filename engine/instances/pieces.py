@@ -22,10 +22,10 @@ from .agreement import ViewPoints
 @dataclass(frozen=True)
 class PieceRules:
     """Points nearer than ``reach`` metres hang together. A piece of fewer than ``min_points`` points, or of less than
-    ``fragment`` of its object's largest piece, is a fragment: a mask's ragged edge on the wall behind. A view judges a piece
-    of which it sees ``min_points``, and shows it inside a mask that has ``contained`` of these. Pieces of one object
-    stay together when at least ``stay`` of the views that judge both join them, pieces of two objects of one class
-    that touch become one object when at least ``join`` do, two views at least.
+    ``fragment`` of its object's largest piece, is a fragment: a mask's ragged edge on the wall behind. A view judges a
+    piece of which it sees ``min_points``, and shows it inside a mask that has ``contained`` of these. Pieces of one
+    object stay together when at least ``stay`` of the views that judge both join them. Pieces of two objects of one
+    class that touch become one object when at least ``join`` do, two views at least.
     """
 
     reach: float = 0.15
