@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,17 +27,21 @@ Progress = Callable[[int, int], None]
 class MatchingOptions:
     """``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
     Hungarian partner if its cost is at most tau, else the best global instance if that is, else a new one;
-    "literal" is the text of Algorithm 1. ``true_iou`` subtracts the intersection from the union, which the
-    paper's formula does not.
+    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone.
     """
 
     tau_new: float = -0.1
-    rule: str = "hybrid"
-    true_iou: bool = False
+    rule: Literal["hybrid", "literal"] = "hybrid"
+    cost: Literal["IoU+IoM", "IoU", "IoM"] = "IoU+IoM"
 
     def __post_init__(self) -> None:
-        if self.rule not in ("hybrid", "literal"):
-            raise ValueError(f'rule must be "hybrid" or "literal", got {self.rule!r}')
+        _one_of("rule", self.rule, ("hybrid", "literal"))
+        _one_of("cost", self.cost, ("IoU+IoM", "IoU", "IoM"))
+
+
+def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
 
 
 @dataclass(frozen=True)
@@ -78,13 +83,14 @@ class GlobalInstance:
         return sum(item.pixels for item in self.evidence)
 
 
-def pair_cost(local: OrientedBox, known: OrientedBox, true_iou: bool = False) -> float:
-    """O = -IoU - IoM, between -1.5 (or -2 with the true IoU) and 0."""
+def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") -> float:
+    """O = -IoU - IoM, between -1.5 and 0, or one of the two alone. As in the paper's formula, the union is the sum of
+    the volumes."""
     inter = intersection_volume(local, known)
     if inter <= 0:
         return 0.0
-    union = local.volume + known.volume - (inter if true_iou else 0.0)
-    return -inter / union - inter / min(local.volume, known.volume)
+    iou, iom = inter / (local.volume + known.volume), inter / min(local.volume, known.volume)
+    return {"IoU+IoM": -iou - iom, "IoU": -iou, "IoM": -iom}[terms]
 
 
 def class_by_views(evidence: Sequence[Evidence]) -> int:
@@ -123,7 +129,7 @@ def update_instances(
 ) -> list[GlobalInstance]:
     """I'_global after one view; ``known`` is left as it is."""
     updated = list(known)
-    cost = np.array([[pair_cost(item.box, g.box, options.true_iou) for g in known] for item in local])
+    cost = np.array([[pair_cost(item.box, g.box, options.cost) for g in known] for item in local])
     for row, target in enumerate(_targets(cost.reshape(len(local), len(known)), options)):
         item = local[row]
         evidence = Evidence(item.frame, item.segment.id, item.segment.class_id, item.segment.score, item.pixels,

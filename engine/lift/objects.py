@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ..instances import (
     UNKNOWN_LABEL,
     GlobalInstance,
-    MatchingOptions,
     MemberMask,
     ObjectMasks,
     PanopticLabels,
@@ -64,7 +63,7 @@ def instances_by_boxes(
         views,
         classes.thing_ids,
         SegmentOptions(voxel_size=preset.voxel_size),
-        MatchingOptions(tau_new=preset.tau_new),
+        preset.matching,
         progress,
     )
     owner_of_segment = {(item.frame, item.segment_id): one.id for one in found for item in one.evidence}
@@ -94,24 +93,24 @@ def objects_by_agreement(
         for mask in masks
     }
     voted = vote_panoptic_labels(views, in_order, len(cloud), labels, member_of, preset.segment_voting)
-    rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
-    owner = labels.objects(voted.label)
-    owner, origin = regroup_pieces(cloud.xyz, owner, labels.class_of_object, seen, rules)
-    members = masks_of_pieces([masks for masks, _ in things], views, seen, owner, len(origin))
-    owner, members, origin = without_maskless(owner, members, origin)
-    unknown = (labels.objects(voted.label) > 0) & (owner == 0)  # fragments
-    class_id = np.where(unknown, VOID, labels.classes(voted.label)).astype(np.int32)
+    object_of_point = labels.objects(voted.label)
+    owner, members = pieces_in_space(things, object_of_point, views, seen, cloud)
+    fragment = (object_of_point > 0) & (owner == 0)
+    class_id = np.where(fragment, VOID, labels.classes(voted.label)).astype(np.int32)
     cloud = replace(cloud, class_id=class_id, confidence=voted.confidence)
-    kinds = [things[number - 1][1] for number in origin]
-    found = object_instances(views, list(zip(members, kinds, strict=True)), cloud.xyz, owner, preset.voxel_size)
+    found = object_instances(views, members, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
     final = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in instances))
-    of_point = final.of_points(cloud.class_id, instance_of_point)
+    of_point = np.append(final.of_points(cloud.class_id, instance_of_point), UNKNOWN_LABEL)
     maps = [
-        segment_labels(view.mask, np.append(of_point, UNKNOWN_LABEL)[row], len(final), preset.segment_voting.agreement)
+        segment_labels(view.mask, of_point[row], len(final), preset.segment_voting.agreement)
         for view, row in zip(views, in_order, strict=True)
     ]
     return Matching(cloud, instances, instance_of_point, dropped, maps)
+
+
+MasksOfClass = tuple[Sequence[MemberMask], int]
+"""The masks of an object, and its class."""
 
 
 def thing_objects(
@@ -120,8 +119,8 @@ def thing_objects(
     seen: Sequence[ViewPoints],
     cloud: SemanticPointCloud,
     classes: ClassTable,
-) -> list[tuple[tuple[MemberMask, ...], int]]:
-    """The objects that the views vote to be things: their masks, and the class of each."""
+) -> list[MasksOfClass]:
+    """The objects that the views vote to be things."""
     shown = ((one.row, shown_classes(view, one), one.pixels) for view, one in zip(views, seen, strict=True))
     votes = vote_classes(shown, objects.object_of_point, len(objects.masks), cloud.class_ids)
     class_of_object, _ = object_classes(votes, cloud.class_ids)
@@ -130,6 +129,23 @@ def thing_objects(
         for masks, class_id in zip(objects.masks, class_of_object[1:], strict=True)
         if class_id in classes.thing_ids
     ]
+
+
+def pieces_in_space(
+    things: Sequence[MasksOfClass],
+    object_of_point: NDArray[np.int32],
+    views: Sequence[View],
+    seen: Sequence[ViewPoints],
+    cloud: SemanticPointCloud,
+) -> tuple[NDArray[np.int32], list[MasksOfClass]]:
+    """The objects after a look at their pieces: which of them owns each point, int32 [N] (0 = none), and their masks.
+    ``object_of_point`` int32 [N]: which of ``things`` the views voted it to be, from 1."""
+    classes = tuple(class_id for _, class_id in things)
+    rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
+    owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seen, rules)
+    members = masks_of_pieces([masks for masks, _ in things], views, seen, owner, len(origin))
+    owner, members, origin = without_maskless(owner, members, origin)
+    return owner, [(masks, classes[number - 1]) for masks, number in zip(members, origin, strict=True)]
 
 
 def masks_of_pieces(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..instances import GlobalInstance
+from ..job import EventWriter
 from ..model.structured import StructuredScene
 from ..scene import ClassTable, View
 from ..scene.hole_filling import fill_holes
@@ -24,7 +25,7 @@ from ..semantics import (
     views_are_sparse,
 )
 from ..train.presets import Preset
-from ..train.progress import StageReporter
+from ..train.progress import StageProgress, StageReporter
 from ..train.targets import ViewTargets
 from .objects import instances_by_boxes, objects_by_agreement
 from .starting_scene import label_channels, starting_scene
@@ -54,16 +55,7 @@ def prepare(
     class_ids = used_classes(views)
     with stages.stage("consistency") as progress:
         placed = [filled_view(view) for view in views] if preset.fill_holes else list(views)
-        comparison = consistency_options(placed, preset)
-        if comparison.neighbours < preset.neighbours:
-            stages.events.warning("neighbouring views overlap too little to compare labels: all labels are used")
-        options = CloudOptions(
-            spacing=preset.voxel_size / 2, cap=preset.most_points, vote_by=preset.vote_by, majority=preset.majority
-        )
-        cloud = build_point_cloud(placed, consistency_masks(placed, comparison), class_ids, options, progress)
-        if cloud.spacing > options.spacing:
-            wanted, got = (f"{100 * metres:.1f} cm" for metres in (options.spacing, cloud.spacing))
-            stages.events.warning(f"the scene is large: the point cloud has a point every {got}, not every {wanted}")
+        cloud = semantic_cloud(placed, class_ids, preset, stages.events, progress)
     with stages.stage("match") as progress:
         match = objects_by_agreement if preset.objects == "agreement" else instances_by_boxes
         matching = match(placed, cloud, classes, preset, progress)
@@ -84,6 +76,23 @@ def prepare(
         class_of_instance,
         matching.label_maps,
     )
+
+
+def semantic_cloud(
+    views: Sequence[View], class_ids: tuple[int, ...], preset: Preset, events: EventWriter, progress: StageProgress
+) -> SemanticPointCloud:
+    """The semantic point cloud, on which the labels of the consistency-enhanced masks vote."""
+    comparison = consistency_options(views, preset)
+    if comparison.neighbours < preset.neighbours:
+        events.warning("neighbouring views overlap too little to compare labels: all labels are used")
+    options = CloudOptions(
+        spacing=preset.voxel_size / 2, cap=preset.most_points, vote_by=preset.vote_by, majority=preset.majority
+    )
+    cloud = build_point_cloud(views, consistency_masks(views, comparison), class_ids, options, progress)
+    if cloud.spacing > options.spacing:
+        wanted, got = (f"{100 * metres:.1f} cm" for metres in (options.spacing, cloud.spacing))
+        events.warning(f"the scene is large: the point cloud has a point every {got}, not every {wanted}")
+    return cloud
 
 
 def filled_view(view: View) -> View:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from ..instances.consensus import ConsensusOptions
+from ..instances.matching import MatchingOptions
 from ..instances.segment_votes import SegmentVoting
 from ..job.effort import EFFORTS, Effort
 from ..model.growing import GrowthRules
@@ -77,7 +78,8 @@ class Preset:
     metres (the paper's epsilon); ``neighbours`` is N_w and ``agreement`` the share of them that must agree (1 = the
     paper's product). ``instance_slots`` is the least number of slots. ``vote_by`` and ``majority``: how the cloud's
     points vote (see CloudOptions). ``objects``: how segments of all views become
-    instances, "boxes" (Algorithm 1) or "agreement" (ours, with a vote of the views on each object's class).
+    instances, "boxes" (Algorithm 1, by ``matching``) or "agreement" (ours, with a vote of the views on each object's
+    class).
     ``most_instances`` caps them. ``one_class_an_object``: what is shown of an instance has the instance's class.
     ``most_points`` caps the semantic point cloud. ``seeded_features``: start features from colour and label of the
     anchors instead of zero; ``warm_start`` fits the decoders to them.
@@ -112,7 +114,7 @@ class Preset:
     most_points: int = Effort.most_points
     seeded_features: bool = True
     warm_start: WarmStart | None = WarmStart()
-    tau_new: float = -0.1
+    matching: MatchingOptions = MatchingOptions()
     schedule: Schedule = Schedule()
     rates: LearningRates = LearningRates()
     weights: LossWeights = LossWeights()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -48,6 +49,15 @@ class StepReport:
     gaussians: int
 
 
+class Losses(NamedTuple):
+    """``total`` is what a step descends: the weighted sum of the others and of the depth loss."""
+
+    total: torch.Tensor
+    reconstruction: torch.Tensor
+    semantic: torch.Tensor
+    instance: torch.Tensor
+
+
 class Trainer:
     """Trains ``scene`` on ``targets``. Everything random is drawn from (seed, purpose, number), so that a trainer
     restored at step n goes on bit for bit as the one that never stopped. ``clock`` is told of the parts of a step."""
@@ -89,31 +99,16 @@ class Trainer:
             self.refresh_pseudo_labels(check)
         target = self._view_of_step(self.step_number)
         self.clock.start()
-        teaches_labels = self.step_number % self.preset.label_every == 0
-        gaussians = self._decode(target, teaches_labels)
+        with_labels = self.step_number % self.preset.label_every == 0
+        gaussians = self._decode(target, with_labels)
         self.clock.lap("decode, forward")
-        rendering = self._rasterize(gaussians, target, teaches_labels)
+        rendering = self._rasterize(gaussians, target, with_labels)
         self.clock.lap("rasterise, forward")
-        weights = self.preset.weights
-        reconstruction = reconstruction_loss(
-            self._as_photographed(rendering.image, target),
-            target.photo,
-            gaussians.scales,
-            photo_weight=target.weight,
-            ssim_weight=weights.ssim,
-            volume_weight=weights.volume,
-        )
-        self.clock.lap("SSIM, L1, volume")
-        semantic, instance = reconstruction.new_zeros(2)
-        if teaches_labels:
-            semantic, instance = self._label_losses(gaussians, rendering, target)
-        loss = reconstruction + weights.semantic * semantic + weights.instance * instance
-        if weights.depth:
-            loss = loss + weights.depth * depth_loss(rendering.depth, rendering.alpha, target.depth)
-            self.clock.lap("depth loss")
-        if not bool(torch.isfinite(loss)):
-            raise FloatingPointError(f"the loss of step {self.step_number + 1} is {loss.item()}; the scene diverged")
-        self._descend(loss, gaussians, rendering)
+        losses = self._losses(gaussians, rendering, target)
+        loss = losses.total.item()
+        if not math.isfinite(loss):
+            raise FloatingPointError(f"the loss of step {self.step_number + 1} is {loss}; the scene diverged")
+        self._descend(losses.total, gaussians, rendering)
         progress = self.step_number / self.preset.steps
         self._gather_statistics(gaussians, rendering, target, progress)
         self.clock.lap("growth statistics")
@@ -121,14 +116,8 @@ class Trainer:
         self.clock.lap("optimiser")
         self.step_number += 1
         self._grow_if_due()
-        report = StepReport(
-            self.step_number,
-            loss.item(),
-            reconstruction.item(),
-            semantic.item(),
-            instance.item(),
-            len(gaussians.opacities),
-        )
+        parts = {name: float(getattr(losses, name)) for name in ("reconstruction", "semantic", "instance")}
+        report = StepReport(step=self.step_number, loss=loss, gaussians=len(gaussians.opacities), **parts)
         self.clock.lap("the rest")
         return report
 
@@ -154,6 +143,27 @@ class Trainer:
             target.camera.height,
             want_means2d_grad=True,
         )
+
+    def _losses(self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets) -> Losses:
+        """L_total: what was drawn against the view's targets. Without label losses where no labels were drawn."""
+        weights = self.preset.weights
+        reconstruction = reconstruction_loss(
+            self._as_photographed(rendering.image, target),
+            target.photo,
+            gaussians.scales,
+            photo_weight=target.weight,
+            ssim_weight=weights.ssim,
+            volume_weight=weights.volume,
+        )
+        self.clock.lap("SSIM, L1, volume")
+        semantic, instance = reconstruction.new_zeros(2)
+        if rendering.labels is not None:
+            semantic, instance = self._label_losses(gaussians, rendering, target)
+        total = reconstruction + weights.semantic * semantic + weights.instance * instance
+        if weights.depth:
+            total = total + weights.depth * depth_loss(rendering.depth, rendering.alpha, target.depth)
+            self.clock.lap("depth loss")
+        return Losses(total, reconstruction, semantic, instance)
 
     def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> torch.Tensor:
         """The rendered picture with the photo's exposure, and with its black border, which then has no gradient."""

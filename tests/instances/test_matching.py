@@ -87,12 +87,23 @@ def unit_box(x: float) -> OrientedBox:
     return OrientedBox(np.array([x, 0.0, 0.0]), np.ones(3), 0.0)
 
 
-def test_costs_of_both_forms() -> None:
-    assert pair_cost(unit_box(0), unit_box(0)) == pytest.approx(-1.5)
-    assert pair_cost(unit_box(0), unit_box(0), true_iou=True) == pytest.approx(-2.0)
-    assert pair_cost(unit_box(0), unit_box(0.5)) == pytest.approx(-0.25 - 0.5)
-    assert pair_cost(unit_box(0), unit_box(0.5), true_iou=True) == pytest.approx(-1 / 3 - 0.5)
-    assert pair_cost(unit_box(0), unit_box(2)) == 0.0
+@pytest.mark.parametrize(
+    ("terms", "same", "half"), [("IoU+IoM", -1.5, -0.25 - 0.5), ("IoU", -0.5, -0.25), ("IoM", -1.0, -0.5)]
+)
+def test_costs_of_all_forms(terms: str, same: float, half: float) -> None:
+    assert pair_cost(unit_box(0), unit_box(0), terms) == pytest.approx(same)
+    assert pair_cost(unit_box(0), unit_box(0.5), terms) == pytest.approx(half)
+    assert pair_cost(unit_box(0), unit_box(2), terms) == 0.0
+
+
+def test_one_term_alone_decides_otherwise() -> None:
+    """The two visible halves of a chair meet in a corner: IoM finds them, IoU alone does not."""
+    views = [view_of("front", around(0), [LEFT]), view_of("side", around(80), [LEFT])]
+    options = {terms: MatchingOptions(tau_new=-0.4, cost=terms) for terms in ("IoU", "IoM")}
+    found = {terms: len(match_views(views, THINGS, SEGMENTS, chosen)) for terms, chosen in options.items()}
+    assert found == {"IoU": 2, "IoM": 1}
+    with pytest.raises(ValueError, match="cost"):
+        MatchingOptions(cost="volume")
 
 
 def test_rules_differ_where_the_best_is_taken() -> None:

@@ -21,7 +21,7 @@ def test_schedules_lie_within_the_lift(preset: Preset) -> None:
     schedule = preset.schedule
     assert 0 <= schedule.statistics_from < schedule.grow_from < schedule.grow_until <= 1
     assert 0 < schedule.self_training_every <= 1  # 1: no rounds, since votes have relabelled the segments before
-    assert preset.neighbours >= 0 and 0 < preset.agreement <= 1 and -1 < preset.tau_new < 0
+    assert preset.neighbours >= 0 and 0 < preset.agreement <= 1 and -1 < preset.matching.tau_new < 0
     assert preset.vote_rounds >= 1 and preset.instance_slots >= 0
     json.dumps(asdict(preset))  # it goes into the manifest
 
