@@ -12,7 +12,7 @@ from ..job.terminal import Interrupted, Interrupts
 from ..scene import open_scene_to_lift
 from .run_engine import run_bake, run_engine
 
-_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", "masks", "up", "scene_format", "depth", "bake")
+_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", "masks", "up", "scene_format", "depth", "bake", "device")
 
 
 def run_folder(options: argparse.Namespace) -> ExitCode:

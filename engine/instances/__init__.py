@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .agreement import ViewPoints, shown_classes
 from .consensus import ConsensusOptions, MemberMask, ObjectMasks, find_objects
-from .linear_assignment import assign_slots, best_slots
+from .linear_assignment import best_slots
 from .masks import instance_map, restrict_to_things, vote_instances
 from .matching import Evidence, GlobalInstance, MatchingOptions, limit_instances, match_views
 from .object_votes import object_classes, vote_classes
@@ -38,7 +38,6 @@ __all__ = [
     "PieceRules",
     "SegmentOptions",
     "ViewPoints",
-    "assign_slots",
     "best_slots",
     "find_objects",
     "fit_box",

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .class_first import objects_of_classes
+
 UNKNOWN_LABEL = -1
 """Of a pixel or point that nobody labelled."""
 
@@ -63,9 +65,8 @@ def decide_labels(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The label of each row of votes [N, C + U], int32 [N], and the winning class's share of the votes, float32 [N].
 
-    The class with the most votes wins, objects voting for their own class. Then the best object of that class is
-    shown if it has more than ``least_share`` of the class's votes, else no object. Ties go to the lower label; rows
-    without votes are unknown.
+    By the rule of ``class_first``, objects voting for their own class and needing ``least_share`` of its votes. Ties go
+    to the lower label; rows without votes are unknown.
     """
     classes, column = len(labels.class_ids), labels.class_column
     by_class = np.array(votes[:, :classes], np.float32)
@@ -74,11 +75,7 @@ def decide_labels(
     winner = by_class.argmax(1)
     most = by_class[np.arange(len(votes)), winner]
     total = by_class.sum(1)
-    label = winner.astype(np.int32)
-    best = least_share * most
-    for place in range(classes, len(labels)):
-        better = (winner == column[place]) & (votes[:, place] > best)
-        label[better] = place
-        best = np.where(better, votes[:, place], best)
+    found = objects_of_classes(votes, np.arange(classes, len(labels)), column[classes:], winner, least_share * most)
+    label = np.where(found >= 0, classes + found, winner).astype(np.int32)
     label[total <= 0] = UNKNOWN_LABEL
     return label, (most / np.maximum(total, 1e-12)).astype(np.float32)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .errors import JobError
 from .folder import LiftFolder
-from .request import BAKES, PRESETS, UPS, LiftRequest
+from .request import BAKES, DEVICES, PRESETS, UPS, LiftRequest
 
 _DEFAULTS = LiftRequest(scene=Path.cwd())
 
@@ -32,6 +32,11 @@ def add_lift_options(parser: argparse.ArgumentParser) -> None:
         "--bake",
         choices=BAKES,
         help=f"which frames to render as passes: the held-out ones, all, or none (default: {_DEFAULTS.bake})",
+    )
+    parser.add_argument(
+        "--device",
+        choices=DEVICES,
+        help=f"where Gaussians are drawn (default: {_DEFAULTS.device}); cuda needs gsplat, and has not run on a GPU",
     )
 
 
@@ -78,7 +83,7 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 
     Raises JobError when a value is out of range.
     """
-    names = ("preset", "steps", "size", "seed", "up", "scene_format", "bake")
+    names = ("preset", "steps", "size", "seed", "up", "scene_format", "bake", "device")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     for name in ("masks", "depth"):
         if getattr(options, name) is not None:

@@ -15,9 +15,11 @@ FORMAT = 1
 Preset = Literal["preview", "standard", "paper"]
 Up = Literal["z", "y", "-y"]
 Bake = Literal["test", "all", "none"]
+Device = Literal["cpu", "cuda"]
 PRESETS: tuple[str, ...] = get_args(Preset)
 UPS: tuple[str, ...] = get_args(Up)
 BAKES: tuple[str, ...] = get_args(Bake)
+DEVICES: tuple[str, ...] = get_args(Device)
 SMALLEST_SIDE, LARGEST_SIDE = 16, 16384
 _KEYS = {
     "format",
@@ -31,6 +33,7 @@ _KEYS = {
     "scene_format",
     "depth",
     "bake",
+    "device",
 }
 _OVERRIDES = {"steps", "size"}
 _FIX = "Mend it, or delete the folder and lift again."
@@ -40,7 +43,7 @@ _FIX = "Mend it, or delete the folder and lift again."
 class LiftRequest:
     """One lift. Paths are absolute; ``size`` is (width, height) in pixels; None leaves it to the preset.
     ``scene_format`` names how the scene is laid out; None leaves it to the scene's looks. ``depth`` is a folder of
-    depth maps that take the place of the scene's own.
+    depth maps that take the place of the scene's own. ``device``: where the Gaussians are drawn.
 
     Raises JobError when a value is out of range. Files are not looked at: that is the scene's part.
     """
@@ -55,6 +58,7 @@ class LiftRequest:
     bake: Bake = "test"
     scene_format: str | None = None
     depth: Path | None = None
+    device: Device = "cpu"
     engine_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:
@@ -64,6 +68,7 @@ class LiftRequest:
         _one_of("preset", self.preset, PRESETS)
         _one_of("up", self.up, UPS)
         _one_of("bake", self.bake, BAKES)
+        _one_of("device", self.device, DEVICES)
         if self.steps is not None and not _is_int(self.steps, 1, 10_000_000):
             fix = "Give a whole number from 1 to 10000000."
             raise JobError("is no number of steps", f"steps = {self.steps!r}", fix)
@@ -78,7 +83,11 @@ class LiftRequest:
     def to_json(self) -> str:
         """The text of request.json."""
         size = None if self.size is None else list(self.size)
-        given = {"scene_format": self.scene_format, "depth": None if self.depth is None else str(self.depth)}
+        given = {
+            "scene_format": self.scene_format,
+            "depth": None if self.depth is None else str(self.depth),
+            "device": None if self.device == "cpu" else self.device,
+        }
         named = {key: value for key, value in given.items() if value is not None}
         return to_text(
             {
@@ -114,7 +123,7 @@ class LiftRequest:
 
     def differences(self, other: LiftRequest) -> list[str]:
         """Names of what differs, the engine's version left out."""
-        names = ("scene", "masks", "preset", "steps", "size", "seed", "up", "scene_format", "depth", "bake")
+        names = ("scene", "masks", "preset", "steps", "size", "seed", "up", "scene_format", "depth", "bake", "device")
         return [name for name in names if getattr(self, name) != getattr(other, name)]
 
 
@@ -123,6 +132,9 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
     for name in ("scene", "preset", "up", "bake", "engine_version"):
         if not isinstance(content.get(name), str):
             raise JobError(f"'{name}' is missing or not a text", path, _FIX)
+    device = content.get("device", "cpu")
+    if not isinstance(device, str):
+        raise JobError("'device' is not a text", path, _FIX)
     masks, size = content.get("masks"), overrides.get("size")
     for name in ("masks", "scene_format", "depth"):
         if not isinstance(content.get(name), str | None):
@@ -137,6 +149,7 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
         "size": None if size is None else tuple(size),
         "steps": overrides.get("steps"),
         "seed": content.get("seed"),
+        "device": device,
         **{name: content[name] for name in ("preset", "up", "bake", "engine_version")},
     }
 

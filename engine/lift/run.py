@@ -20,12 +20,14 @@ from ..job import Cancelled, EventWriter, JobError, LiftFolder, StopSignal, writ
 from ..job.prediction import learn_slowness
 from ..machine.log_compilation import log_compilation
 from ..model.structured import StructuredScene
+from ..raster import drawing_on
 from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene_to_lift, size_within
-from ..train.presets import chosen_preset
+from ..train.presets import Preset, chosen_preset
 from ..train.progress import StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
+from .device import be_repeatable, refuse_missing_device
 from .live_previews import LivePreviews
 from .preparation import prepare
 from .scene_files import shown_instances, write_scene_files
@@ -56,8 +58,16 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     """
     request = folder.request
     preset = chosen_preset(request.preset, request.steps, request.size)
-    torch.use_deterministic_algorithms(True)
+    refuse_missing_device(request.device)
+    be_repeatable(request.device)
     stages = StageReporter(events, stop, STAGES)
+    with drawing_on(request.device):
+        do_stages(folder, preset, stages, resume=resume)
+
+
+def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resume: bool) -> None:
+    """``STAGES``, one after another."""
+    request, events = folder.request, stages.events
 
     with stages.stage("check") as progress:
         scene = open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)

@@ -111,9 +111,3 @@ def _rounded(size: int) -> int:
     under the next size."""
     step = max(LEAST_STEP, 1 << max(0, size.bit_length() - 4))
     return -(-size // step) * step
-
-
-def held_bytes() -> int:
-    """All that is held, free or not."""
-    with _lock:  # other threads make and drop blocks
-        return sum(block.bytes.size for blocks in _blocks.values() for block in blocks)

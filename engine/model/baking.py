@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
 from .gaussians import decode_rows, no_labels
-from .scene_labels import LEAST_OF_CLASS, shown_labels, shown_probabilities
+from .scene_labels import shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
 CHUNK = 65536
@@ -49,18 +50,20 @@ def decided_labels(
     """Class and instance ids, int32 [N] each, from what ``shown_probabilities`` gave, [N, C + U]; decided as a pixel of
     the passes is: what no object owns has its own class and instance 0."""
     classes = len(channels.class_ids)
-    by_class, owned = shown[:, :classes], shown[:, classes:].copy()
-    place = by_class.argmax(axis=1)
+    by_class, owned = shown[:, :classes], shown[:, classes:]
+    place, rows = by_class.argmax(axis=1), np.arange(len(shown))
     class_id = np.array(channels.class_ids, np.int32)[place]
     if not owned.shape[1]:
         return class_id, np.zeros(len(class_id), np.int32)
-    alone = by_class.sum(axis=1) - owned.sum(axis=1)
     if channels.class_of_slot:
         own_class = np.array([channels.class_of_slot[slot] for slot in channels.instance_slots])
-        owned[own_class[None] != class_id[:, None]] = 0.0
-        alone = LEAST_OF_CLASS * by_class[np.arange(len(place)), place]
-    best = owned.argmax(axis=1)
-    is_owned = (owned[np.arange(len(best)), best] > alone) & np.isin(class_id, sorted(thing_ids))
+        least = LEAST_OF_CLASS * by_class[rows, place]
+        best = objects_of_classes(owned, np.arange(owned.shape[1]), own_class, class_id, least)
+        is_owned = best >= 0
+    else:
+        best = owned.argmax(axis=1)
+        is_owned = owned[rows, best] > by_class.sum(axis=1) - owned.sum(axis=1)
+    is_owned &= np.isin(class_id, sorted(thing_ids))
     return class_id, np.where(is_owned, np.array(channels.shown_ids, np.int32)[best], 0).astype(np.int32)
 
 

@@ -13,15 +13,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 
+from ..instances.class_first import LEAST_OF_CLASS, object_of_class
+from ..machine.compiled import compiled
 from ..raster import rasterize
 from ..scene import Camera
 from .gaussians import decode
-from .scene_labels import LEAST_OF_CLASS
 from .structured import GaussianLabels, StructuredScene
 
+LEAST_SHARE = np.float32(LEAST_OF_CLASS)
 CHUNK = 16384
 """Anchors whose labels are decoded at a time, which bounds the memory."""
 
@@ -126,14 +127,14 @@ def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributo
     channels = scene.channels
     classes = len(channels.class_ids)
     of_instance = [channels.class_ids.index(channels.class_of_slot[slot]) for slot in channels.instance_slots]
-    class_of_label = np.array([*range(classes), *of_instance], np.int64)
+    class_of_object, places = np.array(of_instance, np.int64), np.arange(len(of_instance)) + classes
     out = np.full(view.depth.shape, -1, np.int16)
     few = voted.label.numpy(), voted.share.numpy()
-    _decide_pixels(view.gaussian, view.weight, *few, class_of_label, classes, np.float32(LEAST_OF_CLASS), out)
+    _decide_pixels(view.gaussian, view.weight, *few, class_of_object, places, classes, out)
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, votes: Any) -> None:
     """Add each pixel's weights to ``votes`` [G, L], scaled so that a Gaussian has (its weight in the view)^power votes;
     ``seen`` [G] holds zeros before and after."""
@@ -158,13 +159,13 @@ def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, vo
                     seen[gaussian[y, x, c]] = 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _decide_pixels(
-    gaussian: Any, weight: Any, label: Any, share: Any, class_of_label: Any, classes: Any, least: Any, out: Any
+    gaussian: Any, weight: Any, label: Any, share: Any, class_of_object: Any, places: Any, classes: Any, out: Any
 ) -> None:
     """The loop behind ``pixel_labels``."""
     height, width, count = weight.shape
-    total = np.zeros(len(class_of_label), np.float32)
+    total = np.zeros(classes + len(places), np.float32)
     by_class = np.zeros(classes, np.float32)
     for y in range(height):
         for x in range(width):
@@ -175,15 +176,11 @@ def _decide_pixels(
                 if row < 0:
                     break
                 for n in range(label.shape[1]):
-                    amount = weight[y, x, c] * share[row, n]
-                    total[label[row, n]] += amount
-                    by_class[class_of_label[label[row, n]]] += amount
+                    shown, amount = label[row, n], weight[y, x, c] * share[row, n]
+                    total[shown] += amount
+                    by_class[shown if shown < classes else class_of_object[shown - classes]] += amount
             best = by_class.argmax()
             if by_class[best] <= 0:
                 continue
-            out[y, x] = best
-            most = least * by_class[best]
-            for place in range(classes, len(total)):
-                if class_of_label[place] == best and total[place] > most:
-                    most = total[place]
-                    out[y, x] = place
+            found = object_of_class(total, places, class_of_object, best, LEAST_SHARE * by_class[best])
+            out[y, x] = best if found < 0 else classes + found

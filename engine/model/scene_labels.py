@@ -8,8 +8,6 @@ import torch
 
 from .structured import GaussianLabels, LabelChannels, StructuredScene
 
-LEAST_OF_CLASS = 0.1
-"""Of a class's coverage, what an object of it needs at least to be shown: below that no object is there."""
 CHUNK = 16384
 """Anchors decoded at a time, which bounds the memory beside the result."""
 MOST_BYTES = 1 << 30
@@ -62,7 +60,7 @@ def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: La
 
     Where an object is of one class throughout, an instance gives all it has to its own class, and only what is no
     object's goes by the semantic channels. So an instance cannot be seen as another class than its own, nor a class
-    take the id of an instance that nobody believes in there.
+    take the id of an instance that is not there.
     """
     used = list(channels.instance_slots)
     instances = slots[..., used]

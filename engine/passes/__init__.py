@@ -7,7 +7,7 @@ from .coco import write_coco
 from .contact_sheet import SheetRow, chosen, write_contact_sheet
 from .exr import read_exr, read_note, write_exr
 from .layers import PanopticLayers, decide, encoded, linear
-from .ply import read_ply, write_ply
+from .ply import write_ply
 from .previews import (
     colour_picture,
     instance_picture,
@@ -41,7 +41,6 @@ __all__ = [
     "preview_paths",
     "read_exr",
     "read_note",
-    "read_ply",
     "semantic_picture",
     "surface_of",
     "write_anchors",

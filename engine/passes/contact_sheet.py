@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import write_atomically
-from ..scene import ClassTable, GroundTruth
+from ..scene import ClassTable
 from .layers import PanopticLayers
 from .previews import Colour, Picture, instance_picture, png_bytes, semantic_picture, shaded
 
@@ -22,14 +22,13 @@ BACKGROUND, TEXT, FAINT = (24, 25, 28), (232, 232, 230), (150, 152, 156)
 @dataclass(frozen=True, eq=False)
 class SheetRow:
     """One held-out frame. ``photo`` uint8 [H, W, 3]; ``machine_classes`` int32 [H, W] of the machine mask;
-    the baked layers; ``truth`` where there is one. All of one size.
+    the baked layers. All of one size.
     """
 
     name: str
     photo: Picture
     machine_classes: NDArray[np.int32]
     layers: PanopticLayers
-    truth: GroundTruth | None = None
 
 
 def write_contact_sheet(
@@ -38,7 +37,7 @@ def write_contact_sheet(
     classes: ClassTable,
     instance_colours: Mapping[int, Colour] | None = None,
 ) -> None:
-    """Columns: photo, machine mask, lifted classes, lifted instances, ground truth where any row has one.
+    """Columns: photo, machine mask, lifted classes, lifted instances.
 
     At most eight rows, spread evenly; give ``chosen`` frames only to save the work. Raises ValueError without
     rows, OSError when the file cannot be written.
@@ -64,8 +63,7 @@ def chosen(count: int) -> list[int]:
 
 
 def _class_maps(row: SheetRow) -> list[NDArray[np.int32]]:
-    truth = [row.truth.semantic] if row.truth else []
-    return [row.machine_classes, row.layers.semantic, *truth]
+    return [row.machine_classes, row.layers.semantic]
 
 
 def _tiles(row: SheetRow, classes: ClassTable, colours: Mapping[int, Colour] | None) -> dict[str, Picture]:
@@ -78,8 +76,6 @@ def _tiles(row: SheetRow, classes: ClassTable, colours: Mapping[int, Colour] | N
         "lifted classes": semantic_picture(row.layers.semantic, classes),
         "lifted instances": instance_picture(row.layers.instance, colours),
     }
-    if row.truth is not None:
-        labels["ground truth"] = semantic_picture(row.truth.semantic, classes)
     return {"photo": photo} | {
         heading: shaded(_resized(picture, size, labels=True), photo) for heading, picture in labels.items()
     }

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..instances.class_first import LEAST_OF_CLASS, object_of_class
 from ..machine.compiled import Array, compiled, parallel_kernel
-from ..model.scene_labels import LEAST_OF_CLASS
 
 BLOCK = 128
 """Pixels of one block: its classes and slots together stay in the processor's first cache."""
@@ -126,21 +126,19 @@ def largest(rows: Array, size: int, value: Array, place: Array) -> None:
 def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
     """The slot that a pixel of class ``place`` shows, the first of several, -1 for no object.
 
-    Where objects are of one class throughout, it is the one of largest coverage of those of this class, if it has more
-    than LEAST_OF_CLASS of the class's coverage. Else it is the one of largest coverage, if no object has less.
+    Where objects are of one class throughout, it is that of ``class_first``. Else it is the one of largest coverage, if
+    no object has less.
     """
-    coverage, best, most, instances = pixels.slots, -1, ZERO, ZERO
+    coverage, best, most, instances = pixels.slots[pixel], -1, ZERO, ZERO
+    if columns.one_class:
+        least = LEAST_SHARE_OF_CLASS * pixels.classes[pixel, columns.of_class[place]]
+        return object_of_class(coverage, columns.of_slot, columns.class_of_slot, place, least)
     for slot in range(len(columns.of_slot)):
-        weight = coverage[pixel, columns.of_slot[slot]]
+        weight = coverage[columns.of_slot[slot]]
         instances += weight
-        if columns.one_class and columns.class_of_slot[slot] != place:
-            continue
         if weight > most:
             best, most = slot, weight
-    alone = pixels.alpha[pixel] - instances
-    if columns.one_class:
-        alone = LEAST_SHARE_OF_CLASS * pixels.classes[pixel, columns.of_class[place]]
-    return best if most > alone else -1
+    return best if most > pixels.alpha[pixel] - instances else -1
 
 
 @compiled

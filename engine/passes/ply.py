@@ -37,29 +37,6 @@ def write_ply(path: Path, splats: BakedGaussians) -> None:
     write_atomically(path, "\n".join([*lines, "end_header\n"]).encode() + vertices.tobytes())
 
 
-def read_ply(path: Path) -> BakedGaussians:
-    """The inverse of ``write_ply``, for its files only. Raises ValueError for any other PLY, OSError."""
-    head, mark, body = path.read_bytes().partition(b"end_header\n")
-    lines = head.decode("ascii", "replace").splitlines()
-    names = [line.split()[2] for line in lines if line.startswith("property ")]
-    if not mark or lines[:2] != ["ply", "format binary_little_endian 1.0"] or names != list(_VERTEX.names or ()):
-        raise ValueError(f"{path} is no PLY of this program")
-    vertices = np.frombuffer(body, _VERTEX)
-    return BakedGaussians(
-        means=_get(vertices, ("x", "y", "z")),
-        scales=np.exp(_get(vertices, ("scale_0", "scale_1", "scale_2"))),
-        quats=_get(vertices, ("rot_0", "rot_1", "rot_2", "rot_3")),
-        opacities=1 / (1 + np.exp(-vertices["opacity"])),
-        colours=0.5 + np.float32(SH_DEGREE_0) * _get(vertices, ("f_dc_0", "f_dc_1", "f_dc_2")),
-        class_id=vertices["class_id"].copy(),
-        instance_id=vertices["instance_id"].copy(),
-    )
-
-
 def _set(vertices: NDArray[np.void], names: tuple[str, ...], values: NDArray[np.floating]) -> None:
     for column, name in enumerate(names):
         vertices[name] = values[:, column]
-
-
-def _get(vertices: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float32]:
-    return np.stack([vertices[name] for name in names], axis=-1).astype(np.float32)

@@ -2,7 +2,7 @@
 
 ``rasterize`` draws anisotropic 3D Gaussians into a pinhole camera and is differentiable in everything that
 describes the Gaussians. Back ends: ``numba`` (CPU, the default), ``gsplat`` (CUDA, when installed),
-``reference`` (dense float64 torch, the oracle of the tests).
+``reference`` (dense float64 torch, the oracle of the tests). ``drawing_on`` chooses the device for all calls within it.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .interface import rasterize
+    from .interface import drawing_on, rasterize
     from .rendering import Rendering
 
-__all__ = ["Rendering", "rasterize"]
+__all__ = ["Rendering", "drawing_on", "rasterize"]
 
 
 def __getattr__(name: str) -> Any:
     """Import torch only where it is needed."""
-    if name == "rasterize":
-        from .interface import rasterize
+    if name in ("drawing_on", "rasterize"):
+        from . import interface
 
-        return rasterize
+        return getattr(interface, name)
     if name == "Rendering":
         from .rendering import Rendering
 

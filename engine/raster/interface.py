@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import replace
 from functools import cache
 from typing import Any, Literal
 
@@ -20,6 +23,18 @@ BACKENDS: tuple[Backend, ...] = ("numba", "gsplat", "reference")
 
 log = logging.getLogger("plgs.raster")
 _announced: set[str] = set()
+_device: ContextVar[torch.device | None] = ContextVar("the device to draw on", default=None)
+
+
+@contextmanager
+def drawing_on(device: torch.device | str) -> Iterator[None]:
+    """Within it, ``rasterize`` draws on this device, wherever the tensors are that it is given: it moves them there and
+    the layers back."""
+    before = _device.set(torch.device(device))
+    try:
+        yield
+    finally:
+        _device.reset(before)
 
 
 def rasterize(
@@ -58,8 +73,8 @@ def rasterize(
     that they have in the whole (the back end ``gsplat`` draws Gaussians that are centred far above or below them a
     little otherwise).
 
-    ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device:
-    ``numba`` on the CPU, ``gsplat`` on CUDA.
+    ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device (the tensors', or
+    that of ``drawing_on``): ``numba`` on the CPU, ``gsplat`` on CUDA.
 
     Raises ``ValueError`` on shapes, dtypes or devices that do not fit, an empty image, rows that are not in it, skew,
     or an unknown back end.
@@ -68,8 +83,20 @@ def rasterize(
     pinhole = _pinhole(camera_to_world, K, width, height, near, rows)
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
-    rasterize_there = _load(_pick(backend, means))
-    return rasterize_there(means, scales, quats, opacities, colours, labels, pinhole, top_k, want_means2d_grad)
+    here, there = means.device, _device.get() or means.device
+    gaussians = [tensor.to(there) for tensor in (means, scales, quats, opacities, colours)]
+    labelled = None if labels is None else labels.to(there)
+    rasterize_there = _load(_pick(backend, gaussians[0]))
+    return _moved(rasterize_there(*gaussians, labelled, pinhole, top_k, want_means2d_grad), here)
+
+
+def _moved(drawn: Rendering, device: torch.device) -> Rendering:
+    """The layers on this device. ``means2d`` stays where it was drawn, as a leaf that has the gradient."""
+    if drawn.image.device == device:
+        return drawn
+    names = ("image", "labels", "alpha", "depth", "visible", "top_indices", "top_weights")
+    layers: dict[str, Any] = {name: getattr(drawn, name) for name in names}
+    return replace(drawn, **{name: None if layer is None else layer.to(device) for name, layer in layers.items()})
 
 
 @cache

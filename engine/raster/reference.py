@@ -139,22 +139,6 @@ def blending_weights(raw: Tensor) -> Tensor:
     return torch.where(after > TRANSMITTANCE_END, alpha * before, torch.zeros_like(alpha))
 
 
-def threshold_pixels(raw: Tensor, margin: float = 1e-5) -> Tensor:
-    """bool [H * W]: float32 may decide otherwise here, as something is near a threshold.
-
-    That is within ``margin`` (relative) for an alpha, and a hundred times that for a transmittance: behind an
-    alpha near 0.99 its own error is so much larger.
-    """
-    alpha = raw.clamp(max=ALPHA_MAX)
-    alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
-    after = torch.cumprod(1.0 - alpha, 0)
-
-    def close(values: Tensor, threshold: float, factor: float = 1.0) -> Tensor:
-        return ((values / threshold - 1.0).abs() < factor * margin).any(0)
-
-    return close(raw, ALPHA_MIN) | close(raw, ALPHA_MAX) | close(after, TRANSMITTANCE_END, 100.0)
-
-
 def top_contributors(
     weights: Tensor, order: Tensor, pinhole: Pinhole, top_k: int
 ) -> tuple[Tensor | None, Tensor | None]:

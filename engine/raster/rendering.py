@@ -9,7 +9,8 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """One view of a set of N Gaussians, over black. Float tensors have the dtype and device of ``means``.
+    """One view of a set of N Gaussians, over black. Float tensors have the dtype of ``means`` and are where it is, but
+    for ``means2d``, which stays where the view was drawn (see ``drawing_on``).
 
     With the blending weights w_i = alpha_i * prod_{j<i} (1 - alpha_j) of a pixel's Gaussians, front to back:
 

@@ -2,8 +2,7 @@
 
 K, seeding and iterations are not given there. Here the seeds are the means of the occupied cells of a grid,
 and at most a few Lloyd steps follow in which a point moves to the nearest centre in the 27 cells around it:
-K-means without chance, in time linear in the points. ``k_means`` is the textbook algorithm with random seeds,
-for comparison.
+K-means without chance, in time linear in the points.
 """
 
 from __future__ import annotations
@@ -78,23 +77,3 @@ def lloyd_step(batches: PointBatches, centres: NDArray[np.float64], spacing: flo
     kept = counts > 0
     means: NDArray[np.float64] = sums[kept] / counts[kept, None]
     return means
-
-
-def k_means(points: NDArray[np.float64], count: int, iterations: int = 10, seed: int = 0) -> NDArray[np.float64]:
-    """Lloyd's algorithm from ``count`` random points [N, 3]: centres float64 [<= count, 3]. Holds the whole
-    cloud.
-    """
-    from scipy.spatial import cKDTree
-
-    generator = np.random.default_rng(seed)
-    centres = np.asarray(points[np.sort(generator.permutation(len(points))[:count])], np.float64)
-    for _ in range(iterations):
-        nearest = cKDTree(centres).query(points)[1]
-        counts = np.bincount(nearest, minlength=len(centres))
-        kept = counts > 0
-        sums = np.column_stack([np.bincount(nearest, points[:, axis], len(centres)) for axis in range(3)])
-        moved = sums[kept] / counts[kept, None]
-        if len(moved) == len(centres) and np.allclose(moved, centres, atol=1e-6):
-            break
-        centres = moved
-    return centres

@@ -8,7 +8,6 @@ discards what the neighbour does not see, so that an occluder's label cannot vet
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -29,21 +28,18 @@ class ConsistencyOptions:
 
     ``neighbours`` is N_w, half before and half after in recording order; 0 skips the step. A pixel is kept
     when at least ``agreement`` of the neighbours that see its surface agree: 1.0 is the paper's product, 0.75
-    keeps more at a similar error. Fewer than ``min_support`` seeing neighbours reject the pixel (0: the empty
-    product is 1). The depth test allows max(``depth_tolerance_m``, ``depth_tolerance_share`` * z);
-    ``depth_test`` False is the paper's letter.
+    keeps more at a similar error; one that no neighbour sees is kept (the empty product is 1). The depth test allows
+    max(``depth_tolerance_m``, ``depth_tolerance_share`` * z).
     """
 
     neighbours: int = 8
     agreement: float = 0.75
-    min_support: int = 0
     depth_tolerance_m: float = 0.05
     depth_tolerance_share: float = 0.02
-    depth_test: bool = True
 
     def __post_init__(self) -> None:
-        if self.neighbours < 0 or not 0 < self.agreement <= 1 or self.min_support < 0:
-            raise ValueError(f"neighbours >= 0, 0 < agreement <= 1 and min_support >= 0 are needed: {self}")
+        if self.neighbours < 0 or not 0 < self.agreement <= 1:
+            raise ValueError(f"neighbours >= 0 and 0 < agreement <= 1 are needed: {self}")
         if self.depth_tolerance_m < 0 or self.depth_tolerance_share < 0:
             raise ValueError(f"depth tolerances cannot be negative: {self}")
 
@@ -58,7 +54,7 @@ def neighbour_indices(index: int, count: int, neighbours: int) -> list[int]:
 
 
 def consistency_masks(views: Sequence[View], options: ConsistencyOptions) -> Iterator[NDArray[np.bool_]]:
-    """q(u) of every view in turn: bool [H, W], True where the pixel's label can be believed. Void is never
+    """q(u) of every view in turn: bool [H, W], True where the pixel's label is consistent. Void is never
     True.
     """
     window: dict[int, NDArray[np.int32]] = {}
@@ -67,7 +63,7 @@ def consistency_masks(views: Sequence[View], options: ConsistencyOptions) -> Ite
         wanted = [index, *others]
         window = {i: window[i] if i in window else views[i].mask.class_map() for i in wanted}
         agree, seen = _compare(view, window[index], [(views[i], window[i]) for i in others], options)
-        kept = (agree >= options.agreement * seen - 1e-9) & (seen >= options.min_support)
+        kept = agree >= options.agreement * seen - 1e-9
         # Without depth nothing was compared, and nothing can be placed in space either.
         yield kept & (window[index] != VOID) & (view.depth > 0)
 
@@ -112,8 +108,6 @@ def _compare(
     agree = np.zeros(view.depth.shape, np.int32)
     seen = np.zeros(view.depth.shape, np.int32)
     share, metres = options.depth_tolerance_share, options.depth_tolerance_m
-    if not options.depth_test:
-        metres = math.inf
     here = view.camera
     for other, other_label in others:
         there = other.camera
@@ -152,10 +146,9 @@ def _warp_and_compare(
             other = two.label[t, s]
             if other == 0:
                 continue
-            if metres != np.inf:
-                there = two.depth[t, s]
-                if there <= 0 or abs(z - there) > max(metres, share * z):
-                    continue
+            there = two.depth[t, s]
+            if there <= 0 or abs(z - there) > max(metres, share * z):
+                continue
             seen[j, i] += 1
             if other == label[j, i]:
                 agree[j, i] += 1

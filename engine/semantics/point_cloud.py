@@ -1,7 +1,7 @@
 """The robust semantic point cloud (paper, section "Robust Semantic Anchor Point Discovery").
 
-Believed labels are placed in space by depth, clustered, and each cluster takes the majority of its members'
-labels. Pixels without a believed label still give geometry, else walls behind rejected edges would have no
+Consistent labels are placed in space by depth, clustered, and each cluster takes the majority of its members'
+labels. Pixels without a consistent label still give geometry, else walls behind rejected edges would have no
 anchors.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..scene import VOID, View
 from .cloud_index import CloudIndex
-from .clustering import k_means, lloyd_step, seed_centres
+from .clustering import lloyd_step, seed_centres
 
 Progress = Callable[[int, int], None]
 """Called with (done, total) after each view; may raise to stop."""
@@ -28,7 +28,6 @@ class CloudOptions:
     of the votes is unknown. ``vote_by``: in each view a cluster has as many votes as pixels ("pixels", the paper's
     points), or the square root of that ("views"), so that a near view cannot outvote the others by its mass of pixels.
     At most about ``max_pixels`` pixels are used, every s-th row and column.
-    ``method`` "k_means" is textbook K-means on the whole cloud, slow.
     """
 
     spacing: float = 0.025
@@ -36,12 +35,9 @@ class CloudOptions:
     lloyd_steps: int = 1
     majority: float = 0.5
     max_pixels: int = 16_000_000
-    method: str = "grid"
     vote_by: str = "pixels"
 
     def __post_init__(self) -> None:
-        if self.method not in ("grid", "k_means"):
-            raise ValueError(f'method must be "grid" or "k_means", got {self.method!r}')
         if self.vote_by not in ("pixels", "views"):
             raise ValueError(f'vote_by must be "pixels" or "views", got {self.vote_by!r}')
         if self.spacing <= 0 or self.cap < 1 or self.lloyd_steps < 0 or self.max_pixels < 1:
@@ -102,8 +98,7 @@ def build_point_cloud(
     Raises ValueError when no pixel has depth. Streams over the views; only the clusters stay in memory.
     """
     report = progress or (lambda done, total: None)
-    rounds = 2 + (options.lloyd_steps if options.method == "grid" else 0)
-    total = rounds * len(views)
+    total = (2 + options.lloyd_steps) * len(views)
     stride = _stride(views, options.max_pixels)
     done = 0
 
@@ -114,21 +109,17 @@ def build_point_cloud(
             done += 1
             report(done, total)
 
-    if options.method == "k_means":
-        cloud = np.concatenate(list(batches()))
-        centres, spacing = k_means(cloud, options.cap), options.spacing
-    else:
-        centres, spacing = seed_centres(batches, options.spacing, options.cap)
-        for _ in range(options.lloyd_steps):
-            centres = lloyd_step(batches, centres, spacing)
+    centres, spacing = seed_centres(batches, options.spacing, options.cap)
+    for _ in range(options.lloyd_steps):
+        centres = lloyd_step(batches, centres, spacing)
     if not len(centres):
         raise ValueError("no view has a pixel with depth, so there is no point cloud")
 
     index = CloudIndex(centres, spacing)
     votes = np.zeros((len(centres), len(class_ids)), np.float32)
     rgb, members = np.zeros((len(centres), 3)), np.zeros(len(centres))
-    for view, believed in zip(views, keep, strict=True):
-        _vote(view, believed, index, spacing, stride, options.vote_by, np.asarray(class_ids), votes, rgb, members)
+    for view, consistent in zip(views, keep, strict=True):
+        _vote(view, consistent, index, spacing, stride, options.vote_by, np.asarray(class_ids), votes, rgb, members)
         done += 1
         report(done, total)
     colour = np.rint(rgb / np.maximum(members, 1)[:, None]).astype(np.uint8)
@@ -154,10 +145,10 @@ def _points(view: View, stride: int) -> NDArray[np.float64]:
 
 
 def _vote(
-    view: View, believed: NDArray[np.bool_], index: CloudIndex, spacing: float, stride: int, vote_by: str,
+    view: View, consistent: NDArray[np.bool_], index: CloudIndex, spacing: float, stride: int, vote_by: str,
     class_ids: NDArray[np.int64], votes: NDArray[np.float32], rgb: NDArray[np.float64], members: NDArray[np.float64],
 ) -> None:  # fmt: skip
-    """Add a view's members, colours and believed labels to the clusters, in place."""
+    """Add a view's members, colours and consistent labels to the clusters, in place."""
     depth = view.depth[::stride, ::stride]
     valid = depth > 0
     nearest = index.nearest(_points(view, stride), spacing)
@@ -169,7 +160,7 @@ def _vote(
         rgb[:, channel] += np.bincount(cluster, colour[:, channel], len(members))
     label = view.mask.class_map()[::stride, ::stride][valid][found]
     column = np.searchsorted(class_ids, label)
-    voting = believed[::stride, ::stride][valid][found] & (column < len(class_ids))
+    voting = consistent[::stride, ::stride][valid][found] & (column < len(class_ids))
     voting &= class_ids[np.minimum(column, len(class_ids) - 1)] == label
     cells, count = np.unique(cluster[voting] * len(class_ids) + column[voting], return_counts=True)
     if vote_by == "views":

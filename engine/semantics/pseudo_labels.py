@@ -9,27 +9,23 @@ from numpy.typing import NDArray
 from ..scene import VOID, PanopticMask
 
 
-def regions(mask: PanopticMask, by: str = "class") -> NDArray[np.int32]:
-    """{R_m}: connected regions of equal class ("class", as in the paper) or of one segment ("segment").
+def regions(mask: PanopticMask) -> NDArray[np.int32]:
+    """{R_m}: connected regions of equal class. int32 [H, W], 0 = void, 1.. regions.
 
-    Region growing on a label map is connected components, here over 4 neighbours. int32 [H, W], 0 = void, 1..
-    regions. Raises ValueError for another ``by``.
+    Region growing on a label map is connected components, here over 4 neighbours.
     """
-    if by not in ("class", "segment"):
-        raise ValueError(f'regions are by "class" or "segment", not {by!r}')
     classes = mask.class_map()
-    values = classes if by == "class" else np.where(classes == VOID, 0, mask.ids)
-    result = np.zeros(values.shape, np.int32)
+    result = np.zeros(classes.shape, np.int32)
     count = 0
-    for value in np.unique(values[values != 0]):
-        number, parts = cv2.connectedComponents((values == value).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+    for value in np.unique(classes[classes != VOID]):
+        number, parts = cv2.connectedComponents((classes == value).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
         np.copyto(result, parts + count, where=parts > 0)
         count += number - 1
     return result
 
 
 def pseudo_labels(
-    mask: PanopticMask, rendered_class: NDArray[np.int32], by: str = "class", min_area: int = 16
+    mask: PanopticMask, rendered_class: NDArray[np.int32], min_area: int = 16
 ) -> NDArray[np.int32]:
     """s_pse: each region takes the majority of the rendered classes in it; int32 [H, W], 0 = no supervision.
 
@@ -38,7 +34,7 @@ def pseudo_labels(
     """
     if rendered_class.shape != mask.ids.shape:
         raise ValueError(f"the mask is {mask.ids.shape}, the rendered classes {rendered_class.shape}")
-    region = regions(mask, by)
+    region = regions(mask)
     count = int(region.max(initial=0)) + 1
     ids, column = np.unique(rendered_class, return_inverse=True)
     votes = np.bincount(region.reshape(-1) * len(ids) + column.reshape(-1), minlength=count * len(ids))

@@ -1,5 +1,9 @@
-"""Linear assignment of a view's instances to the model's slots, in each step (``instances.assign_slots``, with what
-never changes about a view computed once)."""
+"""Linear assignment of a view's instances to the model's slots, in each step, with what never changes about a view
+computed once.
+
+The cost of (instance, slot) is minus the mean probability of the slot over the instance's pixels; the Hungarian
+algorithm solves it (``instances.best_slots``). Instances beyond the number of slots get none.
+"""
 
 from __future__ import annotations
 
@@ -42,8 +46,7 @@ def assigned_slots(
     """Target slot of each pixel, int16 [H, W], -1 where there is none.
 
     ``coverage`` float32 [H, W, C] holds the blended slot probabilities from channel ``first`` on; over ``alpha``
-    [H, W] they are probabilities. No thing is given the slot ``no_object``. As ``instances.assign_slots``, whose
-    docstring tells the method.
+    [H, W] they are probabilities. No thing is given the slot ``no_object``.
     """
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     slot_of_segment = np.full(segments + 1, NO_SLOT, np.int16)

@@ -73,8 +73,3 @@ def compare(image: torch.Tensor, photo: PhotoMoments, l1_weight: float, ssim_wei
     photo. Differentiable once in ``image``. Raises ValueError when sizes differ."""
     result: torch.Tensor = _Comparison.apply(image, photo, l1_weight, ssim_weight)
     return result
-
-
-def structural_similarity(image: torch.Tensor, photo: PhotoMoments) -> torch.Tensor:
-    """Mean SSIM of ``image`` [H, W, 3] in [0, 1] and a photo."""
-    return compare(image, photo, 0.0, 1.0)

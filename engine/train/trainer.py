@@ -218,7 +218,7 @@ class Trainer:
         if schedule.statistics_from <= progress < schedule.grow_until:
             camera, moved = target.camera, rendering.means2d.grad
             assert moved is not None  # asked for, and the backward pass is over
-            self.statistics.add(gaussians, rendering.visible, moved, camera.width, camera.height)
+            self.statistics.add(gaussians, rendering.visible, moved.cpu(), camera.width, camera.height)
 
     def _grow_if_due(self) -> None:
         schedule, steps = self.preset.schedule, self.preset.steps

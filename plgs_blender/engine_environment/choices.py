@@ -16,7 +16,7 @@ EXTENSION = __package__.rsplit(".", 2)[0]
 
 TORCH_BUILDS = [
     ("cpu", "CPU", "The small build, which is all that a lift uses"),
-    ("cuda", "CUDA", "Several GB more; a lift does not use a graphics card yet"),
+    ("cuda", "CUDA", "Several GB more; only a lift from the command line draws on it, with --device cuda"),
 ]
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances import assign_slots
+from tests.instances.assign_slots import assign_slots
 
 
 @settings(max_examples=30, deadline=None)

@@ -21,6 +21,7 @@ FULL = LiftRequest(
     bake="all",
     scene_format="tum",
     depth=Path("/depth"),
+    device="cuda",
 )
 
 
@@ -73,6 +74,8 @@ def test_has_the_documented_form() -> None:
         ({"depth": 5}, "'depth'"),
         ({"depth": "relative"}, "'depth'"),
         ({"bake": "some"}, "test, all, none"),
+        ({"device": "tpu"}, "cpu, cuda"),
+        ({"device": 0}, "'device'"),
         ({"engine_version": 1}, "'engine_version'"),
     ],
 )
@@ -102,4 +105,5 @@ def test_tells_what_differs() -> None:
         "scene_format",
         "depth",
         "bake",
+        "device",
     ]

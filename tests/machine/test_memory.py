@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from engine.machine import memory
+from tests.machine.held_bytes import held_bytes
 
 
 def test_blocks_are_aligned_and_distinct() -> None:
@@ -53,9 +54,9 @@ def test_a_scene_that_shrinks_a_little_finds_its_blocks_again() -> None:
     memory._blocks.clear()
     size, smaller = 3 << 20, 11 << 18
     address = memory.empty(size, np.uint8).ctypes.data
-    held = memory.held_bytes()
+    held = held_bytes()
     assert memory._rounded(smaller) != memory._rounded(size)
-    assert memory.empty(smaller, np.uint8).ctypes.data == address and memory.held_bytes() == held
+    assert memory.empty(smaller, np.uint8).ctypes.data == address and held_bytes() == held
 
 
 def test_a_tensor_holds_its_memory() -> None:

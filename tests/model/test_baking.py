@@ -9,9 +9,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from engine.instances.class_first import LEAST_OF_CLASS
 from engine.model.baking import bake, decided_labels
 from engine.model.rendering import PanopticRendering
-from engine.model.scene_labels import LEAST_OF_CLASS
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, LabelChannels
 from engine.passes import decide
 from engine.scene import Camera, Category, ClassTable

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.instances import PanopticLabels, decide_labels
+from engine.instances.class_first import LEAST_OF_CLASS
 from engine.model.gaussians import decode
 from engine.model.label_voting import Contributors, LabelVotes, VotingOptions, contributors, pixel_labels
 from engine.model.render import render_view
-from engine.model.scene_labels import LEAST_OF_CLASS, VotedLabels, scene_labels
+from engine.model.scene_labels import VotedLabels, scene_labels
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene
 from engine.raster import rasterize
 from engine.scene import Camera

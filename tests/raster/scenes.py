@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from engine.raster import Rendering, rasterize
-from engine.raster.conventions import ALPHA_MIN
+from engine.raster.conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
 from engine.raster.interface import _pinhole
-from engine.raster.reference import footprint_visible, project, raw_alphas, threshold_pixels
+from engine.raster.reference import footprint_visible, project, raw_alphas
 
 GROUPS = ("means", "scales", "quats", "opacities", "colours", "labels", "means2d")
 LAYERS = ("image", "labels", "alpha", "depth")
@@ -185,3 +185,19 @@ def missed_elements(got: Tensor, expected: Tensor) -> int:
         return 0
     rms = expected.pow(2).mean().sqrt()
     return int(((got - expected).abs() > 1e-3 * expected.abs() + 1e-6 * rms).sum())
+
+
+def threshold_pixels(raw: Tensor, margin: float = 1e-5) -> Tensor:
+    """bool [H * W]: float32 may decide otherwise here, as something is near a threshold.
+
+    That is within ``margin`` (relative) for an alpha, and a hundred times that for a transmittance: behind an
+    alpha near 0.99 its own error is so much larger.
+    """
+    alpha = raw.clamp(max=ALPHA_MAX)
+    alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
+    after = torch.cumprod(1.0 - alpha, 0)
+
+    def close(values: Tensor, threshold: float, factor: float = 1.0) -> Tensor:
+        return ((values / threshold - 1.0).abs() < factor * margin).any(0)
+
+    return close(raw, ALPHA_MIN) | close(raw, ALPHA_MAX) | close(after, TRANSMITTANCE_END, 100.0)

@@ -15,6 +15,7 @@ from engine.raster import rasterize
 from engine.raster.blending.vector.backward_tile import scratch_size
 from engine.raster.records import MEMBERS
 from engine.raster.workload import Workload, room_workload
+from tests.machine.held_bytes import held_bytes
 
 
 def test_what_is_kept_is_not_overwritten() -> None:
@@ -49,10 +50,10 @@ def test_a_warm_step_allocates_nothing() -> None:
     scene = random_scene(1, 300, 20, 64, 48)
     for _ in range(3):
         render(scene, "numba")
-    held = memory.held_bytes()
+    held = held_bytes()
     for _ in range(3):
         render(scene, "numba")
-    assert memory.held_bytes() == held
+    assert held_bytes() == held
 
 
 def step(work: Workload, change: int = 0) -> None:
@@ -73,7 +74,7 @@ def test_stays_within_its_bound(count: int) -> None:
     work = room_workload(count)
     memory._blocks.clear()
     step(work)
-    assert memory.held_bytes() <= 2500 * count + 450 * work.width * work.height
+    assert held_bytes() <= 2500 * count + 450 * work.width * work.height
 
 
 @pytest.mark.parametrize("count", [10_000, 50_000])
@@ -82,7 +83,7 @@ def test_steps_of_a_slowly_changing_scene_allocate_nothing(count: int) -> None:
     memory._blocks.clear()
     for _ in range(2):
         step(work)
-    held = memory.held_bytes()
+    held = held_bytes()
     tracemalloc.start()
     try:
         for change in range(1, 6):
@@ -91,7 +92,7 @@ def test_steps_of_a_slowly_changing_scene_allocate_nothing(count: int) -> None:
     finally:
         tracemalloc.stop()
     little = 1_000_000  # of the 100 MB that a step works with
-    assert abs(memory.held_bytes() - held) <= little
+    assert abs(held_bytes() - held) <= little
     assert peak <= little
 
 
@@ -113,7 +114,7 @@ def test_stays_within_its_bound_when_one_tile_has_them_all() -> None:
     finally:
         torch.set_num_threads(threads)
     scratch = 16 * 4 * (scratch_size(work.labels.shape[1]) + MEMBERS)  # each worker's on the way back
-    assert memory.held_bytes() <= 2500 * count + 450 * 48 * 48 + scratch
+    assert held_bytes() <= 2500 * count + 450 * 48 * 48 + scratch
 
 
 @pytest.mark.parametrize("kernels", ["vector", "plain"])

@@ -24,12 +24,6 @@ def test_an_occluders_label_cannot_veto_the_wall_behind_it() -> None:
     assert kept.all()
 
 
-def test_without_the_depth_test_it_does() -> None:
-    literal = ConsistencyOptions(neighbours=1, agreement=1.0, depth_test=False)
-    kept = next(consistency_masks(occluded_pair(), literal))
-    assert not kept.all() and kept.any()
-
-
 def test_a_dissenting_neighbour_rejects_by_product_but_not_by_three_quarters() -> None:
     views = [wall_view(str(i), 0.0, classes=SOFA if i == 4 else WALL) for i in range(5)]
     assert not next(consistency_masks(views, ConsistencyOptions(4, 1.0))).any()
@@ -43,12 +37,8 @@ def test_void_neighbours_abstain_and_void_pixels_stay_void() -> None:
     assert not kept[1].any()
 
 
-def test_an_unseen_pixel_is_kept_unless_support_is_asked_for() -> None:
-    views = [wall_view("a", 0.0), wall_view("b", 1.5)]
-    alone = ConsistencyOptions(neighbours=1, min_support=1)
-    assert next(consistency_masks(views, PRODUCT)).all()
-    kept = next(consistency_masks(views, alone))
-    assert kept[:, -10:].all() and not kept[:, :10].any()
+def test_a_pixel_that_no_neighbour_sees_is_kept() -> None:
+    assert next(consistency_masks([wall_view("a", 0.0), wall_view("b", 1.5)], PRODUCT)).all()
 
 
 def test_pixels_without_depth_are_not_kept() -> None:

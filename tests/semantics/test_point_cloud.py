@@ -53,13 +53,6 @@ def test_the_same_views_give_the_same_cloud_and_progress_counts_up() -> None:
     assert seen == [(i, 6) for i in range(1, 7)]
 
 
-def test_k_means_is_an_option() -> None:
-    views = [wall_view("a", 0.0)]
-    options = CloudOptions(spacing=0.5, cap=40, method="k_means")
-    cloud = build_point_cloud(views, everything(views), CLASS_IDS, options)
-    assert 0 < len(cloud) <= 40 and (cloud.class_id == WALL).all()
-
-
 def test_nothing_with_depth_is_refused() -> None:
     views = [wall_view("a", 0.0, depth=0.0)]
     with pytest.raises(ValueError, match="depth"):

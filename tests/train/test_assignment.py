@@ -7,8 +7,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances import assign_slots
 from engine.train.assignment import ThingSegments, assigned_slots
+from tests.instances.assign_slots import assign_slots
 
 
 @settings(max_examples=40, deadline=None)

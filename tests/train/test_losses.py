@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from engine.train.losses import reconstruction_loss
-from engine.train.similarity import PhotoMoments, structural_similarity
+from engine.train.similarity import PhotoMoments, compare
 
 
 def test_ssim_matches_a_direct_computation() -> None:
@@ -28,7 +28,7 @@ def test_ssim_matches_a_direct_computation() -> None:
     covariance = blur(a * b) - mean_a * mean_b
     ssim = (2 * mean_a * mean_b + 1e-4) * (2 * covariance + 9e-4)
     ssim /= (mean_a**2 + mean_b**2 + 1e-4) * (variance_a + variance_b + 9e-4)
-    ours = structural_similarity(torch.from_numpy(a).float(), PhotoMoments.of(torch.from_numpy(b).float()))
+    ours = compare(torch.from_numpy(a).float(), PhotoMoments.of(torch.from_numpy(b).float()), 0.0, 1.0)
     np.testing.assert_allclose(ours.item(), ssim.mean(), atol=1e-5)
 
 

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.train.similarity import PhotoMoments, compare, structural_similarity
+from engine.train.similarity import PhotoMoments, compare
 from engine.train.similarity_kernels import STRIP_ROWS
 
 
@@ -59,7 +59,7 @@ def test_value_and_gradient_are_those_of_the_formula(height: int, width: int, se
 def test_a_picture_is_like_itself() -> None:
     _, photo = pictures(60, 70, 1)
     same = photo.clone().requires_grad_()
-    similarity = structural_similarity(same, PhotoMoments.of(photo))
+    similarity = compare(same, PhotoMoments.of(photo), 0.0, 1.0)
     similarity.backward()
     np.testing.assert_allclose(similarity.item(), 1.0, atol=1e-6)
     assert same.grad.abs().max() < 1e-6

@@ -1,0 +1,26 @@
+"""Where a lift draws its Gaussians: on the CPU, or on a CUDA device with gsplat."""
+
+from __future__ import annotations
+
+import torch
+
+from ..job import JobError
+from ..raster.cuda import what_is_missing
+
+
+def refuse_missing_device(device: str) -> None:
+    """Raise JobError, before any work, where ``device`` is "cuda" and nothing can be drawn there."""
+    if device != "cuda":
+        return
+    where, on_cpu = "--device cuda", "or lift with --device cpu."
+    if not torch.cuda.is_available():
+        fix = f"Use a machine that has one with a build of torch for CUDA, {on_cpu}"
+        raise JobError("torch finds no CUDA device here", where, fix)
+    missing = what_is_missing()
+    if missing is not None:
+        raise JobError(missing, where, f"Do that, {on_cpu}")
+
+
+def be_repeatable(device: str) -> None:
+    """Same input, same bits. On a CUDA device torch only warns of what it cannot repeat."""
+    torch.use_deterministic_algorithms(True, warn_only=device == "cuda")

@@ -1,0 +1,11 @@
+"""What the memory that is used again holds."""
+
+from __future__ import annotations
+
+from engine.machine import memory
+
+
+def held_bytes() -> int:
+    """All of it, free or not."""
+    with memory._lock:  # other threads make and drop blocks
+        return sum(block.bytes.size for blocks in memory._blocks.values() for block in blocks)

@@ -1,0 +1,33 @@
+"""The inverse of ``write_ply``: the oracle of its tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.model.baking import BakedGaussians
+from engine.passes.ply import _VERTEX, SH_DEGREE_0
+
+
+def read_ply(path: Path) -> BakedGaussians:
+    """For the files of ``write_ply`` only."""
+    head, mark, body = path.read_bytes().partition(b"end_header\n")
+    lines = head.decode("ascii", "replace").splitlines()
+    names = [line.split()[2] for line in lines if line.startswith("property ")]
+    assert mark and lines[:2] == ["ply", "format binary_little_endian 1.0"] and names == list(_VERTEX.names or ())
+    vertices = np.frombuffer(body, _VERTEX)
+    return BakedGaussians(
+        means=_get(vertices, ("x", "y", "z")),
+        scales=np.exp(_get(vertices, ("scale_0", "scale_1", "scale_2"))),
+        quats=_get(vertices, ("rot_0", "rot_1", "rot_2", "rot_3")),
+        opacities=1 / (1 + np.exp(-vertices["opacity"])),
+        colours=0.5 + np.float32(SH_DEGREE_0) * _get(vertices, ("f_dc_0", "f_dc_1", "f_dc_2")),
+        class_id=vertices["class_id"].copy(),
+        instance_id=vertices["instance_id"].copy(),
+    )
+
+
+def _get(vertices: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float32]:
+    return np.stack([vertices[name] for name in names], axis=-1).astype(np.float32)
