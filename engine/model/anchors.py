@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 UNKNOWN_CLASS = 0
-"""Initial class of an anchor that no believed label fell on, and of every grown anchor."""
+"""Initial class of an anchor that no consistent label fell on, and of every grown anchor."""
 
 
 @dataclass

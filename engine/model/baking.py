@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
 from .gaussians import decode_rows, no_labels
+from .neural_gaussians import NeuralGaussians
 from .scene_labels import shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
@@ -87,38 +88,48 @@ def bake(
         decoded = decode_rows(scene.anchors, scene.decoders, rows, centre, known_labels=without)
         if known is None:
             by_class, by_slot = decoded.labels[:, :classes], decoded.labels[:, classes:]
-            shown = shown_probabilities(by_class, by_slot, scene.channels)
+            labels = shown_probabilities(by_class, by_slot, scene.channels).numpy()
         else:
-            shown = known.of(decoded.rows(k))
-        labels = shown.numpy()
-        class_id, instance_id = decided_labels(labels, scene.channels, thing_ids)
-        parts.append(
-            {
-                "means": decoded.means.numpy(),
-                "scales": decoded.scales.numpy(),
-                "quats": torch.nn.functional.normalize(decoded.quats, dim=1).numpy(),
-                "opacities": decoded.opacities.numpy(),
-                "colours": decoded.colours.numpy(),
-                "class_id": class_id,
-                "instance_id": instance_id,
-            }
-        )
-        owner = (decoded.kept // k).numpy()
-        weight = decoded.opacities.numpy()
+            labels = known.of(decoded.rows(k)).numpy()
+        parts.append(_gaussian_columns(decoded, labels, scene.channels, thing_ids))
+        owner, weight = (decoded.kept // k).numpy(), decoded.opacities.numpy()
         anchor_parts.append(_anchor_means(len(rows), owner, weight, decoded.colours.numpy(), labels))
         anchor_parts[-1]["opacity"] = decoded.all_opacities.clamp_min(0).mean(dim=1).numpy()
-    gaussians = BakedGaussians(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
-    joined = {name: np.concatenate([part[name] for part in anchor_parts]) for name in anchor_parts[0]}
-    class_id, instance_id = decided_labels(joined["labels"], scene.channels, thing_ids)
-    anchors = BakedAnchors(
+    means = _joined(anchor_parts)
+    return BakedGaussians(**_joined(parts)), _baked_anchors(scene, means, thing_ids)
+
+
+def _joined(parts: list[dict[str, NDArray]]) -> dict[str, NDArray]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _gaussian_columns(
+    decoded: NeuralGaussians, labels: NDArray[np.float32], channels: LabelChannels, thing_ids: frozenset[int]
+) -> dict[str, NDArray]:
+    """The fields of ``BakedGaussians``."""
+    class_id, instance_id = decided_labels(labels, channels, thing_ids)
+    return {
+        "means": decoded.means.numpy(),
+        "scales": decoded.scales.numpy(),
+        "quats": torch.nn.functional.normalize(decoded.quats, dim=1).numpy(),
+        "opacities": decoded.opacities.numpy(),
+        "colours": decoded.colours.numpy(),
+        "class_id": class_id,
+        "instance_id": instance_id,
+    }
+
+
+def _baked_anchors(scene: StructuredScene, means: dict[str, NDArray], thing_ids: frozenset[int]) -> BakedAnchors:
+    """From ``_anchor_means`` of all anchors. One that draws nothing shows no class."""
+    class_id, instance_id = decided_labels(means["labels"], scene.channels, thing_ids)
+    return BakedAnchors(
         xyz=scene.anchors.position.numpy(),
-        class_id=np.where(joined["weight"] > 0, class_id, 0).astype(np.int32),
-        instance_id=np.where(joined["weight"] > 0, instance_id, 0).astype(np.int32),
-        opacity=joined["opacity"],
+        class_id=np.where(means["weight"] > 0, class_id, 0).astype(np.int32),
+        instance_id=np.where(means["weight"] > 0, instance_id, 0).astype(np.int32),
+        opacity=means["opacity"],
         level=scene.anchors.level.numpy().astype(np.int32),
-        rgb=np.round(joined["colour"] * 255).astype(np.uint8),
+        rgb=np.round(means["colour"] * 255).astype(np.uint8),
     )
-    return gaussians, anchors
 
 
 def _anchor_means(

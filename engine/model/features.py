@@ -14,7 +14,7 @@ def seeded_features(
     features: int,
     seed: int,
 ) -> NDArray[np.float32]:
-    """Features that already tell anchors apart by colour and believed label, float32 [M, ``features``].
+    """Features that already tell anchors apart by colour and consistent label, float32 [M, ``features``].
 
     Scaffold-GS and the paper start from zero, which costs thousands of steps until equal anchors have drifted apart; a
     lift on a CPU has hundreds. Three entries hold ``rgb`` uint8 [M, 3] brought to [-1, 1]; the others hold random +-1

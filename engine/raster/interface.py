@@ -95,8 +95,8 @@ def _moved(drawn: Rendering, device: torch.device) -> Rendering:
     if drawn.image.device == device:
         return drawn
     names = ("image", "labels", "alpha", "depth", "visible", "top_indices", "top_weights")
-    layers: dict[str, Any] = {name: getattr(drawn, name) for name in names}
-    return replace(drawn, **{name: None if layer is None else layer.to(device) for name, layer in layers.items()})
+    layers: dict[str, Any] = {name: layer.to(device) for name in names if (layer := getattr(drawn, name)) is not None}
+    return replace(drawn, **layers)
 
 
 @cache

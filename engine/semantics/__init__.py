@@ -1,4 +1,4 @@
-"""Which labels can be believed? Consistency-enhanced masks, the semantic point cloud, pseudo labels."""
+"""Which labels are consistent? Consistency-enhanced masks, the semantic point cloud, pseudo labels."""
 
 from __future__ import annotations
 

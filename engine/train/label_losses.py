@@ -46,7 +46,7 @@ class PixelTargets(NamedTuple):
     matched: NDArray[np.int16]
 
 
-class Judged(NamedTuple):
+class CrossEntropies(NamedTuple):
     """What the targets cost. ``slopes`` float32 [P, 3]: of -log(probability) by the coverage, for each target. Of each
     chunk of pixels ``sums`` float64 [chunks, 2] of -log(probability) and ``counts`` int64 [chunks, 2] of the pixels
     that have a target, for both losses."""
@@ -68,12 +68,12 @@ class _LabelLosses(torch.autograd.Function):
         ctx.targets = PixelTargets(*(target.to(torch.int16).contiguous().numpy().reshape(-1) for target in targets))
         ctx.slopes = memory.empty((len(flat), len(targets)), np.float32)
         chunks = chunk_count(len(flat))
-        judged = Judged(ctx.slopes, np.zeros((chunks, 2)), np.zeros((chunks, 2), np.int64))
+        entropies = CrossEntropies(ctx.slopes, np.zeros((chunks, 2)), np.zeros((chunks, 2), np.int64))
         opaque = alpha.detach().contiguous().numpy().reshape(-1)
-        parallel_for(worker_count(), judge_pixels, flat, opaque, classes, ctx.targets, judged)
-        ctx.known = np.maximum(judged.counts.sum(axis=0), 1)
+        parallel_for(worker_count(), add_cross_entropies, flat, opaque, classes, ctx.targets, entropies)
+        ctx.known = np.maximum(entropies.counts.sum(axis=0), 1)
         ctx.classes, ctx.shape = classes, coverage.shape
-        semantic, instance = judged.sums.sum(axis=0) / ctx.known
+        semantic, instance = entropies.sums.sum(axis=0) / ctx.known
         return coverage.new_tensor(semantic), coverage.new_tensor(instance)
 
     @staticmethod
@@ -86,7 +86,7 @@ class _LabelLosses(torch.autograd.Function):
 
 
 @compiled
-def judge(shown: float, alpha: float) -> Any:
+def probability_and_slope(shown: float, alpha: float) -> Any:
     """The probability that a coverage stands for, and the slope of its -log by the coverage."""
     visible = alpha + LEAST
     probability = shown / visible + LEAST
@@ -94,12 +94,18 @@ def judge(shown: float, alpha: float) -> Any:
 
 
 @parallel_kernel
-def judge_pixels(
-    worker: int, workers: int, coverage: Array, alpha: Array, classes: int, targets: PixelTargets, judged: Judged
+def add_cross_entropies(
+    worker: int,
+    workers: int,
+    coverage: Array,
+    alpha: Array,
+    classes: int,
+    targets: PixelTargets,
+    entropies: CrossEntropies,
 ) -> None:
-    """Fills ``judged``, every ``workers``-th chunk of pixels."""
+    """Fills ``entropies``, every ``workers``-th chunk of pixels."""
     semantic, assigned, matched = targets.semantic, targets.assigned, targets.matched
-    slopes, sums, counts = judged.slopes, judged.sums, judged.counts
+    slopes, sums, counts = entropies.slopes, entropies.sums, entropies.counts
     for chunk in range(worker, len(sums), workers):
         start, end = chunk_range(chunk, len(alpha))
         # Probabilities are multiplied as long as float64 holds the product: few logarithms are left to take.
@@ -107,14 +113,14 @@ def judge_pixels(
         for pixel in range(start, end):
             known, taken, agreed = semantic[pixel], assigned[pixel], matched[pixel]
             if known >= 0:
-                probability, slopes[pixel, 0] = judge(coverage[pixel, known], alpha[pixel])
+                probability, slopes[pixel, 0] = probability_and_slope(coverage[pixel, known], alpha[pixel])
                 likely *= probability
                 counts[chunk, 0] += 1
             if taken >= 0:
-                probability, slopes[pixel, 1] = judge(coverage[pixel, classes + taken], alpha[pixel])
+                probability, slopes[pixel, 1] = probability_and_slope(coverage[pixel, classes + taken], alpha[pixel])
                 alike *= probability
             if agreed >= 0:
-                probability, slopes[pixel, 2] = judge(coverage[pixel, classes + agreed], alpha[pixel])
+                probability, slopes[pixel, 2] = probability_and_slope(coverage[pixel, classes + agreed], alpha[pixel])
                 alike *= probability
             if taken >= 0 or agreed >= 0:
                 counts[chunk, 1] += 1

@@ -116,7 +116,7 @@ class Trainer:
         self.clock.lap("optimiser")
         self.step_number += 1
         self._grow_if_due()
-        parts = {name: float(getattr(losses, name)) for name in ("reconstruction", "semantic", "instance")}
+        parts: dict[str, float] = {name: getattr(losses, name).item() for name in ("reconstruction", "semantic", "instance")}
         report = StepReport(step=self.step_number, loss=loss, gaussians=len(gaussians.opacities), **parts)
         self.clock.lap("the rest")
         return report

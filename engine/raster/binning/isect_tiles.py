@@ -9,7 +9,7 @@ from ...machine import memory
 from ...machine.threads import parallel_for
 from ..arrays import Intersections
 from ..records import TILE
-from .radix_scatter import DIGITS, LOOKS, PROGRESS, Sorting, Visible, bin_gaussians
+from .radix_scatter import DIGITS, PROGRESS, SPINS, Sorting, Visible, bin_gaussians
 
 WORTH_LISTING_TOGETHER = 1000
 """Fewer Gaussians, and intersections, than this are listed by one worker: the others would come too late."""
@@ -53,7 +53,7 @@ def isect_tiles(
     )
     progress, longest = np.zeros(PROGRESS, np.int64), np.zeros(1, np.int64)
     visible = Visible(boxes, depths.view(np.uint32), counts)
-    parallel_for(listing, bin_gaussians, progress, LOOKS, visible, columns, room, (isects, longest))
+    parallel_for(listing, bin_gaussians, progress, SPINS, visible, columns, room, (isects, longest))
     return isects, int(longest[0])
 
 

@@ -30,8 +30,8 @@ LINE = 8
 """Words of a cache line: counters have one each."""
 PROGRESS = 2 * STEPS * LINE
 """Words: of each step, how many chunks were taken and how many are done."""
-LOOKS = 1_000_000
-"""How often a helper looks whether a step is done, about half a millisecond, before it leaves the rest to the caller,
+SPINS = 1_000_000
+"""How often a helper asks whether a step is done, about half a millisecond, before it leaves the rest to the caller,
 who stays: more workers than processors would keep each other from running."""
 
 
@@ -176,12 +176,12 @@ def chunks_of(step: int, visible: Visible, sorting: Sorting) -> int:
 
 
 @device_function
-def wait_for(step: int, chunks: int, progress: Array, looks: int) -> bool:
-    """Until all chunks of a step are done, or for so many looks (for ever with 0); whether they are."""
-    looked = 0
+def wait_for(step: int, chunks: int, progress: Array, spins: int) -> bool:
+    """Until all chunks of a step are done, or for so many spins (for ever with 0); whether they are."""
+    spun = 0
     while load_acquire(progress, (2 * step + 1) * LINE) < chunks:
-        looked += 1
-        if looked == looks:
+        spun += 1
+        if spun == spins:
             return False
     return True
 
@@ -191,7 +191,7 @@ def bin_gaussians(
     worker: int,
     workers: int,
     progress: Array,
-    looks: int,
+    spins: int,
     visible: Visible,
     columns: int,
     sorting: Sorting,
@@ -199,7 +199,7 @@ def bin_gaussians(
 ) -> None:
     """All steps: a worker does whatever chunks no other has taken.
 
-    ``progress`` int64 [PROGRESS] begins with zeros; ``looks`` as ``LOOKS``; ``columns`` of tiles. ``out`` gets the
+    ``progress`` int64 [PROGRESS] begins with zeros; ``spins`` as ``SPINS``; ``columns`` of tiles. ``out`` gets the
     intersections, and in int64 [1] the length of the longest tile's list.
     """
     isects, longest = out
@@ -220,5 +220,5 @@ def bin_gaussians(
             elif step == SCATTER_TILES:
                 scatter_tiles(chunk, sorting.spare_ids, visible.boxes, columns, sorting.tiles, isects)
             fetch_add_at(progress, (2 * step + 1) * LINE)
-        if not wait_for(step, chunks, progress, looks if worker > 0 else 0):
+        if not wait_for(step, chunks, progress, spins if worker > 0 else 0):
             break

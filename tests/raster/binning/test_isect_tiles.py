@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from engine.raster.arrays import Intersections
 from engine.raster.binning import isect_tiles as listing
 from engine.raster.binning.isect_tiles import blending_workers, isect_tiles
-from engine.raster.binning.radix_scatter import LOOKS, bin_gaussians
+from engine.raster.binning.radix_scatter import SPINS, bin_gaussians
 from engine.raster.chunks import chunk_range
 from engine.raster.records import TILE
 
@@ -74,10 +74,10 @@ def test_lists_are_those_of_a_stable_sort(count: int, chunks: int, workers: int)
     assert_lists_of_a_stable_sort(isect_tiles(workers, *given, WIDTH, HEIGHT), given)
 
 
-@pytest.mark.parametrize("looks", [1, 100, LOOKS])
-def test_helpers_may_leave_or_come_late(looks: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("spins", [1, 100, SPINS])
+def test_helpers_may_leave_or_come_late(spins: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Twice as many workers as processors: nothing is done twice, left out, or done too early."""
-    monkeypatch.setattr(listing, "LOOKS", looks)
+    monkeypatch.setattr(listing, "SPINS", spins)
     monkeypatch.setattr(listing, "WORTH_SORTING_TOGETHER", 0)
     workers = 2 * (os.cpu_count() or 1)
     for seed in range(10):
