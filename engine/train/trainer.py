@@ -116,8 +116,14 @@ class Trainer:
         self.clock.lap("optimiser")
         self.step_number += 1
         self._grow_if_due()
-        parts: dict[str, float] = {name: getattr(losses, name).item() for name in ("reconstruction", "semantic", "instance")}
-        report = StepReport(step=self.step_number, loss=loss, gaussians=len(gaussians.opacities), **parts)
+        report = StepReport(
+            self.step_number,
+            loss,
+            losses.reconstruction.item(),
+            losses.semantic.item(),
+            losses.instance.item(),
+            len(gaussians.opacities),
+        )
         self.clock.lap("the rest")
         return report
 
