@@ -24,7 +24,7 @@ WALL, PICTURE = 1, 2
 
 
 def warm_up() -> None:
-    """Take every compiled path of a lift once: consistency, matching, projection, rendering and its gradients, baking."""
+    """Take every compiled path of a lift once: consistency, matching, projection, rendering and gradients, baking."""
     classes = ClassTable(
         (Category(WALL, "wall", False, (200, 200, 200)), Category(PICTURE, "picture", True, (200, 0, 0)))
     )
