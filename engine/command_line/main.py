@@ -12,6 +12,7 @@ from .. import __version__
 from ..job import PRESETS, UPS, ExitCode, JobError
 from ..job.options import add_lift_options, add_scene_options, readable
 
+FRAME_FILES = ("colour", "depth", "masks", "cloud")
 EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh")
 
 
@@ -43,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_export(commands.add_parser("export", help="write a finished lift in a form that other programs read"))
     _add_evaluate(commands.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(commands.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
+    _add_frames(commands.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
     _add_experiments(commands.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     handshake = commands.add_parser("handshake", help="tell at once what this engine is and what it lacks")
     handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to mend it."
@@ -122,6 +124,21 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one line of JSON, for programs")
     parser.add_argument("--preset", choices=PRESETS, help="also predict what a lift with this preset would take")
     parser.set_defaults(run=_inspect)
+
+
+def _add_frames(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "colour: pictures that lie in a video or an archive, or whose lens bends, as undistorted JPEGs. depth, masks: "
+        "drawn in colours. cloud: what depth shows, as coloured points (cloud.npz). frames.json names all. What is "
+        "there already is kept. Blender shows these where it cannot read the scene itself."
+    )
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where to")
+    parser.add_argument("--make", nargs="+", choices=FRAME_FILES, default=list(FRAME_FILES), help="what (default: all)")
+    parser.add_argument("--frames", nargs="+", metavar="FRAME", help="only these frames; the cloud is of all")
+    add_scene_options(parser)
+    _add_stay_with_parent(parser)
+    parser.set_defaults(run=_frames)
 
 
 def _add_experiments(parser: argparse.ArgumentParser) -> None:
@@ -204,6 +221,12 @@ def _inspect(options: argparse.Namespace) -> ExitCode:
         as_json=options.json,
         preset=options.preset,
     )
+
+
+def _frames(options: argparse.Namespace) -> ExitCode:
+    from .frames import write_frames
+
+    return write_frames(options)
 
 
 def _handshake(options: argparse.Namespace) -> ExitCode:

@@ -1,0 +1,7 @@
+"""A scene's frames as files that any program opens: undistorted pictures, depth and masks in colours, a cloud."""
+
+from __future__ import annotations
+
+from .making import make_frames
+
+__all__ = ["make_frames"]

@@ -1,0 +1,133 @@
+"""Writing them: one pass over the frames, each of whose pixels are read once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..job import JobError, write_atomically
+from ..job.made_frames import MadeFrame, MadeFrames, SceneSource, made_of
+from ..scene import Frame, Scene, SceneError
+from ..scene.frame_colours import depth_colours, mask_colours
+from .cloud import CloudBuilder
+
+KINDS = ("colour", "depth", "masks", "cloud")
+Progress = Callable[[int, int], object]
+"""Called after each frame with the frames done and their number; what it raises ends the work."""
+
+_JPEG_QUALITY = 95
+_CLOUD_FRAMES = 300
+_CLOUD_PIXELS = 8_000_000
+"""So many frames, evenly spread, and so many pixels of them tell what a room looks like."""
+
+
+def make_frames(
+    scene: Scene,
+    source: SceneSource,
+    folder: Path,
+    kinds: Collection[str] = KINDS,
+    names: Collection[str] | None = None,
+    progress: Progress | None = None,
+) -> MadeFrames:
+    """Write what is asked for of the frames ``names`` (all where None) into ``folder``, and frames.json last.
+
+    Pictures are written where no image file shows them as they are. What the scene has not (depth, masks) is left out.
+    What an earlier run made there of the same scene is kept, and made anew where its source is newer. Raises JobError
+    when the folder holds something else or a frame is not there, SceneError when a file of the scene is bad.
+    """
+    made = made_of(folder, source) or MadeFrames(folder, source)
+    chosen = _chosen(scene, names)
+    done = dict(made.frames)
+    in_cloud = _cloud_frames(scene.frames) if "cloud" in kinds else {}
+    builder = CloudBuilder()
+    todo = [frame for frame in scene.frames if frame.name in chosen or frame.name in in_cloud]
+    for position, frame in enumerate(todo):
+        if frame.name in chosen:
+            done[frame.name] = _make(scene, frame, folder, kinds, done.get(frame.name, MadeFrame()))
+        if frame.name in in_cloud:
+            _add_to_cloud(builder, frame, in_cloud[frame.name])
+        if progress is not None:
+            progress(position + 1, len(todo))
+    cloud = _write_cloud(builder, folder / "cloud.npz") if in_cloud else made.cloud
+    result = replace(made, frames=done, cloud=cloud)
+    result.write()
+    return result
+
+
+def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
+    known = {frame.name for frame in scene.frames}
+    strange = sorted(set(names or ()) - known)
+    if strange:
+        raise JobError("is no frame of the scene", strange[0], "Give names that inspect and Blender's cameras show.")
+    return known if names is None else set(names)
+
+
+def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made: MadeFrame) -> MadeFrame:
+    """One frame's pictures, those that are there already included."""
+    if "colour" in kinds and not frame.file_shows_colour:
+        path = folder / "color" / f"{frame.name}.jpg"
+        if not _is_newer(path, frame.colour_path):
+            _write_image(path, frame.read_colour(None))
+        made = replace(made, colour=path)
+    if "depth" in kinds and frame.read_depth is not None:
+        path = folder / "depth" / f"{frame.name}.png"
+        if made.depth_range is None or not _is_newer(path, frame.depth_path or frame.colour_path):
+            drawn = depth_colours(frame.read_depth(None))
+            _write_image(path, drawn.rgb)
+            made = replace(made, depth_range=(drawn.near, drawn.far))
+        made = replace(made, depth=path)
+    if "masks" in kinds and frame.read_mask is not None:
+        # Which file a mask comes out of is its reader's secret: so it is drawn anew each time.
+        path = folder / "masks" / f"{frame.name}.png"
+        _write_image(path, mask_colours(frame.read_mask(None), scene.classes))
+        made = replace(made, masks=path)
+    return made
+
+
+def _cloud_frames(frames: Sequence[Frame]) -> dict[str, int]:
+    """The frames that the cloud is made of, evenly spread, with the stride of their pixels."""
+    deep = [frame for frame in frames if frame.read_depth is not None]
+    chosen = deep[:: -(-len(deep) // _CLOUD_FRAMES) or 1]
+    strides = {}
+    for frame in chosen:
+        width, height = frame.size
+        strides[frame.name] = max(1, round((width * height * len(chosen) / _CLOUD_PIXELS) ** 0.5))
+    return strides
+
+
+def _add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
+    depth = frame.depth(None)
+    height, width = depth.shape
+    # The stride is that of the picture; depth often has fewer pixels.
+    own = max(1, round(stride * width / frame.camera.width))
+    builder.add(frame.camera.resized(width, height), depth, frame.read_colour((width, height)), own)
+
+
+def _write_cloud(builder: CloudBuilder, path: Path) -> Path:
+    cloud = builder.cloud()
+    write_atomically(path, lambda part: np.savez(part, xyz=cloud.xyz, rgb=cloud.rgb))
+    return path
+
+
+def _is_newer(path: Path, source: Path) -> bool:
+    """Whether a picture was made after its source was last changed."""
+    try:
+        return path.stat().st_mtime >= source.stat().st_mtime
+    except OSError:
+        return False
+
+
+def _write_image(path: Path, rgb: NDArray[Any]) -> None:
+    """uint8 [H, W, 3] as JPEG or PNG, by the suffix. Raises SceneError when it cannot be encoded, OSError."""
+    import cv2
+
+    bgr = np.ascontiguousarray(rgb[..., ::-1])
+    good, data = cv2.imencode(path.suffix, bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    if not good:
+        raise SceneError("the picture cannot be encoded", path, "Check the size of the scene's pictures.")
+    write_atomically(path, data.tobytes())

@@ -1,0 +1,128 @@
+"""The files that an engine makes of a scene's frames for programs that cannot read them: the content of frames.json.
+
+Blender's Python has no OpenCV: what lies in a video or an archive, or has to be undistorted, it takes from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .atomic import write_atomically
+from .errors import JobError
+from .json_file import Json, read_object, to_text
+
+FORMAT = 1
+FILE = "frames.json"
+_FIX = "Delete the folder: it is made anew."
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """Which scene, and how it is read; paths are absolute."""
+
+    scene: Path
+    masks: Path | None = None
+    up: str = "z"
+    scene_format: str | None = None
+    depth: Path | None = None
+
+    def to_json(self) -> dict[str, Json]:
+        return {
+            "scene": str(self.scene),
+            "masks": None if self.masks is None else str(self.masks),
+            "up": self.up,
+            "scene_format": self.scene_format,
+            "depth": None if self.depth is None else str(self.depth),
+        }
+
+
+@dataclass(frozen=True)
+class MadeFrame:
+    """One frame's pictures, None where there is none: its ``colour`` undistorted, its ``depth`` and ``masks`` drawn in
+    colours. ``depth_range`` is the nearest and the farthest metre that the drawing of depth tells apart.
+    """
+
+    colour: Path | None = None
+    depth: Path | None = None
+    depth_range: tuple[float, float] | None = None
+    masks: Path | None = None
+
+
+@dataclass(frozen=True)
+class MadeFrames:
+    """What lies in ``folder``: pictures by frame name, and the ``cloud`` (.npz with xyz float32 [N, 3] metres and rgb
+    uint8 [N, 3]), None where it was not asked for.
+    """
+
+    folder: Path
+    source: SceneSource
+    frames: Mapping[str, MadeFrame] = field(default_factory=dict)
+    cloud: Path | None = None
+
+    def write(self) -> None:
+        """Put frames.json into the folder. Raises OSError."""
+        frames = {name: _to_json(frame, self.folder) for name, frame in self.frames.items()}
+        cloud = None if self.cloud is None else _inside(self.cloud, self.folder)
+        content = {"format": FORMAT, "source": self.source.to_json(), "frames": frames, "cloud": cloud}
+        write_atomically(self.folder / FILE, to_text(content))
+
+    @classmethod
+    def read(cls, folder: Path) -> MadeFrames:
+        """What is there. Raises JobError when the folder has none, or others, or its JSON is damaged."""
+        path = folder / FILE
+        content: dict[str, Any] = read_object(path, _FIX)
+        if content.get("format") != FORMAT:
+            raise JobError(f"has format {content.get('format')!r}, this version reads {FORMAT}", path, _FIX)
+        try:
+            given = content["source"]
+            source = SceneSource(
+                Path(given["scene"]), _path(given["masks"]), given["up"], given["scene_format"], _path(given["depth"])
+            )
+            frames = {str(name): _from_json(each, folder) for name, each in content["frames"].items()}
+            cloud = content["cloud"]
+            return cls(folder, source, frames, None if cloud is None else folder / cloud)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise JobError(f"cannot be read ({error!r})", path, _FIX) from error
+
+
+def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
+    """What an earlier run made of this very scene in ``folder``; None when there is nothing. Raises JobError when the
+    folder is somebody else's.
+    """
+    if not folder.exists():
+        return None
+    if (folder / FILE).is_file():
+        made = MadeFrames.read(folder)
+        if made.source == source:
+            return made
+    elif folder.is_dir() and not any(folder.iterdir()):
+        return None
+    raise JobError("is there already, and holds something else", folder, "Name another folder.")
+
+
+def _to_json(frame: MadeFrame, folder: Path) -> dict[str, Json]:
+    content: dict[str, Json] = {
+        name: _inside(path, folder)
+        for name, path in (("colour", frame.colour), ("depth", frame.depth), ("masks", frame.masks))
+        if path is not None
+    }
+    if frame.depth_range is not None:
+        content["depth_range"] = list(frame.depth_range)
+    return content
+
+
+def _from_json(content: Mapping[str, Any], folder: Path) -> MadeFrame:
+    files = {name: folder / content[name] for name in ("colour", "depth", "masks") if name in content}
+    span = content.get("depth_range")
+    return MadeFrame(**files, depth_range=None if span is None else (float(span[0]), float(span[1])))
+
+
+def _inside(path: Path, folder: Path) -> str:
+    return path.relative_to(folder).as_posix()
+
+
+def _path(text: str | None) -> Path | None:
+    return None if text is None else Path(text)
