@@ -2,27 +2,77 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
-from bpy.props import StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..plgs_blender.dropping import lift_or_scene
-from ..plgs_blender.import_scene import place_scene
+from ..plgs_blender.dropping import lift_or_scene, scene_at
 from ..plgs_blender.paths import absolute
-from ..plgs_blender.running import poll_timer, start
-from ..plgs_blender.settings import place_of
-from .answers import FINISHED, panel_of, reporting
+from ..plgs_blender.running import frame_making, poll_timer, start
+from ..plgs_blender.running.importing import begin_import, what_is_missing
+from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES, FORMAT_ITEMS, chosen_format
+from ..plgs_blender.settings import UPS, place_of
+from .answers import FINISHED, RUNNING, panel_of, reporting, reporting_events
 
 
-class PLGS_OT_import_scene(bpy.types.Operator):
-    """Put a camera with its picture into the scene for each frame; nothing is lifted"""
+class SceneOptions:
+    """How a scene is read, for operators: what is not given is as in the panel."""
+
+    format: EnumProperty(  # type: ignore[valid-type]
+        name="Format", items=FORMAT_ITEMS, default=AUTOMATIC, options={"SKIP_SAVE"},
+        description="How the scene is laid out, where its looks do not tell",
+    )  # fmt: skip
+    masks: StringProperty(  # type: ignore[valid-type]
+        name="Masks", subtype="FILE_PATH", options={"SKIP_SAVE"},
+        description="Panoptic masks that lie elsewhere than in the scene's folder",
+    )  # fmt: skip
+    depth: StringProperty(  # type: ignore[valid-type]
+        name="Depth maps", subtype="DIR_PATH", options={"SKIP_SAVE"},
+        description="Folder of a network's depth maps, one a frame",
+    )  # fmt: skip
+    up: EnumProperty(  # type: ignore[valid-type]
+        name="Up", items=UPS, default="z", options={"SKIP_SAVE"}, description="The axis of the poses that points up"
+    )
+    cloud: BoolProperty(  # type: ignore[valid-type]
+        name="Coloured Cloud", default=True, options={"SKIP_SAVE"},
+        description="Let an engine make a coloured cloud of the scene's depth",
+    )  # fmt: skip
+
+    report: Callable[[set[str], str], None]
+    properties: Any
+
+    def into_settings(self, settings: Any) -> None:
+        """Let the panel say what was given."""
+        for name in ("format", "masks", "depth", "up"):
+            if self.properties.is_property_set(name):
+                setattr(settings, name, getattr(self, name))
+
+    waits = True
+    """For the engine: a script does, a button does not."""
+
+    def import_it(self, context: bpy.types.Context) -> None:
+        """Import the scene of the panel, with an engine for what Blender cannot make of it."""
+        root = begin_import(context.scene, cloud=self.cloud)
+        if self.waits:
+            frame_making.wait()
+        else:
+            poll_timer.begin()
+        cameras = sum("frame" in ob for ob in root.all_objects)
+        lacking = "" if frame_making.is_making() else what_is_missing(root)
+        self.report({"WARNING" if lacking else "INFO"}, f"{root.name}: {cameras} cameras. {lacking}".rstrip())
+
+
+class PLGS_OT_import_scene(SceneOptions, bpy.types.Operator):
+    """Put a camera with its picture into the scene for each frame, and coloured points; nothing is lifted"""
 
     bl_idname, bl_label, bl_options = "plgs.import_scene", "Import Cameras and Images", {"UNDO"}
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
         name="Scene", subtype="DIR_PATH", options={"SKIP_SAVE"},
-        description="The scene's folder; empty: the one of the panel",
+        description="The scene's folder or file; empty: the one of the panel",
     )  # fmt: skip
 
     @classmethod
@@ -33,14 +83,50 @@ class PLGS_OT_import_scene(bpy.types.Operator):
             cls.poll_message_set(reason)
         return reason is None
 
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.waits = False
+        return self.execute(context)
+
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.plgs
+        self.into_settings(settings)
         if self.scene_folder:
             settings.scene_folder = self.scene_folder
-        place = place_of(settings)
-        root = place_scene(place.folder, context.scene, masks=place.masks, up=place.up)
-        self.report({"INFO"}, f"{root.name}: {len(root.all_objects)} cameras")
+        self.import_it(context)
+        return FINISHED
+
+
+class PLGS_OT_browse_scene(SceneOptions, bpy.types.Operator):
+    """Import the cameras and images of posed frames: a folder, or a file such as transforms.json, .sens or .r3d"""
+
+    bl_idname, bl_label, bl_options = "plgs.browse_scene", "PLGS Scene", {"UNDO", "PRESET"}
+
+    filepath: StringProperty(  # type: ignore[valid-type]
+        name="File", subtype="FILE_PATH", options={"SKIP_SAVE"},
+        description="The scene's file, any file out of its folder, or the folder itself",
+    )  # fmt: skip
+    filter_glob: StringProperty(  # type: ignore[valid-type]
+        default=";".join(f"*{suffix}" for suffix in FILE_SUFFIXES), options={"HIDDEN", "SKIP_SAVE"}
+    )
+
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.waits = False
+        context.window_manager.fileselect_add(self)
+        return RUNNING
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.plgs
+        place = scene_at(Path(absolute(self.filepath)), chosen_format(self.format))
+        for name, default in (("format", AUTOMATIC), ("masks", ""), ("depth", ""), ("up", "z")):
+            if not self.properties.is_property_set(name):  # what the panel says is another scene's
+                setattr(settings, name, default)
+        self.into_settings(settings)
+        settings.scene_folder = str(place)
+        self.import_it(context)
         return FINISHED
 
 
@@ -82,14 +168,20 @@ class PLGS_OT_open_dropped(bpy.types.Operator):
 
 
 class PLGS_FH_scene(bpy.types.FileHandler):
-    """A panoptic.json, request.json, pose or intrinsic file dropped on a 3D view opens what it is part of"""
+    """A file of a scene or a lift, dropped on a 3D view, opens what it is part of"""
 
     bl_idname, bl_label = "PLGS_FH_scene", "PLGS scene or lift"
-    bl_import_operator, bl_file_extensions = "plgs.open_dropped", ".json;.txt;.jsonl"
+    bl_import_operator, bl_file_extensions = "plgs.open_dropped", ";".join(FILE_SUFFIXES)
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-CLASSES = (PLGS_OT_import_scene, PLGS_OT_look_at_scene, PLGS_OT_open_dropped, PLGS_FH_scene)
+CLASSES = (
+    PLGS_OT_import_scene,
+    PLGS_OT_browse_scene,
+    PLGS_OT_look_at_scene,
+    PLGS_OT_open_dropped,
+    PLGS_FH_scene,
+)

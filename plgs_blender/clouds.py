@@ -75,6 +75,24 @@ def place_anchors(owned: OwnedDataBlocks, parent: bpy.types.Collection, anchors:
     return ob
 
 
+def place_points(
+    owned: OwnedDataBlocks,
+    parent: bpy.types.Collection,
+    key: str,
+    name: str,
+    xyz: NDArray[np.float32],
+    rgb: NDArray[np.uint8],
+) -> bpy.types.Object:
+    """Our cloud object `key` of points that have a colour and no class yet: xyz float32 [N, 3] metres, rgb uint8
+    [N, 3] sRGB.
+    """
+    radius = SurfaceGrid.of(xyz).radii(_SMALLEST, _LARGEST)
+    ob = _place(owned, parent, key, name, xyz, radius, [("Col", "FLOAT_COLOR", linear_rgba(rgb))])
+    ob.color = (0.8, 0.8, 0.8, 1.0)
+    ob["points"] = len(xyz)
+    return ob
+
+
 def _place(
     owned: OwnedDataBlocks,
     parent: bpy.types.Collection,

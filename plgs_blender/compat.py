@@ -134,6 +134,35 @@ def constant_keys(tree: bpy.types.NodeTree, path: str, values: list[int]) -> Non
                 key.interpolation = "CONSTANT"
 
 
+def add_keys(
+    block: bpy.types.ID,
+    action: bpy.types.Action,
+    path: str,
+    frames: NDArray[np.floating],
+    values: NDArray[np.floating],
+    interpolation: str,
+) -> None:
+    """Key a property of ``block`` in an action that is empty of it: float values [N] or [N, K] at frames [N].
+
+    The action becomes the block's. Before 4.4 an action has no slots, from 5.0 on its curves belong to one.
+    """
+    animation = block.animation_data_create()
+    if animation.action != action:
+        animation.action = action
+    columns = np.asarray(values, np.float64).reshape(len(frames), -1).T
+    for index, column in enumerate(columns):
+        if "fcurve_ensure_for_datablock" in bpy.types.Action.bl_rna.functions:
+            curve = action.fcurve_ensure_for_datablock(block, path, index=index)
+        else:
+            curve = action.fcurves.new(path, index=index)
+        keys = curve.keyframe_points
+        keys.add(len(frames))
+        keys.foreach_set("co", np.stack([frames, column], axis=1).astype(np.float32).ravel())
+        kinds = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items
+        keys.foreach_set("interpolation", np.full(len(frames), kinds[interpolation].value, np.int32))
+        curve.update()
+
+
 def _curves(block: Any) -> list[Any]:
     """Every animation curve of a data-block."""
     action = block.animation_data and block.animation_data.action

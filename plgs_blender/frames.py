@@ -4,7 +4,7 @@ timeline.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import bpy
@@ -18,25 +18,36 @@ from .owned import OwnedDataBlocks, key_of
 FIRST_FRAME = "plgs_first_frame"
 """Property of a lift's collection: where on the timeline its first frame lies."""
 
-_DISPLAY_SIZE = 0.15  # metres: the camera path stays readable between furniture
+DISPLAY_SIZE = 0.15  # metres: the camera path stays readable between furniture
+
+
+SHOWN, PHOTO = "plgs_shown", "PHOTO"
+"""Property of a frame's camera: what is before its view; its photo, where nothing else was asked for."""
+
+_PHOTO_ALPHA = 0.5
 
 
 def place_frames(
-    owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[Frame]
+    owned: OwnedDataBlocks,
+    parent: bpy.types.Collection,
+    frames: Sequence[Frame],
+    made: Mapping[str, Path] | None = None,
 ) -> list[bpy.types.Object]:
     """One camera a frame in `parent`: exact lens and pose, the colour image in view, what is known as
-    properties.
+    properties. `made` are pictures by frame name that an engine made where no image file shows them.
     """
     cameras = []
     for frame in frames:
         key = f"frame:{frame.name}"
         data = owned.data_of(key) or _new_camera(owned, key, frame.name)
         set_lens(data, frame.camera)
-        data.display_size = _DISPLAY_SIZE
-        _show_picture(data, owned, frame)
+        data.display_size = DISPLAY_SIZE
         ob = owned.object(key, frame.name, data, parent)
         ob.matrix_world = Matrix(object_matrix(frame.camera).tolist())
         _describe(ob, frame)
+        picture = picture_of(frame, made)
+        if picture is not None:
+            show_photo(ob, owned, picture)
         cameras.append(ob)
     return cameras
 
@@ -77,8 +88,9 @@ def mark_timeline(
     lift: str,
     overview: bpy.types.Object | None,
     cameras: Sequence[bpy.types.Object],
-) -> None:
-    """A marker for the overview, where there is one, and one for each frame, bound to their cameras.
+) -> int:
+    """A marker for the overview, where there is one, and one for each frame, bound to their cameras. Returns where on
+    the timeline the first frame lies.
 
     Scrubbing walks through them.
 
@@ -95,28 +107,39 @@ def mark_timeline(
         root[FIRST_FRAME] = scene.frame_end + 1 if theirs or bound else 0
         if theirs and not bound:
             markers.new(scene.camera.name, frame=scene.frame_start).camera = scene.camera
-    for frame, camera in enumerate([*([overview] if overview else []), *cameras], start=root[FIRST_FRAME]):
+    shown = [*([overview] if overview else []), *cameras]
+    for frame, camera in enumerate(shown, start=root[FIRST_FRAME]):
         markers.new(camera.get("frame", camera.name), frame=frame).camera = camera
+    first: int = root[FIRST_FRAME]
+    return first + len(shown) - len(cameras)
 
 
 def _new_camera(owned: OwnedDataBlocks, key: str, name: str) -> bpy.types.Camera:
     return owned.new_data(bpy.data.cameras.new(name), key)
 
 
-def _show_picture(data: bpy.types.Camera, owned: OwnedDataBlocks, frame: Frame) -> None:
-    """The colour image, half transparent before the scene: it shows whether the scene fits it. Nothing for a picture
-    that no image file shows.
-    """
-    if not frame.file_shows_colour:
-        return
-    image = owned.block("images", f"picture:{frame.name}", lambda: _load(frame.colour_path))
-    image.filepath = str(frame.colour_path)
+def picture_of(frame: Frame, made: Mapping[str, Path] | None = None) -> Path | None:
+    """The image file that shows what the frame's camera saw; None where there is none, or not yet."""
+    return frame.colour_path if frame.file_shows_colour else (made or {}).get(frame.name)
+
+
+def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path) -> None:
+    """Put a frame's photo, half transparent, before what its camera sees: it shows whether the scene fits it."""
+    image = owned.block("images", f"picture:{ob['frame']}", lambda: _load(picture))
+    image.filepath = str(picture)
+    put_before(ob, image, PHOTO, _PHOTO_ALPHA)
+
+
+def put_before(ob: bpy.types.Object, image: bpy.types.Image, what: str, alpha: float) -> None:
+    """Put an image of ``what`` before what the camera of a frame sees, in place of the one that is there."""
+    ob[SHOWN] = what
+    data = ob.data
     data.background_images.clear()
     background = data.background_images.new()
     background.image = image
-    background.display_depth, background.alpha = "FRONT", 0.5
+    background.display_depth, background.alpha = "FRONT", alpha
     # With square pixels CROP is right in scenes of any shape; else only stretching is, once the scene has the aspect.
-    squareness = frame.camera.fx / frame.camera.fy
+    squareness = ob["fx"] / ob["fy"]
     background.frame_method = "CROP" if abs(squareness - 1.0) < 1e-3 else "STRETCH"
     background.show_expanded = False
     data.show_background_images = True

@@ -5,27 +5,98 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+import numpy as np
 
-from ..engine.scene import UpAxis, open_scene
-from .frames import mark_timeline, place_frames
-from .lift_collection import child_collection, overview_of, root_collection, scene_to_fill
+from ..engine.job.made_frames import MadeFrames
+from ..engine.scene import Scene, UpAxis
+from .camera_path import place_camera_path
+from .clouds import place_points
+from .frames import mark_timeline, picture_of, place_frames, show_photo
+from .inspecting.lookup import objects_by_key
+from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
+from .made_pictures import made_before, photos, read_cloud
 from .owned import LIFT, OwnedDataBlocks
+from .scene_formats import AUTOMATIC
+from .scene_survey import Place
+
+MISSING = "plgs_missing"
+"""Property of an imported scene's collection: what only an engine can make of it, "colour" and "cloud" as its command
+calls them."""
+
+_CLOUDS = "Coloured points"
 
 
 def place_scene(
-    folder: Path, scene: bpy.types.Scene, *, masks: Path | None = None, up: UpAxis = "z"
+    folder: Path,
+    scene: bpy.types.Scene,
+    *,
+    masks: Path | None = None,
+    up: UpAxis = "z",
+    scene_format: str | None = None,
+    depth: Path | None = None,
+    cloud: bool = True,
 ) -> bpy.types.Collection:
-    """Put one camera a frame, with its picture and timeline marker, into the scene; returns the collection.
+    """Put one camera a frame, with its picture and timeline marker, a camera that moves along them, and the points of
+    the reconstruction into the scene; also what an engine made of the scene before. With ``cloud`` a cloud belongs to
+    it, where the scene has depth. Returns the collection, whose property MISSING says what is left to an engine.
 
     A lift of the same frames later fills the same collection; one that is there already keeps all else. Raises
-    SceneError, before anything is changed.
+    SceneError or JobError, before anything is changed.
     """
-    opened = open_scene(folder, masks, up)
+    place = Place(folder, masks, up, scene_format, depth)
+    opened = place.open()
+    made = made_before(place.source)
     scene = scene_to_fill(scene)
     root = root_collection(opened.folder, None, scene)
+    root[PLACE] = _as_texts(place)
     owned = OwnedDataBlocks(root[LIFT], scene)
-    cameras = place_frames(owned, child_collection(root, "Cameras"), opened.frames)
-    mark_timeline(scene, root, root[LIFT], overview_of(root), cameras)
+    pictures = photos(made)
+    cameras = place_frames(owned, child_collection(root, "Cameras"), opened.frames, pictures)
+    first = mark_timeline(scene, root, root[LIFT], overview_of(root), cameras)
+    place_camera_path(owned, root, opened.frames, first)
     if scene.camera is None:
         scene.camera = cameras[0]
+    missing = [] if all(picture_of(frame, pictures) for frame in opened.frames) else ["colour"]
+    if not root[FOLDER]:  # the points of a lift say more
+        missing += _place_clouds(owned, root, opened, made, cloud)
+    root[MISSING] = " ".join(missing)
     return root
+
+
+def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
+    """Put what an engine made since the import into it: photos before the cameras, and the cloud. Raises JobError."""
+    owned = OwnedDataBlocks(root[LIFT], scene)
+    cameras = {ob["frame"]: ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")}
+    for name, picture in photos(made).items():
+        if name in cameras:
+            show_photo(cameras[name], owned, picture)
+    root[MISSING] = ""
+    if made.cloud is not None and not root[FOLDER]:
+        xyz, rgb = read_cloud(made.cloud)
+        place_points(owned, child_collection(root, _CLOUDS), "cloud", "Coloured cloud", xyz, rgb)
+
+
+def _place_clouds(
+    owned: OwnedDataBlocks, root: bpy.types.Collection, opened: Scene, made: MadeFrames | None, cloud: bool
+) -> list[str]:
+    """The points of the reconstruction and the cloud, as far as there are some; what an engine has to make."""
+    if opened.points is not None and len(opened.points):
+        xyz = opened.points.xyz.astype(np.float32)
+        parent = child_collection(root, _CLOUDS)
+        place_points(owned, parent, "sparse_points", "Sparse points", xyz, opened.points.rgb)
+    if not cloud or not any(frame.read_depth is not None for frame in opened.frames):
+        return []
+    if made is None or made.cloud is None or not made.cloud.is_file():
+        return ["cloud"]
+    xyz, rgb = read_cloud(made.cloud)
+    place_points(owned, child_collection(root, _CLOUDS), "cloud", "Coloured cloud", xyz, rgb)
+    return []
+
+
+def _as_texts(place: Place) -> dict[str, str]:
+    return {
+        "masks": "" if place.masks is None else str(place.masks),
+        "up": place.up,
+        "format": place.scene_format or AUTOMATIC,
+        "depth": "" if place.depth is None else str(place.depth),
+    }

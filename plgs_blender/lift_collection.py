@@ -15,6 +15,9 @@ FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
 """Properties of a lift's collection: the folders of the lift and of the scene it was made from. Where only the scene
 was imported so far, the first is empty."""
 
+PLACE = "plgs_place"
+"""Property of an imported scene's collection: how the scene was read (masks, up, format, depth), as texts."""
+
 _ROOT = "lift"
 
 

@@ -16,6 +16,7 @@ from mathutils import Matrix, Vector
 from ..engine.job import JobError
 from . import compat
 from .boxes import place_boxes
+from .camera_path import place_camera_path
 from .cameras import object_matrix
 from .clouds import place_anchors, place_semantic_points
 from .exr_header import check_layers
@@ -66,7 +67,8 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
     place_boxes(owned, child_collection(root, "Instances"), result.instances)
     overview = _place_overview(owned, root, result, normals)
-    mark_timeline(scene, root, root[LIFT], overview, cameras)
+    first = mark_timeline(scene, root, root[LIFT], overview, cameras)
+    place_camera_path(owned, root, frames, first)
     if scene.camera is None:
         scene.camera = overview
     place_passes(owned, result)

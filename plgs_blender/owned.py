@@ -19,7 +19,7 @@ LIFT = "plgs_lift"
 KEY = "plgs_key"
 
 # Users before what they use: a background image is free only when its camera is gone.
-_DATA = ("cameras", "pointclouds", "meshes", "materials", "node_groups", "images")
+_DATA = ("cameras", "pointclouds", "meshes", "materials", "node_groups", "images", "actions")
 
 
 def tag(block: Any, lift: str, key: str) -> None:

@@ -12,23 +12,51 @@ from pathlib import Path
 from typing import Any
 
 from ..engine.job import ExitCode, JobError
+from ..engine.job.made_frames import SceneSource
 from ..engine.job.process import EngineProcess
 from ..engine.scene import Scene, SceneError, Size, UpAxis, open_scene
 from .paths import absolute
+from .scene_formats import AUTOMATIC, chosen_format
 
 
 @dataclass(frozen=True)
 class Place:
-    """Which scene: its folder, its masks where they lie elsewhere, and the axis that points up."""
+    """Which scene: its folder or file, its masks where they lie elsewhere, the axis that points up, its format where
+    it is named, and a folder of depth maps.
+    """
 
     folder: Path
-    masks: Path | None
-    up: UpAxis
+    masks: Path | None = None
+    up: UpAxis = "z"
+    scene_format: str | None = None
+    depth: Path | None = None
 
     @classmethod
-    def of(cls, folder: str, masks: str, up: UpAxis) -> Place:
-        """From paths as users type them; no masks are an empty text."""
-        return cls(absolute(folder), absolute(masks) if masks else None, up)
+    def of(cls, folder: str, masks: str, up: UpAxis, scene_format: str = AUTOMATIC, depth: str = "") -> Place:
+        """From paths as users type them; no masks and no depth maps are empty texts."""
+        masks_path, depth_path = (absolute(path) if path else None for path in (masks, depth))
+        return cls(absolute(folder), masks_path, up, chosen_format(scene_format), depth_path)
+
+    @property
+    def source(self) -> SceneSource:
+        """The same, as the engine writes it beside what it makes of the scene."""
+        masks, depth = (None if path is None else path.resolve() for path in (self.masks, self.depth))
+        return SceneSource(self.folder.resolve(), masks, self.up, self.scene_format, depth)
+
+    def open(self) -> Scene:
+        """Open it, headers only. Raises SceneError."""
+        try:
+            return open_scene(self.folder, self.masks, self.up, self.scene_format, self.depth)
+        except ImportError as error:
+            fix = "Take its pictures out into files, or convert the video to MP4."
+            raise SceneError("Blender's Python cannot look into this video", self.folder, fix) from error
+
+    def arguments(self) -> list[str | Path]:
+        """How the engine's commands are told it."""
+        told: list[str | Path] = [self.folder, f"--up={self.up}"]
+        for option, value in (("--masks", self.masks), ("--format", self.scene_format), ("--depth", self.depth)):
+            told += [] if value is None else [option, value]
+        return told
 
 
 @dataclass(frozen=True)
@@ -36,8 +64,9 @@ class Survey:
     """What is known of a scene. ``error`` and ``fix`` say why it cannot be lifted; None and empty when it can.
 
     ``sizes`` of the colour images with how many have each, the commonest first; ``depth_range`` the nearest, middle and
-    farthest depth in metres, None where no engine has looked into the pixels. While one does (``is_looking``), nothing
-    else is known.
+    farthest depth in metres, None where no engine has looked into the pixels. ``picture_files`` counts the frames whose
+    picture is an image file as it is: those that Blender can show by itself. While an engine looks (``is_looking``),
+    nothing else is known.
     """
 
     place: Place
@@ -50,6 +79,11 @@ class Survey:
     fix: str = ""
     depth_range: tuple[float, float, float] | None = None
     is_looking: bool = False
+    format: str = ""
+    has_depth: bool = False
+    has_masks: bool = False
+    sparse_points: int = 0
+    picture_files: int = 0
 
     @property
     def frames(self) -> int:
@@ -75,7 +109,7 @@ def look(place: Place, python: Path | None) -> Survey:
     _latest = Survey(place)
     if python is None or not _begin_inspection(place, python):
         try:
-            _latest = _from_headers(place, open_scene(place.folder, place.masks, place.up))
+            _latest = _from_headers(place, place.open())
         except SceneError as error:
             _latest = Survey(place, error=f"{error.what}: {error.where}", fix=error.fix)
         except (OSError, ValueError) as error:  # a path that this system cannot even look at
@@ -114,8 +148,7 @@ def stop_looking() -> None:
 def _begin_inspection(place: Place, python: Path) -> bool:
     """Whether an engine could be started."""
     global _latest, _inspector
-    masks: list[str | Path] = [] if place.masks is None else ["--masks", place.masks]
-    command: list[str | Path] = [python, "-m", "engine", "inspect", place.folder, f"--up={place.up}", "--json", *masks]
+    command: list[str | Path] = [python, "-m", "engine", "inspect", *place.arguments(), "--json"]
     try:
         _inspector = EngineProcess(command)
     except JobError:  # what is wrong with that Python, its own status says
@@ -133,6 +166,11 @@ def _from_headers(place: Place, scene: Scene) -> Survey:
         sizes=tuple(sizes),
         classes=tuple(category.name for category in scene.classes.categories),
         warnings=scene.warnings,
+        format=scene.format,
+        has_depth=scene.has_depth,
+        has_masks=scene.has_masks,
+        sparse_points=0 if scene.points is None else len(scene.points),
+        picture_files=sum(frame.file_shows_colour for frame in scene.frames),
     )
 
 
@@ -155,6 +193,17 @@ def _with_answer(survey: Survey, code: int, output: str) -> Survey:
             classes=tuple(str(each["name"]) for each in answer["classes"]),
             warnings=tuple(str(each) for each in answer["warnings"]),
             depth_range=depth_range,
+            format=str(answer["format"]),
+            has_depth=_of_all(answer, "depth_sizes"),
+            has_masks=_of_all(answer, "mask_sizes"),
+            sparse_points=int(answer["sparse_points"]),
+            picture_files=int(answer["picture_files"]),
         )
     except (ValueError, TypeError, KeyError) as error:
         return replace(survey, error=f"the engine could not look at it ({error!r}): {line}", fix="Look again.")
+
+
+def _of_all(answer: dict[str, Any], sizes: str) -> bool:
+    """Whether as many frames have it as there are."""
+    count = sum(int(count) for _, count in answer[sizes])
+    return count == int(answer["train_frames"]) + int(answer["test_frames"])

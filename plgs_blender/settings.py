@@ -11,6 +11,7 @@ from ..engine.job import LiftRequest
 from ..engine.job.request import LARGEST_SIDE, SMALLEST_SIDE
 from .paths import absolute
 from .running import poll_timer
+from .scene_formats import AUTOMATIC, FORMAT_ITEMS, chosen_format
 from .scene_survey import Place
 
 _PRESETS = [
@@ -18,7 +19,7 @@ _PRESETS = [
     ("standard", "Standard", "The best result, in a few times the minutes"),
     ("paper", "Paper", "The paper's own way and number of steps: hours"),
 ]
-_UPS = [
+UPS = [
     ("z", "Z", "The poses' z axis points up"),
     ("y", "Y", "The poses' y axis points up"),
     ("-y", "-Y", "The poses' y axis points down, as in a camera"),
@@ -29,7 +30,8 @@ _BAKES = [
     ("none", "None", "Bake no passes; they can be baked later"),
 ]
 
-_PATHS = ("lift_folder", "scene_folder", "masks")
+_FORMATS = {name for name, *_ in FORMAT_ITEMS}
+_PATHS = ("lift_folder", "scene_folder", "masks", "depth")
 _OPTION = {"SKIP_SAVE"}
 """So that an operator does not remember what a script once gave it."""
 
@@ -52,14 +54,22 @@ class LiftOptions:
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Scene", subtype="DIR_PATH", update=_look_at_scene,
-        description="Folder with color, depth, pose, intrinsic and the masks",
+        description="A capture's folder or file: ScanNet, transforms.json, COLMAP, Polycam, .r3d, .sens and others",
+    )  # fmt: skip
+    format: EnumProperty(  # type: ignore[valid-type]
+        options=_OPTION, name="Format", items=FORMAT_ITEMS, default=AUTOMATIC, update=_look_at_scene,
+        description="How the scene is laid out, where its looks do not tell",
     )  # fmt: skip
     masks: StringProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Masks", subtype="FILE_PATH", update=_look_at_scene,
         description="Panoptic masks that lie elsewhere than in the scene's folder",
     )  # fmt: skip
+    depth: StringProperty(  # type: ignore[valid-type]
+        options=_OPTION, name="Depth maps", subtype="DIR_PATH", update=_look_at_scene,
+        description="Folder of a network's depth maps, one a frame, fitted to the sparse points where there are some",
+    )  # fmt: skip
     up: EnumProperty(  # type: ignore[valid-type]
-        options=_OPTION, name="Up", items=_UPS, default="z", update=_look_at_scene,
+        options=_OPTION, name="Up", items=UPS, default="z", update=_look_at_scene,
         description="The axis of the poses that points up",
     )  # fmt: skip
     preset: EnumProperty(  # type: ignore[valid-type]
@@ -106,7 +116,7 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
 
 def place_of(settings: PLGS_PG_settings) -> Place:
     """Which scene the settings name."""
-    return Place.of(settings.scene_folder, settings.masks, settings.up)
+    return Place.of(settings.scene_folder, settings.masks, settings.up, settings.format, settings.depth)
 
 
 def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
@@ -132,6 +142,8 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
         seed=settings.seed,
         up=settings.up,
         bake=settings.bake,
+        scene_format=chosen_format(settings.format),
+        depth=absolute(settings.depth) if settings.depth else None,
     )
 
 
@@ -143,6 +155,8 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "scene_folder": str(request.scene),
         "masks": "" if request.masks is None else str(request.masks),
         "up": request.up,
+        "format": request.scene_format if request.scene_format in _FORMATS else AUTOMATIC,
+        "depth": "" if request.depth is None else str(request.depth),
         "preset": request.preset,
         "steps": request.steps or 0,
         "width": width,

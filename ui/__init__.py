@@ -6,9 +6,31 @@ Nothing here looks at the disk while it draws.
 from __future__ import annotations
 
 from ..plgs_blender.registration import register_modules, unregister_modules
-from . import lift_panel, lists, overlay, passes_panel, preferences, result_panel, scene_panel, sidebar
+from . import (
+    file_menu,
+    frames_panel,
+    lift_panel,
+    lists,
+    overlay,
+    passes_panel,
+    preferences,
+    result_panel,
+    scene_panel,
+    sidebar,
+)
 
-_MODULES = (preferences, sidebar, lists, lift_panel, passes_panel, scene_panel, result_panel, overlay)
+_MODULES = (
+    preferences,
+    sidebar,
+    lists,
+    lift_panel,
+    passes_panel,
+    scene_panel,
+    frames_panel,
+    result_panel,
+    overlay,
+    file_menu,
+)
 
 
 def register() -> None:

@@ -29,10 +29,11 @@ class SceneReport:
     """Counts and ranges over all frames that a lift would use.
 
     ``format`` names the reader that took the scene, ``sparse_points`` counts the points of the reconstruction that its
-    poses come from. Sizes are (width, height) with the number of frames that have them, the commonest first.
-    ``depth_range`` is the nearest, the median and the farthest depth in metres; ``segments_per_frame`` the fewest, the
-    median and the most; None where there is no depth, no mask. ``void_share`` is the share of mask pixels without a
-    label. ``extent`` is the size of the box around the cameras' centres, in metres along x, y, z.
+    poses come from, ``picture_files`` the frames whose picture is an image file as it is. Sizes are (width, height)
+    with the number of frames that have them, the commonest first. ``depth_range`` is the nearest, the median and the
+    farthest depth in metres; ``segments_per_frame`` the fewest, the median and the most; None where there is no depth,
+    no mask. ``void_share`` is the share of mask pixels without a label. ``extent`` is the size of the box around the
+    cameras' centres, in metres along x, y, z.
     """
 
     folder: Path
@@ -49,6 +50,7 @@ class SceneReport:
     void_share: float
     extent: tuple[float, float, float]
     sparse_points: int
+    picture_files: int
     warnings: tuple[str, ...]
 
 
@@ -84,6 +86,7 @@ def describe(scene: Scene) -> SceneReport:
         void_share=shares[VOID],
         extent=(float(extent[0]), float(extent[1]), float(extent[2])),
         sparse_points=0 if scene.points is None else len(scene.points),
+        picture_files=sum(frame.file_shows_colour for frame in scene.frames),
         warnings=scene.warnings + survey.warnings,
     )
 

@@ -15,7 +15,7 @@ from ..engine_environment import engine_python
 from ..paths import absolute
 from ..redrawing import redraw_panels
 from ..scene_survey import Place
-from . import lifts, live_preview, machine_pace, recents
+from . import frame_making, lifts, live_preview, machine_pace, recents
 from .lifts import Watch
 
 TICK_S = 0.1
@@ -35,9 +35,20 @@ def tick() -> float | None:
         live_preview.follow_camera(watch.folder, _scenes())
     was_looking = scene_survey.is_looking()
     is_looking = scene_survey.poll()
-    if with_news or was_looking != is_looking:
-        redraw_panels(views_too=any(shown_anew))
-    return TICK_S if lifts.running() or is_looking else None
+    was_making, frames_are_made = frame_making.is_making(), frame_making.poll()
+    if frames_are_made:
+        _remember_step("PLGS Frames")
+    if with_news or was_looking != is_looking or was_making:
+        redraw_panels(views_too=any(shown_anew) or frames_are_made)
+    return TICK_S if lifts.running() or is_looking or frame_making.is_making() else None
+
+
+def _remember_step(name: str) -> None:
+    """Let undo take back what the timer put into the scene, and nothing before it."""
+    window = next(iter(bpy.context.window_manager.windows), None)
+    if window is not None:
+        with bpy.context.temp_override(window=window):
+            bpy.ops.ed.undo_push(message=name)
 
 
 def look_at_scene(place: Place) -> None:
@@ -79,7 +90,7 @@ def look_at_all_scenes() -> None:
             look_at_lift(absolute(scene.plgs.lift_folder))
     settings = bpy.context.scene.plgs
     if settings.scene_folder:
-        look_at_scene(Place.of(settings.scene_folder, settings.masks, settings.up))
+        look_at_scene(Place.of(settings.scene_folder, settings.masks, settings.up, settings.format, settings.depth))
 
 
 @bpy.app.handlers.persistent
@@ -101,5 +112,6 @@ def unregister() -> None:
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     scene_survey.stop_looking()
+    frame_making.forget()
     lifts.let_go()
     live_preview.forget()

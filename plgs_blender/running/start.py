@@ -11,6 +11,7 @@ from ...engine.scene import open_scene_to_lift
 from .. import engine_environment
 from ..lift_scene import place_lift
 from ..paths import absolute, free_lift_folder
+from ..possibilities import why_not_liftable
 from ..scene_survey import survey_of
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, place_of, request_of
 from . import lifts
@@ -42,7 +43,8 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     followed = followed_lift(settings)
     if followed is not None and followed.is_running:
         return "This lift is running already"
-    return why_no_scene(settings)
+    survey = survey_of(place_of(settings)) if settings.scene_folder else None
+    return why_no_scene(settings) or (None if survey is None else why_not_liftable(survey))
 
 
 def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False) -> Watch:
@@ -56,7 +58,8 @@ def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False) -> W
     python = engine_environment.usable_python()
     request = request_of(settings)
     known = survey_of(place_of(settings))
-    if known is None or known.error is not None:  # else the panel looks, or has looked, and a button answers at once
+    # Else the panel looks, or has looked, and a button answers at once.
+    if known is None or known.error is not None or why_not_liftable(known) is not None:
         open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)
     folder = chosen_lift(settings)
     if folder is None or (not in_that_folder and (folder / "request.json").exists()):

@@ -1,0 +1,66 @@
+"""Where an engine puts what Blender cannot make of a scene's frames, and what lies there already."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from hashlib import sha256
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine.job import JobError
+from ..engine.job.made_frames import MadeFrames, SceneSource, made_of
+from ..engine.job.user_cache import notes_folder
+
+_MOST_BESIDE = 9
+
+
+def frames_folder(source: SceneSource) -> Path:
+    """Beside the scene, as lifts are: "room_frames", or "room_frames_2" where that holds another's; where nothing can
+    be written there, in the user's cache. It may not be there yet. Raises JobError when no place is left.
+    """
+    for folder in _candidates(source):
+        try:
+            made_of(folder, source)
+        except JobError:
+            continue
+        return folder
+    fix = "Delete the folders of frames beside the scene that nobody needs."
+    raise JobError("there are too many folders of frames", source.scene.parent, fix)
+
+
+def made_before(source: SceneSource) -> MadeFrames | None:
+    """What an earlier run made of this scene; None when there is nothing. Raises JobError."""
+    return made_of(frames_folder(source), source)
+
+
+def photos(made: MadeFrames | None) -> dict[str, Path]:
+    """The pictures that were made, by frame name; those that were deleted meanwhile are left out."""
+    frames = {} if made is None else made.frames
+    return {name: each.colour for name, each in frames.items() if each.colour is not None and each.colour.is_file()}
+
+
+def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """xyz float32 [N, 3] metres and rgb uint8 [N, 3] of a cloud. Raises JobError."""
+    fix = "Delete the file and import the scene again."
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            xyz, rgb = stored["xyz"], stored["rgb"]
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise JobError(f"cannot be read ({error})", path, fix) from error
+    if xyz.dtype != np.float32 or rgb.dtype != np.uint8 or xyz.shape != rgb.shape or xyz.shape[1:] != (3,):
+        raise JobError("is no coloured cloud", path, fix)
+    return xyz, rgb
+
+
+def _candidates(source: SceneSource) -> Iterator[Path]:
+    scene = source.scene
+    name = f"{scene.stem if scene.is_file() else scene.name}_frames"
+    if os.access(scene.parent, os.W_OK):
+        yield scene.with_name(name)
+        yield from (scene.with_name(f"{name}_{number}") for number in range(2, _MOST_BESIDE + 1))
+    mark = sha256(repr(source).encode(errors="surrogateescape")).hexdigest()[:12]
+    yield notes_folder() / "frames" / f"{name}-{mark}"

@@ -1,0 +1,150 @@
+"""An engine that makes what Blender cannot of a scene's frames: one process, polled; then its files are shown.
+
+What it belongs to is found again by its lift's key, so that undo, another file or a removed camera do no harm: then
+nothing is shown.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+
+from ...engine.job import ExitCode, JobError
+from ...engine.job.made_frames import MadeFrames
+from ...engine.job.process import EngineProcess
+from ..errors import EXPECTED
+from ..frame_pictures import show_made
+from ..import_scene import add_made
+from ..inspecting.lookup import objects_by_key
+from ..lift_collection import lifts_in
+from ..made_pictures import frames_folder
+from ..owned import LIFT
+from ..scene_survey import Place
+
+_GLANCE_S = 0.05
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is made, for whom: the lift's key, the ``kinds`` as the engine's command calls them, and, where it is for
+    one camera's view, its ``frame`` and ``what`` is to be shown there.
+    """
+
+    place: Place
+    lift: str
+    kinds: tuple[str, ...]
+    frame: str = ""
+    what: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Making:
+    order: Order
+    folder: Path
+    process: EngineProcess
+
+
+_now: _Making | None = None
+_error: str | None = None
+
+
+def begin(order: Order, python: Path) -> None:
+    """Start an engine. Raises JobError when one is at it already, or cannot be started."""
+    global _now, _error
+    if _now is not None:
+        fix = "Wait until it is done, or cancel it."
+        raise JobError("an engine makes frames already", _now.order.place.folder, fix)
+    folder = frames_folder(order.place.source)
+    command: list[str | Path] = [python, "-m", "engine", "frames", *order.place.arguments(), "-o", folder]
+    command += ["--stay-with-parent", "--make", *order.kinds]
+    if order.frame:
+        command += ["--frames", order.frame]
+    _error = None
+    _now = _Making(order, folder, EngineProcess(command))
+
+
+def is_making() -> bool:
+    """Whether an engine makes frames just now."""
+    return _now is not None
+
+
+def progress() -> tuple[int, int] | None:
+    """Frames done and their number; None while that is not known."""
+    lines = _now.process.output_tail().splitlines() if _now is not None else []
+    if not lines or not lines[-1].startswith("frames "):
+        return None
+    done, _, total = lines[-1].removeprefix("frames ").partition("/")
+    return (int(done), int(total)) if done.isdecimal() and total.isdecimal() else None
+
+
+def error() -> str | None:
+    """Why the last time ended badly; None when it did not, and after a cancel."""
+    return _error
+
+
+def poll() -> bool:
+    """Show what was made when it is done; whether something ended."""
+    global _error
+    if _now is None:
+        return False
+    code = _now.process.exit_code()
+    if code is None:
+        return False
+    making, output = _now, _now.process.output_tail()
+    stop()
+    if code == ExitCode.FINISHED:
+        try:
+            _show(making)
+        except EXPECTED as problem:
+            _error = str(problem)
+    else:
+        last = output.splitlines()[-1] if output else f"exit code {code}"
+        _error = last.removeprefix("error: ")
+    return True
+
+
+def wait() -> None:
+    """Wait until it is done, for scripts. Raises JobError when it ended badly."""
+    place = None if _now is None else _now.order.place
+    try:
+        while _now is not None and not poll():
+            time.sleep(_GLANCE_S)
+    except KeyboardInterrupt:
+        stop()
+        raise
+    if _error is not None and place is not None:
+        raise JobError(f"frames could not be made ({_error})", place.folder, "Mend it, and import the scene again.")
+
+
+def stop() -> None:
+    """End the engine, if one is at it. What it made so far is kept."""
+    global _now
+    if _now is not None:
+        _now.process.kill()
+        _now.process.close()
+        _now = None
+
+
+def forget() -> None:
+    """Stop, and forget how the last time ended."""
+    global _error
+    stop()
+    _error = None
+
+
+def _show(making: _Making) -> None:
+    """Into every scene that has the import. Raises JobError."""
+    made = MadeFrames.read(making.folder)
+    for scene in bpy.data.scenes:
+        for root in lifts_in(scene):
+            if root[LIFT] != making.order.lift:
+                continue
+            if not making.order.frame:
+                add_made(scene, root, made)
+                continue
+            ob = objects_by_key(root).get(f"frame:{making.order.frame}")
+            if ob is not None and making.order.frame in made.frames:
+                show_made(scene, ob, making.order.what, made.frames[making.order.frame])

@@ -1,0 +1,46 @@
+"""The layouts of captures, as the panel offers them."""
+
+from __future__ import annotations
+
+from ..engine.scene import FORMATS
+
+AUTOMATIC = "auto"
+"""What the user chooses to leave the format to the scene's looks."""
+
+_LABELS = {
+    "scannet": "ScanNet folders",
+    "nerfstudio": "transforms.json (nerfstudio)",
+    "colmap": "COLMAP",
+    "tum": "TUM RGB-D",
+    "icl": "ICL-NUIM",
+    "7scenes": "7-Scenes",
+    "tsdf-fusion": "tsdf-fusion, 3DMatch",
+    "replica": "Replica (NICE-SLAM)",
+    "vmap": "Replica (vMAP)",
+    "sens": "ScanNet .sens",
+    "polycam": "Polycam",
+    "record3d": "Record3D .r3d",
+    "stray": "Stray Scanner",
+    "scannetpp": "ScanNet++ iPhone",
+    "hypersim": "Hypersim",
+    "open3d": "Open3D trajectory",
+}
+
+FORMAT_ITEMS = [
+    (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
+    *((each.name, _LABELS.get(each.name, each.name), each.looks_for) for each in FORMATS),
+]
+"""For an EnumProperty."""
+
+FILE_SUFFIXES = (".json", ".txt", ".jsonl", ".sens", ".r3d", ".log", ".bin", ".csv")
+"""Files by which people name a scene, in file browsers and by dropping them."""
+
+
+def label_of(name: str) -> str:
+    """What people call a format."""
+    return _LABELS.get(name, name)
+
+
+def chosen_format(choice: str) -> str | None:
+    """The format that a choice of FORMAT_ITEMS names; None leaves it to the scene's looks."""
+    return None if choice in ("", AUTOMATIC) else choice
