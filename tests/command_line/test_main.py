@@ -25,7 +25,10 @@ def code_of(*arguments: str | Path) -> int:
         return error.code
 
 
-@pytest.mark.parametrize("command", [[], ["lift"], ["evaluate"], ["inspect"], ["experiments"], ["warm-up"], ["bench"]])
+COMMANDS = ("lift", "evaluate", "inspect", "frames", "experiments", "warm-up", "bench")
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
 def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
     code = (
         "import sys\n"
@@ -156,3 +159,15 @@ def test_bench_refuses_a_file_that_it_cannot_write_before_it_measures(
         assert captured.err.startswith("error: ") and captured.err.count("\n") == 1
         assert str(tmp_path) in captured.err and not captured.out
     assert measured == []
+
+
+def test_frames_of_a_scene_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room = write_tiny_scene(tmp_path / "room", frames=3)
+    assert code_of("frames", room, "-o", tmp_path / "out", "--make", "depth", "--frames", "0001") == 0
+    assert "frames 1/1" in capsys.readouterr().out and (tmp_path / "out" / "depth" / "0001.png").is_file()
+    assert not (tmp_path / "out" / "depth" / "0000.png").exists() and not (tmp_path / "out" / "cloud.npz").exists()
+    assert code_of("frames", room, "-o", room) == 2
+    assert "holds something else" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert code_of("frames", room, "-o", tmp_path / "file" / "out") == 2
+    assert capsys.readouterr().err.startswith("error: ")

@@ -17,6 +17,10 @@ for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parent
 import tiny_lift  # noqa: E402  (beside the tests of plgs_blender)
 from tiny_scene import write_tiny_scene  # noqa: E402
 
+from tests.scene.formats.test_colmap import write_text  # noqa: E402
+from tests.scene.formats.test_nerfstudio import write_scene  # noqa: E402
+from tests.scene.formats.test_sens import sens  # noqa: E402
+
 
 @pytest.fixture(autouse=True)
 def extension(plgs: ModuleType) -> Iterator[None]:
@@ -38,3 +42,17 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished lift. Only for reading."""
     return tiny_lift.write_tiny_lift(tmp_path_factory.mktemp("lifts") / "lift").path
+
+
+@pytest.fixture(scope="session")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with captures in other layouts: COLMAP in walk, transforms.json in studio, two .sens in scans. Only for
+    reading, but engines put what they make of them beside them.
+    """
+    folder = tmp_path_factory.mktemp("captures")
+    write_text(folder / "walk")
+    write_scene(folder / "studio")
+    (folder / "scans").mkdir()
+    for name in ("one", "two"):
+        (folder / "scans" / f"{name}.sens").write_bytes(sens())
+    return folder

@@ -6,16 +6,22 @@ from pathlib import Path
 
 import bpy
 import pytest
+from plgs.engine.scene import FORMATS
+from plgs.plgs_blender.possibilities import possibilities
 from plgs.plgs_blender.running.estimate import estimate_of
 from plgs.plgs_blender.scene_survey import survey_of
-from plgs.plgs_blender.settings import place_of
+from plgs.plgs_blender.settings import place_of, request_of
+
+from tests.scene.formats.test_colmap import write_text
 
 
 def test_importing_cameras_lifts_nothing(room: Path) -> None:
     assert bpy.ops.plgs.import_scene(scene_folder=str(room)) == {"FINISHED"}
     scene = bpy.context.scene
-    cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
-    assert len(cameras) == 8 and len(scene.objects) == 8
+    cameras = [ob for ob in scene.objects if "frame" in ob]
+    assert len(cameras) == 8 and {ob.name for ob in scene.objects} - {ob.name for ob in cameras} == {
+        "Camera path", "Coloured cloud",
+    }  # fmt: skip
     assert all(camera.data.background_images[0].image for camera in cameras)
     assert len(scene.timeline_markers) == 8 and scene.camera in cameras
     assert Path(bpy.path.abspath(scene.plgs.scene_folder)) == room
@@ -31,12 +37,14 @@ def test_importing_twice_changes_nothing(room: Path) -> None:
 def test_a_lift_fills_the_collection_of_its_imported_scene(lift: Path) -> None:
     scene_folder = lift.parent / "tiny room"
     bpy.ops.plgs.import_scene(scene_folder=str(scene_folder))
-    imported = {ob for ob in bpy.context.scene.objects}
+    imported = {ob for ob in bpy.context.scene.objects if ob.type == "CAMERA"}
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
     assert imported <= set(bpy.context.scene.objects)
     assert len([c for c in bpy.data.collections if c.name.startswith("PLGS")]) == 1
+    assert "Coloured cloud" not in bpy.context.scene.objects, "the lift's own points take its place"
+    placed = {ob.name for ob in bpy.context.scene.objects}
     bpy.ops.plgs.import_scene()
-    assert any(ob.type == "POINTCLOUD" for ob in bpy.context.scene.objects), "importing again keeps the result"
+    assert {ob.name for ob in bpy.context.scene.objects} == placed, "importing again keeps the result"
 
 
 def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
@@ -45,6 +53,36 @@ def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
     survey = survey_of(place_of(settings))
     assert survey is not None and survey.error is None
     assert (survey.frames, survey.sizes) == (8, (((64, 48), 8),))
+
+
+def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder = str(room)
+    survey = survey_of(place_of(settings))
+    assert survey is not None and survey.format == "scannet" and survey.picture_files == 8
+    assert all(each.is_possible for each in possibilities(survey, has_engine=True))
+    settings.scene_folder = str(write_text(tmp_path / "walk"))
+    survey = survey_of(place_of(settings))
+    assert survey is not None and survey.format == "colmap" and survey.sparse_points == 6
+    found = {each.what: each for each in possibilities(survey, has_engine=False)}
+    assert [name for name, each in found.items() if not each.is_possible] == ["Lift"]
+    assert found["Lift"].why == "there are no depth and no masks: give depth maps and masks below"
+    with bpy.context.temp_override(plgs_panel=settings):
+        assert bpy.ops.plgs.import_scene.poll() and not bpy.ops.plgs.lift_scene.poll()
+    with pytest.raises(RuntimeError, match="the scene has no depth"):
+        bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / "lift"))
+    assert not (tmp_path / "lift").exists()
+
+
+def test_the_panel_names_the_format(room: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder = str(room)
+    settings.format = "colmap"
+    survey = survey_of(place_of(settings))
+    assert survey is not None and survey.error is not None and "no COLMAP model" in survey.error
+    assert request_of(settings).scene_format == "colmap"
+    offered = {item.identifier for item in settings.bl_rna.properties["format"].enum_items}
+    assert offered == {"auto", *(each.name for each in FORMATS)}
 
 
 def test_the_panel_predicts_what_a_lift_takes(room: Path) -> None:
@@ -91,6 +129,20 @@ def test_a_dropped_file_opens_its_scene_or_its_lift(room: Path, lift: Path) -> N
     assert Path(settings.scene_folder) == room
     bpy.ops.plgs.open_dropped(filepath=str(lift / "result" / "instances.json"))
     assert Path(settings.lift_folder) == lift
+
+
+@pytest.mark.parametrize(
+    ("file", "scene"),
+    [
+        ("walk/sparse/0/images.txt", "walk"),
+        ("walk/images/img_5.png", "walk"),
+        ("studio/transforms.json", "studio"),
+        ("scans/one.sens", "scans/one.sens"),
+    ],
+)
+def test_a_dropped_file_opens_any_capture(captures: Path, file: str, scene: str) -> None:
+    bpy.ops.plgs.open_dropped(filepath=str(captures / file))
+    assert Path(bpy.context.scene.plgs.scene_folder) == captures / scene
 
 
 def test_a_file_from_elsewhere_is_refused(tmp_path: Path) -> None:

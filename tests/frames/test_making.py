@@ -1,0 +1,129 @@
+"""Frames as plain files: what a video, an archive or a bent lens hides, and what depth shows."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.frames import make_frames
+from engine.frames.cloud import CloudBuilder
+from engine.job import JobError
+from engine.job.made_frames import MadeFrames, SceneSource
+from engine.scene import Camera, open_scene
+from tests.scene.formats.room import distance_to_room
+from tests.scene.formats.test_nerfstudio import write_scene
+from tests.scene.formats.test_sens import COLOUR, sens
+from tests.tiny_scene import write_tiny_scene
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    """A scene whose pictures no image file shows."""
+    path = tmp_path / "scan.sens"
+    path.write_bytes(sens())
+    return path
+
+
+def image(path: Path | None) -> np.ndarray:
+    """uint8 [H, W, 3] RGB."""
+    assert path is not None
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    assert pixels is not None, path
+    return pixels[..., ::-1]
+
+
+def test_what_lies_in_an_archive(archive: Path, tmp_path: Path) -> None:
+    scene, source = open_scene(archive), SceneSource(archive)
+    done = []
+    made = make_frames(scene, source, tmp_path / "out", progress=lambda *step: done.append(step))
+    assert done == [(i + 1, 6) for i in range(6)] and MadeFrames.read(tmp_path / "out") == made
+    for frame in scene.frames:
+        files = made.frames[frame.name]
+        shown = image(files.colour)
+        assert shown.shape == (COLOUR.height, COLOUR.width, 3) and files.masks is None
+        assert np.abs(shown.astype(int) - frame.read_colour(None)).mean() < 3.0  # JPEG
+        depth = frame.depth()
+        assert image(files.depth).shape[:2] == depth.shape
+        assert files.depth_range is not None
+        assert depth.min() <= files.depth_range[0] < files.depth_range[1] <= depth.max()
+
+
+def test_the_cloud_lies_on_the_room(archive: Path, tmp_path: Path) -> None:
+    made = make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", ["cloud"])
+    assert made.cloud is not None and made.frames["0"].colour is None
+    with np.load(made.cloud) as stored:
+        xyz, rgb = stored["xyz"], stored["rgb"]
+    assert len(xyz) > 2000 and xyz.dtype == np.float32 and rgb.dtype == np.uint8
+    assert (distance_to_room(xyz) < 0.06).mean() > 0.97
+    floor = rgb[(xyz[:, 2] < 0.02) & (distance_to_room(xyz) < 0.02)]
+    assert np.abs(np.median(floor, axis=0) - [120, 80, 50]).max() < 4
+
+
+def test_pictures_that_are_files_already_stay_where_they_are(tmp_path: Path) -> None:
+    room = write_tiny_scene(tmp_path / "room", frames=3)
+    made = make_frames(open_scene(room), SceneSource(room), tmp_path / "out")
+    assert all(each.colour is None and each.depth is not None for each in made.frames.values())
+    drawn = image(made.frames["0000"].masks)
+    colours = {tuple(each.colour) for each in open_scene(room).classes.categories}
+    assert colours & {tuple(colour) for colour in drawn.reshape(-1, 3).tolist()}
+
+
+def test_a_second_run_goes_on(archive: Path, tmp_path: Path) -> None:
+    scene, source, out = open_scene(archive), SceneSource(archive), tmp_path / "out"
+    make_frames(scene, source, out, ["colour"], ["0", "1"])
+    (out / "color" / "1.jpg").unlink()
+    (out / "color" / "0.jpg").write_bytes(b"kept")
+    made = make_frames(scene, source, out, ["colour", "depth"], ["1", "2"])
+    assert set(made.frames) == {"0", "1", "2"} and made.frames["0"].depth is None
+    assert (out / "color" / "0.jpg").read_bytes() == b"kept" and image(made.frames["1"].colour).size
+    before = (out / "color" / "0.jpg").stat().st_mtime
+    os.utime(archive, (before + 10, before + 10))
+    assert image(make_frames(scene, source, out, ["colour"], ["0"]).frames["0"].colour).size, "the scene is newer"
+
+
+def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path: Path) -> None:
+    scene, out = open_scene(archive), tmp_path / "out"
+    with pytest.raises(JobError, match="no frame of the scene: 17"):
+        make_frames(scene, SceneSource(archive), out, names=["17"])
+    make_frames(scene, SceneSource(archive), out, ["colour"], ["0"])
+    with pytest.raises(JobError, match="holds something else"):
+        make_frames(scene, SceneSource(archive, up="y"), out)
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "a.txt").write_text("mine")
+    with pytest.raises(JobError, match="holds something else"):
+        make_frames(scene, SceneSource(archive), tmp_path / "notes")
+    (out / "frames.json").write_text(json.dumps({"format": 1, "source": {}}))
+    with pytest.raises(JobError, match="frames.json"):
+        make_frames(scene, SceneSource(archive), out)
+
+
+def test_a_bent_lens_is_straight_in_the_files(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "bent", k1=-0.1)
+    scene = open_scene(folder)
+    made = make_frames(scene, SceneSource(folder), tmp_path / "out", ["colour"])
+    frame = scene.frames[0]
+    straight = frame.read_colour(None).astype(int)
+    assert np.abs(image(made.frames[frame.name].colour) - straight).mean() < 5.0
+
+
+def test_a_cloud_stays_within_its_cap_and_keeps_its_mean() -> None:
+    camera = Camera(40, 30, 30.0, 30.0, 20.0, 15.0, np.eye(4))
+    depth = np.random.default_rng(0).uniform(1.0, 4.0, (30, 40)).astype(np.float32)
+    colour = np.full((30, 40, 3), (10, 20, 30), np.uint8)
+    builder = CloudBuilder(cap=100)
+    for _ in range(3):
+        builder.add(camera, depth, colour)
+    builder.add(camera, np.zeros_like(depth), colour)
+    cloud = builder.cloud()
+    assert 10 < len(cloud.xyz) <= 100 and (cloud.rgb == (10, 20, 30)).all()
+    points = camera.unproject(depth).reshape(-1, 3)
+    assert (cloud.xyz.min(0) >= points.min(0) - 1e-5).all() and (cloud.xyz.max(0) <= points.max(0) + 1e-5).all()
+
+
+def test_no_depth_no_points() -> None:
+    assert CloudBuilder().cloud().xyz.shape == (0, 3)
