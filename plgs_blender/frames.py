@@ -134,6 +134,8 @@ def put_before(ob: bpy.types.Object, image: bpy.types.Image, what: str, alpha: f
     """Put an image of ``what`` before what the camera of a frame sees, in place of the one that is there."""
     ob[SHOWN] = what
     data = ob.data
+    for old in data.background_images:
+        old.image = None  # else the image would still count the camera among its users
     data.background_images.clear()
     background = data.background_images.new()
     background.image = image
