@@ -54,7 +54,7 @@ def test_cameras_are_imported(window: Window, scene: Path) -> None:
     window.press("plgs.import_scene")
     window.settle()
     window.screenshot("imported")
-    assert window.ask("sum(each.type == 'CAMERA' for each in bpy.context.scene.objects)") == 1 + 6
+    assert window.ask("sum(each.type == 'CAMERA' for each in bpy.context.scene.objects)") == 1 + 6 + 1
 
 
 def test_a_lift_is_started_cancelled_and_resumed_and_its_box_picked(window: Window, scene: Path) -> None:
