@@ -12,7 +12,7 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from ..plgs_blender.dropping import lift_or_scene, scene_at
 from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import frame_making, poll_timer, start
-from ..plgs_blender.running.importing import begin_import, what_is_missing
+from ..plgs_blender.running.importing import begin_import, imported, what_is_missing
 from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES, FORMAT_ITEMS, chosen_format
 from ..plgs_blender.settings import UPS, place_of
 from .answers import FINISHED, RUNNING, panel_of, reporting, reporting_events
@@ -55,11 +55,15 @@ class SceneOptions:
 
     def import_it(self, context: bpy.types.Context) -> None:
         """Import the scene of the panel, with an engine for what Blender cannot make of it."""
-        root = begin_import(context.scene, cloud=self.cloud)
+        begin_import(context.scene, cloud=self.cloud)
         if self.waits:
             frame_making.wait()
         else:
             poll_timer.begin()
+        root = imported(context.scene)
+        if root is None:
+            self.report({"INFO"}, "An engine reads the scene: its cameras come when it is done")
+            return
         cameras = sum("frame" in ob for ob in root.all_objects)
         lacking = "" if frame_making.is_making() else what_is_missing(root)
         self.report({"WARNING" if lacking else "INFO"}, f"{root.name}: {cameras} cameras. {lacking}".rstrip())

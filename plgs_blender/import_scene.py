@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
 import numpy as np
 
 from ..engine.job.made_frames import MadeFrames
-from ..engine.scene import Scene, UpAxis
+from ..engine.scene import Scene, SceneError
 from .camera_path import place_camera_path
 from .clouds import place_points
 from .frames import mark_timeline, picture_of, place_frames, show_photo
 from .inspecting.lookup import objects_by_key
 from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
-from .made_pictures import made_before, photos, read_cloud
+from .made_pictures import made_before, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
 from .scene_formats import AUTOMATIC
-from .scene_survey import Place
+from .scene_survey import Place, lacks_package
 
 MISSING = "plgs_missing"
 """Property of an imported scene's collection: what only an engine can make of it, "colour" and "cloud" as its command
@@ -26,16 +24,7 @@ calls them."""
 _CLOUDS = "Coloured points"
 
 
-def place_scene(
-    folder: Path,
-    scene: bpy.types.Scene,
-    *,
-    masks: Path | None = None,
-    up: UpAxis = "z",
-    scene_format: str | None = None,
-    depth: Path | None = None,
-    cloud: bool = True,
-) -> bpy.types.Collection:
+def place_scene(place: Place, scene: bpy.types.Scene, *, cloud: bool = True) -> bpy.types.Collection:
     """Put one camera a frame, with its picture and timeline marker, a camera that moves along them, and the points of
     the reconstruction into the scene; also what an engine made of the scene before. With ``cloud`` a cloud belongs to
     it, where the scene has depth. Returns the collection, whose property MISSING says what is left to an engine.
@@ -43,11 +32,10 @@ def place_scene(
     A lift of the same frames later fills the same collection; one that is there already keeps all else. Raises
     SceneError or JobError, before anything is changed.
     """
-    place = Place(folder, masks, up, scene_format, depth)
-    opened = place.open()
     made = made_before(place.source)
+    opened = _open(place, made)
     scene = scene_to_fill(scene)
-    root = root_collection(opened.folder, None, scene)
+    root = root_collection(place.folder, None, scene)
     root[PLACE] = _as_texts(place)
     owned = OwnedDataBlocks(root[LIFT], scene)
     pictures = photos(made)
@@ -61,6 +49,16 @@ def place_scene(
         missing += _place_clouds(owned, root, opened, made, cloud)
     root[MISSING] = " ".join(missing)
     return root
+
+
+def _open(place: Place, made: MadeFrames | None) -> Scene:
+    """The scene, or where Blender's Python cannot read it, what an engine left of it. Raises SceneError."""
+    try:
+        return place.open()
+    except SceneError as error:
+        if made is None or not made.is_complete or not lacks_package(error):
+            raise
+        return scene_of(made)
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
@@ -84,10 +82,10 @@ def _place_clouds(
         xyz = opened.points.xyz.astype(np.float32)
         parent = child_collection(root, _CLOUDS)
         place_points(owned, parent, "sparse_points", "Sparse points", xyz, opened.points.rgb)
-    if not cloud or not any(frame.read_depth is not None for frame in opened.frames):
+    if not cloud:
         return []
     if made is None or made.cloud is None or not made.cloud.is_file():
-        return ["cloud"]
+        return ["cloud"] if any(frame.read_depth is not None for frame in opened.frames) else []
     xyz, rgb = read_cloud(made.cloud)
     place_points(owned, child_collection(root, _CLOUDS), "cloud", "Coloured cloud", xyz, rgb)
     return []

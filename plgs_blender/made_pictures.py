@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.job import JobError
-from ..engine.job.made_frames import MadeFrames, SceneSource, made_of
+from ..engine.job.made_frames import MadeFrame, MadeFrames, SceneSource, made_of
 from ..engine.job.user_cache import notes_folder
+from ..engine.scene import Camera, ClassTable, Frame, Scene, SceneError, Size
 
 _MOST_BESIDE = 9
 
@@ -41,6 +42,32 @@ def photos(made: MadeFrames | None) -> dict[str, Path]:
     """The pictures that were made, by frame name; those that were deleted meanwhile are left out."""
     frames = {} if made is None else made.frames
     return {name: each.colour for name, each in frames.items() if each.colour is not None and each.colour.is_file()}
+
+
+def scene_of(made: MadeFrames) -> Scene:
+    """The frames of a scene that Blender cannot open, as an engine that can has left them: cameras and pictures."""
+    frames = tuple(_frame(name, each, made.folder) for name, each in made.frames.items())
+    return Scene(made.source.scene, frames, ClassTable(()))
+
+
+def _frame(name: str, made: MadeFrame, folder: Path) -> Frame:
+    width, height, fx, fy, cx, cy = made.lens
+    pose = np.array(made.pose).reshape(4, 4)
+    return Frame(
+        name=name,
+        camera=Camera(int(width), int(height), fx, fy, cx, cy, pose),
+        held_out=made.held_out,
+        colour_path=made.picture or made.colour or folder,
+        depth_path=None,
+        read_colour=_refuse,
+        read_depth=None,
+        read_mask=None,
+        file_shows_colour=made.picture is not None,
+    )
+
+
+def _refuse(size: Size | None) -> NDArray[np.uint8]:
+    raise SceneError("Blender cannot read this scene's pixels", "the scene", "Let the engine make its pictures.")
 
 
 def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

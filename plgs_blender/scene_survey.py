@@ -48,8 +48,8 @@ class Place:
         try:
             return open_scene(self.folder, self.masks, self.up, self.scene_format, self.depth)
         except ImportError as error:
-            fix = "Take its pictures out into files, or convert the video to MP4."
-            raise SceneError("Blender's Python cannot look into this video", self.folder, fix) from error
+            fix = "Set the engine up, which can, and import again."
+            raise SceneError("Blender's Python alone cannot look into this video", self.folder, fix) from error
 
     def arguments(self) -> list[str | Path]:
         """How the engine's commands are told it."""
@@ -57,6 +57,11 @@ class Place:
         for option, value in (("--masks", self.masks), ("--format", self.scene_format), ("--depth", self.depth)):
             told += [] if value is None else [option, value]
         return told
+
+
+def lacks_package(error: SceneError) -> bool:
+    """Whether Blender's Python could not read a scene that an engine's Python may."""
+    return isinstance(error.__cause__, ImportError)
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def make_frames(
         if progress is not None:
             progress(position + 1, len(todo))
     cloud = _write_cloud(builder, folder / "cloud.npz") if in_cloud else made.cloud
-    result = replace(made, frames=done, cloud=cloud)
+    result = replace(made, frames=done, cloud=cloud, total=len(scene.frames))
     result.write()
     return result
 
@@ -68,7 +68,15 @@ def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
 
 
 def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made: MadeFrame) -> MadeFrame:
-    """One frame's pictures, those that are there already included."""
+    """One frame's camera and pictures, those that are there already included."""
+    camera = frame.camera
+    made = replace(
+        made,
+        lens=(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy),
+        pose=tuple(camera.camera_to_world.ravel().tolist()),
+        held_out=frame.held_out,
+        picture=frame.colour_path.resolve() if frame.file_shows_colour else None,
+    )
     if "colour" in kinds and not frame.file_shows_colour:
         path = folder / "color" / f"{frame.name}.jpg"
         if not _is_newer(path, frame.colour_path):

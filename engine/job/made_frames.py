@@ -42,9 +42,16 @@ class SceneSource:
 @dataclass(frozen=True)
 class MadeFrame:
     """One frame's pictures, None where there is none: its ``colour`` undistorted, its ``depth`` and ``masks`` drawn in
-    colours. ``depth_range`` is the nearest and the farthest metre that the drawing of depth tells apart.
+    colours. ``depth_range`` is the nearest and the farthest metre that the drawing of depth tells apart. ``lens`` is
+    width, height, fx, fy, cx, cy in pixels (centres at +0.5); ``pose`` camera-to-world, 16 numbers row by row, OpenCV
+    axes, metres: for scenes that Blender cannot even open. ``picture`` is the scene's own image file that shows what
+    ``colour`` would, None where there is none.
     """
 
+    lens: tuple[float, ...] = ()
+    pose: tuple[float, ...] = ()
+    held_out: bool = False
+    picture: Path | None = None
     colour: Path | None = None
     depth: Path | None = None
     depth_range: tuple[float, float] | None = None
@@ -54,19 +61,26 @@ class MadeFrame:
 @dataclass(frozen=True)
 class MadeFrames:
     """What lies in ``folder``: pictures by frame name, and the ``cloud`` (.npz with xyz float32 [N, 3] metres and rgb
-    uint8 [N, 3]), None where it was not asked for.
+    uint8 [N, 3]), None where it was not asked for. ``total`` counts the scene's frames.
     """
 
     folder: Path
     source: SceneSource
     frames: Mapping[str, MadeFrame] = field(default_factory=dict)
     cloud: Path | None = None
+    total: int = 0
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every frame of the scene is named."""
+        return 0 < self.total <= len(self.frames)
 
     def write(self) -> None:
         """Put frames.json into the folder. Raises OSError."""
         frames = {name: _to_json(frame, self.folder) for name, frame in self.frames.items()}
         cloud = None if self.cloud is None else _inside(self.cloud, self.folder)
-        content = {"format": FORMAT, "source": self.source.to_json(), "frames": frames, "cloud": cloud}
+        content: dict[str, object] = {"format": FORMAT, "source": self.source.to_json(), "frames": frames}
+        content |= {"cloud": cloud, "total": self.total}
         write_atomically(self.folder / FILE, to_text(content))
 
     @classmethod
@@ -83,7 +97,7 @@ class MadeFrames:
             )
             frames = {str(name): _from_json(each, folder) for name, each in content["frames"].items()}
             cloud = content["cloud"]
-            return cls(folder, source, frames, None if cloud is None else folder / cloud)
+            return cls(folder, source, frames, None if cloud is None else folder / cloud, int(content["total"]))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise JobError(f"cannot be read ({error!r})", path, _FIX) from error
 
@@ -104,20 +118,30 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
 
 
 def _to_json(frame: MadeFrame, folder: Path) -> dict[str, Json]:
-    content: dict[str, Json] = {
-        name: _inside(path, folder)
-        for name, path in (("colour", frame.colour), ("depth", frame.depth), ("masks", frame.masks))
-        if path is not None
-    }
+    files = {"colour": frame.colour, "depth": frame.depth, "masks": frame.masks}
+    content: dict[str, Json] = {name: _inside(path, folder) for name, path in files.items() if path is not None}
+    content |= {"lens": [*frame.lens], "pose": [*frame.pose], "held_out": frame.held_out}
+    if frame.picture is not None:
+        content["picture"] = str(frame.picture)
     if frame.depth_range is not None:
-        content["depth_range"] = list(frame.depth_range)
+        content["depth_range"] = [*frame.depth_range]
     return content
 
 
 def _from_json(content: Mapping[str, Any], folder: Path) -> MadeFrame:
     files = {name: folder / content[name] for name in ("colour", "depth", "masks") if name in content}
     span = content.get("depth_range")
-    return MadeFrame(**files, depth_range=None if span is None else (float(span[0]), float(span[1])))
+    lens, pose = (tuple(float(number) for number in content[name]) for name in ("lens", "pose"))
+    if len(lens) != 6 or len(pose) != 16:
+        raise ValueError("a frame has no camera")
+    return MadeFrame(
+        lens=lens,
+        pose=pose,
+        held_out=bool(content["held_out"]),
+        picture=_path(content.get("picture")),
+        depth_range=None if span is None else (float(span[0]), float(span[1])),
+        **files,
+    )
 
 
 def _inside(path: Path, folder: Path) -> str:

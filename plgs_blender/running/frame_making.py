@@ -17,7 +17,7 @@ from ...engine.job.made_frames import MadeFrames
 from ...engine.job.process import EngineProcess
 from ..errors import EXPECTED
 from ..frame_pictures import show_made
-from ..import_scene import add_made
+from ..import_scene import add_made, place_scene
 from ..inspecting.lookup import objects_by_key
 from ..lift_collection import lifts_in
 from ..made_pictures import frames_folder
@@ -30,7 +30,8 @@ _GLANCE_S = 0.05
 @dataclass(frozen=True)
 class Order:
     """What is made, for whom: the lift's key, the ``kinds`` as the engine's command calls them, and, where it is for
-    one camera's view, its ``frame`` and ``what`` is to be shown there.
+    one camera's view, its ``frame`` and ``what`` is to be shown there. Without a lift the whole import waits for the
+    engine: then ``scene`` names Blender's scene that it goes into.
     """
 
     place: Place
@@ -38,6 +39,7 @@ class Order:
     kinds: tuple[str, ...]
     frame: str = ""
     what: str = ""
+    scene: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,15 +138,20 @@ def forget() -> None:
 
 
 def _show(making: _Making) -> None:
-    """Into every scene that has the import. Raises JobError."""
-    made = MadeFrames.read(making.folder)
+    """Into every scene that has the import. Raises JobError or SceneError."""
+    made, order = MadeFrames.read(making.folder), making.order
+    if not order.lift:
+        scene = bpy.data.scenes.get(order.scene)
+        if scene is not None:
+            place_scene(order.place, scene, cloud="cloud" in order.kinds)
+        return
     for scene in bpy.data.scenes:
         for root in lifts_in(scene):
-            if root[LIFT] != making.order.lift:
+            if root[LIFT] != order.lift:
                 continue
-            if not making.order.frame:
+            if not order.frame:
                 add_made(scene, root, made)
                 continue
-            ob = objects_by_key(root).get(f"frame:{making.order.frame}")
-            if ob is not None and making.order.frame in made.frames:
-                show_made(scene, ob, making.order.what, made.frames[making.order.frame])
+            ob = objects_by_key(root).get(f"frame:{order.frame}")
+            if ob is not None and order.frame in made.frames:
+                show_made(scene, ob, order.what, made.frames[order.frame])

@@ -9,8 +9,10 @@ from ...engine.scene import SceneError
 from .. import engine_environment
 from ..frame_pictures import KIND_OF, place_of_root, root_of, show_here, show_made, why_no_picture
 from ..import_scene import MISSING, place_scene
+from ..lift_collection import SCENE, is_same_place, lifts_in
 from ..made_pictures import made_before
 from ..owned import LIFT
+from ..scene_survey import lacks_package
 from ..settings import place_of
 from . import frame_making
 from .frame_making import Order
@@ -19,27 +21,32 @@ from .start import why_no_engine
 _NAMES = {"colour": "pictures", "cloud": "a coloured cloud"}
 
 
-def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> bpy.types.Collection:
-    """Import the scene that the panel is set to, and let an engine begin with what is missing, where there is one.
+def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> None:
+    """Import the scene that the panel is set to, and let an engine begin with what is missing, where there is one. What
+    Blender's Python cannot even open comes as a whole when the engine is done.
 
     Raises SceneError or JobError.
     """
     if not scene.plgs.scene_folder:
         raise JobError("no scene is chosen", "Scene", "Choose a capture's folder or file.")
     place = place_of(scene.plgs)
-    root = place_scene(
-        place.folder,
-        scene,
-        masks=place.masks,
-        up=place.up,
-        scene_format=place.scene_format,
-        depth=place.depth,
-        cloud=cloud,
-    )
-    python = engine_environment.engine_python() if root[MISSING] else None
-    if python is not None and not frame_making.is_making():
+    python = None if frame_making.is_making() else engine_environment.engine_python()
+    try:
+        root = place_scene(place, scene, cloud=cloud)
+    except SceneError as error:
+        if python is None or not lacks_package(error):
+            raise
+        kinds = ("colour", "cloud") if cloud else ("colour",)
+        frame_making.begin(Order(place, "", kinds, scene=scene.name), python)
+        return
+    if root[MISSING] and python is not None:
         frame_making.begin(Order(place, root[LIFT], tuple(root[MISSING].split())), python)
-    return root
+
+
+def imported(scene: bpy.types.Scene) -> bpy.types.Collection | None:
+    """The collection of the scene that the panel is set to; None where it is not imported."""
+    folder = place_of(scene.plgs).folder
+    return next((root for root in lifts_in(scene) if is_same_place(root.get(SCENE, ""), folder)), None)
 
 
 def what_is_missing(root: bpy.types.Collection) -> str:

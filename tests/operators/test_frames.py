@@ -14,6 +14,7 @@ from plgs.engine.scene import open_scene
 from plgs.plgs_blender.running import frame_making
 
 from tests.scene.formats.room import distance_to_room
+from tests.scene.formats.test_hypersim import USUAL, write_hypersim
 from tests.scene.formats.test_nerfstudio import change
 
 
@@ -176,3 +177,24 @@ def test_importing_touches_nothing_of_the_users(captures: Path) -> None:
     bpy.ops.plgs.import_scene(scene_folder=str(captures / "walk"))
     assert scene.camera == mine and [*scene.collection.objects] == [mine] and mine.animation_data is None
     assert before == (scene.render.resolution_x, scene.frame_start, scene.frame_end, scene.unit_settings.scale_length)
+
+
+def test_what_blender_cannot_even_open_an_engine_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hypersim's arrays need h5py, which Blender's Python has not."""
+    pytest.importorskip("h5py")
+    folder = write_hypersim(tmp_path / "ai_001_001", USUAL)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    assert bpy.ops.plgs.import_scene(scene_folder=str(folder)) == {"FINISHED"}
+    scene = bpy.context.scene
+    assert len(frames()) == 6 and all(ob.data.background_images for ob in frames().values())
+    near = distance_to_room(positions(scene.objects["Coloured cloud"])) < 0.05
+    assert near.mean() > 0.95
+    scene.camera = next(iter(frames().values()))
+    assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
+    bpy.ops.plgs.import_scene(scene_folder=str(folder))
+    assert len(frames()) == 6, "what the engine made is still there"
+    shutil.rmtree(tmp_path / "ai_001_001_frames")
+    with pytest.raises(RuntimeError, match="h5py"):
+        bpy.ops.plgs.import_scene(scene_folder=str(folder))

@@ -14,6 +14,7 @@ from file_contents import contents
 from plgs.engine.job import JobError
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.import_scene import place_scene
+from plgs.plgs_blender.scene_survey import Place
 from tiny_lift import mend_manifest, write_tiny_lift
 
 
@@ -86,5 +87,5 @@ def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: P
         pytest.skip("this disk has no such names")
     before = contents()
     with pytest.raises(JobError, match="Rename it"):
-        place_scene(folder, bpy.context.scene)
+        place_scene(Place(folder), bpy.context.scene)
     assert contents() == before

@@ -11,6 +11,7 @@ from plgs.engine.scene import Camera, Frame
 from plgs.plgs_blender.camera_path import place_camera_path
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.owned import OwnedDataBlocks
+from plgs.plgs_blender.scene_survey import Place
 from tiny_scene import write_tiny_scene
 
 
@@ -25,7 +26,7 @@ def curves(block: bpy.types.ID) -> dict[tuple[str, int], bpy.types.FCurve]:
 
 def test_it_is_where_the_frames_are(tmp_path: Path) -> None:
     scene = bpy.context.scene
-    root = place_scene(write_tiny_scene(tmp_path / "room", frames=7), scene)
+    root = place_scene(Place(write_tiny_scene(tmp_path / "room", frames=7)), scene)
     path = next(ob for ob in root.objects if ob.name == "Camera path")
     markers = {marker.camera: marker.frame for marker in scene.timeline_markers}
     assert len(markers) == 7
@@ -37,7 +38,7 @@ def test_it_is_where_the_frames_are(tmp_path: Path) -> None:
 
 
 def test_it_moves_straight_between_frames_and_its_lens_jumps(tmp_path: Path) -> None:
-    root = place_scene(write_tiny_scene(tmp_path / "room", frames=4), bpy.context.scene)
+    root = place_scene(Place(write_tiny_scene(tmp_path / "room", frames=4)), bpy.context.scene)
     path = next(ob for ob in root.objects if ob.name == "Camera path")
     kinds = {key: {point.interpolation for point in curve.keyframe_points} for key, curve in curves(path).items()}
     assert set(kinds) == {("location", i) for i in range(3)} | {("rotation_quaternion", i) for i in range(4)}
@@ -49,11 +50,11 @@ def test_it_moves_straight_between_frames_and_its_lens_jumps(tmp_path: Path) -> 
 
 def test_placing_it_anew_leaves_no_old_keys(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path / "room", frames=6)
-    place_scene(folder, bpy.context.scene)
+    place_scene(Place(folder), bpy.context.scene)
     for name in ("color", "depth", "pose"):
         for file in (folder / name).glob("000[45].*"):
             file.unlink()
-    root = place_scene(folder, bpy.context.scene)
+    root = place_scene(Place(folder), bpy.context.scene)
     path = next(ob for ob in root.objects if ob.name == "Camera path")
     assert all(len(curve.keyframe_points) == 4 for curve in curves(path).values())
     assert sorted(action.name for action in bpy.data.actions) == ["Camera path lens", "Camera path pose"]

@@ -17,6 +17,7 @@ from plgs.plgs_blender.cameras import object_matrix
 from plgs.plgs_blender.colour import linear_rgba
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.owned import LIFT
+from plgs.plgs_blender.scene_survey import Place
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR, CHAIR_ID
 
@@ -304,7 +305,7 @@ def test_the_scene_of_the_passes_is_left_to_them(lift: Path, tmp_path: Path) -> 
     passes = bpy.data.scenes["PLGS tiny room passes"]
     before = counts()
     assert lift_scene.place_lift(lift, passes) == root and counts() == before
-    assert place_scene(lift.parent / "tiny room", passes) == root
+    assert place_scene(Place(lift.parent / "tiny room"), passes) == root
     assert not lift_scene.lifts_in(passes) and not passes.objects
     bpy.data.collections.remove(root)
     with pytest.raises(JobError, match="a scene of your own"):

@@ -13,6 +13,7 @@ from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.inspecting import following, highlight, selection
 from plgs.plgs_blender.inspecting.lookup import active_lift, boxes_of, find_lift, objects_by_key
 from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.scene_survey import Place
 from tiny_lift import write_tiny_lift
 from tiny_scene import write_tiny_scene
 
@@ -139,7 +140,7 @@ def test_boxes_without_their_properties_are_known(root: bpy.types.Collection) ->
 
 
 def test_a_lift_with_a_result_goes_before_an_imported_scene(extension: None, lift: Path, tmp_path: Path) -> None:
-    imported = place_scene(write_tiny_scene(tmp_path / "other", frames=4), bpy.context.scene)
+    imported = place_scene(Place(write_tiny_scene(tmp_path / "other", frames=4)), bpy.context.scene)
     placed = lift_scene.place_lift(lift, bpy.context.scene)
     assert lifts_in(bpy.context.scene) == [imported, placed]
     assert active_lift(bpy.context.scene, None) == placed

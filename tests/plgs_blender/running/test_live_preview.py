@@ -15,6 +15,7 @@ from plgs.engine.job.preview_request import PreviewCamera, read_preview_request
 from plgs.engine.scene import Camera, open_scene
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.running import live_preview
+from plgs.plgs_blender.scene_survey import Place
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def growing(plgs: ModuleType, lift: Path, tmp_path: Path) -> Iterator[LiftFolder
     folder = LiftFolder.create(tmp_path / "lift", LiftFolder.open(lift).request)
     scene = bpy.context.scene
     scene.plgs.lift_folder = str(folder.path)
-    place_scene(folder.request.scene, scene)
+    place_scene(Place(folder.request.scene), scene)
     yield folder
     plgs.unregister()
 
