@@ -15,6 +15,7 @@ from ..plgs_blender.running import frame_making, poll_timer, start
 from ..plgs_blender.running.importing import begin_import, imported, what_is_missing
 from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES, FORMAT_ITEMS, chosen_format
 from ..plgs_blender.settings import UPS, place_of
+from ..plgs_blender.viewport import show_lift_colours_at_first
 from .answers import FINISHED, RUNNING, panel_of, reporting, reporting_events
 
 
@@ -66,6 +67,9 @@ class SceneOptions:
             return
         cameras = sum("frame" in ob for ob in root.all_objects)
         lacking = "" if frame_making.is_making() else what_is_missing(root)
+        view = context.space_data
+        if isinstance(view, bpy.types.SpaceView3D):
+            show_lift_colours_at_first(view)
         self.report({"WARNING" if lacking else "INFO"}, f"{root.name}: {cameras} cameras. {lacking}".rstrip())
 
 

@@ -22,6 +22,8 @@ from .surfaces import SurfaceGrid
 
 _SMALLEST, _LARGEST = 0.002, 0.03
 """Radius of a point in metres."""
+_SHADE = 86
+"""Steps of a colour channel that count as one where a cloud is cut by its colours: three shades a channel."""
 _FOREACH = {"FLOAT_COLOR": "color", "FLOAT_VECTOR": "vector", "INT": "value", "FLOAT": "value"}
 
 
@@ -82,15 +84,23 @@ def place_points(
     name: str,
     xyz: NDArray[np.float32],
     rgb: NDArray[np.uint8],
-) -> bpy.types.Object:
-    """Our cloud object `key` of points that have a colour and no class yet: xyz float32 [N, 3] metres, rgb uint8
-    [N, 3] sRGB.
+) -> list[bpy.types.Object]:
+    """Points that have a colour and no class yet, xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB: one cloud for
+    the points of about one colour each, which is the object's. Those of an earlier placement go.
     """
     radius = SurfaceGrid.of(xyz).radii(_SMALLEST, _LARGEST)
-    ob = _place(owned, parent, key, name, xyz, radius, [("Col", "FLOAT_COLOR", linear_rgba(rgb))])
-    ob.color = (0.8, 0.8, 0.8, 1.0)
-    ob["points"] = len(xyz)
-    return ob
+    shades = (rgb // _SHADE).astype(np.int64) @ [64, 8, 1]
+    found, group, counts = np.unique(shades, return_inverse=True, return_counts=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    placed = []
+    for shade, chosen in zip(found.tolist(), np.split(order, np.cumsum(counts)), strict=False):
+        attributes = [("Col", "FLOAT_COLOR", linear_rgba(rgb[chosen]))]
+        ob = _place(owned, parent, f"{key}:{shade}", name, xyz[chosen], radius[chosen], attributes)
+        ob.color = object_colour(np.rint(rgb[chosen].mean(axis=0)).astype(int).tolist())
+        ob["points"] = len(chosen)
+        placed.append(ob)
+    owned.sweep_clouds(f"{key}:")
+    return placed
 
 
 def _place(

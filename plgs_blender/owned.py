@@ -144,6 +144,16 @@ class OwnedDataBlocks:
                 if block.users - block.use_fake_user == 0:
                     blocks.remove(block)
 
+    def sweep_clouds(self, prefix: str) -> None:
+        """Remove the lift's point clouds whose key begins so and that this placement did not use, and data of replaced
+        ones: `sweep` for a placement that leaves all else as it is.
+        """
+        for ob in self._own_objects():
+            if ob[KEY].startswith(prefix) and ob not in self._kept:
+                bpy.data.objects.remove(ob)
+        for cloud in [each for each in bpy.data.pointclouds if key_of(each, self.lift) is not None and not each.users]:
+            bpy.data.pointclouds.remove(cloud)
+
     def _blocks_of(self, kind: str) -> dict[str, Any]:
         """Our blocks of `bpy.data.<kind>` by key, looked up once."""
         if kind not in self._blocks:
