@@ -12,7 +12,7 @@ from .clouds import place_points
 from .frames import mark_timeline, picture_of, place_frames, show_photo
 from .inspecting.lookup import objects_by_key
 from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
-from .made_pictures import made_before, photos, read_cloud, scene_of
+from .made_pictures import cloud_of, made_before, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
 from .scene_formats import AUTOMATIC
 from .scene_survey import Place, lacks_package
@@ -32,13 +32,12 @@ def place_scene(place: Place, scene: bpy.types.Scene, *, cloud: bool = True) -> 
     A lift of the same frames later fills the same collection; one that is there already keeps all else. Raises
     SceneError or JobError, before anything is changed.
     """
-    made = made_before(place.source)
-    opened = _open(place, made)
+    opened, made = _open(place)
     scene = scene_to_fill(scene)
     root = root_collection(place.folder, None, scene)
     root[PLACE] = _as_texts(place)
     owned = OwnedDataBlocks(root[LIFT], scene)
-    pictures = photos(made)
+    pictures = photos(made, opened.frames)
     cameras = place_frames(owned, child_collection(root, "Cameras"), opened.frames, pictures)
     first = mark_timeline(scene, root, root[LIFT], overview_of(root), cameras)
     place_camera_path(owned, root, opened.frames, first)
@@ -51,14 +50,18 @@ def place_scene(place: Place, scene: bpy.types.Scene, *, cloud: bool = True) -> 
     return root
 
 
-def _open(place: Place, made: MadeFrames | None) -> Scene:
-    """The scene, or where Blender's Python cannot read it, what an engine left of it. Raises SceneError."""
+def _open(place: Place) -> tuple[Scene, MadeFrames | None]:
+    """The scene, or where Blender's Python cannot read it, what an engine left of it; and what that made of it before.
+    Raises SceneError.
+    """
     try:
-        return place.open()
+        opened = place.open()
     except SceneError as error:
-        if made is None or not made.is_complete or not lacks_package(error):
+        made = made_before(place.source) if lacks_package(error) else None
+        if made is None or not made.is_complete:
             raise
-        return scene_of(made)
+        return scene_of(made), made
+    return opened, made_before(place.source)
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
@@ -84,9 +87,10 @@ def _place_clouds(
         place_points(owned, parent, "sparse_points", "Sparse points", xyz, opened.points.rgb)
     if not cloud:
         return []
-    if made is None or made.cloud is None or not made.cloud.is_file():
+    path = cloud_of(made, opened.frames)
+    if path is None:
         return ["cloud"] if any(frame.read_depth is not None for frame in opened.frames) else []
-    xyz, rgb = read_cloud(made.cloud)
+    xyz, rgb = read_cloud(path)
     place_points(owned, child_collection(root, _CLOUDS), "cloud", "Coloured cloud", xyz, rgb)
     return []
 

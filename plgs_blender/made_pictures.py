@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from hashlib import sha256
 from pathlib import Path
 from zipfile import BadZipFile
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.job import JobError
-from ..engine.job.made_frames import MadeFrame, MadeFrames, SceneSource, made_of
+from ..engine.job.made_frames import MadeFrame, MadeFrames, SceneSource, is_newer, made_of
 from ..engine.job.user_cache import notes_folder
 from ..engine.scene import Camera, ClassTable, Frame, Scene, SceneError, Size
 
@@ -38,10 +38,24 @@ def made_before(source: SceneSource) -> MadeFrames | None:
     return made_of(frames_folder(source), source)
 
 
-def photos(made: MadeFrames | None) -> dict[str, Path]:
-    """The pictures that were made, by frame name; those that were deleted meanwhile are left out."""
-    frames = {} if made is None else made.frames
-    return {name: each.colour for name, each in frames.items() if each.colour is not None and each.colour.is_file()}
+def photos(made: MadeFrames | None, frames: Iterable[Frame] = ()) -> dict[str, Path]:
+    """The pictures that were made, by frame name. Left out are those that are gone, and those of ``frames`` whose
+    source is newer.
+    """
+    known = {} if made is None else made.frames
+    found = {name: each.colour for name, each in known.items() if each.colour is not None and each.colour.is_file()}
+    for frame in frames:
+        if frame.name in found and not is_newer(found[frame.name], frame.colour_path):
+            del found[frame.name]
+    return found
+
+
+def cloud_of(made: MadeFrames | None, frames: Iterable[Frame]) -> Path | None:
+    """The cloud that was made; None where there is none, or the depth of ``frames`` is newer."""
+    if made is None or made.cloud is None or not made.cloud.is_file():
+        return None
+    sources = {frame.depth_path for frame in frames if frame.depth_path is not None}
+    return made.cloud if all(is_newer(made.cloud, source) for source in sources) else None
 
 
 def scene_of(made: MadeFrames) -> Scene:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import JobError, write_atomically
-from ..job.made_frames import MadeFrame, MadeFrames, SceneSource, made_of
+from ..job.made_frames import MadeFrame, MadeFrames, SceneSource, is_newer, made_of
 from ..scene import Frame, Scene, SceneError
 from ..scene.frame_colours import depth_colours, mask_colours
 from .cloud import CloudBuilder
@@ -42,7 +42,8 @@ def make_frames(
     """
     made = made_of(folder, source) or MadeFrames(folder, source)
     chosen = _chosen(scene, names)
-    done = dict(made.frames)
+    known = {frame.name for frame in scene.frames}
+    done = {name: each for name, each in made.frames.items() if name in known}
     in_cloud = _cloud_frames(scene.frames) if "cloud" in kinds else {}
     builder = CloudBuilder()
     todo = [frame for frame in scene.frames if frame.name in chosen or frame.name in in_cloud]
@@ -79,12 +80,12 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
     )
     if "colour" in kinds and not frame.file_shows_colour:
         path = folder / "color" / f"{frame.name}.jpg"
-        if not _is_newer(path, frame.colour_path):
+        if not is_newer(path, frame.colour_path):
             _write_image(path, frame.read_colour(None))
         made = replace(made, colour=path)
     if "depth" in kinds and frame.read_depth is not None:
         path = folder / "depth" / f"{frame.name}.png"
-        if made.depth_range is None or not _is_newer(path, frame.depth_path or frame.colour_path):
+        if made.depth_range is None or not is_newer(path, frame.depth_path or frame.colour_path):
             drawn = depth_colours(frame.read_depth(None))
             _write_image(path, drawn.rgb)
             made = replace(made, depth_range=(drawn.near, drawn.far))
@@ -120,14 +121,6 @@ def _write_cloud(builder: CloudBuilder, path: Path) -> Path:
     cloud = builder.cloud()
     write_atomically(path, lambda part: np.savez(part, xyz=cloud.xyz, rgb=cloud.rgb))
     return path
-
-
-def _is_newer(path: Path, source: Path) -> bool:
-    """Whether a picture was made after its source was last changed."""
-    try:
-        return path.stat().st_mtime >= source.stat().st_mtime
-    except OSError:
-        return False
 
 
 def _write_image(path: Path, rgb: NDArray[Any]) -> None:

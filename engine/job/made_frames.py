@@ -117,6 +117,14 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
     raise JobError("is there already, and holds something else", folder, "Name another folder.")
 
 
+def is_newer(path: Path, source: Path) -> bool:
+    """Whether a file was made after its source was last changed."""
+    try:
+        return path.stat().st_mtime >= source.stat().st_mtime
+    except OSError:
+        return False
+
+
 def _to_json(frame: MadeFrame, folder: Path) -> dict[str, Json]:
     files = {"colour": frame.colour, "depth": frame.depth, "masks": frame.masks}
     content: dict[str, Json] = {name: _inside(path, folder) for name, path in files.items() if path is not None}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections.abc import Iterator
@@ -88,10 +89,15 @@ def test_what_an_engine_made_is_there_at_the_next_import(own: Path, monkeypatch:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
     bpy.ops.plgs.import_scene(scene_folder=place)
+    assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == ""
     assert all(ob.data.background_images for ob in frames().values())
     count, blocks = len(positions()), len(bpy.data.pointclouds)
     bpy.ops.plgs.import_scene(scene_folder=place)
     assert len(positions()) == count and len(bpy.data.pointclouds) == blocks, "importing again replaces the cloud"
+    later = Path(place).stat().st_mtime + 100
+    os.utime(place, (later, later))
+    bpy.ops.plgs.import_scene(scene_folder=place)
+    assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == "colour cloud", "the scene is newer"
 
 
 def test_sparse_points_need_no_engine(captures: Path, no_engine: None) -> None:

@@ -54,4 +54,4 @@ def test_depth_is_shown_and_undone(window: Window, archive: Path) -> None:
     window.run("bpy.ops.ed.undo()")
     assert window.ask(f"{SHOWN}.startswith('Depth')") is False
     window.run("bpy.ops.ed.undo(); bpy.ops.ed.undo()")
-    assert window.is_running()
+    assert window.is_running
