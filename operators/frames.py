@@ -9,7 +9,7 @@ from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_pict
 from ..plgs_blender.frames import PHOTO
 from ..plgs_blender.running import frame_making, poll_timer
 from ..plgs_blender.running.importing import show_picture
-from .answers import FINISHED, reporting, reporting_events
+from .answers import CANCELLED, FINISHED, reporting, reporting_events
 
 _WHAT = [
     (PHOTO, "Photo", "What the frame's camera saw, half transparent"),
@@ -56,6 +56,9 @@ class PLGS_OT_show_picture(bpy.types.Operator):
                 poll_timer.begin()
                 return FINISHED
             frame_making.wait()
+            if frame_making.error() is not None:
+                self.report({"ERROR"}, str(frame_making.error()))
+                return CANCELLED
         span = range_shown(context.scene.camera)
         if span is not None:
             self.report({"INFO"}, f"Depth from {span[0]:.2f} to {span[1]:.2f} m, a line at each whole metre")

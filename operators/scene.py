@@ -16,7 +16,7 @@ from ..plgs_blender.running.importing import begin_import, imported, what_is_mis
 from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES, FORMAT_ITEMS, chosen_format
 from ..plgs_blender.settings import UPS, place_of
 from ..plgs_blender.viewport import show_lift_colours_at_first
-from .answers import FINISHED, RUNNING, panel_of, reporting, reporting_events
+from .answers import CANCELLED, FINISHED, RUNNING, panel_of, reporting, reporting_events
 
 
 class SceneOptions:
@@ -54,7 +54,7 @@ class SceneOptions:
     waits = True
     """For the engine: a script does, a button does not."""
 
-    def import_it(self, context: bpy.types.Context) -> None:
+    def import_it(self, context: bpy.types.Context) -> set[str]:
         """Import the scene of the panel, with an engine for what Blender cannot make of it."""
         begin_import(context.scene, cloud=self.cloud)
         if self.waits:
@@ -62,15 +62,19 @@ class SceneOptions:
         else:
             poll_timer.begin()
         root = imported(context.scene)
+        if root is None and self.waits:
+            self.report({"ERROR"}, str(frame_making.error()))
+            return CANCELLED
         if root is None:
             self.report({"INFO"}, "An engine reads the scene: its cameras come when it is done")
-            return
+            return FINISHED
         cameras = sum("frame" in ob for ob in root.all_objects)
-        lacking = "" if frame_making.is_making() else what_is_missing(root)
+        lacking = "" if frame_making.is_making() else frame_making.error() or what_is_missing(root)
         view = context.space_data
         if isinstance(view, bpy.types.SpaceView3D):
             show_lift_colours_at_first(view)
         self.report({"WARNING" if lacking else "INFO"}, f"{root.name}: {cameras} cameras. {lacking}".rstrip())
+        return FINISHED
 
 
 class PLGS_OT_import_scene(SceneOptions, bpy.types.Operator):
@@ -102,8 +106,7 @@ class PLGS_OT_import_scene(SceneOptions, bpy.types.Operator):
         self.into_settings(settings)
         if self.scene_folder:
             settings.scene_folder = self.scene_folder
-        self.import_it(context)
-        return FINISHED
+        return self.import_it(context)
 
 
 class PLGS_OT_browse_scene(SceneOptions, bpy.types.Operator):
@@ -134,8 +137,7 @@ class PLGS_OT_browse_scene(SceneOptions, bpy.types.Operator):
                 setattr(settings, name, default)
         self.into_settings(settings)
         settings.scene_folder = str(place)
-        self.import_it(context)
-        return FINISHED
+        return self.import_it(context)
 
 
 class PLGS_OT_look_at_scene(bpy.types.Operator):

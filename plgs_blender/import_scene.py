@@ -71,7 +71,9 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
     for name, picture in photos(made).items():
         if name in cameras:
             show_photo(cameras[name], owned, picture)
-    root[MISSING] = ""
+    there = {"colour"} if all(ob.data.background_images for ob in cameras.values()) else set()
+    there |= {"cloud"} if made.cloud is not None else set()
+    root[MISSING] = " ".join(kind for kind in root.get(MISSING, "").split() if kind not in there)
     if made.cloud is not None and not root[FOLDER]:
         xyz, rgb = read_cloud(made.cloud)
         place_points(owned, child_collection(root, _CLOUDS), "cloud", "Coloured cloud", xyz, rgb)

@@ -38,25 +38,32 @@ def make_frames(
 
     Pictures are written where no image file shows them as they are. What the scene has not (depth, masks) is left out.
     What an earlier run made there of the same scene is kept, and made anew where its source is newer. Raises JobError
-    when the folder holds something else or a frame is not there, SceneError when a file of the scene is bad.
+    when the folder holds something else or a frame is not there, SceneError when a file of the scene is bad: of depth
+    that cannot be read for the cloud only when the pictures are written.
     """
     made = made_of(folder, source) or MadeFrames(folder, source)
     chosen = _chosen(scene, names)
     known = {frame.name for frame in scene.frames}
     done = {name: each for name, each in made.frames.items() if name in known}
     in_cloud = _cloud_frames(scene.frames) if "cloud" in kinds else {}
-    builder = CloudBuilder()
+    builder, problem = CloudBuilder(), None
     todo = [frame for frame in scene.frames if frame.name in chosen or frame.name in in_cloud]
     for position, frame in enumerate(todo):
         if frame.name in chosen:
             done[frame.name] = _make(scene, frame, folder, kinds, done.get(frame.name, MadeFrame()))
-        if frame.name in in_cloud:
-            _add_to_cloud(builder, frame, in_cloud[frame.name])
+        if frame.name in in_cloud and problem is None:
+            try:
+                _add_to_cloud(builder, frame, in_cloud[frame.name])
+            except SceneError as error:
+                problem = error
         if progress is not None:
             progress(position + 1, len(todo))
-    cloud = _write_cloud(builder, folder / "cloud.npz") if in_cloud else made.cloud
+    is_new = in_cloud and problem is None
+    cloud = _write_cloud(builder, folder / "cloud.npz") if is_new else made.cloud
     result = replace(made, frames=done, cloud=cloud, total=len(scene.frames))
     result.write()
+    if problem is not None:
+        raise problem
     return result
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import bpy
 
 from ...engine.job import ExitCode, JobError
-from ...engine.job.made_frames import MadeFrames
+from ...engine.job.made_frames import made_of
 from ...engine.job.process import EngineProcess
 from ..errors import EXPECTED
 from ..frame_pictures import show_made
@@ -97,28 +97,25 @@ def poll() -> bool:
         return False
     making, output = _now, _now.process.output_tail()
     stop()
-    if code == ExitCode.FINISHED:
+    if code != ExitCode.FINISHED:
+        last = output.splitlines()[-1] if output else f"the engine ended with {code}"
+        _error = last.removeprefix("error: ")
+    if code in (ExitCode.FINISHED, ExitCode.BAD_INPUT):  # of bad depth the pictures are made all the same
         try:
             _show(making)
         except EXPECTED as problem:
-            _error = str(problem)
-    else:
-        last = output.splitlines()[-1] if output else f"exit code {code}"
-        _error = last.removeprefix("error: ")
+            _error = _error or str(problem)
     return True
 
 
 def wait() -> None:
-    """Wait until it is done, for scripts. Raises JobError when it ended badly."""
-    place = None if _now is None else _now.order.place
+    """Wait until it is done, for scripts; `error` says how it ended."""
     try:
         while _now is not None and not poll():
             time.sleep(_GLANCE_S)
     except KeyboardInterrupt:
         stop()
         raise
-    if _error is not None and place is not None:
-        raise JobError(f"frames could not be made ({_error})", place.folder, "Mend it, and import the scene again.")
 
 
 def stop() -> None:
@@ -139,7 +136,9 @@ def forget() -> None:
 
 def _show(making: _Making) -> None:
     """Into every scene that has the import. Raises JobError or SceneError."""
-    made, order = MadeFrames.read(making.folder), making.order
+    made, order = made_of(making.folder, making.order.place.source), making.order
+    if made is None:
+        return
     if not order.lift:
         scene = bpy.data.scenes.get(order.scene)
         if scene is not None:

@@ -30,7 +30,10 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> None:
     if not scene.plgs.scene_folder:
         raise JobError("no scene is chosen", "Scene", "Choose a capture's folder or file.")
     place = place_of(scene.plgs)
-    python = None if frame_making.is_making() else engine_environment.engine_python()
+    python = None
+    if not frame_making.is_making():
+        frame_making.forget()
+        python = engine_environment.engine_python()
     try:
         root = place_scene(place, scene, cloud=cloud)
     except SceneError as error:

@@ -14,7 +14,7 @@ from engine.frames import make_frames
 from engine.frames.cloud import CloudBuilder
 from engine.job import JobError
 from engine.job.made_frames import MadeFrames, SceneSource
-from engine.scene import Camera, open_scene
+from engine.scene import Camera, SceneError, open_scene
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_nerfstudio import write_scene
 from tests.scene.formats.test_sens import COLOUR, sens
@@ -100,6 +100,14 @@ def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path
     (out / "frames.json").write_text(json.dumps({"format": 1, "source": {}}))
     with pytest.raises(JobError, match="frames.json"):
         make_frames(scene, SceneSource(archive), out)
+
+
+def test_bad_depth_costs_the_cloud_alone(archive: Path, tmp_path: Path) -> None:
+    archive.write_bytes(archive.read_bytes()[:-1000] + bytes(1000))
+    with pytest.raises(SceneError, match="depth"):
+        make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", ["colour", "cloud"])
+    made = MadeFrames.read(tmp_path / "out")
+    assert made.cloud is None and all(each.colour is not None for each in made.frames.values())
 
 
 def test_a_bent_lens_is_straight_in_the_files(tmp_path: Path) -> None:

@@ -177,12 +177,19 @@ def test_depth_of_a_lifts_frame(lift: Path) -> None:
     assert not any(image.name.startswith("Depth") for image in bpy.data.images), "placing anew shows photos"
 
 
-def test_a_broken_engine_is_told(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_an_engine_cannot_make_is_told(own: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The last frame's depth is damaged: pictures come, the cloud does not."""
     place = own / "scans" / "one.sens"
-    place.write_bytes(place.read_bytes()[:-4000] + bytes(3992) + bytes(8))
-    with pytest.raises(RuntimeError, match=r"frames could not be made .*one\.sens"):
-        bpy.ops.plgs.import_scene(scene_folder=str(place))
-    assert len(frames()) == 6 and not frame_making.is_making()
+    place.write_bytes(place.read_bytes()[:-1000] + bytes(1000))
+    assert bpy.ops.plgs.import_scene(scene_folder=str(place)) == {"FINISHED"}
+    assert all(ob.data.background_images for ob in frames().values()) and not clouds()
+    assert "one.sens" in (frame_making.error() or "") and "Warning" in capfd.readouterr().out
+    assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == "cloud" and not frame_making.is_making()
+    bpy.context.scene.camera = frames()["5"]
+    with pytest.raises(RuntimeError, match=r"one\.sens"):
+        bpy.ops.plgs.show_picture(what="DEPTH")
+    bpy.ops.plgs.import_scene(scene_folder=str(own / "studio"), cloud=False)
+    assert frame_making.error() is None, "another import"
 
 
 def test_importing_touches_nothing_of_the_users(captures: Path) -> None:
