@@ -171,3 +171,10 @@ def test_frames_of_a_scene_are_written(tmp_path: Path, capsys: pytest.CaptureFix
     (tmp_path / "file").write_text("")
     assert code_of("frames", room, "-o", tmp_path / "file" / "out") == 2
     assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_frames_end_with_the_parent_that_asked_for_them(root: Path, tmp_path: Path) -> None:
+    room = write_tiny_scene(tmp_path / "room", frames=30)
+    command = [sys.executable, "-m", "engine", "frames", room, "-o", tmp_path / "out", "--stay-with-parent"]
+    asked = subprocess.run(command, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    assert asked.returncode == 3 and not (tmp_path / "out" / "frames.json").exists()

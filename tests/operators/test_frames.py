@@ -7,12 +7,16 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import bpy
 import numpy as np
 import pytest
+from plgs.engine.job import JobError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender.running import frame_making
+from plgs.plgs_blender.running.frame_making import Order
+from plgs.plgs_blender.scene_survey import Place
 
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_hypersim import USUAL, write_hypersim
@@ -222,3 +226,22 @@ def test_what_blender_cannot_even_open_an_engine_reads(tmp_path: Path, monkeypat
     shutil.rmtree(tmp_path / "ai_001_001_frames")
     with pytest.raises(RuntimeError, match="h5py"):
         bpy.ops.plgs.import_scene(scene_folder=str(folder))
+
+
+def test_switching_off_ends_the_engine(captures: Path, tmp_path: Path, plgs: ModuleType) -> None:
+    place = Place(shutil.copytree(captures / "studio", tmp_path / "studio"))
+    frame_making.begin(Order(place, "nobody's", ("colour", "depth", "cloud")), Path(sys.executable))
+    with pytest.raises(JobError, match="makes frames already"):
+        frame_making.begin(Order(place, "nobody's", ("depth",)), Path(sys.executable))
+    assert frame_making.is_making() and bpy.ops.plgs.cancel_frames.poll()
+    plgs.unregister()
+    assert not frame_making.is_making() and frame_making.error() is None
+    plgs.register()
+
+
+def test_what_nobody_waits_for_any_more_is_shown_nowhere(captures: Path, tmp_path: Path) -> None:
+    """Another file was opened meanwhile."""
+    place = Place(shutil.copytree(captures / "studio", tmp_path / "studio"))
+    frame_making.begin(Order(place, "nobody's", ("cloud",)), Path(sys.executable))
+    frame_making.wait()
+    assert frame_making.error() is None and not bpy.data.objects and not bpy.data.pointclouds
