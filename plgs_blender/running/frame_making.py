@@ -50,6 +50,7 @@ class _Making:
 
 
 _now: _Making | None = None
+_progress: tuple[int, int] | None = None
 _error: str | None = None
 
 
@@ -74,12 +75,8 @@ def is_making() -> bool:
 
 
 def progress() -> tuple[int, int] | None:
-    """Frames done and their number; None while that is not known."""
-    lines = _now.process.output_tail().splitlines() if _now is not None else []
-    if not lines or not lines[-1].startswith("frames "):
-        return None
-    done, _, total = lines[-1].removeprefix("frames ").partition("/")
-    return (int(done), int(total)) if done.isdecimal() and total.isdecimal() else None
+    """Frames done and their number, as of the last `poll`; None while that is not known. Looks at no disk."""
+    return _progress
 
 
 def error() -> str | None:
@@ -89,13 +86,14 @@ def error() -> str | None:
 
 def poll() -> bool:
     """Show what was made when it is done; whether something ended."""
-    global _error
+    global _error, _progress
     if _now is None:
         return False
-    code = _now.process.exit_code()
+    code, output = _now.process.exit_code(), _now.process.output_tail()
     if code is None:
+        _progress = _progress_in(output)
         return False
-    making, output = _now, _now.process.output_tail()
+    making = _now
     stop()
     if code != ExitCode.FINISHED:
         last = output.splitlines()[-1] if output else f"the engine ended with {code}"
@@ -120,7 +118,8 @@ def wait() -> None:
 
 def stop() -> None:
     """End the engine, if one is at it. What it made so far is kept."""
-    global _now
+    global _now, _progress
+    _progress = None
     if _now is not None:
         _now.process.kill()
         _now.process.close()
@@ -132,6 +131,15 @@ def forget() -> None:
     global _error
     stop()
     _error = None
+
+
+def _progress_in(output: str) -> tuple[int, int] | None:
+    """What the last line of the engine's output says."""
+    lines = output.splitlines()
+    if not lines or not lines[-1].startswith("frames "):
+        return None
+    done, _, total = lines[-1].removeprefix("frames ").partition("/")
+    return (int(done), int(total)) if done.isdecimal() and total.isdecimal() else None
 
 
 def _show(making: _Making) -> None:
