@@ -121,7 +121,10 @@ def read_result(folder: Path) -> LiftResult:
     lift = LiftFolder.open(folder)
     check_sizes(lift.result_path)
     asked = lift.request
-    scene = open_scene(asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth)
+    scene = open_scene(
+        asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth,
+        asked.mask_format, asked.classes,
+    )  # fmt: skip
     classes, instances = _read_instances(lift.result_path / "instances.json")
     names = [frame.name for frame in scene.frames]
     passes = {name: lift.passes_path / f"{name}.exr" for name in names}

@@ -18,7 +18,10 @@ def write_frames(options: argparse.Namespace) -> ExitCode:
     if options.stay_with_parent:
         # All files are put in place by rename, so that the end may come at any time.
         threading.Thread(target=_end_with_parent, daemon=True).start()
-    scene = open_scene(options.scene, options.masks, options.up or "z", options.scene_format, options.depth)
+    scene = open_scene(
+        options.scene, options.masks, options.up or "z", options.scene_format, options.depth,
+        options.mask_format, options.classes,
+    )  # fmt: skip
     masks, depth = (None if path is None else path.resolve() for path in (options.masks, options.depth))
     source = SceneSource(options.scene.resolve(), masks, options.up or "z", options.scene_format, depth)
     try:

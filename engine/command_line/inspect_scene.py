@@ -20,6 +20,8 @@ def inspect_scene(
     *,
     scene_format: str | None = None,
     depth: Path | None = None,
+    mask_format: str | None = None,
+    classes: str | None = None,
     as_json: bool = False,
     preset: str | None = None,
 ) -> ExitCode:
@@ -28,7 +30,7 @@ def inspect_scene(
 
     Raises SceneError for the first thing that is wrong.
     """
-    report = describe(open_scene(folder, masks, up, scene_format, depth))
+    report = describe(open_scene(folder, masks, up, scene_format, depth, mask_format, classes))
     if as_json:
         print(json.dumps(asdict(report), default=str))
     else:

@@ -12,7 +12,8 @@ from ..job.terminal import Interrupted, Interrupts
 from ..scene import open_scene_to_lift
 from .run_engine import run_bake, run_engine
 
-_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", "masks", "up", "scene_format", "depth", "bake", "device")
+_SCENE_OPTIONS = ("masks", "mask_format", "classes", "up", "scene_format", "depth")
+_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", *_SCENE_OPTIONS, "bake", "device")
 
 
 def run_folder(options: argparse.Namespace) -> ExitCode:
@@ -20,7 +21,7 @@ def run_folder(options: argparse.Namespace) -> ExitCode:
     given = [name for name in _REQUEST_OPTIONS if getattr(options, name) is not None]
     if given:
         fix = "Leave them out, or lift a scene into a new folder with -o."
-        options_given = ", ".join(f"--{name.removeprefix('scene_')}" for name in given)
+        options_given = ", ".join(f"--{name.removeprefix('scene_').replace('_', '-')}" for name in given)
         raise JobError("a lift's request never changes", options_given, fix)
     folder = LiftFolder.open(options.scene)
     return run_engine(folder, resume=options.resume, parent_pipe=_parent_pipe(options, folder))
@@ -55,4 +56,7 @@ def lift_scene(options: argparse.Namespace) -> int:
 
 
 def _check(request: LiftRequest) -> None:
-    open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)
+    open_scene_to_lift(
+        request.scene, request.masks, request.up, request.scene_format, request.depth,
+        request.mask_format, request.classes,
+    )  # fmt: skip

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from .. import __version__
 from ..job import PRESETS, UPS, ExitCode, JobError
-from ..job.options import add_lift_options, add_scene_options, readable
+from ..job.options import add_capture_options, add_lift_options, add_scene_options, readable
 
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
+SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
 EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh")
 
 
@@ -45,6 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_evaluate(commands.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(commands.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
     _add_frames(commands.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
+    _add_segment(commands.add_parser("segment", help="make masks for a scene that has none"))
     _add_experiments(commands.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     handshake = commands.add_parser("handshake", help="tell at once what this engine is and what it lacks")
     handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to mend it."
@@ -141,6 +143,28 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_frames)
 
 
+def _add_segment(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Let Mask2Former (transformers) make a panoptic mask of every frame: panoptic.json and panoptic/, which a lift "
+        "reads. Masks that are there are never written over; what was stopped goes on with the same command."
+    )
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
+    parser.add_argument(
+        "--model", default=SEGMENT_MODEL, metavar="NAME|FOLDER",
+        help=f"a folder with a Mask2Former, or its name on Hugging Face's hub (default: {SEGMENT_MODEL})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--download", action="store_true",
+        help="fetch the model from huggingface.co; else it has to be on this machine already",
+    )  # fmt: skip
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help="where the masks go (default: the scene's folder)"
+    )
+    add_capture_options(parser)
+    _add_stay_with_parent(parser)
+    parser.set_defaults(run=_segment)
+
+
 def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Lift every scene in a process of its own, without passes, and print one table in Markdown: machine masks, "
@@ -192,6 +216,12 @@ def _evaluate(options: argparse.Namespace) -> ExitCode:
     return evaluate(options.lift, per_class=options.classes)
 
 
+def _segment(options: argparse.Namespace) -> int:
+    from .segment import segment
+
+    return segment(options)
+
+
 def _experiments(options: argparse.Namespace) -> int:
     from .experiments import experiments
 
@@ -218,6 +248,8 @@ def _inspect(options: argparse.Namespace) -> ExitCode:
         options.up or "z",
         scene_format=options.scene_format,
         depth=options.depth,
+        mask_format=options.mask_format,
+        classes=options.classes,
         as_json=options.json,
         preset=options.preset,
     )

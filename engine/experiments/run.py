@@ -72,8 +72,11 @@ def lift_options(experiment: Experiment, scene: SceneToLift) -> argparse.Namespa
         masks=None,
         up=scene.up,
         scene_format=None,
+        mask_format=None,
+        classes=None,
         depth=None,
         bake="none",
+        device=None,
         resume=True,
     )
 

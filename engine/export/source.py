@@ -26,7 +26,10 @@ class FinishedLift:
     @cached_property
     def scene(self) -> Scene:
         request = self.folder.request
-        return open_scene(request.scene, request.masks, request.up)
+        return open_scene(
+            request.scene, request.masks, request.up, request.scene_format, request.depth,
+            request.mask_format, request.classes,
+        )  # fmt: skip
 
     @property
     def classes(self) -> ClassTable:

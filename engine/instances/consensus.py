@@ -27,7 +27,8 @@ class ConsensusOptions:
     """Masks are joined while views in favour exceed ``agreement`` of those that judge both. An object needs masks in
     ``support`` of the views that see at least half of its points, and at least ``min_masks``; where few views see it,
     all of these but one, and 2 at least. Where there are more than ``most_masks`` masks, those of keyframes are joined;
-    those of the other views go to the object that owns most of their points.
+    those of the other views go to the object that owns most of their points. A tracker has the word of ``tracker``
+    views about each two masks that it followed: it is in favour where both have one track.
     """
 
     rules: JudgingRules = JudgingRules()
@@ -35,6 +36,7 @@ class ConsensusOptions:
     min_masks: int = 3
     support: float = 0.1
     most_masks: int = 4000
+    tracker: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,11 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> ObjectMa
     judgement, sound = judge_masks(space, options.rules)
     rows = np.flatnonzero(sound)
     favour, judging = pairwise(judgement, rows)
-    cluster = join(favour - options.agreement * judging)
+    weight = favour - options.agreement * judging
+    if any(segment.track is not None for _, segment in space.masks):
+        same, followed = tracked(space, rows)
+        weight += options.tracker * (same - options.agreement * followed)
+    cluster = join(weight)
     members = [rows[cluster == name] for name in np.unique(cluster)]
     members = [each for each in members if _is_supported(space, each, options)]
     if not members:
@@ -127,6 +133,16 @@ def pairwise(judgement: Agreement, rows: NDArray[np.intp]) -> tuple[NDArray[np.f
     inside = judgement.inside[rows]
     judges = judgement.judges[rows]
     return (inside @ inside.T).toarray(), judges @ judges.T
+
+
+def tracked(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Which pairs of the masks ``rows`` a tracker gave one track, and which it followed at all, 0/1 float32 [R, R]. Two
+    masks of one view are left out: no track is twice in a frame."""
+    track = np.array([-1 if space.masks[row][1].track is None else space.masks[row][1].track for row in rows], np.int64)
+    view = space.view[rows]
+    followed = (track[:, None] >= 0) & (track[None, :] >= 0) & (view[:, None] != view[None, :])
+    same = followed & (track[:, None] == track[None, :])
+    return same.astype(np.float32), followed.astype(np.float32)
 
 
 def _is_supported(space: MasksInSpace, members: NDArray[np.intp], options: ConsensusOptions) -> bool:

@@ -44,12 +44,28 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """How to read the scene's folder."""
     parser.add_argument("--masks", type=Path, metavar="PATH", help="panoptic masks, where not in SCENE itself")
     parser.add_argument(
-        "--up",
-        choices=UPS,
-        help=f"the axis of the poses that points up (default: what the format says, else {_DEFAULTS.up})",
+        "--mask-format",
+        metavar="NAME",
+        help="how the masks are laid out, such as coco, transformers, sam2, pairs (default: recognised by their looks)",
+    )
+    parser.add_argument(
+        "--classes",
+        type=class_table,
+        metavar="FILE.toml",
+        help="the masks' classes, or one of coco, ade20k, nyu40, replica, reduced (default: classes.toml beside them)",
     )
     parser.add_argument(
         "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, fitted to the scene's sparse points"
+    )
+    add_capture_options(parser)
+
+
+def add_capture_options(parser: argparse.ArgumentParser) -> None:
+    """How to read the pictures and poses in the scene's folder."""
+    parser.add_argument(
+        "--up",
+        choices=UPS,
+        help=f"the axis of the poses that points up (default: what the format says, else {_DEFAULTS.up})",
     )
     parser.add_argument(
         "--format",
@@ -57,6 +73,11 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its looks)",
     )
+
+
+def class_table(text: str) -> str:
+    """The name of a table of classes as it is, the path of a file as an absolute one."""
+    return str(Path(text).resolve()) if text.endswith(".toml") else text
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
@@ -83,7 +104,7 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 
     Raises JobError when a value is out of range.
     """
-    names = ("preset", "steps", "size", "seed", "up", "scene_format", "bake", "device")
+    names = ("preset", "steps", "size", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     for name in ("masks", "depth"):
         if getattr(options, name) is not None:

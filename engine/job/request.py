@@ -32,6 +32,8 @@ _KEYS = {
     "up",
     "scene_format",
     "depth",
+    "mask_format",
+    "classes",
     "bake",
     "device",
 }
@@ -43,7 +45,9 @@ _FIX = "Mend it, or delete the folder and lift again."
 class LiftRequest:
     """One lift. Paths are absolute; ``size`` is (width, height) in pixels; None leaves it to the preset.
     ``scene_format`` names how the scene is laid out; None leaves it to the scene's looks. ``depth`` is a folder of
-    depth maps that take the place of the scene's own. ``device``: where the Gaussians are drawn.
+    depth maps that take the place of the scene's own. ``mask_format`` names how the masks are laid out, ``classes`` the
+    table of their classes: a table's name, or the absolute path of a .toml file. ``device``: where the Gaussians are
+    drawn.
 
     Raises JobError when a value is out of range. Files are not looked at: that is the scene's part.
     """
@@ -58,6 +62,8 @@ class LiftRequest:
     bake: Bake = "test"
     scene_format: str | None = None
     depth: Path | None = None
+    mask_format: str | None = None
+    classes: str | None = None
     device: Device = "cpu"
     engine_version: str = field(default=__version__)
 
@@ -86,6 +92,8 @@ class LiftRequest:
         given = {
             "scene_format": self.scene_format,
             "depth": None if self.depth is None else str(self.depth),
+            "mask_format": self.mask_format,
+            "classes": self.classes,
             "device": None if self.device == "cpu" else self.device,
         }
         named = {key: value for key, value in given.items() if value is not None}
@@ -123,7 +131,9 @@ class LiftRequest:
 
     def differences(self, other: LiftRequest) -> list[str]:
         """Names of what differs, the engine's version left out."""
-        names = ("scene", "masks", "preset", "steps", "size", "seed", "up", "scene_format", "depth", "bake", "device")
+        reading = ("up", "scene_format", "depth", "mask_format", "classes")
+        reading = ("up", "scene_format", "depth", "mask_format", "classes")
+        names = ("scene", "masks", "preset", "steps", "size", "seed", *reading, "bake", "device")
         return [name for name in names if getattr(self, name) != getattr(other, name)]
 
 
@@ -136,7 +146,7 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
     if not isinstance(device, str):
         raise JobError("'device' is not a text", path, _FIX)
     masks, size = content.get("masks"), overrides.get("size")
-    for name in ("masks", "scene_format", "depth"):
+    for name in ("masks", "scene_format", "depth", "mask_format", "classes"):
         if not isinstance(content.get(name), str | None):
             raise JobError(f"'{name}' is neither a text nor null", path, _FIX)
     if not (size is None or isinstance(size, list)):
@@ -144,7 +154,7 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
     return {
         "scene": Path(str(content["scene"])),
         "masks": None if masks is None else Path(str(masks)),
-        "scene_format": content.get("scene_format"),
+        **{name: content.get(name) for name in ("scene_format", "mask_format", "classes")},
         "depth": None if content.get("depth") is None else Path(str(content["depth"])),
         "size": None if size is None else tuple(size),
         "steps": overrides.get("steps"),

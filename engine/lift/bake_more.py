@@ -97,7 +97,10 @@ def _bake(
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
         asked = folder.request
-        scene = open_scene(asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth)
+        scene = open_scene(
+            asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth,
+            asked.mask_format, asked.classes,
+        )  # fmt: skip
         wanted = [view for view in views_in(scene) if not is_baked(folder, view)]
         baker = FrameBaker(scene.classes, read_model(folder), read_shown_instances(folder))
     new = _NewViews(folder, locks)

@@ -70,7 +70,10 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     request, events = folder.request, stages.events
 
     with stages.stage("check") as progress:
-        scene = open_scene_to_lift(request.scene, request.masks, request.up, request.scene_format, request.depth)
+        scene = open_scene_to_lift(
+            request.scene, request.masks, request.up, request.scene_format, request.depth,
+            request.mask_format, request.classes,
+        )  # fmt: skip
         for warning in (*scene.warnings, *check_scene(scene, progress)):
             events.warning(warning)
     with stages.stage("read") as progress:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from .camera import Camera
 from .checks import check_scene
-from .classes import VOID, Category, ClassTable, distinct_colour
+from .class_listing import ClassList, class_list_text, list_classes
+from .class_map import NamedClass
+from .class_tables import TABLES, is_thing_by_name
+from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
 from .formats import FORMATS
 from .frame import Frame, GroundTruth, PanopticMask, Scene, SceneError, Segment, Size
 from .liftable import open_scene_to_lift, require_liftable
@@ -16,13 +19,17 @@ from .view import View, load_view, size_within
 
 __all__ = [
     "FORMATS",
+    "TABLES",
     "VOID",
     "Camera",
     "Category",
+    "ClassLabel",
+    "ClassList",
     "ClassReport",
     "ClassTable",
     "Frame",
     "GroundTruth",
+    "NamedClass",
     "PanopticMask",
     "Scene",
     "SceneError",
@@ -33,8 +40,11 @@ __all__ = [
     "UpAxis",
     "View",
     "check_scene",
+    "class_list_text",
     "describe",
     "distinct_colour",
+    "is_thing_by_name",
+    "list_classes",
     "load_view",
     "open_scene",
     "open_scene_to_lift",

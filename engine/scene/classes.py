@@ -7,6 +7,18 @@ from dataclasses import dataclass
 
 VOID = 0
 """Class id of pixels without a label. It is never predicted."""
+LARGEST_CLASS_ID = 2**24 - 2
+"""Passes hold class ids as 32-bit floats, which count exactly up to 2**24."""
+
+
+@dataclass(frozen=True)
+class ClassLabel:
+    """A class as the masks' own files number it: ``id`` may be 0 there, ``colour`` None where they have none."""
+
+    id: int
+    name: str
+    is_thing: bool
+    colour: tuple[int, int, int] | None = None
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ class Segment:
     """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1].
 
     ``is_group``: a region of a thing's class without an instance, which may be several objects: it tells the class, and
-    founds no object.
+    founds no object. ``track``: the object's id over all frames, where a tracker followed it; None elsewhere.
     """
 
     id: int
@@ -30,11 +30,12 @@ class Segment:
     is_thing: bool
     score: float = 1.0
     is_group: bool = False
+    track: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class PanopticMask:
-    """Segment ids, int32 [H, W] with 0 = void, and what each id means. Ids say nothing across views."""
+    """Segment ids, int32 [H, W] with 0 = void, and what each id means. Ids say nothing across views; tracks do."""
 
     ids: NDArray[np.int32]
     segments: tuple[Segment, ...]

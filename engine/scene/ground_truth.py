@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from .class_tables import REDUCED, known_table
 from .classes import ClassTable
 from .frame import GroundTruth, SceneError, Size
 from .image_header import check_image_file
+from .label_image import check_label_header
 from .layout import files_by_stem, natural_order, same_shape, shown_size
-from .panoptic_lifting_masks import REDUCED_CLASSES, check_label_header
 from .pixels import decode_single_channel, distinct_ids, resize_nearest
 
 _FIX = "Correct it, or take the ground truth away: only the metrics need it."
@@ -96,7 +97,7 @@ def _warnings(
     if len(readers) < len(names):
         warnings.append(f"{len(names) - len(readers)} of {len(names)} frames have no ground truth in {folder.name}")
     if folder.name == "rs_semantics" and {(c.id, c.name) for c in classes.categories} != {
-        (c.id, c.name) for c in REDUCED_CLASSES.categories
+        (label.id, label.name) for label in known_table(REDUCED).labels
     }:
         warnings.append(
             "rs_semantics is in Panoptic Lifting's class table and the masks have one of their own: the metrics "

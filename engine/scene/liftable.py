@@ -26,8 +26,10 @@ def open_scene_to_lift(
     up: UpAxis = "z",
     scene_format: str | None = None,
     depth: Path | None = None,
+    mask_format: str | None = None,
+    classes: str | None = None,
 ) -> Scene:
     """``open_scene`` for a lift. Raises SceneError also when masks or depth are missing."""
-    scene = open_scene(folder, masks, up, scene_format, depth)
+    scene = open_scene(folder, masks, up, scene_format, depth, mask_format, classes)
     require_liftable(scene)
     return scene

@@ -9,10 +9,7 @@ from pathlib import Path
 from .classes import ClassTable
 from .frame import PanopticMask, Size
 
-READ_FIX = (
-    "Give COCO panoptic masks (panoptic.json with a folder panoptic) or Panoptic Lifting's m2f_semantics and "
-    "m2f_instance."
-)
+READ_FIX = "Give masks with --masks, such as COCO panoptic ones, or make them: python -m engine segment SCENE."
 
 
 @dataclass(frozen=True)

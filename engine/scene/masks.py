@@ -1,50 +1,127 @@
-"""Finding a scene's panoptic masks and telling which kind they are."""
+"""Finding a scene's panoptic masks: a format's reader gives numbered segments, the class table says what they mean."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from .coco_masks import open_coco_masks
-from .frame import SceneError
-from .mask_set import NO_MASKS, READ_FIX, MaskSet
-from .panoptic_lifting_masks import open_panoptic_lifting_masks
+import numpy as np
+
+from .class_choice import FILE_NAME, find_class_choice
+from .class_map import ClassMap, class_map
+from .classes import VOID
+from .frame import PanopticMask, SceneError, Segment, Size
+from .layout import listed
+from .mask_formats import MASK_FORMATS, FoundMask, FoundSegment, MaskSource, find_mask_format
+from .mask_set import NO_MASKS, MaskSet
+from .pixels import resize_nearest
+
+MASK_FOLDER = "masks"
+"""Where a scene's own folder may have masks of any format."""
 
 
-def find_masks(scene: Path, masks: Path | None, names: Sequence[str]) -> MaskSet:
-    """``open_masks``, or none at all where nobody named masks and the scene's folder has none. Raises SceneError."""
-    places = ("panoptic.json", "m2f_semantics", "m2f_notta_semantics")
-    if masks is None and not any((scene / name).exists() for name in places):
-        return NO_MASKS
-    return open_masks(scene, masks, names)
-
-
-def open_masks(scene: Path, masks: Path | None, names: Sequence[str]) -> MaskSet:
-    """Open the masks of the frames ``names``; headers and tables only. Raises SceneError.
-
-    ``masks`` may be a COCO panoptic JSON file, a folder that holds ``panoptic.json``, a folder that holds
-    ``m2f_semantics`` and ``m2f_instance``, or one folder ``<prefix>_semantics`` with its ``<prefix>_instance`` beside
-    it. Without it the scene's folder is searched in the same order.
-
-    Of Panoptic Lifting's two sets the one with test-time augmentation (``m2f_``) is taken and ``m2f_notta_`` only where
-    it is alone, because the former is what that project's readers load; the paper seems to use the latter. A warning
-    says how to choose.
+@dataclass(frozen=True)
+class MaskReader:
+    """Reads one frame's mask: what the format's ``read`` finds, in the classes of ``known``. ``void``: labels that mean
+    nothing where the table does not have them; ``fuses``: stuff of one class becomes one segment.
     """
-    place = scene if masks is None else masks
-    if place.is_file():
-        return open_coco_masks(place, names)
-    if not place.is_dir():
-        raise SceneError("there are no masks", place, READ_FIX)
-    if masks is not None and place.name.endswith("_semantics"):
-        return open_panoptic_lifting_masks(place, names)
-    if (place / "panoptic.json").is_file():
-        return open_coco_masks(place / "panoptic.json", names)
-    if (place / "m2f_semantics").is_dir():
-        found = open_panoptic_lifting_masks(place / "m2f_semantics", names)
-        if (place / "m2f_notta_semantics").is_dir():
-            note = "masks with test-time augmentation are used; name m2f_notta_semantics as the masks for those without"
-            return MaskSet(found.classes, found.readers, found.sizes, found.paths, (*found.warnings, note))
-        return found
-    if (place / "m2f_notta_semantics").is_dir():
-        return open_panoptic_lifting_masks(place / "m2f_notta_semantics", names)
-    raise SceneError("there are no masks", place, READ_FIX)
+
+    read: Callable[[], FoundMask]
+    path: Path
+    known: ClassMap
+    void: frozenset[int]
+    fuses: bool
+    table: str
+
+    def __call__(self, size: Size | None = None) -> PanopticMask:
+        """The mask at ``size`` (width, height) or its own. Raises SceneError for a class outside the table."""
+        found = self.read()
+        unknown = sorted({one.label for one in found.segments if self._class_of(one) is None})
+        if unknown:
+            fix = f"Add them to {FILE_NAME} beside the masks: [[class]] with id, name, thing (or into)."
+            raise SceneError(f"class ids {listed(unknown)} are not in {self.table}", self.path, fix)
+        segments = [segment for one in found.segments if (segment := self._segment(one)) is not None]
+        new_id = {one.id: one.id for one in segments}
+        if self.fuses:
+            segments, new_id = fused(segments)
+        ids = found.ids
+        if any(new_id.get(one.id) != one.id for one in found.segments):
+            number = np.zeros(int(ids.max(initial=0)) + 1, np.int32)
+            for old, new in new_id.items():
+                if old < len(number):
+                    number[old] = new
+            ids = number[ids]
+        return PanopticMask(resize_nearest(ids, size) if size else ids, tuple(segments))
+
+    def _class_of(self, one: FoundSegment) -> int | None:
+        """The class id of a segment, 0 = void; None where nobody knows."""
+        known = self.known.class_of.get(one.label, self.known.others)
+        return VOID if known is None and one.label in self.void else known
+
+    def _segment(self, one: FoundSegment) -> Segment | None:
+        class_id = self._class_of(one)
+        if class_id is None or class_id == VOID:
+            return None
+        is_thing = self.known.classes[class_id].is_thing
+        is_group = is_thing and not one.has_instance
+        track = one.track if is_thing else None
+        return Segment(one.id, class_id, is_thing and not is_group, one.score, is_group, track)
+
+
+def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
+    """Stuff and groups of one class as one segment each, with the id and the score of the one listed first; and the new
+    id of each segment."""
+    first: dict[int, int] = {}
+    new_id, kept = {}, []
+    for one in segments:
+        new_id[one.id] = one.id if one.is_thing else first.setdefault(one.class_id, one.id)
+        if new_id[one.id] == one.id:
+            kept.append(one)
+    return kept, new_id
+
+
+def find_masks(
+    scene: Path, masks: Path | None, names: Sequence[str], mask_format: str | None = None, classes: str | None = None
+) -> MaskSet:
+    """``open_masks``, or none at all where nobody named masks and the scene's folder has none. Raises SceneError."""
+    place = mask_place(scene, masks)
+    return NO_MASKS if place is None else open_masks(place, names, mask_format, classes)
+
+
+def mask_place(scene: Path, masks: Path | None) -> Path | None:
+    """Where a scene's masks are: what was named, else the scene's own folder or the folder ``masks`` in it."""
+    if masks is not None:
+        return masks
+    if any(each.in_scene and each.recognises(scene) for each in MASK_FORMATS):
+        return scene
+    return scene / MASK_FOLDER if (scene / MASK_FOLDER).is_dir() else None
+
+
+def open_masks(
+    place: Path, names: Sequence[str], mask_format: str | None = None, classes: str | None = None
+) -> MaskSet:
+    """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises SceneError.
+
+    ``mask_format`` names their format when its looks do not tell. ``classes``: see ``find_class_choice``.
+    """
+    source = open_mask_source(place, names, mask_format)
+    choice = find_class_choice(classes, place if place.is_dir() else place.parent)
+    known = class_map(source.labels, choice, place, source.tells_no_class)
+    fuses = source.stuff_in_pieces or known.merges
+    table = source.table if choice is None else "the class table"
+    readers = {
+        name: MaskReader(read, source.paths[name], known, source.void, fuses, table)
+        for name, read in source.readers.items()
+    }
+    return MaskSet(known.classes, readers, source.sizes, source.paths, source.warnings)
+
+
+def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None = None) -> MaskSource:
+    """What the masks' own files say, before the user's table is looked at. Raises SceneError."""
+    reader = find_mask_format(place, mask_format)
+    try:
+        return reader.read(place, names)
+    except OSError as error:
+        fix = "Check that it exists, and its permissions."
+        raise SceneError(f"this cannot be read ({error.strerror})", error.filename or place, fix) from error

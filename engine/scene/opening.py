@@ -37,14 +37,17 @@ def open_scene(
     up: UpAxis = "z",
     scene_format: str | None = None,
     depth: Path | None = None,
+    mask_format: str | None = None,
+    classes: str | None = None,
 ) -> Scene:
     """Open a scene without decoding an image.
 
     ``folder`` may be a file in formats that are one. ``masks`` names the panoptic masks when they are not in the
     folder. ``up`` is the axis of its poses' world that points up; "z" leaves it to formats that say it themselves.
     ``scene_format`` names the format when its looks do not tell. ``depth`` is a folder of monocular depth maps, which
-    take the place of the scene's depth, see ``estimated_depth``. Masks and depth may be missing, see
-    ``require_liftable``.
+    take the place of the scene's depth, see ``estimated_depth``. ``mask_format`` names the masks' format when its looks
+    do not tell; ``classes`` a table of their classes or a file, see ``find_class_choice``. Masks and depth may be
+    missing, see ``require_liftable``.
 
     Raises SceneError for the first thing that is wrong; ``check_scene`` looks into the pixels as well.
     """
@@ -62,7 +65,7 @@ def open_scene(
     turn, turn_warnings = _turn_upright(capture, up)
     cameras = {shot.name: placed(shot.camera, turned(shot.camera.camera_to_world, turn)) for shot in shots}
     sizes = {shot.name: (shot.camera.width, shot.camera.height) for shot in shots}
-    mask_set = find_masks(beside, masks, list(sizes))
+    mask_set = find_masks(beside, masks, list(sizes), mask_format, classes)
     _check_mask_shapes(mask_set, sizes)
     truth = open_ground_truth(beside, sizes, mask_set.classes) if mask_set.readers else GroundTruthSet({})
     lost = f"{len(capture.lost)} frames without a pose are left out: {listed(capture.lost)}"

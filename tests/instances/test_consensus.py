@@ -229,3 +229,29 @@ def test_things_become_instances_with_boxes() -> None:
     assert [(one.id, one.class_id, one.views) for one in instances] == [(1, CHAIR, 3), (2, SOFA, 3)]
     assert instances[0].evidence[0].pixels == 30
     assert instances[0].box.size[0] == pytest.approx(9.0)
+
+
+def with_tracks(view: View, tracks: dict[int, int]) -> View:
+    """The same view, of whose masks a tracker followed some."""
+    segments = tuple(replace(one, track=tracks.get(one.id)) for one in view.mask.segments)
+    return replace(view, mask=replace(view.mask, segments=segments))
+
+
+def test_a_track_joins_what_no_view_sees_together() -> None:
+    """The two ends of a sofa, each seen by three views of their own: only the tracker knows that they are one."""
+
+    def end(name: str, part: slice) -> View:
+        ids = np.zeros(POINTS)
+        ids[part] = 3
+        return strip(name, ids, {3: SOFA})
+
+    ends = [end(f"left{i}", LEFT) for i in range(3)] + [end(f"right{i}", RIGHT) for i in range(3)]
+    assert owners(objects_in(ends), LEFT, RIGHT) == [1, 2]
+    assert owners(objects_in([with_tracks(view, {3: 8}) for view in ends]), LEFT, RIGHT) == [1, 1]
+
+
+def test_a_track_does_not_outvote_the_views() -> None:
+    """The tracker jumps from one chair to the other, and five views see two chairs."""
+    views = [with_tracks(good(f"{i}"), {3: 1, 4: 2} if i < 3 else {3: 2, 4: 1}) for i in range(5)]
+    left, right = owners(objects_in(views), LEFT, RIGHT)
+    assert left != right

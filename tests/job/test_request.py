@@ -21,6 +21,8 @@ FULL = LiftRequest(
     bake="all",
     scene_format="tum",
     depth=Path("/depth"),
+    mask_format="sam2",
+    classes="coco",
     device="cuda",
 )
 
@@ -72,6 +74,8 @@ def test_has_the_documented_form() -> None:
         ({"up": "x"}, "z, y, -y"),
         ({"scene_format": 5}, "'scene_format'"),
         ({"depth": 5}, "'depth'"),
+        ({"mask_format": 5}, "'mask_format'"),
+        ({"classes": ["coco"]}, "'classes'"),
         ({"depth": "relative"}, "'depth'"),
         ({"bake": "some"}, "test, all, none"),
         ({"device": "tpu"}, "cpu, cuda"),
@@ -104,6 +108,8 @@ def test_tells_what_differs() -> None:
         "up",
         "scene_format",
         "depth",
+        "mask_format",
+        "classes",
         "bake",
         "device",
     ]

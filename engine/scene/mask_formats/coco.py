@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .classes import Category, ClassTable, distinct_colour
-from .frame import PanopticMask, SceneError, Segment, Size
-from .image_header import read_image_header
-from .json_file import (
+from ..classes import LARGEST_CLASS_ID, ClassLabel
+from ..frame import SceneError
+from ..image_header import read_image_header
+from ..json_file import (
     file_inside,
     read_json_object,
     take_flag,
@@ -32,13 +32,14 @@ from .json_file import (
     take_whole_number,
     wrong_type,
 )
-from .layout import listed, require_all
-from .mask_set import MaskSet
-from .pixels import decode, distinct_ids, resize_nearest
+from ..layout import listed, require_all
+from ..pixels import decode, distinct_ids
+from .label_map import LARGEST_PIXELS
+from .source import FoundMask, FoundSegment, MaskSource
+
+LOOKS_FOR = "panoptic.json and the PNGs in panoptic"
 
 _LARGEST_SEGMENT_ID = 256**3 - 1
-_LARGEST_CLASS_ID = 2**24 - 2
-"""Passes hold class ids as 32-bit floats, which count exactly up to 2**24."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +48,11 @@ class CocoMaskReader:
 
     png: Path
     table: Path
-    segments: tuple[Segment, ...]
+    segments: tuple[FoundSegment, ...]
     crowd_ids: frozenset[int] = frozenset()
 
-    def __call__(self, size: Size | None = None) -> PanopticMask:
-        """The mask at ``size`` (width, height) or its own. Raises SceneError for an id that the JSON does not have."""
+    def __call__(self) -> FoundMask:
+        """The mask. Raises SceneError for an id that the JSON does not have."""
         ids = self.read_ids()
         found, _ = distinct_ids(ids)
         unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in self.segments} - self.crowd_ids)
@@ -63,7 +64,7 @@ class CocoMaskReader:
             )
         if self.crowd_ids:
             ids[np.isin(ids, list(self.crowd_ids))] = 0
-        return PanopticMask(resize_nearest(ids, size) if size else ids, self.segments)
+        return FoundMask(ids, self.segments)
 
     def read_ids(self) -> NDArray[np.int32]:
         """The segment ids as stored, int32 [H, W]."""
@@ -78,19 +79,31 @@ class CocoMaskReader:
         return ids
 
 
-def open_coco_masks(table: Path, names: Sequence[str]) -> MaskSet:
-    """Open ``table`` (the JSON) and its folder of PNGs, which has the JSON's stem. Raises SceneError."""
+def recognises(place: Path) -> bool:
+    return _table_of(place).is_file()
+
+
+def _table_of(place: Path) -> Path:
+    return place if place.suffix.lower() == ".json" else place / "panoptic.json"
+
+
+def read(place: Path, names: Sequence[str]) -> MaskSource:
+    """Open the JSON at ``place``, or panoptic.json in it, and its folder of PNGs, which has the JSON's stem. Raises
+    SceneError.
+    """
+    table = _table_of(place)
     content = read_json_object(table)
-    class_ids, classes = _read_categories(content, table)
+    labels = _read_categories(content, table)
     folder = table.with_suffix("")
     if not folder.is_dir():
         raise SceneError("the folder of mask images is missing", folder, f"Put the PNGs of {table.name} there.")
     entries = _entries_by_frame(content, table, names)
     require_all(names, entries, "mask", table, "Add an annotation whose file name has the colour image's stem.")
-    readers = {name: _open_frame(entries[name], name, folder, table, class_ids, classes) for name in names}
+    known = frozenset(label.id for label in labels)
+    readers = {name: _open_frame(entries[name], name, folder, table, known) for name in names}
     crowded = [name for name, reader in readers.items() if reader.crowd_ids]
-    return MaskSet(
-        classes=classes,
+    return MaskSource(
+        labels=labels,
         readers=readers,
         sizes={name: read_image_header(reader.png).size for name, reader in readers.items()},
         paths={name: reader.png for name, reader in readers.items()},
@@ -98,37 +111,31 @@ def open_coco_masks(table: Path, names: Sequence[str]) -> MaskSet:
     )
 
 
-def _read_categories(content: dict[str, Any], table: Path) -> tuple[dict[int, int], ClassTable]:
-    """Class id by category id, and the class table."""
-    found: dict[int, Category] = {}
+def _read_categories(content: dict[str, Any], table: Path) -> tuple[ClassLabel, ...]:
+    found: dict[int, ClassLabel] = {}
     for position, entry in enumerate(take_objects(content, "categories", "the file", table)):
         context = f"category {position}"
         category_id = take_whole_number(entry, "id", context, table)
-        if not 0 <= category_id <= _LARGEST_CLASS_ID:
+        if not 0 <= category_id <= LARGEST_CLASS_ID:
             raise SceneError(
-                f"the category id {category_id} is out of range", table, f"Use ids from 1 to {_LARGEST_CLASS_ID}."
+                f"the category id {category_id} is out of range", table, f"Use ids from 1 to {LARGEST_CLASS_ID}."
             )
         if category_id in found:
             raise SceneError(f"the category id {category_id} occurs twice", table, "Give each category its own id.")
-        found[category_id] = Category(
+        found[category_id] = ClassLabel(
             id=category_id,
             name=take_text(entry, "name", context, table),
             is_thing=take_flag(entry, "isthing", context, table),
-            colour=_colour(entry, category_id, context, table),
+            colour=_colour(entry, context, table),
         )
     if not found:
         raise SceneError("there are no categories", table, "List the classes of the masks.")
-    shift = 1 if 0 in found else 0
-    class_ids = {category_id: category_id + shift for category_id in found}
-    categories = (
-        Category(class_ids[old], found[old].name, found[old].is_thing, found[old].colour) for old in sorted(found)
-    )
-    return class_ids, ClassTable(tuple(categories))
+    return tuple(found[category_id] for category_id in sorted(found))
 
 
-def _colour(entry: dict[str, Any], category_id: int, context: str, table: Path) -> tuple[int, int, int]:
+def _colour(entry: dict[str, Any], context: str, table: Path) -> tuple[int, int, int] | None:
     if "color" not in entry:
-        return distinct_colour(category_id)
+        return None
     value = take_list(entry, "color", context, table)
     if len(value) != 3 or not all(type(part) is int and 0 <= part <= 255 for part in value):
         raise wrong_type("color", "three whole numbers 0..255", value, context, table)
@@ -158,18 +165,18 @@ def _stem(file_name: str) -> str:
     return file_name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
 
 
-def _open_frame(
-    entry: dict[str, Any], name: str, folder: Path, table: Path, class_ids: dict[int, int], classes: ClassTable
-) -> CocoMaskReader:
+def _open_frame(entry: dict[str, Any], name: str, folder: Path, table: Path, known: frozenset[int]) -> CocoMaskReader:
     context = f"the annotation of frame {name}"
     png = file_inside(folder, take_text(entry, "file_name", context, table), table)
     header = read_image_header(png)
+    if header.width * header.height > LARGEST_PIXELS:
+        raise SceneError(f"{header.width}x{header.height} is too large for a mask", png, "Write this file again.")
     if header.format != "png" or header.bit_depth < 8:
         raise SceneError("masks must be PNGs of 8 or 16 bits a channel", png, "Save ids as R + 256 G + 65536 B.")
-    segments: dict[int, Segment] = {}
+    segments: dict[int, FoundSegment] = {}
     crowd_ids: set[int] = set()
     for info in take_objects(entry, "segments_info", context, table):
-        segment = _segment(info, name, table, class_ids, classes)
+        segment = _segment(info, name, table, known)
         if segment.id in segments or segment.id in crowd_ids:
             raise SceneError(
                 f"frame {name} has the segment id {segment.id} twice",
@@ -183,24 +190,23 @@ def _open_frame(
     return CocoMaskReader(png, table, tuple(segments[key] for key in sorted(segments)), frozenset(crowd_ids))
 
 
-def _segment(info: dict[str, Any], name: str, table: Path, class_ids: dict[int, int], classes: ClassTable) -> Segment:
+def _segment(info: dict[str, Any], name: str, table: Path, known: frozenset[int]) -> FoundSegment:
     segment_id = take_whole_number(info, "id", f"a segment of frame {name}", table)
     context = f"segment {segment_id} of frame {name}"
     if not 1 <= segment_id <= _LARGEST_SEGMENT_ID:
         raise SceneError(f"{context} has an id that a PNG cannot hold", table, "Number segments from 1; 0 is void.")
     key = "label_id" if "category_id" not in info and "label_id" in info else "category_id"
     category_id = take_whole_number(info, key, context, table)
-    if category_id not in class_ids:
+    if category_id not in known:
         raise SceneError(
             f"{context} has the category id {category_id}, which is not in the categories",
             table,
             "Add the category, or correct the id.",
         )
-    class_id = class_ids[category_id]
-    return Segment(segment_id, class_id, classes[class_id].is_thing, _score(info, context, table))
+    return FoundSegment(segment_id, category_id, take_score(info, context, table))
 
 
-def _score(info: dict[str, Any], context: str, table: Path) -> float:
+def take_score(info: dict[str, Any], context: str, table: Path) -> float:
     """The detector's confidence; 1 where it gave none."""
     score = info.get("score")
     if score is None:

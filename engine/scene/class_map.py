@@ -1,0 +1,169 @@
+"""From the numbers in mask files to the classes of a scene: which number is which class, and which are things."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from .class_choice import FILE_NAME, ClassChoice, ClassRow
+from .class_tables import REDUCED, known_table, reduced_by_name
+from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
+from .frame import SceneError
+from .layout import listed
+
+OBJECT = ClassLabel(0, "object", is_thing=True)
+
+
+@dataclass(frozen=True)
+class ClassMap:
+    """``class_of``: the class id of each label, 0 = void. ``others``: that of labels which it does not have; None where
+    these are an error. ``merges``: several labels became one class.
+    """
+
+    classes: ClassTable
+    class_of: Mapping[int, int]
+    others: int | None = None
+    merges: bool = False
+
+
+@dataclass(frozen=True)
+class NamedClass:
+    """One row for a list of classes that a user edits: a ``label`` as the masks number it, its own ``name``, the name
+    that it counts ``into`` (its own where nothing is merged, "void" where it is dropped), and whether that is a thing.
+    """
+
+    label: int
+    name: str
+    into: str
+    is_thing: bool
+
+
+def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, where: Path, objects: bool) -> ClassMap:
+    """The classes of masks whose files say ``labels`` (None: nothing), after the user's ``choice``.
+
+    A table that uses the number 0 is shifted by one as a whole, as 0 is void here. ``objects``: labels number objects,
+    and those that nobody named are of the class "object". Raises SceneError.
+    """
+    choice = choice or ClassChoice()
+    own = _labels(labels if choice.labels is None else choice.labels, choice)
+    if not own and not objects:
+        fix = f'Write {FILE_NAME} beside them, such as table = "nyu40", or name a table with --classes.'
+        raise SceneError("the masks do not say what their classes are", where, fix)
+    into = _targets(own, choice)
+    if choice.to_reduced:
+        final, class_of = _reduced(own, into, choice)
+    else:
+        final, class_of = _merged(own, into)
+    for number in choice.void:
+        class_of[number] = VOID
+    others = None
+    if objects:
+        others = max((each.id for each in final), default=0) + 1
+        final = [*final, replace(OBJECT, id=others)]
+    used = [number for number in class_of.values() if number != VOID]
+    merges = len(set(used)) < len(used)
+    return ClassMap(ClassTable(tuple(_category(each) for each in final)), class_of, others, merges)
+
+
+def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> list[NamedClass]:
+    """The classes of masks as a list to edit, in order of their numbers. Raises SceneError for a choice that does not
+    fit them."""
+    known = class_map(labels, choice, Path(FILE_NAME), objects=False)
+    own = _labels(labels if choice is None or choice.labels is None else choice.labels, choice or ClassChoice())
+    rows = []
+    for number, label in sorted(own.items()):
+        class_id = known.class_of.get(number, VOID)
+        target = None if class_id == VOID else known.classes[class_id]
+        into, is_thing = ("void", label.is_thing) if target is None else (target.name, target.is_thing)
+        rows.append(NamedClass(number, label.name, into, is_thing))
+    return rows
+
+
+def choice_of(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) -> ClassChoice:
+    """The choice that an edited list says: every class with its number, so that it needs no other table."""
+    return ClassChoice(
+        void=void,
+        rows=tuple(
+            ClassRow(row.label, row.name, row.is_thing, row.into if row.into and row.into != row.name else None)
+            for row in rows
+        )
+    )
+
+
+def _labels(labels: Sequence[ClassLabel] | None, choice: ClassChoice) -> dict[int, ClassLabel]:
+    """The labels by number, with the names and kinds that the choice's rows give them."""
+    found = {label.id: label for label in labels or ()}
+    by_name = {label.name.casefold(): label.id for label in labels or ()}
+    where = choice.path or FILE_NAME
+    for row in choice.rows:
+        number = row.id
+        if number is None:
+            assert row.name is not None  # said by the file's reader
+            if row.name.casefold() not in by_name:
+                fix = "Correct the name, or give its number in the masks as id."
+                raise SceneError(f'the masks have no class called "{row.name}"'[:90], where, fix)
+            number = by_name[row.name.casefold()]
+        known = found.get(number)
+        if known is None:
+            if row.name is None:
+                raise SceneError(f"the class {number} has no name", where, "Add name and thing.")
+            found[number] = ClassLabel(number, row.name, row.thing is not False)
+        else:
+            name = known.name if row.name is None or row.id is None else row.name
+            found[number] = replace(known, name=name, is_thing=known.is_thing if row.thing is None else row.thing)
+    return found
+
+
+def _targets(labels: Mapping[int, ClassLabel], choice: ClassChoice) -> dict[int, str]:
+    """What labels count into, by number; those that nobody merges are missing."""
+    by_name = {label.name.casefold(): number for number, label in labels.items()}
+    found = {}
+    for row in choice.rows:
+        number = row.id if row.id is not None else by_name[(row.name or "").casefold()]
+        if row.into is not None and row.into.casefold() != labels[number].name.casefold():
+            found[number] = row.into
+    return found
+
+
+def _merged(labels: Mapping[int, ClassLabel], into: Mapping[int, str]) -> tuple[list[ClassLabel], dict[int, int]]:
+    """The classes that are left, in order of id, and the class id of each label."""
+    shift = 1 if 0 in labels else 0
+    class_of = {number: number + shift for number in labels if number not in into}
+    final = {class_id: replace(labels[number], id=class_id) for number, class_id in class_of.items()}
+    by_name = {label.name.casefold(): class_id for class_id, label in final.items()}
+    for number, name in sorted(into.items()):
+        if name.casefold() == "void":
+            class_of[number] = VOID
+            continue
+        if name.casefold() not in by_name:
+            by_name[name.casefold()] = number + shift
+            final[number + shift] = replace(labels[number], id=number + shift, name=name)
+        class_of[number] = by_name[name.casefold()]
+    return [final[class_id] for class_id in sorted(final)], class_of
+
+
+def _reduced(
+    labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
+) -> tuple[list[ClassLabel], dict[int, int]]:
+    """The paper's 21 classes, and which of them each label is. Raises SceneError for labels that nobody placed."""
+    final = list(known_table(REDUCED).labels)
+    by_name = {label.name: label.id for label in final} | {"void": VOID}
+    table = {} if choice.table is None else known_table(choice.table).reduced
+    class_of: dict[int, int] = {}
+    unplaced = []
+    for number, label in labels.items():
+        name = into.get(number)
+        class_id = by_name.get(name.casefold()) if name is not None else table.get(number, reduced_by_name(label.name))
+        if class_id is None:
+            unplaced.append(name or label.name)
+        else:
+            class_of[number] = class_id
+    if unplaced:
+        what = f"classes have no place among the paper's 21 ({listed(unplaced)})"
+        raise SceneError(what, choice.path or FILE_NAME, "Say which class each counts into, with into.")
+    return final, class_of
+
+
+def _category(label: ClassLabel) -> Category:
+    return Category(label.id, label.name, label.is_thing, label.colour or distinct_colour(label.id))

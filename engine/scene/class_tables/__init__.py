@@ -1,0 +1,56 @@
+"""Public tables of classes: what the ids of a data set mean, which are things, and which of the paper's 21 each is.
+
+One CSV a table: ``id`` as networks trained on it give it, ``name``, ``thing`` (1 or 0), and where it is known
+``reduced``, the class of ``reduced.csv`` (0 = void). ``coco.csv`` counts from 0 to 132; ``coco_id`` is the category id
+of the data set's own files.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from ..classes import VOID, ClassLabel
+
+TABLES = ("coco", "ade20k", "nyu40", "replica", "reduced")
+REDUCED = "reduced"
+
+
+@dataclass(frozen=True)
+class KnownTable:
+    """``labels`` in order of id; ``reduced``: the class among the paper's 21 of each id, empty where nobody said."""
+
+    labels: tuple[ClassLabel, ...]
+    reduced: dict[int, int]
+
+
+@cache
+def known_table(name: str) -> KnownTable:
+    """The table of a name in ``TABLES``."""
+    with (Path(__file__).parent / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    labels = tuple(ClassLabel(int(row["id"]), row["name"], row["thing"] == "1") for row in rows)
+    return KnownTable(labels, {int(row["id"]): int(row["reduced"]) for row in rows if "reduced" in row})
+
+
+def is_thing_by_name(name: str) -> bool | None:
+    """Whether a class of this name is a thing in one of the tables; None where none has it. Of synonyms, as ADE20K's
+    networks list them ("road, route"), the first that is known counts."""
+    for word in (name.casefold(), *(part.strip() for part in name.casefold().split(","))):
+        for table in TABLES:
+            for label in known_table(table).labels:
+                if label.name == word:
+                    return label.is_thing
+    return None
+
+
+def reduced_by_name(name: str) -> int | None:
+    """The class among the paper's 21 that a class of this name is, 0 = void; None where no table says so."""
+    for table in TABLES:
+        known = known_table(table)
+        for label in known.labels:
+            if label.name == name.casefold() and label.id in known.reduced:
+                return known.reduced[label.id]
+    return VOID if name.casefold() in ("void", "unlabeled", "unlabelled") else None

@@ -1,0 +1,78 @@
+"""Making masks from a script, and editing the classes of those that are there."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from pathlib import Path
+
+import bpy
+import pytest
+from plgs.plgs_blender.running import mask_making
+
+from engine.scene import open_scene
+from tests.tiny_scene import write_tiny_scene
+
+HAS_TRANSFORMERS = all(importlib.util.find_spec(name) for name in ("torch", "transformers"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_tiny_scene(tmp_path / "room", frames=3, size=(64, 48), ground_truth=False)
+
+
+@pytest.fixture
+def bare(folder: Path) -> Path:
+    """Without masks."""
+    shutil.rmtree(folder / "panoptic")
+    (folder / "panoptic.json").unlink()
+    return folder
+
+
+def test_classes_are_read_merged_and_written(folder: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(folder)
+    assert bpy.ops.plgs.read_classes() == {"FINISHED"}
+    rows = bpy.context.scene.plgs_masks.classes
+    assert [(row.name, row.into, row.is_thing) for row in rows][2:4] == [("cabinet", "", True), ("chair", "", True)]
+    rows["chair"].into, rows["ceiling"].into, rows["wall"].name = "cabinet", "void", "walls"
+    rows["cabinet"].is_thing = False
+    assert bpy.ops.plgs.write_classes() == {"FINISHED"}
+    classes = open_scene(folder).classes
+    assert [(each.name, each.is_thing) for each in classes.categories] == [
+        ("walls", False), ("floor", False), ("cabinet", False)
+    ]  # fmt: skip
+    bpy.ops.plgs.read_classes()
+    assert {row.name: row.into for row in bpy.context.scene.plgs_masks.classes} == {
+        "walls": "", "floor": "", "cabinet": "", "chair": "cabinet", "ceiling": "void"
+    }  # fmt: skip
+
+
+def test_a_table_is_begun_with(folder: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(folder)
+    bpy.ops.plgs.read_classes(table="reduced")
+    assert len(bpy.context.scene.plgs_masks.classes) == 21
+
+
+def test_nothing_to_write_is_said(folder: Path) -> None:
+    with pytest.raises(RuntimeError, match="no classes to write.*Read them"):
+        bpy.ops.plgs.write_classes()
+    assert not (folder / "classes.toml").exists()
+
+
+def test_a_model_that_is_nowhere_is_said(bare: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(bare)
+    with pytest.raises(RuntimeError, match="no such folder or model: nowhere"):
+        bpy.ops.plgs.make_masks(model="nowhere")
+    assert not mask_making.is_making() and mask_making.error() is not None
+    assert not (bare / "panoptic").exists()
+
+
+@pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
+def test_masks_are_made_and_shown(bare: Path, tmp_path: Path) -> None:
+    from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former
+
+    bpy.context.scene.plgs.scene_folder = str(bare)
+    model = save_tiny_mask2former(tmp_path / "model")
+    assert bpy.ops.plgs.make_masks(model=str(model)) == {"FINISHED"}
+    assert [each.name for each in open_scene(bare).classes.categories] == NAMES
+    assert "Masks of 3 frames" in mask_making.progress()

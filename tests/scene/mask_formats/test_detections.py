@@ -1,0 +1,99 @@
+"""A mask, a class and a score a detection: as instance networks give them, in an .npz or as pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, check_scene, open_scene
+from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
+
+COCO = {3: 72, 5: 56}
+"""Of COCO's things: the cabinet seen as a refrigerator, the chair."""
+SEEN = {1: "", 2: "", 3: "refrigerator", 5: "chair", 13: ""}
+
+
+def detected(truth: Truth) -> Iterator[tuple[int, float, np.ndarray]]:
+    """True objects at 0.9, and beneath each a worse one that is larger and of another class."""
+    for class_id, number, region in truth.regions():
+        if number:
+            larger = cv2.dilate(region.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+            inside = larger & np.isin(truth.instance, [number])
+            yield class_id, 0.9, region
+            yield 8 - class_id, 0.25, inside
+
+
+KEYS = ("masks", "classes", "scores")
+
+
+def write_stacks(folder: Path, as_names: bool = False, keys: tuple[str, str, str] = KEYS) -> list[Truth]:
+    scene, truths = write_frames(folder)
+    (scene / "masks").mkdir()
+    for truth in truths:
+        found = list(detected(truth))
+        classes = [NAMES[one] if as_names else COCO[one] for one, _, _ in found]
+        masks = np.array([mask for _, _, mask in found]).reshape(-1, 48, 64)
+        scores = np.array([score for _, score, _ in found], np.float32)
+        arrays = dict(zip(keys, (masks, np.array(classes, None if classes else np.int64), scores), strict=True))
+        np.savez(scene / "masks" / f"{truth.name}.npz", boxes=np.zeros((len(found), 4)), **arrays)
+    return truths
+
+
+@pytest.mark.parametrize("keys", [KEYS, ("pred_masks", "pred_classes", "scores")])
+def test_the_highest_score_is_on_top(tmp_path: Path, keys: tuple[str, str, str]) -> None:
+    truths = write_stacks(tmp_path, keys=keys)
+    scene = open_scene(tmp_path, classes="coco")
+    check_on_room(scene, truths, SEEN, frozenset({"refrigerator", "chair"}))
+    assert {round(one.score, 4) for one in mask_of(scene).segments} == {0.9}
+
+
+def test_names_need_no_table(tmp_path: Path) -> None:
+    truths = write_stacks(tmp_path, as_names=True)
+    check_on_room(open_scene(tmp_path), truths, SEEN | {3: "cabinet"}, frozenset({"cabinet", "chair"}))
+
+
+def write_pictures(folder: Path) -> list[Truth]:
+    scene, truths = write_frames(folder)
+    for truth in truths:
+        (scene / "masks" / truth.name).mkdir(parents=True)
+        for k, (class_id, score, mask) in enumerate(detected(truth)):
+            path = scene / "masks" / truth.name / f"{k}_{NAMES[class_id]}_{score}.png"
+            cv2.imwrite(str(path), mask.astype(np.uint8) * 255)
+    return truths
+
+
+def test_a_picture_a_detection(tmp_path: Path) -> None:
+    """The frames' folders have numbers for names, as SAM 2's objects do: the format has to be named."""
+    truths = write_pictures(tmp_path)
+    scene = open_scene(tmp_path, mask_format="detections")
+    check_on_room(scene, truths, SEEN | {3: "cabinet"}, frozenset({"cabinet", "chair"}))
+
+
+def test_a_name_that_tells_nothing_is_refused(tmp_path: Path) -> None:
+    write_pictures(tmp_path)
+    cv2.imwrite(str(tmp_path / "masks" / "0001" / "chair.png"), np.zeros((48, 64), np.uint8))
+    with pytest.raises(SceneError, match=r"does not tell class and score: .*chair.png. Call it <k>_<class>_<score>"):
+        open_scene(tmp_path, mask_format="detections")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"scores": np.array([0.5])}, "not 1 classes|not [24] classes"),
+        ({"classes": np.array(["chair"], object)}, "pickled array"),
+        ({"masks": np.zeros((48, 64), bool)}, "have the shape"),
+        ({"scores": None}, 'no "scores"'),
+    ],
+)
+def test_bad_stacks_get_a_line(tmp_path: Path, change: dict[str, np.ndarray | None], told: str) -> None:
+    write_stacks(tmp_path)
+    path = tmp_path / "masks" / "0000.npz"
+    with np.load(path) as stored:
+        arrays = {**stored, **change}
+    np.savez(path, **{key: values for key, values in arrays.items() if values is not None})
+    with pytest.raises(SceneError, match=told):
+        check_scene(open_scene(tmp_path, classes="coco"))

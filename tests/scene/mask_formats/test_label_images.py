@@ -1,0 +1,189 @@
+"""Pairs of label images, palettes of classes, and NumPy arrays: numbers of classes whose table the user names."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, check_scene, open_scene
+from engine.scene.mask_formats.array_file import array_headers
+from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
+from tests.scene.mask_formats.test_tracks import palette_png
+
+NYU = {1: 1, 2: 2, 3: 3, 5: 5, 13: 22}
+"""The room's classes in NYU40."""
+ADE = {1: 0, 2: 3, 3: 10, 5: 19, 13: 5}
+THINGS = frozenset({"cabinet", "chair"})
+
+
+def in_table(truth: Truth, table: dict[int, int]) -> np.ndarray:
+    return np.vectorize(table.__getitem__)(truth.semantic)
+
+
+def write_pairs(folder: Path, kinds: tuple[str, str], deep: type = np.uint8) -> list[Truth]:
+    scene, truths = write_frames(folder)
+    for truth in truths:
+        for kind, values in zip(kinds, (in_table(truth, NYU), truth.instance), strict=True):
+            (scene / "masks" / kind).mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(scene / "masks" / kind / f"{truth.name}.png"), values.astype(deep))
+    return truths
+
+
+@pytest.mark.parametrize(
+    ("kinds", "deep"),
+    [(("label-filt", "instance-filt"), np.uint16), (("semantic_class", "semantic_instance"), np.uint8)],
+)
+def test_pairs_of_images(tmp_path: Path, kinds: tuple[str, str], deep: type) -> None:
+    truths = write_pairs(tmp_path, kinds, deep)
+    check_on_room(open_scene(tmp_path, classes="nyu40"), truths, NAMES, THINGS)
+    with pytest.raises(SceneError, match="do not say what their classes are"):
+        open_scene(tmp_path)
+
+
+def test_things_without_an_instance_are_groups(tmp_path: Path) -> None:
+    write_pairs(tmp_path, ("semantic", "instance"))
+    cv2.imwrite(str(tmp_path / "masks" / "instance" / "0000.png"), np.zeros((48, 64), np.uint8))
+    segments = mask_of(open_scene(tmp_path, classes="nyu40")).segments
+    assert [one.is_group for one in segments if one.class_id in (3, 5)] == [True, True]
+    assert not any(one.is_thing for one in segments)
+
+
+def test_pairs_of_two_sizes_are_refused(tmp_path: Path) -> None:
+    write_pairs(tmp_path, ("semantic", "instance"))
+    cv2.imwrite(str(tmp_path / "masks" / "instance" / "0001.png"), np.zeros((24, 32), np.uint8))
+    with pytest.raises(SceneError, match="not 64x48 as the classes are"):
+        open_scene(tmp_path, classes="nyu40")
+
+
+def test_a_palettes_indices_are_classes(tmp_path: Path) -> None:
+    """255 is void, as in Pascal VOC; ADE20K's 0 is a wall."""
+    scene, truths = write_frames(tmp_path)
+    (scene / "masks").mkdir()
+    for truth in truths:
+        values = in_table(truth, ADE)
+        values[:4], truth.semantic[:4], truth.instance[:4] = 255, 0, 0
+        (scene / "masks" / f"{truth.name}.png").write_bytes(palette_png(values))
+    check_on_room(open_scene(tmp_path, mask_format="palette", classes="ade20k"), truths, NAMES | {0: ""}, frozenset())
+
+
+def test_numbers_outside_the_table_are_refused(tmp_path: Path) -> None:
+    write_pairs(tmp_path, ("semantic", "instance"))
+    cv2.imwrite(str(tmp_path / "masks" / "semantic" / "0001.png"), np.full((48, 64), 77, np.uint8))
+    with pytest.raises(SceneError, match=r"class ids 77 are not in the class table: .*0001.png. Add them to classes"):
+        check_scene(open_scene(tmp_path, classes="nyu40"))
+
+
+def write_arrays(folder: Path, save: Any) -> list[Truth]:
+    scene, truths = write_frames(folder)
+    (scene / "masks").mkdir()
+    for truth in truths:
+        save(scene / "masks" / truth.name, truth)
+    return truths
+
+
+def test_arrays_of_classes_and_instances(tmp_path: Path) -> None:
+    def save(path: Path, truth: Truth) -> None:
+        np.savez_compressed(f"{path}.npz", semantic=in_table(truth, NYU).astype(np.int64), instance=truth.instance)
+
+    truths = write_arrays(tmp_path, save)
+    check_on_room(open_scene(tmp_path, classes="nyu40"), truths, NAMES, THINGS)
+
+
+@pytest.mark.parametrize("is_last", [False, True])
+def test_probabilities(tmp_path: Path, is_last: bool) -> None:
+    """Channels 0..40 of NYU40 with 0 for void; the winner has 0.6, one other the rest."""
+
+    def save(path: Path, truth: Truth) -> None:
+        shares = np.zeros((41, 48, 64), np.float32)
+        np.put_along_axis(shares, in_table(truth, NYU)[None], 0.6, 0)
+        shares[40] += 0.4
+        np.save(f"{path}.npy", np.moveaxis(shares, 0, -1) if is_last else shares)
+
+    truths = write_arrays(tmp_path, save)
+    scene = open_scene(tmp_path, classes="nyu40")
+    check_on_room(scene, truths, NAMES, frozenset())
+    assert [one.score for one in mask_of(scene).segments] == pytest.approx([0.6] * len(mask_of(scene).segments))
+
+
+def header_of(shape: tuple[int, ...]) -> bytes:
+    """An .npy that claims to be large, without its numbers."""
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": "<i4", "fortran_order": False, "shape": shape})
+    return file.getvalue()
+
+
+def test_bad_arrays_get_a_line(tmp_path: Path) -> None:
+    def save(path: Path, truth: Truth) -> None:
+        np.save(f"{path}.npy", in_table(truth, NYU))
+
+    write_arrays(tmp_path, save)
+    path = tmp_path / "masks" / "0001.npy"
+    logits = np.full((5, 48, 64), -1.0, np.float32)
+    for content, told in (
+        (np.array([{"a": 1}], object), "pickled array"),
+        (np.zeros((2, 3, 4, 5)), "no mask"),
+        (np.full((48, 64), 1.5), "no ids"),
+        (logits, "logits"),
+    ):
+        np.save(path, content, allow_pickle=True)
+        with pytest.raises(SceneError, match=told):
+            mask_of(open_scene(tmp_path, classes="nyu40"), 1)
+    for data, told in ((b"", "no NumPy file"), (header_of((2**20, 2**20)), "too large"), (b"PK\3\4", "no NumPy file")):
+        path.write_bytes(data)
+        with pytest.raises(SceneError, match=told):
+            open_scene(tmp_path, classes="nyu40")
+
+
+def test_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
+    def save(path: Path, truth: Truth) -> None:
+        with zipfile.ZipFile(f"{path}.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("semantic.npy", header_of((2**17, 2**17)) + bytes(2**20))
+
+    write_arrays(tmp_path, save)
+    with pytest.raises(SceneError, match="131072 x 131072 numbers is too large"):
+        open_scene(tmp_path, classes="nyu40")
+
+
+@pytest.mark.parametrize("name", ["0000.pkl", "0000.pt", "panoptic.ptz"])
+def test_pickles_are_named_and_never_read(tmp_path: Path, name: str) -> None:
+    scene, _ = write_frames(tmp_path)
+    (scene / "masks").mkdir()
+    (scene / "masks" / name).write_bytes(b"\x80\x04cos\nsystem\n")
+    with pytest.raises(SceneError, match=f"pickled .{name}.*numpy.save"):
+        open_scene(tmp_path)
+
+
+def test_an_unknown_format_is_told_what_there_is(tmp_path: Path) -> None:
+    scene, _ = write_frames(tmp_path)
+    (scene / "masks").mkdir()
+    with pytest.raises(SceneError, match=r"no masks of a known format.*Looked for coco: .*arrays: "):
+        open_scene(tmp_path)
+    with pytest.raises(SceneError, match='no mask format is called "yolo".*Choose one of coco, '):
+        open_scene(tmp_path, mask_format="yolo")
+
+
+@pytest.mark.parametrize("junk", [b"{", b"(", b"'", b"\xff", b"=", b"O"])
+def test_damaged_array_headers_get_a_line(tmp_path: Path, junk: bytes) -> None:
+    """At every place of the header that says type and shape."""
+
+    def save(path: Path, truth: Truth) -> None:
+        np.save(f"{path}.npy", in_table(truth, NYU).astype(np.uint16))
+
+    write_arrays(tmp_path, save)
+    path = tmp_path / "masks" / "0001.npy"
+    whole = path.read_bytes()
+    for place in range(10, 76):
+        path.write_bytes(whole[:place] + junk + whole[place + 1 :])
+        try:
+            array_headers(path)
+        except SceneError as error:
+            assert error.where == str(path) and "\n" not in str(error)
+    path.write_bytes(whole[:20] + junk * 3 + whole[23:])
+    with pytest.raises(SceneError):
+        array_headers(path)

@@ -1,0 +1,156 @@
+"""What transformers' post_process_panoptic_segmentation and detectron2's panoptic models give, saved by their users."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, check_scene, open_scene
+from tests.scene.mask_formats.labelled_room import (
+    COCO_NAMES,
+    COCO_NUMBERS,
+    Truth,
+    check_on_room,
+    mask_of,
+    write_frames,
+)
+
+CONFIG = {"id2label": {str(COCO_NUMBERS[one]): COCO_NAMES[one] for one in COCO_NUMBERS}}
+CHAIRS = frozenset({"chair"})
+
+
+def transformers_result(truth: Truth, first: int = 1, void: int = 0) -> tuple[np.ndarray, list[dict[str, Any]]]:
+    """Segments in no order, ids from ``first``; the upper half of the wall is a segment of its own, as a query each is
+    without fusing."""
+    picture = np.full(truth.semantic.shape, void, np.int32)
+    infos = []
+    for class_id, _, region in truth.regions():
+        halves = [region]
+        if class_id == 1:
+            rows = np.arange(region.shape[0])[:, None] < 6
+            halves = [half for half in (region & rows, region & ~rows) if half.any()]
+        for half in halves:
+            number = first + len(infos)
+            picture[half] = number
+            label = COCO_NUMBERS[class_id]
+            infos.append({"id": number, "label_id": label, "was_fused": False, "score": 0.75})
+    return picture, infos
+
+
+def save(folder: Path, name: str, picture: np.ndarray, infos: Any) -> None:
+    folder.mkdir(exist_ok=True)
+    np.save(folder / f"{name}.npy", picture)
+    (folder / f"{name}.json").write_text(json.dumps(infos))
+
+
+def write_transformers(folder: Path, first: int = 1, void: int = 0) -> list[Truth]:
+    scene, truths = write_frames(folder)
+    for truth in truths:
+        picture, infos = transformers_result(truth, first, void)
+        save(scene / "masks", truth.name, picture, {"segments_info": infos})
+    (scene / "masks" / "config.json").write_text(json.dumps(CONFIG))
+    return truths
+
+
+@pytest.mark.parametrize(("first", "void"), [(1, 0), (0, -1)])
+def test_transformers_classes_are_the_models(tmp_path: Path, first: int, void: int) -> None:
+    truths = write_transformers(tmp_path, first, void)
+    scene = open_scene(tmp_path)
+    check_on_room(scene, truths, COCO_NAMES, CHAIRS)
+    assert {one.score for one in mask_of(scene).segments} == {0.75}
+    walls = [one for one in mask_of(scene).segments if scene.classes[one.class_id].name == "wall-other-merged"]
+    assert len(walls) == 1, "stuff in pieces is one segment"
+
+
+def test_transformers_finding_nothing_is_void(tmp_path: Path) -> None:
+    write_transformers(tmp_path)
+    save(tmp_path / "masks", "0001", np.full((48, 64), -1.0, np.float32), [])
+    scene = open_scene(tmp_path)
+    assert not mask_of(scene, 1).ids.any() and mask_of(scene, 1).segments == ()
+    assert any("empty mask" in warning for warning in check_scene(scene))
+
+
+def test_transformers_in_pngs_with_a_named_table(tmp_path: Path) -> None:
+    """A PNG of bytes holds 255 for -1."""
+    truths = write_transformers(tmp_path, first=0, void=-1)
+    (tmp_path / "masks" / "config.json").unlink()
+    for path in sorted((tmp_path / "masks").glob("*.npy")):
+        picture = np.load(path)
+        picture[:2] = -1
+        cv2.imwrite(str(path.with_suffix(".png")), picture.astype(np.uint8))
+        path.unlink()
+    for truth in truths:
+        truth.semantic[:2] = 0
+        truth.instance[:2] = 0
+    check_on_room(open_scene(tmp_path, classes="coco"), truths, COCO_NAMES | {0: ""}, CHAIRS)
+    with pytest.raises(SceneError, match="do not say what their classes are.*--classes"):
+        open_scene(tmp_path)
+
+
+def test_transformers_ids_given_twice_are_refused(tmp_path: Path) -> None:
+    write_transformers(tmp_path)
+    path = tmp_path / "masks" / "0001.json"
+    infos = json.loads(path.read_text())["segments_info"]
+    infos[-1]["id"] = infos[0]["id"]
+    path.write_text(json.dumps(infos))
+    with pytest.raises(SceneError, match=r"segment id 1 twice.*0001.json.*label_ids_to_fuse"):
+        open_scene(tmp_path)
+
+
+def write_detectron2(folder: Path, numbers: dict[int, int], things: set[int]) -> list[Truth]:
+    scene, truths = write_frames(folder)
+    for truth in truths:
+        picture = np.full(truth.semantic.shape, -1, np.int64)
+        infos = []
+        for number, (class_id, _, region) in enumerate(truth.regions(), start=1):
+            picture[region] = number
+            infos.append({"id": number, "isthing": class_id in things, "category_id": numbers[class_id]})
+        picture[:3, :3] = -1
+        save(scene / "masks", truth.name, picture, infos)
+        truth.semantic[:3, :3], truth.instance[:3, :3] = 0, 0
+    return truths
+
+
+@pytest.mark.parametrize("is_apart", [False, True])
+def test_detectron2_counts_over_all_classes_or_things_and_stuff_apart(tmp_path: Path, is_apart: bool) -> None:
+    stuff_apart = {class_id: number - 79 for class_id, number in COCO_NUMBERS.items() if class_id != 5}
+    numbers = COCO_NUMBERS | stuff_apart if is_apart else COCO_NUMBERS
+    if is_apart:  # stuff 41 is a cabinet, thing 41 is a cup: here the chair is one
+        numbers = numbers | {5: 41}
+    truths = write_detectron2(tmp_path, numbers, {5})
+    names = COCO_NAMES | {0: ""} | ({5: "cup"} if is_apart else {})
+    scene = open_scene(tmp_path, classes="coco")
+    check_on_room(scene, truths, names, frozenset({names[5]}))
+    assert check_scene(open_scene(tmp_path)) == ()
+    assert any("--classes coco" in warning for warning in open_scene(tmp_path).warnings)
+
+
+def test_detectron2_names_no_classes(tmp_path: Path) -> None:
+    truths = write_detectron2(tmp_path, COCO_NUMBERS, {5})
+    names = {one: f"class {number}" for one, number in COCO_NUMBERS.items()} | {0: ""}
+    check_on_room(open_scene(tmp_path), truths, names, frozenset({"class 56"}))
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("{", "cut off"),
+        ("[3]", "must be a list of objects"),
+        ("{}", "segments_info"),
+        ('[{"id": 1, "isthing": true}]', "category_id"),
+        ('[{"id": -1, "category_id": 3, "isthing": true}]', "out of range"),
+        ('[{"id": 1, "category_id": 3, "isthing": "yes"}]', "isthing"),
+        ('[{"id": 99999, "category_id": 3, "isthing": true}]', "missing in 0001.json"),
+    ],
+)
+def test_bad_tables_get_a_line(tmp_path: Path, content: str, told: str) -> None:
+    write_detectron2(tmp_path, COCO_NUMBERS, {5})
+    (tmp_path / "masks" / "0001.json").write_text(content)
+    with pytest.raises(SceneError, match=told) as caught:
+        check_scene(open_scene(tmp_path))
+    assert "\n" not in str(caught.value) and "0001" in caught.value.where

@@ -1,0 +1,134 @@
+"""SAM 2's and Grounded-SAM-2's files: the same number in all frames is the same object."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, open_scene
+from tests.scene.mask_formats.labelled_room import Truth, check_on_room, mask_of, tracks, write_frames
+
+OBJECTS = {1: "", 2: "", 3: "object", 5: "object", 13: ""}
+TRACKS = {1: {7}, 2: {12}}
+"""The chair is the room's object 1, SAM 2 calls it 7; the cabinet is 2, and 12 there."""
+BOTH = frozenset({"object"})
+
+
+def palette_png(indices: np.ndarray, bits: int = 8) -> bytes:
+    """A PNG with colour type 3, by the PNG specification: each row has filter 0."""
+    height, width = indices.shape
+    shifts = np.arange(8 - bits, -1, -bits)
+    padded = np.pad(indices, ((0, 0), (0, -width % len(shifts)))).astype(np.uint8)
+    packed = (padded.reshape(height, -1, len(shifts)) << shifts).sum(-1).astype(np.uint8)
+    rows = b"".join(b"\0" + row.tobytes() for row in packed)
+    colours = bytes((37 * i + 11 * j) % 256 for i in range(2**bits) for j in range(3))
+    header = struct.pack(">IIBBBBB", width, height, bits, 3, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"PLTE", colours), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in chunks
+    )
+
+
+def numbers_of(truth: Truth) -> np.ndarray:
+    return np.array([0, 7, 12])[truth.instance]
+
+
+def write_palettes(folder: Path, bits: int = 8) -> list[Truth]:
+    scene, truths = write_frames(folder)
+    (scene / "masks").mkdir()
+    for truth in truths:
+        (scene / "masks" / f"{truth.name}.png").write_bytes(palette_png(numbers_of(truth), bits))
+    return truths
+
+
+def write_object_folders(folder: Path) -> list[Truth]:
+    """A folder an object, all frames in each; where an object is not seen its PNG is black."""
+    scene, truths = write_frames(folder)
+    for truth in truths:
+        for number in (7, 12):
+            (scene / "masks" / f"{number:03d}").mkdir(parents=True, exist_ok=True)
+            seen = (numbers_of(truth) == number).astype(np.uint8)
+            (scene / "masks" / f"{number:03d}" / f"{truth.name}.png").write_bytes(palette_png(seen))
+    return truths
+
+
+def write_grounded(folder: Path) -> list[Truth]:
+    scene, truths = write_frames(folder)
+    for kind in ("mask_data", "json_data"):
+        (scene / "masks" / kind).mkdir(parents=True)
+    for truth in truths:
+        numbers = numbers_of(truth).astype(np.uint16)
+        np.save(scene / "masks" / "mask_data" / f"mask_{truth.name}.npy", numbers)
+        words = {7: "kitchen chair.", 12: "cabinet"}
+        labels = {
+            str(n): {"instance_id": n, "class_name": words[n], "x1": 3, "y1": 4, "x2": 9, "y2": 8, "logit": 0.0}
+            for n in (7, 12) if (numbers == n).any()
+        }  # fmt: skip
+        content = {"mask_name": f"mask_{truth.name}.npy", "mask_height": 48, "mask_width": 64, "labels": labels}
+        path = scene / "masks" / "json_data" / f"mask_{truth.name}.json"
+        path.write_text(json.dumps(content | {"promote_type": "mask"}))
+    return truths
+
+
+@pytest.mark.parametrize("bits", [4, 8])
+def test_a_palettes_indices_are_objects(tmp_path: Path, bits: int) -> None:
+    truths = write_palettes(tmp_path, bits)
+    scene = open_scene(tmp_path, mask_format="sam2")
+    check_on_room(scene, truths, OBJECTS, BOTH)
+    assert tracks(scene, truths) == TRACKS
+
+
+def test_a_palette_may_hold_classes_as_well(tmp_path: Path) -> None:
+    write_palettes(tmp_path)
+    with pytest.raises(SceneError, match="look like sam2 and palette.*--mask-format sam2"):
+        open_scene(tmp_path)
+
+
+def test_a_folder_an_object(tmp_path: Path) -> None:
+    truths = write_object_folders(tmp_path)
+    scene = open_scene(tmp_path)
+    check_on_room(scene, truths, OBJECTS, BOTH)
+    assert tracks(scene, truths) == TRACKS
+
+
+def test_a_toml_gives_objects_their_classes(tmp_path: Path) -> None:
+    truths = write_object_folders(tmp_path)
+    (tmp_path / "masks" / "classes.toml").write_text('[[class]]\nid = 7\nname = "chair"\n')
+    check_on_room(open_scene(tmp_path), truths, OBJECTS | {5: "chair"}, BOTH | {"chair"})
+
+
+def test_grounded_sam2_names_classes(tmp_path: Path) -> None:
+    truths = write_grounded(tmp_path)
+    scene = open_scene(tmp_path)
+    names = OBJECTS | {3: "cabinet", 5: "kitchen chair."}
+    check_on_room(scene, truths, names, frozenset({"cabinet", "kitchen chair."}))
+    assert tracks(scene, truths) == TRACKS
+
+
+def test_grounded_sam2_objects_without_a_row_are_refused(tmp_path: Path) -> None:
+    write_grounded(tmp_path)
+    path = tmp_path / "masks" / "json_data" / "mask_0000.json"
+    path.write_text(json.dumps({"labels": {}}))
+    with pytest.raises(SceneError, match=r"objects .*7.* are missing in mask_0000.json"):
+        mask_of(open_scene(tmp_path))
+
+
+def test_frames_without_a_mask_are_named(tmp_path: Path) -> None:
+    write_object_folders(tmp_path)
+    for number in ("007", "012"):
+        (tmp_path / "masks" / number / "0001.png").unlink()
+    with pytest.raises(SceneError, match="a frame has no mask .0001."):
+        open_scene(tmp_path)
+
+
+def test_colours_are_no_objects(tmp_path: Path) -> None:
+    write_palettes(tmp_path)
+    cv2.imwrite(str(tmp_path / "masks" / "0001.png"), np.zeros((48, 64, 3), np.uint8))
+    with pytest.raises(SceneError, match="one channel, not colours"):
+        open_scene(tmp_path, mask_format="sam2")

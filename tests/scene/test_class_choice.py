@@ -1,0 +1,171 @@
+"""classes.toml: which classes there are, what is merged, what is a thing; and the public tables."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from engine.scene import SceneError, class_list_text, list_classes, open_scene
+from engine.scene.class_choice import ClassChoice, ClassRow, class_choice_text, read_class_choice
+from engine.scene.class_map import choice_of, class_map, named_classes
+from engine.scene.class_tables import TABLES, known_table, reduced_by_name
+from tests.scene.mask_formats.test_label_images import write_pairs
+from tests.tiny_scene import write_tiny_scene
+
+HERE = Path("masks")
+REDUCED = {label.id: label.name for label in known_table("reduced").labels}
+
+
+def test_the_tables_have_as_many_classes_as_their_names_say() -> None:
+    counts = {name: len(known_table(name).labels) for name in TABLES}
+    assert counts == {"coco": 133, "ade20k": 150, "nyu40": 40, "replica": 101, "reduced": 21}
+    things = {name: sum(label.is_thing for label in known_table(name).labels) for name in ("coco", "ade20k", "reduced")}
+    assert things == {"coco": 80, "ade20k": 100, "reduced": 9}
+    assert all(len({label.id for label in known_table(name).labels}) == counts[name] for name in TABLES)
+
+
+@pytest.mark.parametrize(
+    ("table", "name", "reduced"),
+    [
+        ("coco", "wall-brick", "wall"), ("coco", "couch", "sofa"), ("coco", "dining table", "table"),
+        ("coco", "tv", "television"), ("coco", "window-blind", "window"), ("coco", "suitcase", "otherprop"),
+        ("coco", "car", None), ("coco", "person", "person"),
+        ("nyu40", "desk", "table"), ("nyu40", "blinds", "otherprop"), ("nyu40", "shower curtain", "curtain"),
+        ("replica", "pillow", "bed"), ("replica", "bench", "table"), ("replica", "vent", "ceiling"),
+    ],
+)  # fmt: skip
+def test_a_class_among_the_papers_21(table: str, name: str, reduced: str | None) -> None:
+    known = known_table(table)
+    (number,) = [label.id for label in known.labels if label.name == name]
+    assert REDUCED.get(known.reduced[number]) == reduced
+
+
+def test_coco_to_the_papers_classes() -> None:
+    known = class_map(None, ClassChoice(table="coco", to_reduced=True), HERE, objects=False)
+    assert len(known.classes) == 21 and known.merges
+    assert known.classes[known.class_of[56]].name == "chair" and known.class_of[2] == 0
+
+
+def test_a_table_from_0_is_shifted_by_one() -> None:
+    known = class_map(known_table("ade20k").labels, None, HERE, objects=False)
+    assert known.class_of[0] == 1 and known.classes[1].name == "wall" and known.classes.ids[-1] == 150
+    assert not known.merges
+
+
+def scene_with(tmp_path: Path, text: str) -> Path:
+    folder = write_tiny_scene(tmp_path, frames=3, size=(32, 24))
+    (folder / "classes.toml").write_text(text)
+    return folder
+
+
+def test_classes_are_merged_renamed_and_dropped(tmp_path: Path) -> None:
+    """The tiny scene's: 1 wall, 2 floor, 3 cabinet, 5 chair, 13 ceiling."""
+    before = open_scene(write_tiny_scene(tmp_path / "plain", frames=3, size=(32, 24))).frames[0].mask()
+    rows = '[[class]]\nid = 3\ninto = "furniture"\n[[class]]\nname = "chair"\ninto = "furniture"\n'
+    rows += '[[class]]\nid = 13\ninto = "void"\n[[class]]\nid = 1\ninto = "floor"\n[[class]]\nid = 2\nname = "ground"\n'
+    scene = open_scene(scene_with(tmp_path / "merged", rows.replace('into = "floor"', 'into = "ground"')))
+    assert [(each.id, each.name, each.is_thing) for each in scene.classes.categories] == [
+        (2, "ground", False), (3, "furniture", True)
+    ]  # fmt: skip
+    mask = scene.frames[0].mask()
+    was, now = before.class_map(), mask.class_map()
+    for old, new in {1: 2, 2: 2, 3: 3, 5: 3, 13: 0}.items():
+        assert (now[was == old] == new).all()
+    assert sum(one.class_id == 2 for one in mask.segments) == 1, "wall and floor are one region now"
+    assert sum(one.class_id == 3 for one in mask.segments) == 2, "two objects stay two"
+
+
+def test_thing_or_stuff_is_the_users_word(tmp_path: Path) -> None:
+    scene = open_scene(scene_with(tmp_path, '[[class]]\nname = "cabinet"\nthing = false\n'))
+    assert scene.classes.thing_ids == {5}
+    assert not any(one.is_thing for one in scene.frames[0].mask().segments if one.class_id == 3)
+
+
+def test_the_papers_classes_by_name(tmp_path: Path) -> None:
+    scene = open_scene(scene_with(tmp_path, 'to = "reduced"\n'))
+    assert len(scene.classes) == 21 and scene.classes[14].name == "refrigerator"
+    assert reduced_by_name("Wall") == 1
+    content = json.loads((tmp_path / "panoptic.json").read_text())
+    content["categories"][0]["name"] = "Tapete"
+    (tmp_path / "panoptic.json").write_text(json.dumps(content))
+    with pytest.raises(SceneError, match=r"no place among the paper's 21 .Tapete.*classes.toml. Say which class each"):
+        open_scene(tmp_path)
+
+
+def test_a_list_of_classes_goes_out_and_comes_back(tmp_path: Path) -> None:
+    labels = known_table("nyu40").labels
+    said = ClassRow(id=5, thing=False), ClassRow(name="sofa", into="chair"), ClassRow(id=39, into="void")
+    choice = ClassChoice(rows=said)
+    rows = named_classes(labels, choice)
+    assert [(row.label, row.name, row.into, row.is_thing) for row in rows if row.label in (5, 6, 39)] == [
+        (5, "chair", "chair", False), (6, "sofa", "chair", False), (39, "otherfurniture", "void", True)
+    ]  # fmt: skip
+    path = tmp_path / "classes.toml"
+    path.write_text(class_choice_text(choice_of(rows)))
+    again = read_class_choice(path)
+    assert named_classes((), again) == rows, "the file needs no other table"
+    assert named_classes(labels, again) == rows
+
+
+def test_the_text_keeps_what_was_said(tmp_path: Path) -> None:
+    rows = (ClassRow(id=3, name='a "b" \\ ü', thing=True), ClassRow(name="wall", into="floor"))
+    choice = ClassChoice(tmp_path / "c.toml", "coco", True, frozenset({255, 7}), rows)
+    (tmp_path / "c.toml").write_text(class_choice_text(choice), encoding="utf-8")
+    assert read_class_choice(tmp_path / "c.toml") == choice
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("table = 'coco", "not a TOML text"),
+        ("table = 'imagenet'", "'imagenet' is not known"),
+        ("to = 'coco'", '"to" is not "reduced"'),
+        ("void = 255", '"void" is no list'),
+        ("classes = []", '"classes" is not known. Known'),
+        ("[class]\nid = 1", "no list of tables"),
+        ("[[class]]\nid = -1", "no whole number"),
+        ("[[class]]\nid = true", "no whole number"),
+        ("[[class]]\nthing = true", "neither id nor name"),
+        ("[[class]]\nid = 1\nthing = 1", "neither true nor false"),
+        ("[[class]]\nid = 1\nname = ''", '"name" of a class'),
+        ("[[class]]\nid = 1\ncolour = 3", '"colour" is not known'),
+        ("[[class]]\nid = 77", "the class 77 has no name"),
+        ("[[class]]\nname = 'sofa'", 'no class called "sofa"'),
+    ],
+)
+def test_bad_files_get_a_line(tmp_path: Path, text: str, told: str) -> None:
+    folder = scene_with(tmp_path, text)
+    with pytest.raises(SceneError) as caught:
+        open_scene(folder)
+    message = str(caught.value).replace(": " + str(folder), ".")
+    assert told.split(". ")[0] in message and "classes.toml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_table_that_is_nowhere_is_told() -> None:
+    with pytest.raises(SceneError, match=r"cannot be read .*none.toml"):
+        read_class_choice(Path("none.toml"))
+
+
+def test_the_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:
+    folder = scene_with(tmp_path, "void = [9]\n")
+    listed = list_classes(folder)
+    assert listed.path == folder / "classes.toml" and listed.void == {9}
+    assert [row.name for row in listed.rows] == ["wall", "floor", "cabinet", "chair", "ceiling"]
+    rows = [replace(row, into="furniture") if row.name in ("cabinet", "chair") else row for row in listed.rows]
+    listed.path.write_text(class_list_text(rows, listed.void))
+    assert [each.name for each in open_scene(folder).classes.categories] == ["wall", "floor", "furniture", "ceiling"]
+    again = list_classes(folder)
+    assert list(again.rows) == rows and again.void == {9}
+
+
+def test_a_table_can_be_named_where_the_files_tell_nothing(tmp_path: Path) -> None:
+    write_pairs(tmp_path, ("semantic", "instance"))
+    with pytest.raises(SceneError, match="do not say what their classes are"):
+        list_classes(tmp_path)
+    listed = list_classes(tmp_path, table="nyu40")
+    assert listed.path == tmp_path / "masks" / "classes.toml" and len(listed.rows) == 40
+    listed.path.write_text(class_list_text(listed.rows))
+    assert len(open_scene(tmp_path).classes) == 40

@@ -1,0 +1,111 @@
+"""Masks of a scene, made by a network that knows nothing: what is written, refused, and gone on with."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from engine.job import JobError
+from engine.scene import ClassLabel, check_scene, open_scene
+from engine.segment import begin_job, make_masks
+from engine.segment.merging import MadeSegment
+from tests.tiny_scene import write_tiny_scene
+
+LABELS = (ClassLabel(0, "wall", False), ClassLabel(1, "chair", True))
+
+
+@dataclass
+class Halves:
+    """Calls the left half of every picture a wall, and a part of the right one a chair."""
+
+    name: str = "halves"
+    labels: tuple[ClassLabel, ...] = LABELS
+    seen: list[tuple[int, ...]] = field(default_factory=list)
+
+    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment]]:
+        self.seen.append(colour.shape)
+        ids = np.zeros(colour.shape[:2], np.int32)
+        ids[:, : ids.shape[1] // 2] = 1
+        ids[4:, -8:] = 70000
+        return ids, [MadeSegment(1, 0, 0.9), MadeSegment(70000, 1, 0.75)]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = write_tiny_scene(tmp_path / "scene", frames=4, size=(32, 24), ground_truth=False)
+    shutil.rmtree(folder / "panoptic")
+    (folder / "panoptic.json").unlink()
+    return folder
+
+
+def silent(done: int, frames: int, made: int) -> None:
+    pass
+
+
+def test_masks_are_a_scenes_own(folder: Path) -> None:
+    network = Halves()
+    make_masks(open_scene(folder), begin_job(folder, "halves", 4), network, silent)
+    scene = open_scene(folder)
+    assert check_scene(scene) == () and len(network.seen) == 4
+    assert [(one.id, one.name, one.is_thing) for one in scene.classes.categories] == [
+        (1, "wall", False), (2, "chair", True)
+    ]  # fmt: skip
+    mask = scene.frames[2].mask()
+    assert mask.ids[0].tolist() == [1] * 16 + [0] * 16 and mask.ids[9, 30] == 70000
+    assert [(one.class_id, one.score) for one in mask.segments] == [(1, 0.9), (2, 0.75)]
+    table = json.loads((folder / "panoptic.json").read_text())
+    assert table["annotations"][0]["segments_info"][1]["area"] == 20 * 8
+    assert begin_job(folder, "halves", 4).is_finished
+
+
+def test_what_was_stopped_goes_on(folder: Path) -> None:
+    def stop(done: int, frames: int, made: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    first, second, told = Halves(), Halves(), list[tuple[int, int, int]]()
+    with pytest.raises(KeyboardInterrupt):
+        make_masks(open_scene(folder), begin_job(folder, "halves", 4), first, stop)
+    assert len(first.seen) == 2 and not open_scene(folder).has_masks
+    job = begin_job(folder, "halves", 4)
+    assert job.is_begun and not job.is_finished
+    make_masks(open_scene(folder), job, second, lambda *counts: told.append(counts))
+    assert len(second.seen) == 2 and told == [(1, 4, 0), (2, 4, 0), (3, 4, 1), (4, 4, 2)]
+    assert open_scene(folder).has_masks
+
+
+def test_other_masks_are_never_written_over(folder: Path) -> None:
+    make_masks(open_scene(folder), begin_job(folder, "halves", 4), Halves(), silent)
+    with pytest.raises(JobError, match="masks by halves of 4 frames.*-o"):
+        begin_job(folder, "another", 4)
+    for name in ("panoptic.json", "m2f_semantics", "masks"):
+        other = folder.parent / f"with_{name}"
+        (other / name).mkdir(parents=True)
+        with pytest.raises(JobError, match=f"masks already .{name}"):
+            begin_job(other, "halves", 4)
+        assert [path.name for path in other.iterdir()] == [name]
+
+
+def test_a_damaged_frame_is_named(folder: Path) -> None:
+    job = begin_job(folder, "halves", 4)
+    make_masks(open_scene(folder), job, Halves(), silent)
+    (folder / "panoptic.json").unlink()
+    for name in ("0000", "0001", "0002", "0003"):
+        (folder / "panoptic" / f"{name}.json").write_text("[" if name == "0002" else "[]")
+    with pytest.raises(JobError, match=r"cannot be read: .*0002.json. Delete this file"):
+        make_masks(open_scene(folder), job, Halves(), silent)
+
+
+def test_a_job_that_came_to_nothing_leaves_nothing(folder: Path) -> None:
+    before = sorted(folder.iterdir())
+    begin_job(folder, "halves", 4).discard_if_empty()
+    assert sorted(folder.iterdir()) == before
+    make_masks(open_scene(folder), begin_job(folder, "halves", 4), Halves(), silent)
+    begin_job(folder, "halves", 4).discard_if_empty()
+    assert open_scene(folder).has_masks, "what was made stays"

@@ -1,0 +1,98 @@
+"""Mask2Former itself, with random weights: transformers' own loading, no download."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.job import JobError
+from engine.scene import check_scene, open_scene
+from tests.tiny_scene import write_tiny_scene
+
+pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")
+
+from engine.segment import load_model  # noqa: E402
+from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former  # noqa: E402
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_tiny_mask2former(tmp_path_factory.mktemp("mask2former"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = write_tiny_scene(tmp_path / "scene", frames=3, size=(64, 48), ground_truth=False)
+    shutil.rmtree(folder / "panoptic")
+    (folder / "panoptic.json").unlink()
+    return folder
+
+
+def test_a_model_in_a_folder(model: Path) -> None:
+    network = load_model(str(model), download=False)
+    assert [label.name for label in network.labels] == NAMES
+    assert [label.is_thing for label in network.labels] == [False, False, True, True]
+    colour = np.random.default_rng(0).integers(0, 255, (48, 80, 3), np.uint8)
+    ids, found = network.segment(colour)
+    assert ids.shape == (48, 80) and {*np.unique(ids).tolist()} - {0} == {one.id for one in found} != set()
+    again, _ = network.segment(colour)
+    np.testing.assert_array_equal(ids, again)
+
+
+def test_large_pictures_have_smaller_masks_of_their_shape(model: Path) -> None:
+    ids, _ = load_model(str(model), download=False).segment(np.zeros((1000, 2000, 3), np.uint8))
+    assert ids.shape == (640, 1280)
+
+
+def engine(*arguments: object) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"HF_HUB_OFFLINE": "1"}
+    command = [sys.executable, "-m", "engine", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_the_command_makes_masks_that_open(model: Path, folder: Path) -> None:
+    run = engine("segment", folder, "--model", model)
+    assert run.returncode == 0, run.stderr
+    assert "3/3" in run.stderr and f"Masks of 3 frames: {folder}" in run.stdout
+    scene = open_scene(folder)
+    check_scene(scene)
+    assert [one.name for one in scene.classes.categories] == NAMES
+    assert any(frame.mask().segments for frame in scene.frames)
+    events = [json.loads(line) for line in (folder / "panoptic" / "events.jsonl").read_text().splitlines()]
+    assert [event["event"] for event in events][-2:] == ["progress", "done"] and events[-2]["step"] == 3
+    again = engine("segment", folder, "--model", model)
+    assert again.returncode == 0 and "finished already" in again.stdout
+
+
+def test_nothing_is_downloaded_unasked() -> None:
+    with pytest.raises(JobError, match="not on this machine: nobody/no-such-model. Add --download"):
+        load_model("nobody/no-such-model", download=False)
+
+
+@pytest.mark.parametrize(("name", "told"), [("nowhere", "no such folder or model"), ("tests", "no model in")])
+def test_no_model_gets_a_line(name: str, told: str) -> None:
+    with pytest.raises(JobError, match=told):
+        load_model(name, download=False)
+
+
+def test_pickled_weights_are_not_read(model: Path, tmp_path: Path) -> None:
+    shutil.copytree(model, tmp_path / "pickled")
+    (tmp_path / "pickled" / "model.safetensors").rename(tmp_path / "pickled" / "pytorch_model.bin")
+    with pytest.raises(JobError, match="no model in this folder.*safetensors"):
+        load_model(str(tmp_path / "pickled"), download=False)
+
+
+def test_a_broken_model_gets_a_line(model: Path, tmp_path: Path) -> None:
+    shutil.copytree(model, tmp_path / "broken")
+    (tmp_path / "broken" / "model.safetensors").write_bytes(b"\0" * 40)
+    with pytest.raises(JobError, match="cannot be loaded"):
+        load_model(str(tmp_path / "broken"), download=False)
