@@ -164,7 +164,9 @@ def blend_path(options: argparse.Namespace) -> Path:
 
 def is_blend(path: Path) -> bool:
     """Whether a file begins as a .blend does: as it is, or compressed by zstd or gzip."""
-    with path.open("rb") as file:
+    from plgs.engine.gates import open_plain
+
+    with open_plain(path) as file:
         return file.read(7).startswith((b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b"))
 
 
@@ -175,6 +177,7 @@ def is_older(path: Path, than: Path) -> bool:
 
 def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
     """Make the .blend. An error becomes a line, its details go to the log; the lift itself stays finished."""
+    from plgs.engine.gates import open_to_append
     from plgs.engine.job import ExitCode, JobError
     from plgs.engine.scene import SceneError
 
@@ -185,7 +188,7 @@ def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
     except (JobError, SceneError):
         raise
     except Exception as error:
-        with lift.log_path.open("a", encoding="utf-8") as log:
+        with os.fdopen(open_to_append(lift.log_path), "a", encoding="utf-8") as log:
             traceback.print_exc(file=log)
         what = f"the .blend could not be made ({type(error).__name__}: {error})"
         print(f"error: {what}: {lift.log_path}. --resume tries again; the lift is done.", file=sys.stderr)

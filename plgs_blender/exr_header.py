@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from ..engine.gates import open_plain
 from ..engine.job import JobError
 
 _MAGIC = bytes([0x76, 0x2F, 0x31, 0x01])
@@ -34,7 +35,7 @@ def check_layers(files: Iterable[Path]) -> None:
 
 def channels_of(path: Path) -> set[str]:
     """The names of the channels in the file's (first) header; none when it is no EXR. Raises OSError."""
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         start = file.read(_START)
     if not start.startswith(_MAGIC):
         return set()

@@ -4,17 +4,20 @@ guessing.
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.job import JobError, LiftFolder, check_sizes
-from ..engine.scene import Category, ClassTable, Scene, open_scene
+from ..engine.job import JobError, LiftFolder, ResultFile, check_sizes
+from ..engine.job.json_file import read_object
+from ..engine.job.manifest import verify_files
+from ..engine.scene import Category, ClassTable, Scene, SceneError, open_scene
+from ..engine.scene.array_file import read_npz
+from ..engine.scene.classes import LARGEST_ID
 
 _FORMAT = 1
 _FIX = "Resume the lift: it makes the result anew."
@@ -22,6 +25,9 @@ _LARGEST = 2**31 - 1
 """Of the integers that Blender keeps."""
 _FARTHEST = 1e6
 """Metres. No room is that large; numbers near the largest float would spoil the sums that are made of them."""
+_READ = ("semantic_points.npz", "anchors.npz", "instances.json")
+_MOST_HASHED = 1 << 30
+"""Bytes: half a second, as a rule."""
 _BAD = (OSError, KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError)
 """What reading content of the wrong form raises."""
 
@@ -119,15 +125,17 @@ def read_result(folder: Path) -> LiftResult:
     was lifted from is no longer there or no longer whole.
     """
     lift = LiftFolder.open(folder)
-    check_sizes(lift.result_path)
+    lift.refuse_foreign()
+    listed = {str(file.path): file for file in check_sizes(lift.result_path).files}
     asked = lift.request
     scene = open_scene(
         asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth,
         asked.mask_format, asked.classes,
     )  # fmt: skip
+    baked = [frame.name for frame in scene.frames if f"passes/{frame.name}.exr" in listed]
+    _verify(lift, [*_READ, *(f"passes/{name}.exr" for name in baked)], listed)
     classes, instances = _read_instances(lift.result_path / "instances.json")
-    names = [frame.name for frame in scene.frames]
-    passes = {name: lift.passes_path / f"{name}.exr" for name in names}
+    passes = {name: lift.passes_path / f"{name}.exr" for name in baked}
     return LiftResult(
         folder=lift.path,
         scene=scene,
@@ -135,8 +143,24 @@ def read_result(folder: Path) -> LiftResult:
         instances=instances,
         points=_read_arrays(lift.result_path / "semantic_points.npz", SemanticPoints),
         anchors=_read_arrays(lift.result_path / "anchors.npz", Anchors),
-        passes={name: path for name, path in passes.items() if path.is_file()},
+        passes=passes,
     )
+
+
+def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ResultFile]) -> None:
+    """Compare what Blender opens with the manifest's checksums, before anything is changed. Raises JobError.
+
+    So the rot of a disk is told, not placed. Of very many passes the first gigabyte: the window waits meanwhile.
+    """
+    files, size = [], 0
+    for path in paths:
+        if path not in listed:
+            raise JobError("is not listed", lift.manifest_path, _FIX)
+        size += listed[path].bytes
+        if size > _MOST_HASHED and path not in _READ:
+            break
+        files.append(listed[path])
+    verify_files(lift.result_path, files)
 
 
 _ARRAYS = {
@@ -154,18 +178,15 @@ def _read_arrays(path: Path, kind: Any) -> Any:
     """Fill a dataclass of arrays from an .npz file, each with the right type and as many rows as the
     first.
     """
-    arrays: dict[str, NDArray[Any]] = {}
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            for name in kind.__dataclass_fields__:
-                dtype, tail = _ARRAYS[name]
-                array = stored[name]
-                rows = len(arrays["xyz"]) if arrays else len(array)
-                if array.shape != (rows, *tail) or array.dtype != dtype:
-                    raise ValueError(f"{name} is {array.dtype} {list(array.shape)}")
-                arrays[name] = array
-    except (*_BAD, BadZipFile) as error:
-        raise JobError(f"cannot be read ({error})", path, _FIX) from error
+        arrays = read_npz(path, _FIX, list(kind.__dataclass_fields__))
+    except SceneError as error:
+        raise JobError(error.what, path, _FIX) from error
+    rows = arrays["xyz"].shape[:1]
+    for name, array in arrays.items():
+        dtype, tail = _ARRAYS[name]
+        if array.shape != (*rows, *tail) or array.dtype != dtype:
+            raise JobError(f"cannot be read ({name} is {array.dtype} {list(array.shape)})", path, _FIX)
     if not (np.abs(arrays["xyz"]) <= _FARTHEST).all():  # false for what is no number, too
         raise JobError("holds positions that are no numbers, or absurdly far away", path, _FIX)
     return kind(**arrays)
@@ -173,12 +194,12 @@ def _read_arrays(path: Path, kind: Any) -> Any:
 
 def _read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_object(path, _FIX)
         if content["format"] != _FORMAT:
             fix = "Use the version of PLGS that wrote it, or lift into another folder."
             raise JobError(f"has format {content['format']!r}, this version reads {_FORMAT}", path, fix)
         categories = [
-            Category(_whole(each["id"]), _text(each["name"]), bool(each["is_thing"]), _colour(each["colour"]))
+            Category(_id(each["id"]), _text(each["name"]), bool(each["is_thing"]), _colour(each["colour"]))
             for each in content["classes"]
         ]
         instances = tuple(_instance(each) for each in content["instances"])
@@ -192,9 +213,9 @@ def _read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
 
 def _instance(entry: dict[str, Any]) -> Instance:
     return Instance(
-        id=_whole(entry["id"]),
+        id=_id(entry["id"]),
         name=_text(entry["name"]),
-        class_id=_whole(entry["class_id"]),
+        class_id=_id(entry["class_id"]),
         class_name=_text(entry["class_name"]),
         colour=_colour(entry["colour"]),
         centre=_floats(entry["centre"], 3),
@@ -212,7 +233,7 @@ def _mask(entry: dict[str, Any]) -> Mask:
     return Mask(
         frame=_text(entry["frame"]),
         segment_id=_whole(entry["segment_id"]),
-        class_id=_whole(entry["class_id"]),
+        class_id=_id(entry["class_id"]),
         score=_number(entry["score"]),
         cost=None if cost is None else _number(cost),
         agreement=None if agreement is None else _number(agreement),
@@ -233,6 +254,14 @@ def _whole(value: Any) -> int:
     number = int(value)
     if not 0 <= number <= _LARGEST:
         raise ValueError(f"{value!r} is not from 0 to {_LARGEST}")
+    return number
+
+
+def _id(value: Any) -> int:
+    """Palettes and lists have a place for each id up to the largest."""
+    number = _whole(value)
+    if number > LARGEST_ID:
+        raise ValueError(f"{value!r} is larger than any id, {LARGEST_ID}")
     return number
 
 

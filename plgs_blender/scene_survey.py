@@ -13,7 +13,7 @@ from typing import Any
 
 from ..engine.job import ExitCode, JobError
 from ..engine.job.made_frames import SceneSource
-from ..engine.job.process import EngineProcess
+from ..engine.job.process import EngineProcess, engine_call
 from ..engine.scene import Scene, SceneError, Size, UpAxis, open_scene
 from .paths import absolute
 from .scene_formats import AUTOMATIC, chosen_format
@@ -153,7 +153,7 @@ def stop_looking() -> None:
 def _begin_inspection(place: Place, python: Path) -> bool:
     """Whether an engine could be started."""
     global _latest, _inspector
-    command: list[str | Path] = [python, "-m", "engine", "inspect", *place.arguments(), "--json"]
+    command = [*engine_call(python), "inspect", *place.arguments(), "--json"]
     try:
         _inspector = EngineProcess(command)
     except JobError:  # what is wrong with that Python, its own status says

@@ -14,6 +14,7 @@ import fcntl
 import hashlib
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -41,6 +42,8 @@ LIBRARIES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
     "libidn2.so.0": "libidn2-0",
 }
+_USER = re.compile(r"(?<=://)[^/@\s]+@")
+"""A name and password in the address of an index: nothing for a log."""
 
 
 class Recipe(NamedTuple):
@@ -122,7 +125,7 @@ def pip_environment() -> dict[str, str]:
     # What Python compiles here, it shall keep: every later start reads it.
     left_out = (*elsewhere, "PYTHONDONTWRITEBYTECODE")
     kept = {key: value for key, value in os.environ.items() if key not in left_out}
-    ours = {"PIP_USER": "0", "PIP_REQUIRE_HASHES": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
+    ours = {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
     return kept | ours
 
 
@@ -168,6 +171,7 @@ def write_stamp(folder: Path) -> None:
     """Declare the environment complete, by rename, so that a stamp is there whole or not at all."""
     temporary = folder / f"{STAMP}.tmp"
     temporary.write_text(stamp_text(folder.name, sys.version_info[:2], ROOT / "requirements"))
+    os.sync()  # what pip wrote, above all: after a power cut nothing may be complete that is not there
     temporary.replace(folder / STAMP)
 
 
@@ -175,7 +179,7 @@ def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", 
     """Run a command, its output to build/set-up.log; when it fails, show the end of that and stop (if `strict`)."""
     log_path = ROOT / "build" / "set-up.log"
     with log_path.open("ab") as log:
-        log.write(f"\n$ {' '.join(command)}\n".encode())
+        log.write(_USER.sub("****@", f"\n$ {' '.join(command)}\n").encode())
         log.flush()
         begin = log.tell()
         # The lock is handed on (close_fds=False): should this process be killed, it stays held until pip has ended too.

@@ -18,14 +18,15 @@ ROOT = Path(__file__).resolve().parent.parent
 # Each part of the engine, the folder or file under engine/ of that name, and the parts that it may import.
 ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "": set(),
-    "scene": set(),
-    "job": set(),
+    "gates": set(),
+    "scene": {"gates"},
+    "job": {"gates"},
     "machine": set(),
     "raster": {"machine"},
     "semantics": {"scene"},
     "instances": {"scene", "machine"},
     "metrics": {"scene"},
-    "model": {"scene", "machine", "raster", "instances"},
+    "model": {"gates", "scene", "machine", "raster", "instances"},
     "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
     "passes": {"scene", "job", "machine", "raster", "instances", "model"},
     "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
@@ -33,12 +34,12 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "frames": {"scene", "job"},
     "experiments": {"scene", "job", "metrics"},
     "segment": {"scene", "job"},
-    "command_line": {"scene", "job", "raster", "passes", "lift", "export", "experiments", "frames", "segment"},
+    "command_line": {"gates", "scene", "job", "raster", "passes", "lift", "export", "experiments", "frames", "segment"},
     "__main__": {"command_line"},
 }
-# Each part of the extension, the same way. `engine` means scene and job only: the rest runs in a process of its own.
+# Each part of the extension, the same way. `engine` means gates, scene and job only: the rest runs in its own process.
 EXTENSION_MAY_IMPORT: dict[str, set[str]] = {
-    "plgs_blender": {"engine.scene", "engine.job"},
+    "plgs_blender": {"engine.gates", "engine.scene", "engine.job"},
     "operators": {"plgs_blender"},
     "ui": {"plgs_blender"},
     "__init__": {"plgs_blender", "operators", "ui"},

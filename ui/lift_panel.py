@@ -43,6 +43,8 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
             _draw_ending(layout, context, followed)
         elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
             tell(layout, context, str(refusal), "ERROR")
+        elif folder is not None:  # of a file that was opened: nothing there is looked at unasked
+            from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
 
 
 class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):

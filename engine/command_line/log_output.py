@@ -12,6 +12,8 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, TextIO
 
+from ..gates import open_to_append
+
 
 @contextmanager
 def output_to(log: Path) -> Iterator[TextIO]:
@@ -49,7 +51,7 @@ class _BestEffortFile(io.FileIO):
 
 
 def _open_log(log: Path) -> TextIO:
-    raw = io.BufferedWriter(_BestEffortFile(log, "ab"))
+    raw = io.BufferedWriter(_BestEffortFile(open_to_append(log), "ab"))
     return io.TextIOWrapper(raw, encoding="utf-8", errors="replace", line_buffering=True)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .. import __version__
+from ..gates import printable
 from ..job import PRESETS, UPS, ExitCode, JobError
 from ..job.options import add_capture_options, add_lift_options, add_scene_options, readable
 
@@ -30,6 +31,10 @@ def main(arguments: Sequence[str]) -> int:
         code: int = options.run(options)
     except errors as error:
         print(f"error: {error}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    except OSError as error:
+        what = f"this cannot be used ({error.strerror}): {error.filename or 'the disk'}"
+        print(printable(f"error: {what}. See to it, then try again."), file=sys.stderr)
         return ExitCode.BAD_INPUT
     return code
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Protocol, TextIO
 
+from ..gates import printable
 from ..job import Cancelled, EventWriter, ExitCode, JobError, LiftFolder, LiftState, StopSignal, Watchdog
 from ..job.folder import BAKE
 from ..job.recent import remember_lift
@@ -52,6 +53,7 @@ def run_engine(
     Raises JobError before anything is changed: another engine is at work, or the folder was used and ``resume`` is
     not given. Later every error is an event, a line on standard error and an exit code.
     """
+    folder.refuse_foreign()
     with folder.lock():
         state = folder.state_at_rest()
         if state is LiftState.FINISHED and resume:
@@ -91,6 +93,7 @@ def run_bake(
 
     left = "The result is whole, with what was baked so far"
     task = Task(work, False, BAKE, left, "bake again", "Bake again after closing other programs.")
+    folder.refuse_foreign()
     try:
         lock = folder.lock().__enter__()
     except JobError:
@@ -193,7 +196,7 @@ def _run_lift() -> Lift:
 
 
 def _fail(events: EventWriter, terminal: TextIO, what: str, where: object, fix: str, code: ExitCode) -> ExitCode:
-    print(f"error: {what}: {where}. {fix}", file=terminal)
+    print(printable(f"error: {what}: {where}. {fix}"), file=terminal)
     try:
         events.error(what, str(where), fix, code)
     except OSError:  # the full disk that may be the very reason: the line above and the exit code tell it

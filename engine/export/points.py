@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import LiftFolder, write_atomically
+from ..scene.array_file import read_npz
 from .ply_tables import write_ply_table
 
 NEIGHBOURS = 30
@@ -17,11 +18,11 @@ NEIGHBOURS = 30
 def write_points(output: Path, folder: LiftFolder, centres: NDArray[np.float64]) -> None:
     """points.ply: the semantic points with colours, normals, class_id, instance_id and confidence; gaussians.ply: the
     Gaussians as the lift has them, class_id and instance_id included. ``centres`` [F, 3]: the cameras', metres. Raises
-    OSError.
+    SceneError, OSError.
     """
-    with np.load(folder.result_path / "semantic_points.npz", allow_pickle=False) as points:
-        xyz, rgb = points["xyz"], points["rgb"]
-        labels = {name: points[name] for name in ("class_id", "instance_id", "confidence")}
+    fix, labelled = "Lift the scene anew, into another folder.", ("class_id", "instance_id", "confidence")
+    points = read_npz(folder.result_path / "semantic_points.npz", fix, ("xyz", "rgb", *labelled))
+    xyz, rgb, labels = points["xyz"], points["rgb"], {name: points[name] for name in labelled}
     columns = {name: xyz[:, axis] for axis, name in enumerate("xyz")}
     normals = point_normals(xyz, centres)
     columns |= {name: normals[:, axis] for axis, name in enumerate(("nx", "ny", "nz"))}

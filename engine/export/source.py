@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +10,7 @@ from typing import Any
 from ..job import LiftFolder, read_manifest
 from ..lift.bake_more import frames_named
 from ..lift.baking import FrameBaker, baked_files
-from ..lift.scene_files import read_model, read_shown_instances
+from ..lift.scene_files import read_instances, read_model, read_shown_instances
 from ..passes import PanopticLayers, ShownInstances, read_exr
 from ..scene import ClassTable, Frame, Scene, open_scene
 
@@ -47,9 +46,7 @@ class FinishedLift:
     @cached_property
     def records(self) -> list[dict[str, Any]]:
         """The instances as instances.json lists them."""
-        content = json.loads((self.folder.result_path / "instances.json").read_text(encoding="utf-8"))
-        records: list[dict[str, Any]] = content["instances"]
-        return records
+        return read_instances(self.folder)
 
     @cached_property
     def _baker(self) -> FrameBaker:

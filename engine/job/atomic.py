@@ -8,6 +8,8 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from ..gates import create_plain, open_plain
+
 PART = ".part-"
 """Prefix of names that are still being written. A kill leaves them behind; `remove_parts` deletes them."""
 
@@ -24,9 +26,11 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
     part = path.with_name(PART + path.name)
     try:
         if callable(content):
+            part.unlink(missing_ok=True)  # a link that somebody left there leads elsewhere
             content(part)
         else:
-            part.write_bytes(content.encode() if isinstance(content, str) else content)
+            with create_plain(part) as file:
+                file.write(content.encode() if isinstance(content, str) else content)
         flush_to_disk(part)
         os.replace(part, path)
     except BaseException:
@@ -60,7 +64,7 @@ def remove_parts(folder: Path) -> None:
 
 def sha256(path: Path) -> str:
     """The file's SHA-256 in hex. Raises OSError."""
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..gates import inner_path
 from .atomic import PART, files_below, flush_to_disk, sha256
 from .errors import JobError
 from .json_file import Json, read_object, to_text
@@ -111,10 +112,17 @@ def _verified_state(folder: Path) -> Mapping[str, Json]:
     if not isinstance(state, dict) or not isinstance(files, list):
         raise JobError("is damaged", folder / _INDEX, _FIX)
     for entry in files:
-        path = folder / str(entry["path"]) if isinstance(entry, dict) and "path" in entry else folder / _INDEX
-        if not path.is_file() or entry != _entry(path, folder):
-            raise JobError("is damaged", path, _FIX)
+        if not isinstance(entry, dict) or not _is_whole(entry, folder):
+            raise JobError("is damaged", folder, _FIX)
     return state
+
+
+def _is_whole(entry: Mapping[str, Json], folder: Path) -> bool:
+    try:
+        path = folder / inner_path(str(entry.get("path")))
+        return path.is_file() and entry == _entry(path, folder)
+    except (OSError, ValueError):
+        return False
 
 
 def _delete(folder: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from ..gates import open_to_append
 from .errors import JobError
 from .log_tail import last_lines
 from .process import ROOT, ChildProcess, clean_environment
@@ -20,7 +22,7 @@ class DetachedEngine(ChildProcess):
         """Start ``command``. Raises JobError when it cannot be started, or ``log`` cannot be written."""
         self._log = log
         try:
-            output = log.open("ab")
+            output = os.fdopen(open_to_append(log), "ab")
         except OSError as error:
             raise JobError(f"cannot be written ({error.strerror})", log, "See that the disk has room.") from error
         with output:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..gates import printable
+
 
 class JobError(Exception):
     """A request or lift folder that cannot be used: what is wrong, where, what to do about it (exit code
     2)."""
 
     def __init__(self, what: str, where: Path | str, fix: str) -> None:
-        super().__init__(f"{what}: {where}. {fix}")
+        super().__init__(printable(f"{what}: {where}. {fix}"))
         self.what, self.where, self.fix = what, str(where), fix
 
 

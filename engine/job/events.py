@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .. import __version__
+from ..gates import open_plain, open_to_append
 from .json_file import Json, to_line
 
-_BINARY = getattr(os, "O_BINARY", 0)
 _KEYS: Mapping[str, frozenset[str]] = {
     "hello": frozenset(),
     "stage": frozenset({"name", "index", "count", "label"}),
@@ -29,8 +29,14 @@ _KEYS: Mapping[str, frozenset[str]] = {
 """The kinds of events, and what whoever reads one may count on."""
 TAIL_BYTES = 16384
 """The last lines of a run, and none of them is near as long."""
+LONGEST_TAIL = 1 << 20
+"""What is looked at where those hold no event: a file of somebody else's may hold anything."""
+MOST_AT_ONCE = 1 << 26
+"""What is read at a time, in any case: as much as months of lifting tell."""
 MOST_BYTES = 1 << 17
 """What a hurried reader takes at a time: a millisecond of reading, and an hour's events are caught up in seconds."""
+MOST_CAUGHT_UP = 1 << 24
+"""Of what was told before it looked, a hurried reader takes so much at most."""
 _PROGRESS = b'"event": "progress"'
 
 
@@ -56,14 +62,16 @@ class EventWriter:
         self._lock = threading.Lock()
         self._done = False
         self._began = time.monotonic()
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | _BINARY, 0o666)
+        self._torn = False
+        self._descriptor = open_to_append(path)
         self._seq = self._repair(path)
 
     def _repair(self, path: Path) -> int:
-        """Cut a torn last line off and return the highest ``seq`` in the file."""
-        content = path.read_bytes()
+        """Cut a torn last line off and return the highest ``seq`` of the last lines; an end without lines is left."""
+        start, content = _tail(path, LONGEST_TAIL)
         whole = content.rfind(b"\n") + 1
-        if whole < len(content):
+        self._torn = start > 0 and not whole
+        if whole < len(content) and not self._torn:
             os.ftruncate(self._descriptor, whole)
         return max((event.seq for event in _parse(content[:whole])), default=0)
 
@@ -120,11 +128,25 @@ class EventWriter:
                 return
             head = {"seq": self._seq + 1, "time": round(time.time(), 3), "event": event}
             line = to_line(head | data)
-            written = 0
-            while written < len(line):
-                written += os.write(self._descriptor, line[written:])
+            self._append(b"\n" + line if self._torn else line)
             self._seq += 1
             self._done = event == "done"
+
+    def _append(self, line: bytes) -> None:
+        """Raises OSError, on a full disk above all; the half of a line that was written is then taken back, so that it
+        does not swallow the next.
+        """
+        start, written = os.fstat(self._descriptor).st_size, 0
+        try:
+            while written < len(line):
+                written += os.write(self._descriptor, line[written:])
+        except OSError:
+            if written:
+                self._torn = True
+                os.ftruncate(self._descriptor, start)
+                self._torn = line.startswith(b"\n")
+            raise
+        self._torn = False
 
     def _relative(self, path: Path) -> str:
         """Paths inside the lift folder are told relative to it, so that the folder can be moved."""
@@ -144,24 +166,27 @@ class EventReader:
     def __init__(self, path: Path, *, from_end: bool = False, hurried: bool = False) -> None:
         self._path, self._offset, self._hurried = path, 0, hurried
         self.is_behind = False
+        if hurried:
+            self._offset = max(0, _size(path) - MOST_CAUGHT_UP)  # what is torn there is no event
         if from_end and path.exists():
-            start, tail = _tail(path, TAIL_BYTES)
+            start, tail = _tail(path, LONGEST_TAIL)
             whole = tail.rfind(b"\n") + 1
-            self._offset = start + whole if whole or not start else path.read_bytes().rfind(b"\n") + 1
+            self._offset = start + (whole if whole or not start else len(tail))
 
     def poll(self) -> list[Event]:
         """The events since the last call; unknown kinds, and lines that are no whole event, are left out."""
         self.is_behind = False
         try:
-            with self._path.open("rb") as file:
+            with open_plain(self._path, follow_link=False) as file:
                 size = os.fstat(file.fileno()).st_size
                 if size < self._offset:  # another file took its place
                     self._offset = 0
                 file.seek(self._offset)
-                content = file.read(MOST_BYTES if self._hurried else -1)
+                most = MOST_BYTES if self._hurried else MOST_AT_ONCE
+                content = file.read(most)
         except FileNotFoundError:
             return []
-        whole = content.rfind(b"\n") + 1
+        whole = content.rfind(b"\n") + 1 or (len(content) if len(content) == most else 0)  # no event is so long
         self._offset += whole
         self.is_behind = whole > 0 and self._offset < size
         lines = content[:whole].splitlines()
@@ -196,16 +221,23 @@ def last_events(path: Path) -> list[Event]:
         return []
     events = _usable(_parse(tail))
     if start and not events:  # what a power cut left of the end
-        return last_run(path)
+        events = _usable(_parse(_tail(path, LONGEST_TAIL)[1]))
     for index in range(len(events) - 1, -1, -1):
         if events[index].kind == "hello":
             return events[index:]
     return events
 
 
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
+
+
 def _tail(path: Path, size: int) -> tuple[int, bytes]:
     """The last ``size`` bytes of a file, and where they begin. Raises OSError."""
-    with path.open("rb") as file:
+    with open_plain(path, follow_link=False) as file:
         start = max(0, os.fstat(file.fileno()).st_size - size)
         file.seek(start)
         return start, file.read(size)

@@ -8,15 +8,18 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from .atomic import PART, remove_parts
+from ..gates import create_plain
+from .atomic import PART, flush_to_disk, remove_parts
 from .bake_locks import BakeLocks
 from .checkpoint import CheckpointStore
 from .errors import JobError
 from .events import last_events
 from .lock import FileLock, is_locked
 from .manifest import check_sizes
-from .request import LiftRequest
+from .own_files import refuse_foreign, refuse_foreign_below
+from .request import LiftRequest, refuse_unwritable_name
 
+_NO_LINK: int = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 LIFT, BAKE = "lift", "bake"
 """What an engine may do in a lift folder: lift, or bake more views of a finished lift."""
 LIVE_PREVIEW = "result/previews/live.png"
@@ -48,6 +51,7 @@ class LiftFolder:
         Raises JobError when the folder is not empty or cannot be written.
         """
         path = path.absolute()
+        refuse_unwritable_name(path)
         try:
             path.mkdir(parents=True, exist_ok=True)
             refuse_used(path)
@@ -65,14 +69,18 @@ class LiftFolder:
 
     @classmethod
     def open(cls, path: Path) -> LiftFolder:
-        """An existing lift folder. Raises JobError when it is none, or its request cannot be read."""
+        """An existing lift folder. Raises JobError when it is none, holds links in place of its files, or its request
+        cannot be read.
+        """
         path = path.absolute()
+        refuse_unwritable_name(path)
         try:
             is_folder = path.is_dir()
         except OSError as error:  # a name that is too long, a disk that does not answer
             raise JobError(f"cannot be opened ({error.strerror})", path, "Give the folder of a lift.") from error
         if not is_folder:
             raise JobError("is no folder", path, "Give the folder of a lift.")
+        refuse_foreign(path)
         if not (path / "request.json").is_file():
             raise JobError("is no lift folder (it has no request.json)", path, "Give the folder of a lift.")
         return cls(path, LiftRequest.read(path / "request.json"))
@@ -124,8 +132,14 @@ class LiftFolder:
         return is_locked(self.events_path)
 
     def lock(self) -> FileLock:
-        """The engine's exclusive right to write here; for ``with``. Raises JobError when another has it."""
+        """The engine's exclusive right to write here; for ``with``. Raises JobError when another has it, OSError."""
         return FileLock(self.events_path)
+
+    def refuse_foreign(self) -> None:
+        """Raise JobError when a link, or anything else that no lift has, lies in the place of one of its files: before
+        anything is written or deleted.
+        """
+        refuse_foreign_below(self.path)
 
     def state(self) -> LiftState:
         """How far the lift is. Raises JobError when the file system knows no locks."""
@@ -167,7 +181,7 @@ class LiftFolder:
 
     def ask_to_cancel(self) -> None:
         """Ask the engine to stop at its next step. Raises OSError."""
-        self.cancel_path.touch()
+        os.close(os.open(self.cancel_path, os.O_WRONLY | os.O_CREAT | _NO_LINK, 0o666))
 
     def prepare_run(self) -> None:
         """Clear away what must not outlive an earlier run: its cancel file, torn files, a broken manifest.
@@ -194,6 +208,7 @@ class LiftFolder:
 
         For whoever created it just now. Raises JobError when there is something in it that cost time to make.
         """
+        self.refuse_foreign()
         if self.is_running or self.checkpoints.exists or self._has_result():
             raise JobError("holds work", self.path, "Resume it, or delete it yourself.")
         for path in (self.cancel_path, self.preview_request_path, self.events_path, self.log_path):
@@ -233,7 +248,9 @@ def _write_new(path: Path, text: str) -> None:
     """Write a whole file under a name that nobody has, even when two want it. Raises FileExistsError."""
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")
     try:
-        part.write_text(text, encoding="utf-8")
+        with create_plain(part) as file:
+            file.write(text.encode())
+        flush_to_disk(part)
         try:
             os.link(part, path)
         except FileExistsError:

@@ -8,18 +8,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from ..gates import inner_path
 from .detached import DetachedEngine, detached_command
+from .errors import JobError
 from .events import Event, EventReader
 from .exit_code import ExitCode
 from .folder import BAKE, LIFT, LIVE_PREVIEW, LiftFolder, LiftState
 from .json_file import Json
 from .log_tail import last_lines
-from .process import EngineProcess, engine_command, engine_python
+from .process import EngineProcess, engine_call, engine_command, engine_python
 
 LOG_LINES = 40
 """Of the log's end in an outcome: enough for a Python traceback, and for one that a crash in native code leaves."""
 _MOST = 1 << 62
 """No count and no number of seconds is larger."""
+PATIENCE_S = 5.0
+"""So long a folder may be out of reach before its lift counts as lost."""
 CANCEL_WAIT_S = 0.65
 """How long an engine may take to stop by itself before it is killed. Its own watchdog needs 0.6 s at most."""
 
@@ -89,6 +93,7 @@ class LiftFollower:
         self._process, self._clock = process, clock
         self._reader = reader or EventReader(folder.events_path, hurried=True)
         self._kill_at: float | None = None
+        self._blind_since: float | None = None
         self._error: Event | None = None
         self._done: str | None = None
 
@@ -140,10 +145,24 @@ class LiftFollower:
         """The new events; ``status`` and ``outcome`` (None while it goes on) are up to date afterwards.
 
         Of what happened before the first poll it takes a part at a time, and leaves out progress that is out of date:
-        a poll takes a few milliseconds at most.
+        a poll takes a few milliseconds at most. Raises OSError or JobError when the folder could not be looked at for
+        some seconds.
         """
         if self.outcome is not None:
             return []
+        try:
+            events = self._poll()
+        except (OSError, JobError):
+            # A disk may fail to answer for a moment (EIO, ESTALE): that ends no lift.
+            self._blind_since = self._clock() if self._blind_since is None else self._blind_since
+            if self._clock() - self._blind_since > PATIENCE_S:
+                raise
+            return []
+        self._blind_since = None
+        return events
+
+    def _poll(self) -> list[Event]:
+        """Raises OSError or JobError when the folder cannot be looked at."""
         code = self._process.exit_code() if self._process else None
         ended = code is not None if self._process else not self.folder.is_running
         events = self._reader.poll()  # after the look at the process: so the last events are among them
@@ -206,20 +225,27 @@ class LiftFollower:
             case "metric":
                 values = data["values"]
                 status.metrics[str(data["name"])] = values if isinstance(values, dict) else {}
-            case "artifact":
-                status.artifacts.append((str(data["kind"]), self.folder.path / str(data["path"])))
+            case "artifact" if path := self._inside(data["path"]):
+                status.artifacts.append((str(data["kind"]), path))
             case "preview" if data["path"] == LIVE_PREVIEW:
                 status.live_preview = self.folder.path / LIVE_PREVIEW
                 status.live_previews += 1
                 status.live_preview_camera = str(data.get("camera", ""))
-            case "preview":
-                status.previews.append(self.folder.path / str(data["path"]))
+            case "preview" if path := self._inside(data["path"]):
+                status.previews.append(path)
             case "warning":
                 status.warnings.append(str(data["message"]))
             case "error":
                 self._error = event
             case "done":
                 self._done = str(data["state"])
+
+    def _inside(self, path: Json) -> Path | None:
+        """None for a path that leads out of the lift: somebody else may have written the event."""
+        try:
+            return self.folder.path / inner_path(str(path))
+        except ValueError:
+            return None
 
     def _outcome(self, code: int | None) -> Outcome:
         if not self.folder.path.is_dir():  # what the engine said of that is not what happened
@@ -259,7 +285,7 @@ class LiftFollower:
 
 def bake_command(python: Path, lift: Path, frames: Sequence[str]) -> list[str | Path]:
     """The command that bakes frames of a finished lift and stays with its parent."""
-    return [python, "-m", "engine", "bake", lift, "--stay-with-parent", "--frames", *frames]
+    return [*engine_call(python), "bake", lift, "--stay-with-parent", "--frames", *frames]
 
 
 def _int(value: Json) -> int:

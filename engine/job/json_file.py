@@ -9,8 +9,11 @@ from collections.abc import Mapping
 from numbers import Integral, Real
 from pathlib import Path
 
+from ..gates import read_plain
 from .errors import JobError
 
+MOST_BYTES = 1 << 26
+"""Of a file: parsed, it takes some twenty times as much memory."""
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 
@@ -35,8 +38,8 @@ def plain(value: object) -> Json:
 
 
 def to_line(value: Mapping[str, object]) -> bytes:
-    """The object as one line of UTF-8 with its newline."""
-    return (json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n").encode()
+    """The object as one line of UTF-8 with its newline; what no UTF-8 can hold (of broken paths) is escaped."""
+    return (json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n").encode(errors="backslashreplace")
 
 
 def to_text(value: Mapping[str, object]) -> str:
@@ -55,11 +58,11 @@ def read_object(path: Path, fix: str) -> dict[str, Json]:
 def read_value(path: Path, fix: str) -> Json:
     """What JSON a file holds. Raises JobError, with ``fix`` as the advice, when there is none."""
     try:
-        value: Json = json.loads(path.read_bytes())
+        value: Json = json.loads(read_plain(path, MOST_BYTES))
     except OSError as error:
         raise JobError(f"cannot be read ({error.strerror})", path, fix) from error
-    except RecursionError as error:
-        raise JobError("is nested too deeply", path, fix) from error
+    except (RecursionError, MemoryError) as error:
+        raise JobError("is nested too deeply, or too large", path, fix) from error
     except ValueError as error:  # covers broken JSON and broken UTF-8
         raise JobError(f"is not JSON ({error})", path, fix) from error
     return value

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from types import TracebackType
 
+from ..gates import open_plain, open_to_append
 from .errors import JobError
 
 if sys.platform == "win32":
@@ -23,14 +24,14 @@ class FileLock:
     """Exclusive lock on a file, held from ``with`` to its end. A missing file is made; content is untouched.
 
     Children that are started with ``subprocess`` do not inherit it. Raises JobError when another process
-    holds it, or when the file system knows no locks.
+    holds it, or when the file system knows no locks; OSError when it cannot be opened, or is no plain file.
     """
 
     def __init__(self, path: Path, wait_s: float = 1.0) -> None:
         self._path, self._wait_s, self._descriptor = path, wait_s, -1
 
     def __enter__(self) -> FileLock:
-        self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+        self._descriptor = open_to_append(self._path)
         # Somebody who asks `is_locked` holds the lock for an instant: so one refusal proves nothing.
         give_up = time.monotonic() + self._wait_s
         while not _try_lock(self._descriptor, self._path):
@@ -57,24 +58,17 @@ def is_locked(path: Path) -> bool:
     knows no locks, or a folder has the file's name.
     """
     try:
-        descriptor = _open_existing(path)
+        # To read is enough for a shared lock: it may be somebody else's lift.
+        file = open_plain(path, follow_link=False)
     except FileNotFoundError:
         return False
     except OSError as error:
         fix = "It has to be a file that you may read."
         raise JobError(f"cannot be opened ({error.strerror})", path, fix) from error
-    try:
-        return not _try_lock(descriptor, path, shared=True)
-    finally:
-        os.close(descriptor)
+    with file:
+        return not _try_lock(file.fileno(), path, shared=True)
 
 
-def _open_existing(path: Path) -> int:
-    binary = getattr(os, "O_BINARY", 0)
-    try:
-        return os.open(path, os.O_RDWR | binary)
-    except PermissionError:  # somebody else's lift that we may only read: a shared lock still tells
-        return os.open(path, os.O_RDONLY | binary)
 
 
 def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:

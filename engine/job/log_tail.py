@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from ..gates import open_plain
+
 MOST_BYTES = 1 << 16
 LONGEST_LINE = 500
 
@@ -15,7 +17,7 @@ def last_lines(log: Path, count: int = 20) -> tuple[str, ...]:
     Lines are cut at 500 characters; of one that was written over and over (a progress bar's) each version counts.
     """
     try:
-        with log.open("rb") as file:
+        with open_plain(log, follow_link=False) as file:
             start = max(0, os.fstat(file.fileno()).st_size - MOST_BYTES)
             file.seek(start)
             content = file.read(MOST_BYTES)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from stat import S_ISREG
 
 from .. import __version__
+from ..gates import inner_path
 from .atomic import files_below, remove_parts, sha256, write_atomically
 from .errors import JobError
 from .json_file import Json, read_object, to_text
@@ -117,12 +118,14 @@ def check_sizes(result: Path) -> Manifest:
     for file in manifest.files:
         path = result / file.path
         try:
-            found = path.stat()
+            found = path.lstat()
         except OSError as error:
             raise JobError("is missing", path, _FIX) from error
         except ValueError as error:
             raise JobError(f"lists a file that cannot be ({error})", result / NAME, _FIX) from error
-        if found.st_size != file.bytes or not S_ISREG(found.st_mode):
+        if not S_ISREG(found.st_mode):
+            raise JobError("is no plain file", path, _FIX)
+        if found.st_size != file.bytes:
             raise JobError(f"has {found.st_size} bytes, {file.bytes} were written", path, _FIX)
     return manifest
 
@@ -130,10 +133,20 @@ def check_sizes(result: Path) -> Manifest:
 def verify(result: Path) -> Manifest:
     """The manifest, after comparing every file with size and SHA-256. Raises JobError."""
     manifest = check_sizes(result)
-    for file in manifest.files:
-        if sha256(result / file.path) != file.sha256:
-            raise JobError("was changed since it was written", result / file.path, _FIX)
+    verify_files(result, manifest.files)
     return manifest
+
+
+def verify_files(result: Path, files: Iterable[ResultFile]) -> None:
+    """Compare files with the SHA-256 that the manifest has of them. Raises JobError."""
+    for file in files:
+        path = result / file.path
+        try:
+            found = sha256(path)
+        except OSError as error:
+            raise JobError(f"cannot be read ({error.strerror})", path, _FIX) from error
+        if found != file.sha256:
+            raise JobError("was changed since it was written", path, _FIX)
 
 
 def _manifest(content: Mapping[str, Json]) -> Manifest:
@@ -160,7 +173,5 @@ def _manifest(content: Mapping[str, Json]) -> Manifest:
 def _result_file(entry: Json) -> ResultFile:
     if not isinstance(entry, dict) or not isinstance(entry["bytes"], int):
         raise TypeError(f"{entry!r} is no file entry")
-    path = PurePosixPath(str(entry["path"]))
-    if path.is_absolute() or ".." in path.parts:
-        raise ValueError(f"{path} leaves the folder")
+    path = inner_path(str(entry["path"]))
     return ResultFile(path, entry["bytes"], str(entry["sha256"]))

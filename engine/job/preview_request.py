@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..gates import create_plain
 from .atomic import PART
 from .errors import JobError
 from .json_file import Json, read_object
@@ -62,7 +63,8 @@ def write_preview_request(path: Path, wanted: PreviewRequest) -> None:
             "height": int(wanted.height),
         }
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")  # two Blenders may watch one lift
-    part.write_text(json.dumps(content) + "\n", encoding="utf-8")
+    with create_plain(part) as file:
+        file.write((json.dumps(content) + "\n").encode())
     os.replace(part, path)
 
 

@@ -104,7 +104,7 @@ def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
     code = f"import importlib.util, sys; print({_MISSING!r}, *{find})"
     try:
         answer = subprocess.run(
-            [python, "-c", code, *names], env=clean_environment(), capture_output=True, timeout=_ANSWER_S
+            [python, "-I", "-c", code, *names], env=clean_environment(), capture_output=True, timeout=_ANSWER_S
         )
     except subprocess.TimeoutExpired as error:
         raise JobError(f"does not answer within {_ANSWER_S:g} s", python, "Try it in a terminal.") from error
@@ -208,9 +208,17 @@ class EngineProcess(ChildProcess):
         self._output.close()
 
 
+def engine_call(python: Path, root: Path = ROOT) -> list[str | Path]:
+    """What every command of the engine begins with.
+
+    -I: neither the current folder, which may be somebody else's scene, nor a variable adds modules to Python's own.
+    """
+    return [python, "-I", "-u", root / "engine" / "__main__.py"]
+
+
 def engine_command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
     """The command that works on a lift folder and stays with its parent."""
-    command: list[str | Path] = [python, "-m", "engine", "lift", lift, "--stay-with-parent"]
+    command = [*engine_call(python), "lift", lift, "--stay-with-parent"]
     return [*command, "--resume"] if resume else command
 
 

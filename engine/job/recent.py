@@ -47,6 +47,11 @@ def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift
     return lifts
 
 
+def remembered_lifts(cache: Path | None = None) -> list[str]:
+    """The paths of the list, the newest first. They are not looked at."""
+    return [path for path, _ in _entries(_list_path(cache))]
+
+
 def remember_lift(path: Path, cache: Path | None = None) -> None:
     """Put a lift folder at the head of the list. Raises OSError or JobError when the list cannot be written."""
     list_path = _list_path(cache)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from ..gates import printable
 from .folder import LiftFolder
 from .json_file import Json, read_object
 
@@ -72,6 +73,7 @@ def _number(value: Json, factor: float, digits: int) -> str:
 
 def _aligned(rows: Sequence[Sequence[str]], left: int) -> str:
     """Columns two spaces apart: the first ``left`` ones flush left, the others flush right."""
+    rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = []
     for row in rows:

@@ -71,6 +71,8 @@ class LiftRequest:
         for name, path in (("scene", self.scene), ("masks", self.masks), ("depth", self.depth)):
             if path is not None and not path.is_absolute():
                 raise JobError(f"the path of '{name}' is not absolute", path, "Give the whole path.")
+            if path is not None:
+                refuse_unwritable_name(path)
         _one_of("preset", self.preset, PRESETS)
         _one_of("up", self.up, UPS)
         _one_of("bake", self.bake, BAKES)
@@ -135,6 +137,15 @@ class LiftRequest:
         reading = ("up", "scene_format", "depth", "mask_format", "classes")
         names = ("scene", "masks", "preset", "steps", "size", "seed", *reading, "bake", "device")
         return [name for name in names if getattr(self, name) != getattr(other, name)]
+
+
+def refuse_unwritable_name(path: Path) -> None:
+    """Raise JobError for a path that no file of a lift can hold, nor a terminal show: it is not UTF-8."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        what, fix = "has a name with broken characters (it is not UTF-8)", "Rename it, or the folder it is in."
+        raise JobError(what, path, fix) from error
 
 
 def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path: Path) -> dict[str, Any]:

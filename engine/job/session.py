@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from ..gates import printable
 from .errors import JobError
 from .exit_code import ExitCode
 from .folder import LiftFolder, LiftState
@@ -67,7 +68,7 @@ def _run(lift: LiftFolder, interrupts: Interrupts, python: Path, *, resume: bool
         follower = LiftFollower.start(lift, resume=resume, command=engine_command(python, lift.path, resume=resume))
         outcome = follow(follower, interrupts, LiveLine(sys.stderr))
     if outcome.error is not None:
-        print(f"error: {outcome.error}", file=sys.stderr)
+        print(printable(f"error: {outcome.error}"), file=sys.stderr)
     elif outcome.code is ExitCode.CANCELLED:
         print(f"Cancelled. Give the same command with --resume to go on: {lift.path}", file=sys.stderr)
     return outcome.code

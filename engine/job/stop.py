@@ -34,9 +34,15 @@ class StopSignal:
     @property
     def reason(self) -> str | None:
         """Why the lift shall stop; None when it shall go on."""
-        if self._reason is None and self._cancel_path.exists():
+        if self._reason is None and self._is_asked_by_file():
             self._reason = "the file 'cancel' is there"
         return self._reason
+
+    def _is_asked_by_file(self) -> bool:
+        try:
+            return self._cancel_path.exists()
+        except OSError:  # a disk that does not answer now (EIO, ESTALE): the next look tells
+            return False
 
     def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:
         """Make the next check raise, and the process end with this code."""

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, TextIO
 
+from ..gates import printable
 from .follower import LiftFollower, LiftStatus, Outcome
 
 _POLL_S = 0.05
@@ -108,7 +109,7 @@ class LiveLine:
 
     def show(self, status: LiftStatus) -> None:
         """The newest state; costs next to nothing when nothing changed."""
-        text = describe(status)
+        text = printable(describe(status))
         if self._live:
             if text != self._shown:
                 self._overwrite(text)
@@ -124,7 +125,7 @@ class LiveLine:
         """A line of its own, above the live one."""
         if self._live and self._shown:
             self._overwrite("")
-        print(text, file=self._stream, flush=True)
+        print(printable(text), file=self._stream, flush=True)
 
     def end(self) -> None:
         """Leave the last state standing; what follows begins a new line."""

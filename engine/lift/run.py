@@ -14,12 +14,13 @@ from statistics import median
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 
-from ..job import Cancelled, EventWriter, JobError, LiftFolder, StopSignal, write_manifest
+from ..job import Cancelled, Checkpoint, EventWriter, JobError, LiftFolder, StopSignal, write_manifest
 from ..job.prediction import learn_slowness
 from ..machine.log_compilation import log_compilation
 from ..model.structured import StructuredScene
+from ..model.tensor_file import read_tensors
 from ..raster import drawing_on
 from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene_to_lift, size_within
 from ..train.presets import Preset, chosen_preset
@@ -88,7 +89,7 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     trainer = Trainer(prepared.scene, prepared.targets, views, preset, request.seed)
     checkpoint = folder.checkpoints.latest() if resume else None
     if checkpoint is not None:
-        restore(trainer, load_file(checkpoint.path / "trainer.safetensors"), checkpoint.state)
+        take_up(trainer, checkpoint)
         log.info("resuming after step %d", trainer.step_number)
     instances = shown_instances(prepared, scene.classes)
     previews = LivePreviews(folder, scene, instances, events)
@@ -109,6 +110,16 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
         timings=stages.timings,
     )
     remember_pace(paces, trainer)
+
+
+def take_up(trainer: Trainer, checkpoint: Checkpoint) -> None:
+    """Go on from a checkpoint. Raises JobError for one that is damaged, or another lift's."""
+    path = checkpoint.path / "trainer.safetensors"
+    try:
+        restore(trainer, read_tensors(path)[0], checkpoint.state)
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        fix = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
+        raise JobError(f"the checkpoint cannot be used ({error})", path, fix) from error
 
 
 def refuse_empty(views: Sequence[View], scene: Scene) -> None:

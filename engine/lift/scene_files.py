@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from ..instances import Evidence, GlobalInstance, MaskExtent, mask_extents
 from ..job import EventWriter, JobError, LiftFolder, read_manifest, write_atomically
+from ..job.json_file import read_object
 from ..model.baking import bake
 from ..model.structured import StructuredScene, from_tensors, to_tensors
+from ..model.tensor_file import read_tensors
 from ..passes import (
     InstanceRecord,
     SegmentLink,
@@ -24,6 +26,7 @@ from ..passes import (
     write_semantic_points,
 )
 from ..scene import ClassTable, Scene, View, distinct_colour
+from ..scene.classes import LARGEST_ID
 from .preparation import PreparedLift
 
 
@@ -72,10 +75,9 @@ def read_model(folder: LiftFolder) -> StructuredScene:
     version does not know."""
     path = folder.result_path / "model.safetensors"
     try:
-        with safe_open(path, "pt") as file:
-            facts = json.loads(file.metadata()["plgs"])
-            return from_tensors({name: file.get_tensor(name) for name in file.keys()}, facts)  # noqa: SIM118
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        tensors, notes = read_tensors(path)
+        return from_tensors(tensors, json.loads(notes["plgs"]))
+    except (OSError, KeyError, TypeError, ValueError, AttributeError, RecursionError, MemoryError) as error:
         fix = "Lift the scene anew, into another folder."
         raise JobError(f"the model cannot be read ({error})", path, fix) from error
 
@@ -87,14 +89,32 @@ def shown_instances(prepared: PreparedLift, classes: ClassTable) -> ShownInstanc
 
 def read_shown_instances(folder: LiftFolder) -> ShownInstances:
     """Of a finished lift. Raises JobError when its manifest cannot be read, OSError."""
-    listed = json.loads((folder.result_path / "instances.json").read_text(encoding="utf-8"))["instances"]
+    path, fix = folder.result_path / "instances.json", "Lift the scene anew, into another folder."
+    listed = read_instances(folder)
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
-        what, fix = "does not tell whether an object has one class", "Lift the scene anew, into another folder."
-        raise JobError(what, folder.manifest_path, fix)
-    one_class = settings["one_class_an_object"]
-    class_of = {one["id"]: one["class_id"] for one in listed} if one_class else None
-    return ShownInstances({one["id"]: one["name"] for one in listed}, class_of)
+        raise JobError("does not tell whether an object has one class", folder.manifest_path, fix)
+    try:
+        class_of = {_id(one["id"]): _id(one["class_id"]) for one in listed}
+        names = {_id(one["id"]): str(one["name"]) for one in listed}
+    except (KeyError, TypeError, ValueError) as error:
+        raise JobError(f"cannot be read ({error!r})", path, fix) from error
+    return ShownInstances(names, class_of if settings["one_class_an_object"] else None)
+
+
+def read_instances(folder: LiftFolder) -> list[dict[str, Any]]:
+    """The objects that instances.json lists, as they stand there. Raises JobError."""
+    path, fix = folder.result_path / "instances.json", "Lift the scene anew, into another folder."
+    listed = read_object(path, fix).get("instances")
+    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
+        raise JobError("lists no instances", path, fix)
+    return listed
+
+
+def _id(value: object) -> int:
+    if type(value) is not int or not 1 <= value <= LARGEST_ID:
+        raise ValueError(f"{value!r} is no id")
+    return value
 
 
 def instance_names(instances: Sequence[GlobalInstance], classes: ClassTable) -> dict[int, str]:

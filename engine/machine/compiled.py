@@ -1,18 +1,15 @@
 """``compiled``, the decorator of every kernel, and where the machine code is kept.
 
 Numba notices a change in a function's own file only, but kernels are compiled into one another across files.
-So the cache is a folder named after the text of all packages that have kernels: a new version never runs old code. It
-lies in the user's cache folder (or in ``NUMBA_CACHE_DIR`` where that is set), so the package itself may be
-read-only.
+So the cache is a folder named after the text of all packages that have kernels: a new version never runs old code.
+``cache_folder`` tells where it lies; the package itself may be read-only.
 """
 
 from __future__ import annotations
 
 import hashlib
 import logging
-import os
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,28 +19,12 @@ from numba.core.registry import cpu_target
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from .cache_folder import choose_cache_folder
+
 Array = NDArray[Any]
 """An array as a kernel takes it; the docstrings tell shape and dtype."""
 
 log = logging.getLogger("plgs.machine")
-
-
-def _user_cache_folder() -> Path:
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA")
-        return Path(base) if base else Path.home() / "AppData" / "Local"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    base = os.environ.get("XDG_CACHE_HOME")
-    return Path(base) if base else Path.home() / ".cache"
-
-
-def _can_write(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return False
-    return os.access(folder, os.W_OK)
 
 
 def _version() -> str:
@@ -58,19 +39,7 @@ def _version() -> str:
     return digest.hexdigest()[:16]
 
 
-def choose_cache_folder() -> Path:
-    """The first that can be written: the user's setting, the user's cache folder, the temporary folder."""
-    setting = os.environ.get("NUMBA_CACHE_DIR")
-    name = f"plgs-kernels-{_version()}"
-    bases = [Path(setting)] if setting else []
-    bases += [_user_cache_folder() / "plgs", Path(tempfile.gettempdir()) / "plgs"]
-    for base in bases:
-        if _can_write(base / name):
-            return base / name
-    raise OSError(f"no folder to keep compiled kernels in; tried {', '.join(map(str, bases))}; set NUMBA_CACHE_DIR")
-
-
-CACHE_FOLDER = choose_cache_folder()
+CACHE_FOLDER = choose_cache_folder(f"plgs-kernels-{_version()}")
 
 
 def machine_target() -> tuple[str, str, str]:

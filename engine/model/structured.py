@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 import torch
 
 from .anchors import Anchors
+from .checking import check_model
 from .decoders import Decoders, DecoderShape
 
 FORMAT = 2
@@ -80,9 +81,12 @@ def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[st
 
 
 def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredScene:
-    """The inverse of ``to_tensors``. Raises ValueError for a format this version does not know."""
+    """The inverse of ``to_tensors``. Raises ValueError for a format this version does not know, and for tensors and
+    facts that do not fit together; KeyError and TypeError for facts that are missing or of another kind.
+    """
     if facts.get("format") != FORMAT:
         raise ValueError(f"model format {facts.get('format')!r} is not known to this version; lift again or update")
+    check_model(tensors, facts)
     anchors = Anchors(**{name: tensors[f"anchors.{name}"].clone() for name in (*Anchors.LEARNT, *Anchors.FIXED)})
     decoders = Decoders(DecoderShape(**facts["decoders"]), seed=0)
     weights = {name: tensor for name, tensor in tensors.items() if name.startswith("decoders.")}

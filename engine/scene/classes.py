@@ -5,10 +5,12 @@ from __future__ import annotations
 import colorsys
 from dataclasses import dataclass
 
+LARGEST_ID = 65535
+"""Of classes, and of a result's instances: tables by id (palettes, label images of 16 bits) stay small."""
 VOID = 0
 """Class id of pixels without a label. It is never predicted."""
-LARGEST_CLASS_ID = 2**24 - 2
-"""Passes hold class ids as 32-bit floats, which count exactly up to 2**24."""
+LARGEST_CLASS_ID = LARGEST_ID - 1
+"""Of classes as masks number them: a table that uses 0 is shifted by one."""
 
 
 @dataclass(frozen=True)

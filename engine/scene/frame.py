@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gates import printable
 from .camera import Camera
 from .classes import ClassTable
 from .sparse_points import SparsePoints
@@ -132,5 +133,5 @@ class SceneError(Exception):
     """Input that cannot be lifted: what is wrong, where (a file or folder), and what to do about it."""
 
     def __init__(self, what: str, where: Path | str, fix: str) -> None:
-        super().__init__(f"{what}: {where}. {fix}")
+        super().__init__(printable(f"{what}: {where}. {fix}"))
         self.what, self.where, self.fix = what, str(where), fix

@@ -9,16 +9,22 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, Literal
 
+from ..gates import open_plain, read_plain
 from .frame import SceneError, Size
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB\x60\x82"
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+_JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _TAIL = 4096
+MOST_PIXELS = 1 << 27
+"""134 megapixels: more no camera has. Decoded, they take 400 MB."""
+_MOST_BYTES = 1 << 29
 
 
 @dataclass(frozen=True)
@@ -40,16 +46,16 @@ class ImageHeader:
 def read_image_header(path: Path) -> ImageHeader:
     """Read the header of a PNG or JPEG and see that the file has an end. Raises SceneError."""
     try:
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             start = file.read(33)
             if not start:
                 raise SceneError("the image is empty", path, "Write this file again.")
             if start.startswith(_PNG_SIGNATURE):
                 header, end = _png_header(start, path), _PNG_END
-            elif start.startswith(b"\xff\xd8"):
+            elif start.startswith(_JPEG_START):
                 header, end = _jpeg_header(file, path), _JPEG_END
             else:
-                raise SceneError("this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
+                raise _neither(path)
             # A thumbnail in the metadata ends like a JPEG, but comes before the frame header.
             after_header = file.tell()
             file.seek(max(after_header, file.seek(0, 2) - _TAIL))
@@ -57,29 +63,50 @@ def read_image_header(path: Path) -> ImageHeader:
     except OSError as error:
         raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
     # Some cameras append data after a JPEG's end; then the whole file has to be searched.
-    if end not in tail and (header.format == "png" or not _jpeg_is_whole(path.read_bytes())):
+    if end not in tail and (header.format == "png" or not _jpeg_is_whole(_read(path))):
         raise _truncated(path)
     return header
 
 
 def check_image_file(path: Path) -> bytes:
     """Read an image's bytes and see that they are whole and, for a PNG, undamaged (checksums). Raises SceneError."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    data = _read(path)
     check_image_bytes(data, path)
     return data
 
 
+def _read(path: Path) -> bytes:
+    try:
+        return read_plain(path, _MOST_BYTES)
+    except OSError as error:
+        raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
+
+
 def check_image_bytes(data: bytes, path: Path) -> None:
-    """``check_image_file`` for bytes that come out of the file ``path``. Raises SceneError."""
+    """``check_image_file`` for bytes that come out of the file ``path``. Raises SceneError, also for images of other
+    kinds than PNG and JPEG, whose decoders never get to see them, and for more pixels than memory should be given to.
+    """
     if not data:
         raise SceneError("the image is empty", path, "Write this file again.")
     if data.startswith(_PNG_SIGNATURE):
+        _png_header(data[:33], path)
         _check_png_chunks(data, path)
-    elif data.startswith(b"\xff\xd8") and not _jpeg_is_whole(data):
-        raise _truncated(path)
+    elif data.startswith(_JPEG_START):
+        _jpeg_header(BytesIO(data), path)
+        if not _jpeg_is_whole(data):
+            raise _truncated(path)
+    else:
+        raise _neither(path)
+
+
+def _neither(path: Path) -> SceneError:
+    return SceneError("this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
+
+
+def _refuse_vast(width: int, height: int, path: Path) -> None:
+    if width * height > MOST_PIXELS:
+        what = f"the image claims {width}x{height} pixels, at most {MOST_PIXELS // 10**6} million may be"
+        raise SceneError(what, path, "Make it smaller, or write this file again.")
 
 
 def _truncated(path: Path) -> SceneError:
@@ -92,6 +119,7 @@ def _png_header(start: bytes, path: Path) -> ImageHeader:
     width, height, bit_depth, kind = struct.unpack(">IIBB", start[16:26])
     if kind not in _PNG_CHANNELS or not width or not height:
         raise SceneError("the PNG header makes no sense", path, "Write this file again.")
+    _refuse_vast(width, height, path)
     return ImageHeader("png", width, height, bit_depth, _PNG_CHANNELS[kind], palette=kind == 3)
 
 
@@ -113,6 +141,7 @@ def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
             bit_depth, height, width, channels = struct.unpack(">BHHB", body)
             if not width or not height:
                 raise SceneError("the JPEG header makes no sense", path, "Write this file again.")
+            _refuse_vast(width, height, path)
             return ImageHeader("jpeg", width, height, bit_depth, channels)
         file.seek(length - 2, 1)
 

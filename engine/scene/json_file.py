@@ -10,14 +10,18 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gates import read_plain
 from .frame import SceneError
 from .layout import shown
+
+MOST_BYTES = 1 << 28
+"""Of a file; the longest recordings' tables are tenths of that."""
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
     """Read a file that holds one JSON object. Raises SceneError when it is missing, cut off or of another kind."""
     try:
-        data = path.read_bytes()
+        data = read_plain(path, MOST_BYTES)
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
     return parse_json_object(data, path)
@@ -37,8 +41,9 @@ def parse_json_object(data: bytes, path: Path) -> dict[str, Any]:
         raise SceneError(
             f"the JSON is cut off or broken (line {error.lineno}: {error.msg})", path, "Write this file again."
         ) from error
-    except (ValueError, RecursionError) as error:
-        raise SceneError(f"the JSON cannot be used ({error})", path, "Write this file again.") from error
+    except (ValueError, RecursionError, MemoryError) as error:
+        reason = str(error) or "no memory is left for it"
+        raise SceneError(f"the JSON cannot be used ({reason})", path, "Write this file again.") from error
     if not isinstance(content, dict):
         raise SceneError(f"the file holds {kind_of(content)}, not an object", path, "Write it as {...}.")
     return content

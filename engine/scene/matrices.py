@@ -9,9 +9,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gates import read_plain
 from .camera import Camera
 from .frame import SceneError, Size
 
+_MOST_BYTES = 1 << 20
 UpAxis = Literal["z", "y", "-y"]
 
 _TO_Z_UP = {
@@ -30,7 +32,7 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.f
     """Read a matrix of one of ``shapes`` from text; it may hold inf, never NaN. Raises SceneError."""
     wanted = " or ".join(f"{rows}x{columns}" for rows, columns in shapes)
     try:
-        lines = [line.replace(",", " ").split() for line in path.read_text(encoding="utf-8").splitlines()]
+        lines = [line.replace(",", " ").split() for line in read_plain(path, _MOST_BYTES).decode().splitlines()]
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
     except UnicodeDecodeError as error:

@@ -65,8 +65,9 @@ def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION if as_colour else cv2.IMREAD_UNCHANGED
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error as error:
-        raise SceneError(f"the image cannot be decoded ({error.err})", path, "Write it again.") from error
+    except (cv2.error, MemoryError) as error:
+        reason = getattr(error, "err", "no memory is left for it")
+        raise SceneError(f"the image cannot be decoded ({reason})", path, "Write it again.") from error
     if pixels is None:
         raise SceneError("the image cannot be decoded", path, "Write this file again.")
     if pixels.ndim == 3:

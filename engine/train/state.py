@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import torch
 
+from ..model.checking import Wanted, check_tensors
 from ..model.growing import GrowthStatistics
-from ..model.structured import from_tensors, to_tensors
+from ..model.structured import StructuredScene, from_tensors, to_tensors
 from .trainer import Trainer
 
 
@@ -27,8 +29,13 @@ def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, 
 
 
 def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
-    """Put ``trainer`` (made for the same input, preset and seed) into a stored state."""
-    trainer.scene = from_tensors(_under("model.", tensors), facts["model"])
+    """Put ``trainer`` (made for the same input, preset and seed) into a stored state.
+
+    Raises ValueError, KeyError or TypeError for one that is damaged, or another lift's; the trainer is as it was then.
+    """
+    scene = from_tensors(_under("model.", tensors), facts["model"])
+    _check(trainer, scene, tensors, facts)
+    trainer.scene = scene
     trainer.optimiser = trainer.optimiser.rebound(trainer.scene.anchors, trainer.scene.decoders)
     trainer.optimiser.restore(_under("optimiser.", tensors), facts["optimiser_steps"])
     growth = _under("growth.", tensors)
@@ -39,6 +46,34 @@ def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mappin
         target.pseudo_slot = None if slot is None else slot.clone()
     trainer.step_number = facts["step"]
     trainer.follow_anchors()
+
+
+def _check(
+    trainer: Trainer, scene: StructuredScene, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]
+) -> None:
+    """Raises ValueError unless all but the model fits too."""
+    if (scene.channels, scene.decoders.shape) != (trainer.scene.channels, trainer.scene.decoders.shape):
+        raise ValueError("it belongs to a lift with other labels")
+    if type(facts["step"]) is not int or not 0 <= facts["step"] <= trainer.preset.steps:
+        raise ValueError("its step is none of this lift")
+    if type(facts["optimiser_steps"]) is not int or facts["optimiser_steps"] < 0:
+        raise ValueError("its optimiser's steps are no number")
+    parameters = {f"anchors.{name}": getattr(scene.anchors, name) for name in scene.anchors.LEARNT}
+    parameters |= {f"decoders.{name}": parameter for name, parameter in scene.decoders.named_parameters()}
+    moments, growth = _under("optimiser.", tensors), _under("growth.", tensors)
+    wanted = {
+        f"{name}.{moment}": Wanted(tuple(parameter.shape), least=-math.inf if moment == "mean" else 0.0)
+        for name, parameter in parameters.items()
+        for moment in ("mean", "square")
+    }
+    check_tensors(moments, wanted if moments else {})
+    empty = GrowthStatistics.empty(scene.anchors).tensors()
+    check_tensors(growth, {name: Wanted(tuple(tensor.shape), least=0.0) for name, tensor in empty.items()})
+    for prefix, channels in (("pseudo.", scene.channels.class_ids), ("pseudo_slot.", scene.channels.slot_ids)):
+        maps = _under(prefix, tensors)
+        shapes = {f"{number}": tuple(target.projected.shape) for number, target in enumerate(trainer.targets)}
+        wanted = {name: Wanted(shapes[name], torch.int16, -1, len(channels) - 1) for name in maps}
+        check_tensors(maps, wanted)
 
 
 def _under(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ...engine.job import JobError
 from ...engine.job.handshake import TOO_OLD, VERSION, EngineAnswer
-from ...engine.job.process import ROOT, EngineProcess
+from ...engine.job.process import ROOT, EngineProcess, engine_call
 
 PATIENCE_S = 10.0
 """An answer takes a few tenths of a second, the first one from a cold disk a few seconds."""
@@ -51,7 +51,7 @@ class Handshake:
         self._process: EngineProcess | None = None
         self._refused: JobError | None = None
         try:
-            self._process = EngineProcess([python, "-m", "engine", "handshake"], root)
+            self._process = EngineProcess([*engine_call(python, root), "handshake"], root)
         except JobError as error:
             self._refused = error
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...engine.gates import without_credentials
 from ...engine.job.process import clean_environment
 
 CPU_BUILDS = "https://download.pytorch.org/whl/cpu"
@@ -18,12 +19,17 @@ INSTALLING = "Installing collected packages"
 """What pip says when all is there and it begins to write into the environment."""
 
 
-def environment(temporary: Path) -> dict[str, str]:
-    """This process's environment for pip: the user's indexes, proxies and certificates stay, downloads go beside the
-    environment, where they are measured and cleaned up.
+def environment(temporary: Path, index_url: str = "") -> dict[str, str]:
+    """This process's environment for pip: the user's indexes, proxies, certificates and hash policy stay, downloads go
+    beside the environment, where they are measured and cleaned up.
+
+    ``index_url`` takes the place of PyPI; empty leaves it to pip's configuration. It is given here, not as an argument:
+    its password would stand in the log, and in the list of processes.
     """
     kept = {name: value for name, value in clean_environment().items() if name not in _ELSEWHERE}
-    ours = {"PIP_USER": "0", "PIP_REQUIRE_HASHES": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
+    ours = {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
+    if index_url:
+        ours["PIP_INDEX_URL"] = index_url
     return kept | ours | {"TMPDIR": str(temporary), "TEMP": str(temporary), "TMP": str(temporary)}
 
 
@@ -32,19 +38,14 @@ def install_command(
 ) -> list[str | Path]:
     """Install pinned packages, as wheels: nothing is compiled."""
     usual = ["--only-binary", ":all:", "--no-compile", "--no-color", "--progress-bar", "off"]
-    return [python, "-m", "pip", "install", *usual, *options, "--constraint", constraints, *requirements]
-
-
-def index_options(index_url: str) -> list[str]:
-    """The given index in the place of PyPI; otherwise pip looks where it is configured to."""
-    return ["--index-url", index_url] if index_url else []
+    return [python, "-I", "-m", "pip", "install", *usual, *options, "--constraint", constraints, *requirements]
 
 
 def torch_options(index_url: str, torch_build: str) -> list[str]:
     """Torch alone, without what it needs: nothing else shall come from PyTorch's index of CPU builds."""
     if not index_url and torch_build == "cpu" and sys.platform == "linux":
         return ["--no-deps", "--extra-index-url", CPU_BUILDS]
-    return ["--no-deps", *index_options(index_url)]
+    return ["--no-deps"]
 
 
 def news(line: str) -> str | None:
@@ -63,4 +64,4 @@ def complaint(output: str) -> str:
     """The first error that pip told, else its last line."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     errors = [line.removeprefix("ERROR:").strip() for line in lines if line.startswith("ERROR:")]
-    return (errors or lines or ["no reason given"])[0 if errors else -1][:300]
+    return without_credentials((errors or lines or ["no reason given"])[0 if errors else -1][:300])

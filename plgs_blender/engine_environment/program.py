@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 
+from ...engine.gates import without_credentials
 from ...engine.job import JobError
 from ...engine.job.process import ChildProcess
 
@@ -31,7 +32,7 @@ def run_program(
     yield  # starting a program takes milliseconds: a poll of its own
     began = time.monotonic()
     with log_path.open("ab") as log, log_path.open("rb") as reader:
-        log.write(f"\n$ {' '.join(map(str, command))}\n".encode())
+        log.write(without_credentials(f"\n$ {' '.join(map(str, command))}\n").encode())
         log.flush()
         reader.seek(log.tell())
         process = ChildProcess(command, cwd=cwd, environment=environment, output=log, keep_open=keep_open)

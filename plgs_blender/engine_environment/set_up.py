@@ -13,11 +13,11 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
-from ...engine.job import JobError
+from ...engine.job import JobError, write_atomically
 from ...engine.job.environment import COMPLETE, environment_name, environments_folder, is_complete, python_in
 from ...engine.job.handshake import EngineAnswer
 from ...engine.job.lock import FileLock, is_locked
-from ...engine.job.process import ROOT, clean_environment
+from ...engine.job.process import ROOT, clean_environment, engine_call
 from ...engine.job.requirements import constraints_path, needed_packages, pinned_versions
 from . import pip
 from .base_python import PROBE, BasePython, candidates, judge, wanted
@@ -37,6 +37,7 @@ NEEDED_BYTES = {"cpu": 4 * _GIGABYTE, "cuda": 14 * _GIGABYTE}
 _TORCH_BYTES = {"cpu": 0.75 * _GIGABYTE, "cuda": 1.5 * _GIGABYTE}
 _OTHER_BYTES = {"cpu": 0.55 * _GIGABYTE, "cuda": 5.0 * _GIGABYTE}
 _COMPILING_S = 40.0
+_SYNC = "import os; getattr(os, 'sync', lambda: None)()"
 
 
 class SetUp:
@@ -176,7 +177,7 @@ class SetUp:
         yield from self._install("torch", environment, command, notes)
         self._tell(4, "Installing the other packages")
         self._begin(0.5, 0.8, expected_bytes=_OTHER_BYTES[wish.torch_build])
-        command = pip.install_command(python, list(pins.values()), constraints, pip.index_options(wish.index_url))
+        command = pip.install_command(python, list(pins.values()), constraints, [])
         yield from self._install("packages", environment, command, notes)
 
     def _install(
@@ -195,7 +196,8 @@ class SetUp:
             if news := pip.news(line):
                 self._tell(self.progress.step, self.progress.label, news)
 
-        output, code = yield from self._run(command, environment=pip.environment(temporary), read_line=read_line)
+        variables = pip.environment(temporary, self.wish.index_url)
+        output, code = yield from self._run(command, environment=variables, read_line=read_line)
         if code != 0:
             fix = "See to the connection or the disk, then set the engine up again: it goes on there."
             raise JobError(f"pip could not install {step} ({pip.complaint(output)})", self.log_path, fix)
@@ -208,7 +210,7 @@ class SetUp:
         """The truest test that the engine works here: a lift so small that it is of no use."""
         self._begin(0.8, 0.98, expected_s=_COMPILING_S)
         self._tell(5, "Compiling for this machine", "Half a minute")
-        output, code = yield from self._run([python_in(environment), "-m", "engine", "warm-up"], cwd=self.root)
+        output, code = yield from self._run([*engine_call(python_in(environment), self.root), "warm-up"], cwd=self.root)
         if code != 0:
             what = f"the engine does not work in its new environment ({pip.complaint(output)})"
             raise JobError(what, self.log_path, "Remove the engine, then set it up again. The log tells more.")
@@ -220,7 +222,9 @@ class SetUp:
         if answer.missing:
             fix = "Remove the engine, then set it up again."
             raise JobError(f"the new environment lacks {', '.join(answer.missing)}", environment, fix)
-        (environment / COMPLETE).write_text(f"{answer.python}\n", encoding="utf-8")
+        # What pip wrote first: after a power cut nothing may be complete that is not there. A program, for it waits.
+        yield from self._run([python_in(environment), "-I", "-c", _SYNC])
+        write_atomically(environment / COMPLETE, f"{answer.python}\n")
 
     def _ask(self, python: Path) -> Generator[None, None, EngineAnswer | NoAnswer]:
         self._begin(0.98, 1.0)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import bpy
 
+from ...engine.job.recent import remembered_lifts
 from .. import scene_survey
 from ..engine_environment import engine_python
 from ..paths import absolute
@@ -82,33 +83,39 @@ def _scenes() -> list[bpy.types.Scene]:
     return [*(window.scene for window in bpy.context.window_manager.windows), *bpy.data.scenes]
 
 
-def look_at_all_scenes() -> None:
-    """Find the lifts again that the scenes of the open file were working on, and see which others there are."""
-    recents.refresh()
+def find_own_lifts() -> None:
+    """Find the lifts again that the scenes of the open file were working on: those of this user's own list.
+
+    A file may come from somebody else, and name any path: a FIFO, or a disk that never answers. What this user's
+    engines have not worked on is looked at when somebody asks for it, and so is the scene's folder.
+    """
+    own = {Path(path) for path in remembered_lifts()}
     for scene in bpy.data.scenes:
-        if scene.plgs.lift_folder:
+        if scene.plgs.lift_folder and absolute(scene.plgs.lift_folder) in own:
             look_at_lift(absolute(scene.plgs.lift_folder))
-    settings = bpy.context.scene.plgs
-    if settings.scene_folder:
-        look_at_scene(Place.of(settings.scene_folder, settings.masks, settings.up, settings.format, settings.depth))
+
+
+def _at_start() -> None:
+    recents.refresh()
+    find_own_lifts()
 
 
 @bpy.app.handlers.persistent
 def _on_load(*_: object) -> None:
-    look_at_all_scenes()
+    find_own_lifts()
 
 
 def register() -> None:
     bpy.app.handlers.load_post.append(_on_load)
     # Not now: while extensions are switched on there is no file to look at.
     if not bpy.app.background:
-        bpy.app.timers.register(look_at_all_scenes, first_interval=0.0)
+        bpy.app.timers.register(_at_start, first_interval=0.0)
 
 
 def unregister() -> None:
     """Stop, and let go of the lifts: engines of our own end, unless they were asked to go on."""
     bpy.app.handlers.load_post.remove(_on_load)
-    for timer in (tick, look_at_all_scenes):
+    for timer in (tick, _at_start):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     scene_survey.stop_looking()

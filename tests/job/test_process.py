@@ -84,8 +84,8 @@ def test_an_environment_whose_python_is_gone_is_none(code: Path, environ: dict[s
 
 
 def test_kernels_and_environments_lie_in_one_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled = pytest.importorskip("engine.machine.compiled")
-    assert compiled._user_cache_folder() == user_cache_folder()
+    cache_folder = pytest.importorskip("engine.machine.cache_folder")
+    assert cache_folder.user_cache_folder() == user_cache_folder()
 
 
 def test_a_chosen_python_is_refused_when_it_lacks_something(code: Path, tmp_path: Path) -> None:

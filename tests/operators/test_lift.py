@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections.abc import Callable
@@ -10,8 +11,11 @@ from pathlib import Path
 import bpy
 import pytest
 from plgs.engine.job import LiftFolder
-from plgs.plgs_blender import engine_environment
+from plgs.engine.job.recent import remember_lift
+from plgs.plgs_blender import engine_environment, scene_survey
 from plgs.plgs_blender.running import lifts
+
+from tests.job.bytes_read import bytes_read
 
 ENGINE = Path(__file__).resolve().parents[1] / "job" / "fake_engine.py"
 Behaves = Callable[[str], None]
@@ -93,12 +97,45 @@ def test_watching_a_finished_lift_places_it(lift: Path) -> None:
 
 
 def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None:
-    bpy.context.scene.plgs.lift_folder = str(lift)
+    remember_lift(lift)
+    reopen_with(lift, tmp_path)
+    watch = lifts.watch_of(lift)
+    assert watch is not None and watch.is_finished
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
+def test_opening_a_file_looks_at_no_path_of_somebody_else(
+    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    os.mkfifo(theirs / "request.json")
+    os.mkfifo(theirs / "events.jsonl")
+    bpy.context.scene.plgs.scene_folder = ""
+    looked: list[object] = []
+    monkeypatch.setattr(scene_survey, "look", lambda place, python: looked.append(place))
+    bpy.context.scene.plgs.scene_folder = str(theirs)
+    looked.clear()
+    reopen_with(theirs, tmp_path)
+    assert lifts.watch_of(theirs) is None and lifts.refusal_of(theirs) is None and looked == []
+    with pytest.raises(RuntimeError, match="neither a file nor a folder of a lift"):
+        bpy.ops.plgs.watch_lift()
+
+
+def test_looking_at_a_huge_file_of_events_takes_no_time(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    with (tmp_path / "lift" / "events.jsonl").open("wb") as file:
+        file.truncate(1 << 30)
+    before = bytes_read()
+    assert lifts.look_at(tmp_path / "lift") is not None
+    assert bytes_read() - before < 8 << 20
+
+
+def reopen_with(folder: Path, tmp_path: Path) -> None:
+    bpy.context.scene.plgs.lift_folder = str(folder)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     lifts.let_go()
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
-    watch = lifts.watch_of(lift)
-    assert watch is not None and watch.is_finished
 
 
 def test_cancelling_what_is_not_running_says_so(lift: Path) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import read_plain
 from ..camera import Camera
 from ..colour import ColourReader
 from ..frame import SceneError, Size
@@ -33,6 +34,7 @@ LOOKS_FOR = "cameras and images, .bin or .txt, in sparse/0, sparse, model or col
 _MODELS = ("sparse/0", "sparse", "model", "colmap/sparse/0", ".")
 _IMAGES = ("images", "image", "rgb", "color", "input", ".")
 _SCALE = "COLMAP's lengths have no unit, and a lift takes them for metres: scale the model where that is far off"
+_MOST_DEPTH = 1 << 30
 
 
 def recognises(place: Path) -> bool:
@@ -145,7 +147,7 @@ class DenseDepthReader:
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Planar depth, float32 [H, W], 0 = none. Raises SceneError."""
         try:
-            data = self.path.read_bytes()
+            data = read_plain(self.path, _MOST_DEPTH)
         except OSError as error:
             fix = "Check that it exists."
             raise SceneError(f"the file cannot be read ({error.strerror})", self.path, fix) from error

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import read_plain
 from ..frame import SceneError
 from ..sparse_points import SparsePoints
 
@@ -74,6 +75,7 @@ def read_model(folder: Path) -> ColmapModel:
     return ColmapModel(folder, cameras, images, point_ids, points)
 
 
+MOST_BYTES = 1 << 31
 _SUFFIXES = ("bin", "txt")
 
 
@@ -83,7 +85,7 @@ class _Bytes:
     def __init__(self, path: Path) -> None:
         self.path, self.position = path, 0
         try:
-            self.data = path.read_bytes()
+            self.data = read_plain(path, MOST_BYTES)
         except OSError as error:
             raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
 
@@ -164,7 +166,7 @@ def _as_points(
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, comments left out. Raises SceneError."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_plain(path, MOST_BYTES).decode()
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
     except UnicodeDecodeError as error:

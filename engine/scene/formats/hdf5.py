@@ -40,7 +40,7 @@ def _dataset(path: Path, dimensions: int) -> Iterator[Any]:
     if not path.is_file():
         raise SceneError("the file is missing", path, _FIX)
     try:
-        with h5py.File(path, "r") as file:
+        with h5py.File(path, "r") as file:  # is_file above: no FIFO
             dataset = file.get("dataset")
             if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
                 raise SceneError('there is no array of numbers called "dataset"', path, _FIX)

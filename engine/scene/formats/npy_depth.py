@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import array_file
 from ..frame import SceneError, Size
 from ..pixels import resize_nearest
 
@@ -40,12 +41,4 @@ def read_picture(path: Path) -> NDArray[Any]:
 
 def read_npy(path: Path) -> NDArray[np.generic]:
     """The array in a .npy file, never a pickled one. Raises SceneError."""
-    try:
-        values = np.load(path, allow_pickle=False)
-    except OSError as error:
-        raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
-    except (ValueError, EOFError) as error:
-        raise SceneError("this is no NumPy array of numbers", path, "Write this file again.") from error
-    if not isinstance(values, np.ndarray):
-        raise SceneError("this is no NumPy array of numbers", path, "Save one array with numpy.save.")
-    return values
+    return array_file.read_npy(path, "Save one array with numpy.save.")

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import read_plain
 from ..frame import SceneError
 from ..sparse_points import SparsePoints
 
+_MOST_BYTES = 1 << 30
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"),
     **dict.fromkeys(("short", "int16"), "i2"), **dict.fromkeys(("ushort", "uint16"), "u2"),
@@ -22,7 +24,7 @@ _FIX = "Write a PLY whose first element is vertex, with x, y, z."
 def read_ply_points(path: Path) -> SparsePoints:
     """The vertices of a PLY (ascii or binary), white where it has no colours. Raises SceneError."""
     try:
-        data = path.read_bytes()
+        data = read_plain(path, _MOST_BYTES)
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
     end = data.find(b"end_header")

@@ -17,6 +17,7 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import read_plain, refuse_special
 from ..camera import Camera
 from ..frame import SceneError, Size
 from ..json_file import parse_json_object, take_list, take_matrix, take_number
@@ -53,7 +54,7 @@ class _Archive:
         """Raises SceneError."""
         if self.path.is_dir():
             try:
-                return (self.path / name).read_bytes()
+                return read_plain(self.path / name, _LARGEST)
             except OSError as error:
                 raise SceneError(f"the file cannot be read ({error.strerror})", self.path / name, _FIX) from error
         with self._open() as archive:
@@ -68,6 +69,7 @@ class _Archive:
 
     def _open(self) -> ZipFile:
         try:
+            refuse_special(self.path)
             return ZipFile(self.path)
         except (BadZipFile, OSError, ValueError, NotImplementedError) as error:
             raise SceneError("this is no .r3d file, or it is cut off", self.path, _FIX) from error

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import read_plain
 from ..frame import SceneError
+from ..json_file import MOST_BYTES
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool =
     ``fix`` as the advice.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_plain(path, MOST_BYTES).decode("utf-8-sig")
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
     except UnicodeDecodeError as error:

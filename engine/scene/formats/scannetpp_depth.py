@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import open_plain
 from ..frame import SceneError, Size
 from ..pixels import resize_nearest
 from .lz4_block import lz4_unpack
@@ -45,7 +46,7 @@ class DepthFile:
                     return self._from_stream(number)
             if number >= len(self._blocks):
                 raise SceneError(f"there is no depth of frame {number}", self.path, _FIX)
-            with self.path.open("rb") as file:
+            with open_plain(self.path) as file:
                 file.seek(self._blocks[number][0])
                 return _unpack_block(file.read(self._blocks[number][1]))
         except (zlib.error, ValueError, OSError) as error:
@@ -55,7 +56,7 @@ class DepthFile:
         if self._file is None or number < self._next:
             if self._file is not None:
                 self._file.close()
-            self._file = self.path.open("rb")
+            self._file = open_plain(self.path)
             self._unpacker, self._next = zlib.decompressobj(-zlib.MAX_WBITS), 0
         while True:
             depth = self._unpack(4 * _PIXELS)
@@ -94,7 +95,7 @@ class DepthFileReader:
 def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
     """Where each frame's block starts and how long it is; None where the sizes do not lead to the file's end."""
     end, blocks, start = path.stat().st_size, [], 0
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         while start < end:
             file.seek(start)
             length = int.from_bytes(file.read(4), "little")

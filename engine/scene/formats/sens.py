@@ -16,6 +16,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import open_plain
 from ..camera import Camera
 from ..depth import fitting_alignment
 from ..frame import SceneError, Size
@@ -55,7 +56,7 @@ class _Block:
     def read(self) -> bytes:
         """Raises SceneError."""
         try:
-            with self.path.open("rb") as file:
+            with open_plain(self.path) as file:
                 file.seek(self.start)
                 data = file.read(self.size)
         except OSError as error:
@@ -86,7 +87,7 @@ def read(place: Path) -> Capture:
         raise SceneError("there is no .sens file, or more than one", place, "Name the file.")
     shots, lost = [], []
     end = path.stat().st_size
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         header = _read_header(file, path)
         alignment = fitting_alignment(header.colour, header.depth)
         for number in range(header.frames):

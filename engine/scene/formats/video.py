@@ -11,9 +11,13 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import open_plain
 from ..frame import SceneError, Size
 from ..pixels import resize_colour
 
+_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
+"""One of these an MP4 or MOV begins with."""
+_MATROSKA = b"\x1a\x45\xdf\xa3"
 _FIX = "Copy or record it again, or take its pictures out with another tool."
 
 
@@ -51,7 +55,8 @@ class Video:
         import cv2
 
         if self._capture is None or number < self._next:
-            self._capture = cv2.VideoCapture(str(self.path))
+            _refuse_other_files(self.path)
+            self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
             self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
             self._next = 0
             if not self._capture.isOpened():
@@ -59,6 +64,20 @@ class Video:
                 raise SceneError("the video cannot be opened", self.path, _FIX)
         while self._next < number and self._capture.grab():
             self._next += 1
+
+
+def _refuse_other_files(path: Path) -> None:
+    """Raise SceneError for what is no MP4, MOV, Matroska or AVI by its first bytes: the decoder would follow the
+    addresses in a playlist, wherever they lead.
+    """
+    try:
+        with open_plain(path) as file:
+            start = file.read(12)
+    except OSError as error:
+        raise SceneError(f"the video cannot be read ({error.strerror})", path, _FIX) from error
+    is_avi = start[:4] == b"RIFF" and start[8:] == b"AVI "
+    if start[4:8] not in _BOXES and not start.startswith(_MATROSKA) and not is_avi:
+        raise SceneError("this is no MP4, MOV, Matroska or AVI video", path, _FIX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +95,7 @@ class VideoColour:
 
 def mp4_size(path: Path) -> Size | None:
     """The size of an MP4's pictures from its headers; None for other videos, and where headers are not as usual."""
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         end = file.seek(0, 2)
         if not any(kind == b"ftyp" for kind, _, _ in _boxes(file, 0, min(end, 64))):
             return None

@@ -22,12 +22,13 @@ from package_index import PackageIndex  # noqa: E402
 
 # The engine as it is, but warming up only imports what was installed.
 MAIN = """
-import sys
+import os, sys
 if sys.argv[1] == "warm-up":
     import torch, numba
     print("compiled for", torch.__version__)
 else:
-    from .command_line.main import main
+    sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    from engine.command_line.main import main
     sys.exit(main(sys.argv[1:]))
 """
 
@@ -38,7 +39,7 @@ def code(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     code = tmp_path_factory.mktemp("code")
     shutil.copytree(root / "requirements", code / "requirements")
     (code / "engine").mkdir()
-    for name in ("__init__.py", "job", "scene", "command_line"):
+    for name in ("__init__.py", "gates", "job", "scene", "command_line"):
         (code / "engine" / name).symlink_to(root / "engine" / name)
     (code / "engine" / "__main__.py").write_text(MAIN)
     return code

@@ -1,0 +1,80 @@
+"""Where compiled kernels are kept: a folder that nobody else can write to.
+
+Numba's index of it is a pickle, which runs as it is read: whoever could write there would run code as this user.
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from stat import S_ISDIR, S_ISVTX, S_IWGRP, S_IWOTH
+
+log = logging.getLogger("plgs.machine")
+
+
+def choose_cache_folder(name: str) -> Path:
+    """The folder ``name``, made in the first place that is safe: the user's setting, the user's cache folder.
+
+    Where neither is, a folder for this process alone: then every start compiles anew, and the log says why.
+    """
+    setting = os.environ.get("NUMBA_CACHE_DIR")
+    bases = [Path(setting).absolute()] if setting else []
+    bases.append(user_cache_folder() / "plgs")
+    for base in bases:
+        reason = _make(base / name)
+        if reason is None:
+            return base / name
+        log.warning("compiled kernels are not kept in %s: %s", base, reason)
+    own = Path(tempfile.mkdtemp(prefix="plgs-kernels-"))  # made for this user alone, under a name nobody can guess
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    return own
+
+
+def user_cache_folder() -> Path:
+    """The folder that this system keeps the user's caches in."""
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA")
+        return Path(base) if base else Path.home() / "AppData" / "Local"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    base = os.environ.get("XDG_CACHE_HOME")
+    return Path(base) if base else Path.home() / ".cache"
+
+
+def _make(folder: Path) -> str | None:
+    """Why kernels cannot be kept in a folder; None when it is there, and safe."""
+    try:
+        missing = [each for each in (folder, *folder.parents) if not each.exists()]
+        for each in reversed(missing):
+            each.mkdir(mode=0o700, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            return "it cannot be written"
+        return why_unsafe(folder)
+    except OSError as error:
+        return f"{error.filename} cannot be used ({error.strerror})"
+
+
+def why_unsafe(folder: Path) -> str | None:
+    """Who else could write to a folder, or exchange it; None when only this user and root can.
+
+    On Windows, whose rights are kept otherwise, nothing is looked at.
+    """
+    if sys.platform == "win32":
+        return None
+    for each in (folder, *folder.parents, *folder.resolve().parents):
+        found = os.lstat(each)
+        is_own = found.st_uid in (0, os.getuid()) if each != folder else found.st_uid == os.getuid()
+        if not is_own:
+            return f"{each} belongs to another user"
+        if each == folder and not S_ISDIR(found.st_mode):
+            return f"{each} is no folder"
+        # In a sticky folder, such as /tmp, nobody can exchange what is another's.
+        is_sticky = bool(found.st_mode & S_ISVTX) and each != folder
+        if S_ISDIR(found.st_mode) and found.st_mode & (S_IWGRP | S_IWOTH) and not is_sticky:
+            return f"others may write to {each} (chmod go-w would mend that)"
+    return None
