@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from engine.job import EventReader, EventWriter, last_run
 from engine.job.events import MOST_BYTES, TAIL_BYTES, last_events
+from tests.job.bytes_read import bytes_read
 
 
 def lines(path: Path) -> list[dict[str, object]]:
@@ -189,3 +191,52 @@ def test_bad_events_are_dropped(tmp_path: Path, line: str) -> None:
     assert [event.data["message"] for event in EventReader(path).poll()] == ["good"]
     assert [event.seq for event in last_events(path)] == [2]
     EventWriter(path).warning("goes on")
+
+
+def test_a_full_disk_tears_no_line_that_the_next_would_be_lost_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, write = tmp_path / "events.jsonl", os.write
+    writer, room = EventWriter(path), [60]
+
+    def into_what_is_left(descriptor: int, data: bytes) -> int:
+        if not room[0]:
+            raise OSError(28, "No space left on device")
+        written = write(descriptor, data[: room[0]])
+        room[0] -= written
+        return written
+
+    monkeypatch.setattr(os, "write", into_what_is_left)
+    with pytest.raises(OSError):
+        writer.warning("x" * 200)
+    room[0] = 10_000
+    writer.error("the disk is full", "there", "Make room.", 1)
+    assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error")]
+    # the half of a line cannot be taken back: the next begins anew
+    monkeypatch.setattr(os, "ftruncate", into_what_is_left)
+    room[0] = 60
+    with pytest.raises(OSError):
+        writer.warning("x" * 200)
+    room[0] = 10_000
+    writer.error("the disk is full", "there", "Make room.", 1)
+    assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error"), (2, "error")]
+
+
+def test_a_huge_file_without_lines_is_neither_read_nor_cut(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    with path.open("wb") as file:
+        file.truncate(1 << 32)
+    before = bytes_read()
+    assert last_events(path) == [] and last_run(path) == []
+    reader = EventReader(path, from_end=True)
+    writer = EventWriter(path)
+    writer.warning("goes on")
+    assert path.stat().st_size > 1 << 32
+    assert [event.data["message"] for event in reader.poll()] == ["goes on"]
+    assert bytes_read() - before < 100 << 20
+
+
+def test_texts_that_are_no_utf8_are_escaped(tmp_path: Path) -> None:
+    writer = EventWriter(tmp_path / "events.jsonl")
+    writer.warning("b\udce9d")
+    assert [event.data["message"] for event in EventReader(tmp_path / "events.jsonl").poll()] == ["b\udce9d"]

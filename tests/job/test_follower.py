@@ -5,6 +5,8 @@ Nothing here measures time: an engine that nobody ends would go on for longer th
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import signal
 import subprocess
@@ -18,6 +20,7 @@ import pytest
 from engine.job import EventReader, EventWriter, ExitCode, LiftFolder, LiftState
 from engine.job.events import MOST_BYTES, TAIL_BYTES
 from engine.job.follower import LiftFollower
+from engine.job.lock import FileLock
 from engine.job.process import EngineProcess
 from tests.job.bytes_read import bytes_read
 from tests.job.lift_folders import new_lift
@@ -400,3 +403,32 @@ def test_a_folder_that_goes_during_the_lift_is_told(folder: LiftFolder, start: S
     assert follower.outcome is not None and code_of(follower) is ExitCode.INTERNAL_ERROR
     assert str(follower.outcome.error).startswith(f"the lift's folder is gone: {folder.path}. ")
     assert "log" not in str(follower.outcome.error).replace(str(folder.path), "")
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
+def test_a_disk_that_does_not_answer_for_a_moment_ends_no_lift(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    folder, now = new_lift(tmp_path), [0.0]
+    writer = EventWriter(folder.events_path)
+    writer.hello(threads=1, resumed=False)
+    watcher = LiftFollower(folder, clock=lambda: now[0])
+
+    def no_answer(*_: object, **__: object) -> object:
+        raise OSError(number, os.strerror(number))
+
+    with FileLock(folder.events_path):
+        watcher.poll()
+        writer.warning("goes on")
+        for module in ("engine.job.lock", "engine.job.events"):
+            with monkeypatch.context() as patch:
+                patch.setattr(f"{module}.open_plain", no_answer)
+                now[0] += 4.0
+                assert watcher.poll() == [] and watcher.outcome is None
+        now[0] += 100.0
+        assert [event.kind for event in watcher.poll()] == ["warning"] and watcher.outcome is None
+        monkeypatch.setattr("engine.job.events.open_plain", no_answer)
+        assert watcher.poll() == []
+        now[0] += 100.0
+        with pytest.raises(OSError):
+            watcher.poll()

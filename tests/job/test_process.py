@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -19,7 +20,16 @@ from engine.job.environment import (
     python_in,
     user_cache_folder,
 )
-from engine.job.process import ChildProcess, Origin, choose_python, clean_environment, engine_python, missing_modules
+from engine.job.handshake import VERSION
+from engine.job.process import (
+    ChildProcess,
+    Origin,
+    choose_python,
+    clean_environment,
+    engine_call,
+    engine_python,
+    missing_modules,
+)
 
 
 def add_environment(folder: Path) -> Path:
@@ -152,3 +162,21 @@ def test_what_another_python_says_as_it_starts_is_no_answer(tmp_path: Path) -> N
 def test_a_path_that_no_program_can_be_told(tmp_path: Path) -> None:
     with (tmp_path / "log").open("wb") as log, pytest.raises(JobError, match="null byte"):
         ChildProcess([sys.executable, "a\0b"], cwd=tmp_path, environment={}, output=log)
+
+
+def test_a_module_in_the_current_folder_is_never_run(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scene of somebody else's may hold a folder `importlib`, and be where the engine is started."""
+    for name in ("importlib", "json", "engine", "argparse", "torch"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(f"open({str(tmp_path / 'run')!r}, 'w')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert missing_modules(Path(sys.executable), ["json", "no_such_module"]) == ["no_such_module"]
+    command = [str(part) for part in engine_call(Path(sys.executable))]
+    said = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=60)
+    assert said.stdout == f"{VERSION}\n" and said.stderr == ""
+    said = subprocess.run([*command, "inspect", "."], capture_output=True, text=True, timeout=60)
+    assert said.returncode == 2 and "no scene of a known format is here" in said.stderr
+    assert not (tmp_path / "run").exists()

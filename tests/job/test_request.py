@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from engine.job import JobError, LiftRequest
+from engine.job import JobError, LiftFolder, LiftRequest
 
 FULL = LiftRequest(
     scene=Path("/scenes/room"),
@@ -113,3 +114,23 @@ def test_tells_what_differs() -> None:
         "bake",
         "device",
     ]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="such names exist elsewhere only")
+def test_names_that_are_no_utf8_are_refused_at_once(tmp_path: Path) -> None:
+    broken = Path(os.fsdecode(b"/tmp/r\xf6om"))
+    for asked in ({"scene": broken}, {"scene": tmp_path, "masks": broken}, {"scene": tmp_path, "depth": broken}):
+        with pytest.raises(JobError, match=r"not UTF-8\): /tmp/r\?om\. Rename it") as refused:
+            LiftRequest(**asked)
+        str(refused.value).encode()
+    for refuse in (lambda path: LiftFolder.create(path, LiftRequest(scene=tmp_path)), LiftFolder.open):
+        with pytest.raises(JobError, match="not UTF-8"):
+            refuse(tmp_path / broken.name)
+    assert not (tmp_path / broken.name).exists()
+
+
+@pytest.mark.parametrize("content", [b"[" * 100_000, b" " * ((1 << 26) + 1), b"\xff", b"{"])
+def test_deep_huge_and_broken_json_is_a_line(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "request.json").write_bytes(content)
+    with pytest.raises(JobError):
+        LiftRequest.read(tmp_path / "request.json")

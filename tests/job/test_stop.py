@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 import time
@@ -98,3 +99,24 @@ def test_keeps_the_exit_code_of_the_signal_that_asked(tmp_path: Path, events: Ev
         stop.ask("Ctrl-C", ExitCode.INTERRUPTED)
         assert ended.when.wait(PATIENCE_S)
     assert ended.code == 130
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
+def test_a_disk_that_does_not_answer_now_ends_neither_lift_nor_watchdog(
+    tmp_path: Path, events: EventWriter, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    looked = threading.Event()
+
+    def no_answer(path: Path) -> bool:
+        looked.set()
+        raise OSError(number, os.strerror(number))
+
+    ended, stop = Ended(), StopSignal(tmp_path / "cancel")
+    with monkeypatch.context() as patch, Watchdog(stop, events, end_process=ended):
+        patch.setattr(Path, "exists", no_answer)
+        stop.check()
+        looked.clear()
+        assert looked.wait(PATIENCE_S)
+        patch.undo()
+        (tmp_path / "cancel").touch()
+        assert ended.when.wait(PATIENCE_S)

@@ -1,0 +1,101 @@
+"""FIFOs, devices, links and huge files in place of plain ones: refused at once, never waited for."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from engine.gates import (
+    create_plain,
+    inner_path,
+    open_plain,
+    open_to_append,
+    printable,
+    read_plain,
+    without_credentials,
+)
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
+
+
+def listening(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(path))
+
+
+SPECIAL: dict[str, Callable[[Path], object]] = {
+    "fifo": os.mkfifo,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+    "folder": Path.mkdir,
+    "socket": listening,
+}
+
+
+@pytest.mark.parametrize("make", SPECIAL.values(), ids=SPECIAL)
+def test_only_plain_files_are_opened(
+    make: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # a socket's path is short
+    path = Path("special")
+    make(path)
+    for open_it in (open_plain, lambda path: read_plain(path, 100), open_to_append):
+        with pytest.raises(OSError):
+            open_it(path)
+
+
+def test_links_are_followed_only_where_they_may_be(tmp_path: Path) -> None:
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_bytes(b"theirs")
+    link.symlink_to(target)
+    assert read_plain(link, 100) == b"theirs"
+    for open_it in (lambda path: open_plain(path, follow_link=False), open_to_append):
+        with pytest.raises(OSError, match="it is a link"):
+            open_it(link)
+    with create_plain(link) as file:
+        file.write(b"ours")
+    assert target.read_bytes() == b"theirs" and link.read_bytes() == b"ours" and not link.is_symlink()
+
+
+def test_what_has_a_second_name_is_not_appended_to(tmp_path: Path) -> None:
+    (tmp_path / "target").write_bytes(b"theirs")
+    os.link(tmp_path / "target", tmp_path / "log.txt")
+    with pytest.raises(OSError, match="second name"):
+        open_to_append(tmp_path / "log.txt")
+
+
+def test_a_size_is_a_size(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"12345")
+    assert read_plain(path, 5) == b"12345"
+    with pytest.raises(OSError, match="larger than"):
+        read_plain(path, 4)
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(OSError, match="larger than"):
+        read_plain(path, 1 << 20)
+
+
+OUTSIDE = ["../a", "..\\a", "a\\..\\..\\b", "/a", "\\\\host\\share", "c:\\a", "c:a", "//h/s/a", "", "a\0"]
+
+
+@pytest.mark.parametrize("text", OUTSIDE)
+def test_paths_that_leave_their_folder_on_any_system(text: str) -> None:
+    with pytest.raises(ValueError, match="leaves the folder"):
+        inner_path(text)
+
+
+def test_paths_that_stay() -> None:
+    assert str(inner_path("passes/12:30 ü.exr")) == "passes/12:30 ü.exr"
+
+
+def test_what_a_terminal_would_obey() -> None:
+    assert printable("a\x1b[31mb\r\n\tü\udce9\u202e") == "a?[31mb?\n\tü??"
+
+
+def test_passwords_stay_out_of_texts() -> None:
+    told = without_credentials("at https://me:secret@host/simple, http://host")
+    assert told == "at https://****@host/simple, http://host"

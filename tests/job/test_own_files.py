@@ -1,0 +1,123 @@
+"""A lift of somebody else's cannot make an engine write, delete or wait outside of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from engine.command_line.run_engine import run_bake, run_engine
+from engine.job import EventReader, EventWriter, JobError, LiftFolder, LiftState, write_atomically
+from engine.job.follower import LiftFollower
+from engine.job.lock import FileLock
+from tests.job.lift_folders import new_lift, tiny_lift
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
+NAMES = ["request.json", "events.jsonl", "cancel", "preview.json", "log.txt", "result", "bake", "checkpoint",
+         "checkpoint.next", "checkpoint.old", ".part-checkpoint", "result/manifest.json", "result/metrics.json",
+         "result/.part-metrics.json", "bake/view-0.lock", "bake-host-1.log"]  # fmt: skip
+
+
+def folder_of_theirs(tmp_path: Path) -> Path:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "precious").write_text("content")
+    return outside
+
+
+def link(path: Path, outside: Path) -> None:
+    path.symlink_to(outside if path.name in ("result", "bake") or "checkpoint" in path.name else outside / "precious")
+
+
+def fifo(path: Path, outside: Path) -> None:
+    os.mkfifo(path)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("make", [link, fifo])
+def test_nothing_outside_is_touched(name: str, make: Callable[[Path, Path], None], tmp_path: Path) -> None:
+    folder, outside = new_lift(tmp_path), folder_of_theirs(tmp_path)
+    path = folder.path / name
+    path.parent.mkdir(exist_ok=True)
+    path.unlink(missing_ok=True)
+    make(path, outside)
+    for task in (
+        lambda: run_engine(folder, resume=True, lift=tiny_lift),
+        lambda: run_bake(folder, ["all"]),
+        folder.discard,
+    ):
+        with pytest.raises(JobError, match="which a lift never has") as refused:
+            task()
+        assert refused.value.where == str(path)
+    assert [(each.name, each.read_text()) for each in outside.iterdir()] == [("precious", "content")]
+    if "/" not in name and not name.startswith((".part", "bake-")):
+        with pytest.raises(JobError, match="which a lift never has"):
+            LiftFolder.open(folder.path)
+
+
+def test_what_others_put_beside_a_lift_is_theirs(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    (folder.path / "lift.blend").symlink_to(tmp_path / "elsewhere.blend")
+    assert run_engine(folder, lift=tiny_lift) == 0
+
+
+def test_a_log_with_a_second_name_is_not_appended_to(tmp_path: Path) -> None:
+    folder, outside = new_lift(tmp_path), folder_of_theirs(tmp_path)
+    os.link(outside / "precious", folder.log_path)
+    with pytest.raises(OSError, match="second name"):
+        run_engine(folder, lift=tiny_lift)
+    assert (outside / "precious").read_text() == "content"
+
+
+def test_a_link_that_was_waiting_for_a_part_is_replaced(tmp_path: Path) -> None:
+    outside = folder_of_theirs(tmp_path)
+    (tmp_path / ".part-file.json").symlink_to(outside / "precious")
+    write_atomically(tmp_path / "file.json", "new")
+    (tmp_path / ".part-file.json").symlink_to(outside / "precious")
+    write_atomically(tmp_path / "file.json", lambda part: part.write_text("newer"))
+    assert (tmp_path / "file.json").read_text() == "newer" and (outside / "precious").read_text() == "content"
+
+
+WAYS_IN: list[Callable[[Path], object]] = [
+    EventWriter,
+    lambda path: EventReader(path).poll(),
+    lambda path: FileLock(path).__enter__(),
+]
+
+
+@pytest.mark.parametrize("open_it", WAYS_IN)
+def test_links_and_fifos_that_come_later_are_refused_as_well(open_it: Callable[[Path], object], tmp_path: Path) -> None:
+    outside = folder_of_theirs(tmp_path)
+    for name, make in (("link", link), ("fifo", fifo)):
+        make(tmp_path / name, outside)
+        with pytest.raises(OSError):
+            open_it(tmp_path / name)
+
+
+def test_events_cannot_name_files_elsewhere(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    writer = EventWriter(folder.events_path)
+    writer.hello(threads=1, resumed=False)
+    for path in ("/etc/passwd", "../x.png", "\\\\host\\share\\x.png", "result/x.png"):
+        writer._write("preview", path=path)
+        writer._write("artifact", path=path, kind="pass")
+    follower = LiftFollower(folder)
+    follower.poll()
+    inside = folder.path / "result" / "x.png"
+    assert follower.status.previews == [inside] and follower.status.artifacts == [("pass", inside)]
+
+
+@pytest.mark.parametrize("path", ["../x", "/etc/passwd", "\\\\host\\share\\x", "..\\x", "c:\\x"])
+def test_manifests_and_checkpoints_cannot_either(path: str, tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    run_engine(folder, lift=tiny_lift)
+    manifest = folder.manifest_path
+    manifest.write_text(manifest.read_text().replace("metrics.json", path.replace("\\", "\\\\")))
+    assert folder.state() is not LiftState.FINISHED
+    folder.checkpoints.save({"step": 1}, lambda into: (into / "model").write_bytes(b"m"))
+    state = folder.path / "checkpoint" / "state.json"
+    state.write_text(state.read_text().replace('"model"', '"' + path.replace("\\", "\\\\") + '"'))
+    with pytest.raises(JobError, match="is damaged"):
+        folder.checkpoints.latest()
