@@ -22,8 +22,8 @@ _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _TAIL = 4096
-MOST_PIXELS = 1 << 27
-"""134 megapixels: more no camera has. Decoded, they take 400 MB."""
+MOST_PIXELS = 160_000_000
+"""More no camera has. Decoded, they take half a gigabyte."""
 _MOST_BYTES = 1 << 29
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -14,6 +15,7 @@ from file_contents import contents
 from plgs.engine.job import JobError
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.import_scene import place_scene
+from plgs.plgs_blender.results import read_result
 from plgs.plgs_blender.scene_survey import Place
 from tiny_lift import mend_manifest, write_tiny_lift
 
@@ -35,6 +37,8 @@ def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
         ("id", -1),
         ("id", 2**31),
         ("id", 2),
+        ("id", 65536),
+        ("class_id", 2**31 - 2),
         ("id", float("inf")),
         ("points", 2**40),
         ("colour", [256, 0, 0]),
@@ -67,6 +71,53 @@ def test_absurd_positions_change_nothing(lift: Path, tmp_path: Path) -> None:
     points["xyz"][0, 0] = 3e38
     np.savez(path, **points)
     refuses(tmp_path / "lift", "semantic_points.npz")
+
+
+def test_a_palette_has_a_place_for_each_class_id_so_they_have_an_end(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    path = tmp_path / "lift" / "result" / "instances.json"
+    content = json.loads(path.read_text())
+    content["classes"][-1]["id"] = 2**31 - 2  # 34 GB of colours
+    path.write_text(json.dumps(content))
+    refuses(tmp_path / "lift", "instances.json")
+
+
+def test_arrays_that_unpack_to_gigabytes_change_nothing(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    path = tmp_path / "lift" / "result" / "semantic_points.npz"
+    points = dict(np.load(path))
+    points["xyz"] = np.zeros((30_000_000, 3), np.float32)
+    np.savez_compressed(path, **points)
+    refuses(tmp_path / "lift", "would unpack to")
+
+
+ROT = {
+    "deflate": lambda data: data[:200] + bytes(byte ^ 0x5A for byte in data[200:300]) + data[300:],
+    "the end": lambda data: data[: len(data) // 2] + bytes(len(data) - len(data) // 2),
+    "all": lambda data: bytes(len(data)),
+}
+
+
+@pytest.mark.parametrize("spoil", ROT.values(), ids=ROT)
+@pytest.mark.parametrize("name", ["semantic_points.npz", "anchors.npz", "instances.json", "passes/0004.exr"])
+def test_rot_is_a_line_and_changes_nothing(
+    lift: Path, tmp_path: Path, name: str, spoil: Callable[[bytes], bytes]
+) -> None:
+    """As a disk leaves it, found by its checksum; or with a manifest that lists the rotten bytes."""
+    shutil.copytree(lift, tmp_path / "lift")
+    path, before = tmp_path / "lift" / "result" / name, contents()
+    path.write_bytes(spoil(path.read_bytes()))
+    with pytest.raises(JobError, match=f"was changed since it was written: .*{path.name}"):
+        lift_scene.place_lift(tmp_path / "lift", bpy.context.scene)
+    assert contents() == before
+    if path.suffix != ".exr":  # that one is Blender's to read: its header is looked at, see above
+        refuses(tmp_path / "lift", path.name)
+
+
+def test_passes_that_the_manifest_does_not_list_are_not_opened(lift: Path, tmp_path: Path) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    (tmp_path / "lift" / "result" / "passes" / "0000.exr").write_bytes(b"\0")
+    assert sorted(read_result(tmp_path / "lift").passes) == sorted(read_result(lift).passes)
 
 
 def refuses(lift: Path, place: str) -> None:

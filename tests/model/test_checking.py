@@ -1,0 +1,164 @@
+"""A model out of a file either is one, or is refused before a kernel sees it. Kernels have no bounds of their own."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from safetensors.torch import save
+
+from engine.job import JobError, LiftFolder, LiftRequest
+from engine.lift.scene_files import read_model, write_model
+from engine.model.render import render_view
+from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene, from_tensors, to_tensors
+from tests.model.some_scene import CAMERA, GAUSSIANS, some_scene
+
+REFUSED = (ValueError, KeyError, TypeError, AttributeError)
+ODD_VALUES = [None, True, -1, 0, 1, 2, 5, 64, 65536, 2**31, 2**63, 1e308, math.nan, "7", [], {}, [7], [[7]], [0, 1, 2]]
+ODD_NUMBERS = [math.nan, math.inf, -math.inf, 1e38, -1e38, 3e6, 1e-40, 0.0]
+LARGE = settings(
+    max_examples=int(os.environ.get("PLGS_FUZZ_EXAMPLES", "80")),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+def a_model(voted: bool) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    scene = some_scene((4, NO_OBJECT, 9, SPARE, SPARE), class_of_slot=(7, 0, 5, 0, 0))
+    if voted:
+        label = torch.arange(GAUSSIANS * 2, dtype=torch.int16).reshape(GAUSSIANS, 2) % 5
+        scene = replace(scene, voted=GaussianLabels(label, torch.full((GAUSSIANS, 2), 0.5)))
+    return to_tensors(scene)
+
+
+MODELS = {voted: a_model(voted) for voted in (False, True)}
+
+
+def refused(tensors: dict[str, torch.Tensor], facts: dict[str, Any], match: str | None = None) -> None:
+    with pytest.raises(REFUSED, match=match):
+        from_tensors(tensors, facts)
+
+
+def test_rows_that_are_not_there(tmp_path: Path) -> None:
+    """The file that crashed the engine: a position for each of three million anchors, one scale."""
+    tensors, facts = a_model(voted=False)
+    vast = tensors | {"anchors.position": torch.zeros(3_000_000, 3), "anchors.log_scale": torch.zeros(1, 6)}
+    refused(vast, facts, "anchors")
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
+    folder.result_path.mkdir()
+    (folder.result_path / "model.safetensors").write_bytes(save(vast, metadata={"plgs": "{}"}))
+    with pytest.raises(JobError, match="the model cannot be read"):
+        read_model(folder)
+
+
+@pytest.mark.parametrize("name", [*a_model(voted=True)[0]])
+def test_every_tensor_is_looked_at(name: str) -> None:
+    tensors, facts = MODELS[True]
+    right = tensors[name]
+    refused({other: tensor for other, tensor in tensors.items() if other != name}, facts, name.split(".")[0])
+    for wrong in (right[:-1], right[..., :-1], right.unsqueeze(0), right.double(), torch.tensor(1.0)):
+        refused(tensors | {name: wrong}, facts)
+    if right.dtype is torch.float32:
+        for number in (math.nan, math.inf, -math.inf, 1e38):
+            wrong = right.clone()
+            wrong.view(-1)[3] = number
+            refused(tensors | {name: wrong}, facts, "cannot hold")
+    refused(tensors | {"more": right}, facts, "more is not known")
+
+
+def test_labels_that_no_table_has() -> None:
+    tensors, facts = MODELS[True]
+    for number in (-1, 5, 32767):
+        refused(tensors | {"voted.label": torch.full((GAUSSIANS, 2), number, dtype=torch.int16)}, facts, "cannot hold")
+    refused(tensors | {"anchors.initial_class": torch.full((80,), 2**40)}, facts, "cannot hold")
+
+
+@LARGE
+@given(data=st.data(), voted=st.booleans())
+def test_odd_facts_and_tensors(data: st.DataObject, voted: bool) -> None:
+    """What is not refused can be drawn."""
+    draw_spoilt(data.draw, voted)
+
+
+def draw_spoilt(draw: Any, voted: bool) -> bool:
+    """Spoil a model at some places and draw it, if it is taken; whether it was."""
+    tensors, facts = dict(MODELS[voted][0]), copy.deepcopy(MODELS[voted][1])
+    for _ in range(draw(st.integers(1, 3))):
+        if draw(st.booleans()):
+            holder = draw(st.sampled_from([facts, facts["decoders"]]))
+            if isinstance(holder, dict) and holder:
+                holder[draw(st.sampled_from(sorted(holder)))] = draw(st.sampled_from(ODD_VALUES))
+        else:
+            name = draw(st.sampled_from(sorted(tensors)))
+            tensors[name] = spoilt(draw, tensors[name])
+        if not isinstance(facts.get("decoders"), dict):
+            break
+    try:
+        scene = from_tensors(tensors, facts)
+    except REFUSED as error:
+        assert "\n" not in str(error)
+        return False
+    draws(scene)
+    return True
+
+
+def spoilt(draw: Any, tensor: torch.Tensor) -> torch.Tensor:
+    tensor = tensor.clone()
+    match draw(st.sampled_from(["number", "numbers", "shape", "type"])):
+        case "number" if tensor.numel():
+            number = draw(st.sampled_from(ODD_NUMBERS if tensor.is_floating_point() else [-1, 0, 4, 5, 64, 32767]))
+            tensor.view(-1)[draw(st.integers(0, tensor.numel() - 1))] = number
+        case "numbers":
+            tensor.fill_(draw(st.sampled_from([-1e6, -50, -1, 0, 1, 3, 50, 1e6])))
+        case "shape":
+            tensor = tensor[: draw(st.integers(0, len(tensor)))]
+        case "type":
+            tensor = tensor.to(draw(st.sampled_from([torch.float64, torch.int64, torch.int16, torch.uint8])))
+    return tensor
+
+
+def draws(scene: StructuredScene) -> None:
+    rendering = render_view(scene, CAMERA)
+    assert rendering.image.shape == (CAMERA.height, CAMERA.width, 3)
+
+
+def test_a_model_with_bad_notes_is_a_line(tmp_path: Path) -> None:
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
+    folder.result_path.mkdir()
+    path = folder.result_path / "model.safetensors"
+    tensors, _ = MODELS[False]
+    for notes in ({}, {"plgs": "["}, {"plgs": "[]"}, {"plgs": "[" * 100_000}, {"plgs": "7"}, {"plgs": '{"format": 2}'}):
+        path.write_bytes(save(tensors, metadata=notes))
+        with pytest.raises(JobError, match="the model cannot be read"):
+            read_model(folder)
+    write_model(folder, from_tensors(*MODELS[True]))
+    draws(read_model(folder))
+    whole = path.read_bytes()
+    for content in (b"", whole[:7], whole[:200], whole[:-5], b"\xff" * 8 + whole[8:]):
+        path.write_bytes(content)
+        with pytest.raises(JobError, match="the model cannot be read"):
+            read_model(folder)
+    path.unlink()
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(path)
+        with pytest.raises(JobError, match="the model cannot be read"):
+            read_model(folder)
+
+
+@pytest.mark.slow
+def test_with_kernels_that_know_their_bounds(root: Path, tmp_path: Path) -> None:
+    """The fuzz above once more, in a process whose kernels raise IndexError where they would read or write astray."""
+    variables = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PLGS_FUZZ_EXAMPLES": "1000"}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "odd_facts"]
+    said = subprocess.run(command, cwd=root, env=variables, capture_output=True, text=True)
+    assert said.returncode == 0, said.stdout

@@ -1,0 +1,201 @@
+"""Small files that claim to be vast: refused by a line, before memory or time is spent on them."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zipfile
+import zlib
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.scene import SceneError, check_scene, open_scene
+from engine.scene.array_file import parse_npy, read_npy, read_npz
+from engine.scene.formats.video import Video
+from engine.scene.image_header import MOST_PIXELS, check_image_bytes, read_image_header
+from engine.scene.json_file import read_json_object
+from engine.scene.pixels import decode_bytes
+from tests.tiny_scene import write_tiny_scene
+
+FIX = "Write it again."
+
+
+def png(width: int, height: int, kind: int = 2) -> bytes:
+    """A whole PNG by its checksums, of that size, with next to no pixels."""
+    head = struct.pack(">IIBBBBB", width, height, 8, kind, 0, 0, 0)
+    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(b"\0")), (b"IEND", b"")]
+    body = b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks
+    )
+    return b"\x89PNG\r\n\x1a\n" + body
+
+
+def jpeg(width: int, height: int) -> bytes:
+    frame = struct.pack(">HBHHB", 17, 8, height, width, 3) + bytes(9)
+    return b"\xff\xd8\xff\xc0" + frame + b"\xff\xda\0\x02\xff\xd9"
+
+
+VAST = {"2^31": png(2**31 - 1, 2**31 - 1), "2^30": png(2**15, 2**15), "jpeg": jpeg(65535, 65535)}
+
+
+@pytest.mark.parametrize("data", VAST.values(), ids=VAST)
+def test_vast_images(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "image.png"
+    path.write_bytes(data)
+    with pytest.raises(SceneError, match="million may be"):
+        read_image_header(path)
+    with pytest.raises(SceneError, match="million may be"):
+        check_image_bytes(data, path)
+    with pytest.raises(SceneError, match="million may be"):
+        decode_bytes(data, path, as_colour=True)
+
+
+def test_the_largest_photos_there_are_pass(tmp_path: Path) -> None:
+    (tmp_path / "image.png").write_bytes(png(14204, 10652))  # of a medium format camera
+    assert read_image_header(tmp_path / "image.png").size == (14204, 10652) and 14204 * 10652 <= MOST_PIXELS
+
+
+def test_a_vast_mask_in_a_scene(tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path, frames=3, size=(16, 12))
+    (scene / "panoptic" / "0001.png").write_bytes(png(2**15, 2**15))
+    with pytest.raises(SceneError, match="million may be"):
+        open_scene(scene)
+
+
+JPEG_2000 = bytes.fromhex("0000000c6a5020200d0a870a00000014667479706a703220") + bytes(60)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [JPEG_2000, b"\xff\x4f\xff\x51" + bytes(60), b"II*\0" + bytes(60), b"BM" + bytes(60), b"v/1\x01" + bytes(60),
+     b"RIFF\0\0\0\0WEBPVP8 " + bytes(60), b"P6 1 1 255\n\0\0\0", b"GIF89a" + bytes(60)],
+    ids=["jp2", "j2k", "tiff", "bmp", "exr", "webp", "ppm", "gif"],
+)  # fmt: skip
+def test_only_png_and_jpeg_reach_a_decoder(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    import cv2
+
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
+    with pytest.raises(SceneError, match="neither a PNG nor a JPEG"):
+        decode_bytes(data, tmp_path / "image.png", as_colour=True)
+
+
+PLAYLISTS = [b"#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/x.ts\n", b"ffconcat version 1.0\nfile '/etc/passwd'\n"]
+
+
+@pytest.mark.parametrize("text", PLAYLISTS)
+def test_a_playlist_is_no_video(tmp_path: Path, text: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    import cv2
+
+    monkeypatch.setattr(cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
+    (tmp_path / "rgb.mp4").write_bytes(text)
+    with pytest.raises(SceneError, match="no MP4, MOV, Matroska or AVI"):
+        Video(tmp_path / "rgb.mp4").frame(0)
+
+
+def npy(header: str, body: bytes = b"") -> bytes:
+    text = header.encode().ljust(117) + b"\n"
+    return b"\x93NUMPY\x01\0" + struct.pack("<H", len(text)) + text + body
+
+
+def packed(path: Path, **arrays: bytes) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in arrays.items():
+            archive.writestr(f"{name}.npy", data)
+    return path
+
+
+def test_arrays_that_would_unpack_to_too_much(tmp_path: Path) -> None:
+    path = tmp_path / "points.npz"
+    np.savez_compressed(path, xyz=np.zeros((30_000_000, 3), np.float32))  # 350 kB on the disk, 360 MB in memory
+    assert path.stat().st_size < 1 << 20
+    with pytest.raises(SceneError, match="would unpack to 360 MB, at most 268"):
+        read_npz(path, FIX)
+    assert read_npz(path, FIX, names=()) == {}
+
+
+BAD_HEADERS = {
+    "vast": "{'descr': '<f4', 'fortran_order': False, 'shape': (1099511627776, 3), }",
+    "negative": "{'descr': '<f4', 'fortran_order': False, 'shape': (-1,), }",
+    "objects": "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }",
+    "not closed": "{'descr': '<f4', 'fortran_order': False, 'shape': (((((",
+    "deep": "(" * 110,
+    "no dtype": "{'descr': 'nonsense', 'fortran_order': False, 'shape': (1,), }",
+    "empty": "",
+}
+
+
+@pytest.mark.parametrize("header", BAD_HEADERS.values(), ids=BAD_HEADERS)
+def test_headers_that_claim_what_is_not_there(tmp_path: Path, header: str) -> None:
+    (tmp_path / "depth.npy").write_bytes(npy(header, bytes(12)))
+    packed(tmp_path / "points.npz", xyz=npy(header, bytes(12)))
+    for refuse in (lambda: read_npy(tmp_path / "depth.npy", FIX), lambda: read_npz(tmp_path / "points.npz", FIX)):
+        with pytest.raises(SceneError) as refused:
+            refuse()
+        assert "\n" not in str(refused.value)
+
+
+def test_arrays_come_out_as_they_went_in(tmp_path: Path) -> None:
+    table, turned = np.arange(6, dtype=np.int16).reshape(2, 3), np.asfortranarray(np.eye(3))
+    arrays = {"a": table, "b": turned, "c": np.array(1.5)}
+    np.savez_compressed(tmp_path / "x.npz", **arrays)
+    for name, array in read_npz(tmp_path / "x.npz", FIX).items():
+        assert array.dtype == arrays[name].dtype and np.array_equal(array, arrays[name]) and array.flags.writeable
+    stream = BytesIO()
+    np.save(stream, arrays["a"])
+    assert np.array_equal(parse_npy(stream.getvalue()), arrays["a"])
+
+
+@pytest.mark.parametrize("damage", ["cut off", "rotten", "no zip", "empty"])
+def test_rot_in_arrays_is_a_line(tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "points.npz"
+    np.savez_compressed(path, xyz=np.random.default_rng(0).random((100, 3)))
+    data = path.read_bytes()
+    spoilt = {"cut off": data[:-40], "rotten": data[:60] + b"\xff" * 20 + data[80:], "no zip": b"PK", "empty": b""}
+    path.write_bytes(spoilt[damage])
+    with pytest.raises(SceneError, match="cannot be read"):
+        read_npz(path, FIX)
+
+
+def test_huge_json(tmp_path: Path) -> None:
+    with (tmp_path / "panoptic.json").open("wb") as file:
+        file.truncate(1 << 40)
+    for content in (None, b'{"a":' + b"[" * 200_000, b'{"a":' * 200_000):
+        if content is not None:
+            (tmp_path / "panoptic.json").write_bytes(content)
+        with pytest.raises(SceneError):
+            read_json_object(tmp_path / "panoptic.json")
+
+
+@pytest.mark.parametrize("number", [2**31 - 2, 65535, 2**24 - 2])
+def test_class_ids_that_no_table_has_room_for(tmp_path: Path, number: int) -> None:
+    scene = write_tiny_scene(tmp_path, frames=3, size=(16, 12))
+    content = json.loads((scene / "panoptic.json").read_text())
+    content["categories"][0]["id"] = number
+    (scene / "panoptic.json").write_text(json.dumps(content))
+    with pytest.raises(SceneError, match="out of range"):
+        open_scene(scene)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
+@pytest.mark.parametrize(
+    "name",
+    ["color/0001.png", "depth/0001.png", "panoptic/0001.png", "pose/0001.txt", "panoptic.json", "splits.json",
+     "intrinsic/intrinsic_color.txt"],
+)  # fmt: skip
+def test_a_fifo_in_a_scene_blocks_nobody(tmp_path: Path, name: str) -> None:
+    scene = write_tiny_scene(tmp_path, frames=3, size=(16, 12))
+    (scene / name).unlink(missing_ok=True)
+    os.mkfifo(scene / name)
+    try:
+        check_scene(open_scene(scene))
+    except SceneError as error:
+        assert "\n" not in str(error)
+
+
+def test_control_characters_of_a_scene_reach_no_terminal(tmp_path: Path) -> None:
+    error = SceneError("the name \x1b]0;owned\x07 is odd", tmp_path / "a\x1b[2Jb", FIX)
+    assert "\x1b" not in str(error) and "\x07" not in str(error) and "?[2Jb" in str(error)
