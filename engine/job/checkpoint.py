@@ -118,11 +118,14 @@ def _verified_state(folder: Path) -> Mapping[str, Json]:
 
 
 def _is_whole(entry: Mapping[str, Json], folder: Path) -> bool:
+    """Raises JobError when the disk does not answer."""
     try:
         path = folder / inner_path(str(entry.get("path")))
         return path.is_file() and entry == _entry(path, folder)
-    except (OSError, ValueError):
+    except ValueError:
         return False
+    except OSError as error:
+        raise JobError(f"cannot be read ({error.strerror})", path, "See to the disk, then resume again.") from error
 
 
 def _delete(folder: Path) -> None:

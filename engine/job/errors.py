@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 from ..gates import printable
+
+SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
+"""Errors of a disk or share that does not answer now: nothing is said about what lies there."""
 
 
 class JobError(Exception):

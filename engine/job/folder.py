@@ -12,7 +12,7 @@ from ..gates import create_plain
 from .atomic import PART, flush_to_disk, remove_parts
 from .bake_locks import BakeLocks
 from .checkpoint import CheckpointStore
-from .errors import JobError
+from .errors import SILENT, JobError
 from .events import last_events
 from .lock import FileLock, is_locked
 from .manifest import check_sizes
@@ -221,9 +221,12 @@ class LiftFolder:
             self.path.rmdir()
 
     def _has_result(self) -> bool:
+        """Raises JobError when the disk does not answer: that is no reason to make a result anew."""
         try:
             check_sizes(self.result_path)
-        except JobError:
+        except JobError as error:
+            if isinstance(error.__cause__, OSError) and error.__cause__.errno in SILENT:
+                raise
             return False
         return True
 

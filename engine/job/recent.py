@@ -58,7 +58,7 @@ def remember_lift(path: Path, cache: Path | None = None) -> None:
     list_path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(list_path.with_suffix(".lock")):
         lift = str(path.absolute())
-        others = [entry for entry in _entries(list_path) if entry[0] != lift]
+        others = [entry for entry in _entries(list_path, is_to_be_replaced=True) if entry[0] != lift]
         entries = [(lift, round(time.time(), 3)), *others][:MOST]
         lifts = [{"path": each, "touched": touched} for each, touched in entries]
         write_atomically(list_path, to_text({"format": FORMAT, "lifts": lifts}))
@@ -68,11 +68,15 @@ def _list_path(cache: Path | None) -> Path:
     return (cache or notes_folder()) / "recent_lifts.json"
 
 
-def _entries(list_path: Path) -> list[tuple[str, float]]:
-    """Path and time of each entry; none when the list is missing, broken or of another version."""
+def _entries(list_path: Path, is_to_be_replaced: bool = False) -> list[tuple[str, float]]:
+    """Path and time of each entry; none when the list is missing, broken or of another version. Raises JobError when
+    the disk does not give a list that ``is_to_be_replaced``: it would be lost.
+    """
     try:
         content = read_object(list_path, "Delete it.")
-    except JobError:
+    except JobError as error:
+        if is_to_be_replaced and isinstance(error.__cause__, OSError) and list_path.exists():
+            raise
         return []
     lifts = content.get("lifts")
     if content.get("format") != FORMAT or not isinstance(lifts, list):

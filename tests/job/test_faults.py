@@ -1,0 +1,242 @@
+"""Whatever call of the file system fails: the old state or the new one is whole, and the next run goes on."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from engine.command_line.run_engine import run_engine
+from engine.job import (
+    BakeLocks,
+    CheckpointStore,
+    EventReader,
+    EventWriter,
+    ExitCode,
+    JobError,
+    LiftFolder,
+    LiftRequest,
+    add_files,
+    drop_files,
+    read_manifest,
+    verify,
+    write_atomically,
+    write_manifest,
+)
+from engine.job.recent import remember_lift, remembered_lifts
+from tests.job.faults import Faults, every_fault
+from tests.job.lift_folders import new_lift, tiny_lift
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="descriptors are looked up as Linux has them")
+
+
+@pytest.fixture(params=[False, pytest.param(True, marks=pytest.mark.slow)], ids=["in turn", "each with each"])
+def rounds(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[Callable[[Path], object], Callable[[Path], object]], Iterator[Path]]:
+    """Makes a fresh folder for every fault, lets ``work`` meet it, and hands the folder over for a look."""
+
+    def rounds(prepare: Callable[[Path], object], work: Callable[[Path], object]) -> Iterator[Path]:
+        whole = tmp_path / "whole"
+        whole.mkdir()
+        prepare(whole)
+        faults = Faults(tmp_path / "spoilt", monkeypatch)
+        for at, error, for_good in every_fault(faults, request.param):
+            shutil.copytree(whole, tmp_path / "spoilt")
+            try:
+                with faults.failing(at, error, for_good):
+                    work(tmp_path / "spoilt")
+            except (OSError, JobError) as met:
+                assert faults.has_failed and "\n" not in str(met), met
+            print(f"{errno.errorcode.get(error, 'short')} at call {at}: {faults.failed[:3]}")  # shown where a test fails
+            yield tmp_path / "spoilt"
+            shutil.rmtree(tmp_path / "spoilt")
+        assert at > 3
+
+    return rounds
+
+
+Rounds = Callable[[Callable[[Path], object], Callable[[Path], object]], Iterator[Path]]
+
+
+def test_events(rounds: Rounds) -> None:
+    told: list[int] = []
+
+    def tell(folder: Path) -> None:
+        told.clear()
+        writer = EventWriter(folder / "events.jsonl")
+        for step in range(4):
+            try:
+                writer.progress("train", step, 4)
+                told.append(step)
+            except OSError:
+                continue
+        writer.error("broke", "here", "Mend it.", 1)
+
+    def earlier(folder: Path) -> None:
+        EventWriter(folder / "events.jsonl").hello(threads=1, resumed=False)
+
+    for folder in rounds(earlier, tell):
+        EventWriter(folder / "events.jsonl").warning("goes on")
+        events = EventReader(folder / "events.jsonl").poll()
+        steps = [event.data["step"] for event in events if event.kind == "progress"]
+        assert [event.kind for event in events][::-1][:1] == ["warning"] and events[0].kind == "hello"
+        assert [step for step in steps if step in told] == told  # what was told without an error is there
+        assert all(one.seq < other.seq for one, other in zip(events, events[1:], strict=False))
+
+
+@pytest.mark.parametrize("content", ["new", lambda part: part.write_text("new")], ids=["text", "function"])
+def test_a_file(rounds: Rounds, content: str | Callable[[Path], object]) -> None:
+    def replace(folder: Path) -> None:
+        write_atomically(folder / "file", content)
+
+    found = set()
+    for folder in rounds(lambda folder: (folder / "file").write_text("old"), replace):
+        found.add((folder / "file").read_text())
+        write_atomically(folder / "file", "newer")
+        assert (folder / "file").read_text() == "newer"
+    assert found == {"old", "new"}
+
+
+def lay(result: Path, *names: str) -> list[Path]:
+    for name in names:
+        (result / name).write_text(f"content of {name}")
+    return [result / name for name in names]
+
+
+def finish(result: Path) -> None:
+    write_manifest(result, versions={}, seed=0, settings={}, timings={})
+
+
+def names_in(result: Path) -> set[str]:
+    return {str(file.path) for file in verify(result).files}
+
+
+def test_a_first_manifest(rounds: Rounds) -> None:
+    for result in rounds(lambda result: lay(result, "a", "b"), finish):
+        if (result / "manifest.json").exists():
+            assert names_in(result) == {"a", "b"}
+        finish(result)
+        assert names_in(result) == {"a", "b"}
+
+
+def test_more_in_a_manifest(rounds: Rounds) -> None:
+    def prepare(result: Path) -> None:
+        lay(result, "a", "b")
+        finish(result)
+        lay(result, "c")
+
+    def change(result: Path) -> None:
+        drop_files(result, [result / "b"])
+        add_files(result, [result / "c"])
+
+    for result in rounds(prepare, change):
+        assert names_in(result) in ({"a", "b"}, {"a"}, {"a", "c"})
+        change(result)
+        assert names_in(result) == {"a", "c"}
+
+
+def save(folder: Path, step: int) -> None:
+    def write(into: Path) -> None:
+        (into / "model").write_bytes(bytes([step]) * 100)
+
+    CheckpointStore(folder).save({"step": step}, write)
+
+
+def saved(folder: Path) -> int:
+    checkpoint = CheckpointStore(folder).latest()
+    assert checkpoint is not None
+    step = int(str(checkpoint.state["step"]))
+    assert (checkpoint.path / "model").read_bytes() == bytes([step]) * 100
+    return step
+
+
+def test_a_checkpoint(rounds: Rounds) -> None:
+    found = set()
+    for folder in rounds(lambda folder: save(folder, 1), lambda folder: save(folder, 2)):
+        found.add(saved(folder))
+        save(folder, 3)
+        assert saved(folder) == 3 and [path.name for path in folder.iterdir()] == ["checkpoint"]
+    assert found == {1, 2}
+
+
+def test_reading_a_checkpoint(rounds: Rounds) -> None:
+    """What the disk does not give now is no reason to advise that it be deleted."""
+
+    def read(folder: Path) -> None:
+        try:
+            saved(folder)
+        except JobError as error:
+            assert "Delete" not in error.fix or "damaged" not in error.what, error
+            raise
+
+    for folder in rounds(lambda folder: save(folder, 1), read):
+        assert saved(folder) == 1
+
+
+def test_the_list_of_lifts(rounds: Rounds) -> None:
+    for cache in rounds(lambda cache: remember_lift(Path("/a"), cache), lambda cache: remember_lift(Path("/b"), cache)):
+        assert remembered_lifts(cache) in (["/a"], ["/b", "/a"])
+        remember_lift(Path("/c"), cache)
+        assert remembered_lifts(cache)[0] == "/c"
+
+
+def test_a_new_folder(rounds: Rounds) -> None:
+    request = LiftRequest(scene=Path("/scene"))
+
+    def create(folder: Path) -> None:
+        LiftFolder.create(folder / "lift", request)
+
+    for folder in rounds(lambda folder: None, create):
+        if (folder / "lift" / "request.json").exists():
+            assert LiftFolder.open(folder / "lift").request == request
+        else:
+            create(folder)
+
+
+def bake(folder: Path, views: tuple[str, ...]) -> None:
+    """What baking does with a lift folder, without anything to render."""
+    result = folder / "result"
+    with BakeLocks(folder) as locks:
+        for view in views:
+            with locks.claim(view) as is_ours:
+                listed = {str(file.path) for file in read_manifest(result).files}
+                if is_ours and view not in listed:
+                    write_atomically(result / view, f"content of {view}")
+                    with locks.manifest():
+                        add_files(result, [result / view])
+
+
+def test_baking(rounds: Rounds) -> None:
+    def prepare(folder: Path) -> None:
+        (folder / "result").mkdir()
+        lay(folder / "result", "a")
+        finish(folder / "result")
+
+    for folder in rounds(prepare, lambda folder: bake(folder, ("x", "y"))):
+        assert names_in(folder / "result") in ({"a"}, {"a", "x"}, {"a", "y"}, {"a", "x", "y"})
+        bake(folder, ("x", "y"))
+        assert names_in(folder / "result") == {"a", "x", "y"}
+
+
+def test_a_whole_run(rounds: Rounds, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PLGS_CACHE_DIR", os.devnull + "/nowhere")
+
+    def run(folder: Path) -> None:
+        code = run_engine(LiftFolder.open(folder / "lift"), resume=True, lift=tiny_lift)
+        said = capfd.readouterr().err
+        assert code == ExitCode.FINISHED or (said.startswith("error: ") and said.count("\n") == 1), said
+        if code == ExitCode.FINISHED:
+            verify(folder / "lift" / "result")
+
+    for folder in rounds(new_lift, run):
+        lift = LiftFolder.open(folder / "lift")
+        assert not lift.is_running
+        assert run_engine(lift, resume=True, lift=tiny_lift) is ExitCode.FINISHED
+        verify(lift.result_path)
+        capfd.readouterr()
