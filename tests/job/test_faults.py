@@ -35,6 +35,11 @@ from tests.job.lift_folders import new_lift, tiny_lift
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="descriptors are looked up as Linux has them")
 
 
+@pytest.fixture(autouse=True)
+def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
 @pytest.fixture(params=[False, pytest.param(True, marks=pytest.mark.slow)], ids=["in turn", "each with each"])
 def rounds(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -53,7 +58,7 @@ def rounds(
                     work(tmp_path / "spoilt")
             except (OSError, JobError) as met:
                 assert faults.has_failed and "\n" not in str(met), met
-            print(f"{errno.errorcode.get(error, 'short')} at call {at}: {faults.failed[:3]}")  # shown where a test fails
+            print(f"{errno.errorcode.get(error, 'short')} at call {at}: {faults.failed[:3]}")  # for a test that fails
             yield tmp_path / "spoilt"
             shutil.rmtree(tmp_path / "spoilt")
         assert at > 3
