@@ -55,6 +55,8 @@ def run_engine(
     """
     folder.refuse_foreign()
     with folder.lock():
+        if not (folder.path / "request.json").exists():
+            raise JobError("was removed meanwhile", folder.path, "Lift the scene again.")
         state = folder.state_at_rest()
         if state is LiftState.FINISHED and resume:
             print(f"This lift is finished already: {folder.result_path}")

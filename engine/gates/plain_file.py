@@ -25,9 +25,12 @@ def open_plain(path: Path, *, follow_link: bool = True) -> BinaryIO:
 
 def read_plain(path: Path, most_bytes: int) -> bytes:
     """The content of a plain file. Raises OSError, also for one that is larger than ``most_bytes``."""
-    with open_plain(path) as file:
-        size = os.fstat(file.fileno()).st_size
-        content = file.read(most_bytes + 1) if size <= most_bytes else b""
+    try:
+        with open_plain(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            content = file.read(most_bytes + 1) if size <= most_bytes else b""
+    except MemoryError as error:
+        raise OSError(errno.ENOMEM, "no memory is left for it", str(path)) from error
     if size > most_bytes or len(content) > most_bytes:
         raise OSError(errno.EFBIG, f"it is larger than {most_bytes / 1e6:.3g} MB", str(path))
     return content

@@ -209,16 +209,21 @@ class LiftFolder:
         For whoever created it just now. Raises JobError when there is something in it that cost time to make.
         """
         self.refuse_foreign()
-        if self.is_running or self.checkpoints.exists or self._has_result():
+        with FileLock(self.events_path, wait_s=0.0):  # nobody begins meanwhile
+            self._discard()
+        self.events_path.unlink(missing_ok=True)  # now that it is closed: Windows deletes no open file
+        if not any(self.path.iterdir()):
+            self.path.rmdir()
+
+    def _discard(self) -> None:
+        if self.checkpoints.exists or self._has_result():
             raise JobError("holds work", self.path, "Resume it, or delete it yourself.")
-        for path in (self.cancel_path, self.preview_request_path, self.events_path, self.log_path):
+        (self.path / "request.json").unlink()  # first: what is left without it is no lift
+        for path in (self.cancel_path, self.preview_request_path, self.log_path):
             path.unlink(missing_ok=True)
         if self.result_path.is_dir():
             shutil.rmtree(self.result_path)
         remove_parts(self.path)
-        (self.path / "request.json").unlink()
-        if not any(self.path.iterdir()):
-            self.path.rmdir()
 
     def _has_result(self) -> bool:
         """Raises JobError when the disk does not answer: that is no reason to make a result anew."""

@@ -34,13 +34,29 @@ class FileLock:
         self._descriptor = open_to_append(self._path)
         # Somebody who asks `is_locked` holds the lock for an instant: so one refusal proves nothing.
         give_up = time.monotonic() + self._wait_s
-        while not _try_lock(self._descriptor, self._path):
+        while not self._try():
             if time.monotonic() > give_up:
                 os.close(self._descriptor)
                 fix = "Wait until it is done, or stop it by making a file named 'cancel' there."
                 raise JobError("another engine is at work here", self._path.parent, fix)
             time.sleep(0.05)
         return self
+
+    def _try(self) -> bool:
+        """Whether the lock is held now, on the file that has this name: another may have deleted it meanwhile. Where
+        that fails the file is closed.
+        """
+        try:
+            if not _try_lock(self._descriptor, self._path):
+                return False
+            if os.name == "nt" or _is_same(self._descriptor, self._path):  # there no open file can be deleted
+                return True
+            os.close(self._descriptor)
+        except BaseException:
+            os.close(self._descriptor)
+            raise
+        self._descriptor = open_to_append(self._path)
+        return False
 
     @property
     def descriptor(self) -> int:
@@ -51,6 +67,13 @@ class FileLock:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         os.close(self._descriptor)  # closing releases it, on every system
+
+
+def _is_same(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except FileNotFoundError:
+        return False
 
 
 def is_locked(path: Path) -> bool:

@@ -41,7 +41,7 @@ class Pretence:
             self.go_wrong(step)
             if self.behaviour != "deaf":
                 stop.check()
-            time.sleep(0.02)
+            time.sleep(0.0 if self.behaviour.endswith("at once") else 0.02)
         tiny_lift(folder, events, stop, resume=resume)
 
     def go_wrong(self, step: int) -> None:

@@ -136,7 +136,7 @@ def test_discards_only_what_came_to_nothing(tmp_path: Path) -> None:
     running = new_lift(tmp_path, "running")
     with running.lock():
         for folder in (done, begun, running):
-            with pytest.raises(JobError, match="holds work"):
+            with pytest.raises(JobError, match="holds work|is at work"):
                 folder.discard()
             assert (folder.path / "request.json").exists()
     kept = new_lift(tmp_path, "kept")
