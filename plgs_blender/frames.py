@@ -13,7 +13,7 @@ from mathutils import Matrix
 
 from ..engine.scene import Camera, Frame
 from .cameras import SENSOR_WIDTH, Lens, camera_from, lens_of, object_matrix
-from .owned import OwnedDataBlocks, key_of
+from .owned import OwnedDataBlocks, key_of, text_of
 
 FIRST_FRAME = "plgs_first_frame"
 """Property of a lift's collection: where on the timeline its first frame lies."""
@@ -101,7 +101,7 @@ def mark_timeline(
     markers = scene.timeline_markers
     for marker in [m for m in markers if m.camera is not None and key_of(m.camera, lift) is not None]:
         markers.remove(marker)
-    if FIRST_FRAME not in root:
+    if type(root.get(FIRST_FRAME)) is not int:
         theirs = scene.camera is not None and key_of(scene.camera, lift) is None
         bound = any(marker.camera is not None for marker in markers)
         root[FIRST_FRAME] = scene.frame_end + 1 if theirs or bound else 0
@@ -109,7 +109,7 @@ def mark_timeline(
             markers.new(scene.camera.name, frame=scene.frame_start).camera = scene.camera
     shown = [*([overview] if overview else []), *cameras]
     for frame, camera in enumerate(shown, start=root[FIRST_FRAME]):
-        markers.new(camera.get("frame", camera.name), frame=frame).camera = camera
+        markers.new(text_of(camera, "frame") or camera.name, frame=frame).camera = camera
     first: int = root[FIRST_FRAME]
     return first + len(shown) - len(cameras)
 

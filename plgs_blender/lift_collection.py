@@ -9,7 +9,7 @@ from uuid import uuid4
 import bpy
 
 from ..engine.job import JobError
-from .owned import KEY, LIFT, key_of, tag
+from .owned import KEY, LIFT, key_of, tag, text_of
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
 """Properties of a lift's collection: the folders of the lift and of the scene it was made from. Where only the scene
@@ -23,7 +23,7 @@ _ROOT = "lift"
 
 def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
     """The collections of the lifts that were placed in a scene."""
-    return [c for c in scene.collection.children_recursive if LIFT in c and c.get(KEY) == _ROOT]
+    return [c for c in scene.collection.children_recursive if text_of(c, LIFT) and text_of(c, KEY) == _ROOT]
 
 
 def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
@@ -41,9 +41,9 @@ def root_collection(
     for folder in (scene_folder, *([lift_folder] if lift_folder is not None else [])):
         _check_name(folder)
     for root in lifts_in(scene):
-        is_same_lift = lift_folder is not None and is_same_place(root.get(FOLDER, ""), lift_folder)
+        is_same_lift = lift_folder is not None and is_same_place(text_of(root, FOLDER), lift_folder)
         is_ours = root.library is None and root.override_library is None
-        if is_ours and (is_same_lift or is_same_place(root.get(SCENE, ""), scene_folder)):
+        if is_ours and (is_same_lift or is_same_place(text_of(root, SCENE), scene_folder)):
             break
     else:
         root = bpy.data.collections.new("PLGS")
@@ -80,8 +80,14 @@ def _check_name(folder: Path) -> None:
 
 
 def is_same_place(stored: str, folder: Path) -> bool:
-    """Whether a path as it is stored in a .blend means this folder."""
-    return bool(stored) and Path(bpy.path.abspath(stored)).resolve() == folder.resolve()
+    """Whether a path as it is stored in a .blend means this folder. What is stored is not looked at: it may come from
+    somebody else, and lie on a disk that never answers.
+    """
+    return bool(stored) and _normal(bpy.path.abspath(stored)) in (_normal(folder), _normal(folder.resolve()))
+
+
+def _normal(path: str | Path) -> str:
+    return os.path.normcase(os.path.abspath(path))
 
 
 def child_collection(

@@ -33,7 +33,7 @@ from .lift_collection import (
 )
 from .open_room import open_room
 from .overview import overview_camera
-from .owned import KEY, LIFT, OwnedDataBlocks, key_of
+from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import place_passes
 from .results import LiftResult, read_result
 from .surfaces import SurfaceGrid
@@ -88,7 +88,7 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
     check_layers(result.passes.values())
     scene = scene_to_fill(scene)
     for root in lifts_in(scene):
-        if is_same_place(root.get(FOLDER, ""), result.folder):
+        if is_same_place(text_of(root, FOLDER), result.folder):
             place_passes(OwnedDataBlocks(root[LIFT], scene), result)
             return
     raise JobError("is not in this scene", lift, "Show the lift's result first.")
@@ -137,7 +137,7 @@ def relate_paths(root: bpy.types.Collection, base: Path) -> None:
         if key_of(image, root[LIFT]) is not None and image.filepath:
             image.filepath = _relative(image.filepath, base)
             compat.find_layers_again(image)
-    root[FOLDER] = _relative(root.get(FOLDER, ""), base)
+    root[FOLDER] = _relative(text_of(root, FOLDER), base)
 
 
 def _relative(path: str, base: Path) -> str:
@@ -172,7 +172,7 @@ def _open(blend: Path, lift: Path) -> bpy.types.Scene:
         fix = "Check that it is a Blender file of this version or an older one, or name another with --save."
         raise JobError(f"cannot be opened ({str(error).strip()})", blend, fix) from error
     scenes = [s for s in bpy.data.scenes if s.library is None and KEY not in s]
-    holding = [s for s in scenes if any(is_same_place(root.get(FOLDER, ""), lift) for root in lifts_in(s))]
+    holding = [s for s in scenes if any(is_same_place(text_of(root, FOLDER), lift) for root in lifts_in(s))]
     current = [bpy.context.scene] if bpy.context.scene in scenes else []
     chosen = [*holding, *current, *scenes]
     if not chosen:

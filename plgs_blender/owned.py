@@ -36,9 +36,15 @@ def untag(block: Any) -> None:
 
 def key_of(block: Any, lift: str) -> str | None:
     """What a block is in this lift, or None when it is not ours (or linked from another file)."""
-    if getattr(block, "library", None) is not None or block.get(LIFT) != lift:
+    if getattr(block, "library", None) is not None or text_of(block, LIFT) != lift:
         return None
-    return block.get(KEY)
+    return text_of(block, KEY) or None
+
+
+def text_of(block: Any, name: str) -> str:
+    """A custom property; empty when there is none, or somebody made it something else than a text."""
+    value = block.get(name)
+    return value if isinstance(value, str) else ""
 
 
 def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.types.Object]:
@@ -47,10 +53,11 @@ def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.t
     """
     found: dict[str, bpy.types.Object] = {}
     for ob in objects:
-        if ob.get(LIFT) == lift and KEY in ob:
-            known = found.setdefault(ob[KEY], ob)
+        key = text_of(ob, KEY)
+        if key and text_of(ob, LIFT) == lift:
+            known = found.setdefault(key, ob)
             if known != ob and _age(ob) < _age(known):
-                found[ob[KEY]] = ob
+                found[key] = ob
     return found
 
 

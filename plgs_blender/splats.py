@@ -12,7 +12,7 @@ import bpy
 
 from ..engine.job import JobError
 from .lift_collection import FOLDER, child_collection
-from .owned import LIFT, key_of, tag
+from .owned import LIFT, key_of, tag, text_of
 
 WHY_NOT = "Blender 5.3 or newer has native splats; result/gaussians.ply opens in any splat viewer"
 _KEY = "gaussians"
@@ -29,7 +29,7 @@ def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> bpy.t
 
     Raises JobError when this Blender has none, when the file is missing, or when it was not read as splats.
     """
-    path = Path(bpy.path.abspath(root[FOLDER])) / "result" / "gaussians.ply"
+    path = Path(bpy.path.abspath(text_of(root, FOLDER))) / "result" / "gaussians.ply"
     if not has_native_splats():
         raise JobError("cannot be shown as splats", path, WHY_NOT + ".")
     if not path.is_file():

@@ -16,7 +16,7 @@ class JobError(Exception):
     2)."""
 
     def __init__(self, what: str, where: Path | str, fix: str) -> None:
-        super().__init__(printable(f"{what}: {where}. {fix}"))
+        super().__init__(printable(f"{what}: {where}. {fix}").replace("\n", " "))
         self.what, self.where, self.fix = what, str(where), fix
 
 

@@ -133,5 +133,5 @@ class SceneError(Exception):
     """Input that cannot be lifted: what is wrong, where (a file or folder), and what to do about it."""
 
     def __init__(self, what: str, where: Path | str, fix: str) -> None:
-        super().__init__(printable(f"{what}: {where}. {fix}"))
+        super().__init__(printable(f"{what}: {where}. {fix}").replace("\n", " "))
         self.what, self.where, self.fix = what, str(where), fix

@@ -35,8 +35,9 @@ def apply_colours(root: bpy.types.Collection) -> None:
     lists = root.plgs
     of_class = {row.class_id: _linear(row.colour) for row in lists.classes}
     for cloud in clouds_of(root):
-        if cloud.get("class_id") in of_class:
-            cloud.color = of_class[cloud["class_id"]]
+        number = cloud.get("class_id")
+        if isinstance(number, int) and number in of_class:
+            cloud.color = of_class[number]
     boxes = boxes_of(root)
     for row in lists.instances:
         box = boxes.get(row.instance_id)

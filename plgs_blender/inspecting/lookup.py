@@ -10,7 +10,7 @@ import bpy
 from ...engine.job import JobError
 from ..boxes import INSTANCE
 from ..lift_collection import FOLDER, is_same_place, lifts_in
-from ..owned import KEY, LIFT, originals
+from ..owned import KEY, LIFT, originals, text_of
 from ..paths import absolute
 
 
@@ -20,7 +20,7 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
     """
     roots = lifts_in(scene)
     if lift:
-        named = [root for root in roots if lift == root.name or is_same_place(root.get(FOLDER, ""), absolute(lift))]
+        named = [root for root in roots if lift == root.name or is_same_place(text_of(root, FOLDER), absolute(lift))]
         if not named:
             raise JobError("is not in this scene", lift, "Name a lift's folder or its collection.")
         return named[0]
@@ -35,7 +35,7 @@ def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.
     none.
     """
     roots = lifts_in(scene)
-    own = None if active is None else active.get(LIFT)
+    own = None if active is None else text_of(active, LIFT)
     of_object = [root for root in roots if root[LIFT] == own]
     with_result = [root for root in roots if len(root.plgs.classes)]
     return next(iter((*of_object, *with_result, *roots)), None)
@@ -64,7 +64,10 @@ def boxes_of(root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
 
 def is_box(ob: bpy.types.Object | None) -> bool:
     """Whether an object is the box of some lift's instance."""
-    return ob is not None and LIFT in ob and str(ob.get(KEY, "")).startswith(INSTANCE)
+    if ob is None or not text_of(ob, LIFT):
+        return False
+    kind, number = text_of(ob, KEY)[: len(INSTANCE)], text_of(ob, KEY)[len(INSTANCE) :]
+    return kind == INSTANCE and number.isdecimal()
 
 
 def instance_of(box: bpy.types.Object) -> int:

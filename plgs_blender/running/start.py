@@ -10,6 +10,7 @@ from ...engine.job import JobError, LiftFolder
 from ...engine.scene import open_scene_to_lift
 from .. import engine_environment
 from ..lift_scene import place_lift
+from ..owned import text_of
 from ..paths import absolute, free_lift_folder
 from ..possibilities import why_not_liftable
 from ..scene_survey import survey_of
@@ -128,7 +129,7 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Watch:
     lift = lift_at(scene.plgs, folder)
     names = [frames]
     if frames == "active":
-        names = [scene.camera.get("frame", "")] if scene.camera is not None else [""]
+        names = [text_of(scene.camera, "frame")] if scene.camera is not None else [""]
         if not names[0]:
             fix = "Choose one of the lift's cameras: select it and press Ctrl+Numpad 0."
             raise JobError("the active camera is no frame of the lift", scene.name, fix)
