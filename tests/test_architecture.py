@@ -28,7 +28,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "metrics": {"scene"},
     "model": {"gates", "scene", "machine", "raster", "instances"},
     "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
-    "passes": {"scene", "job", "machine", "raster", "instances", "model"},
+    "passes": {"gates", "scene", "job", "machine", "raster", "instances", "model"},
     "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
     "export": {"scene", "job", "passes", "lift"},
     "frames": {"scene", "job"},

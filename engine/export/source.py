@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
-from ..job import LiftFolder, read_manifest
+from ..job import JobError, LiftFolder, read_manifest
 from ..lift.bake_more import frames_named
 from ..lift.baking import FrameBaker, baked_files
 from ..lift.scene_files import read_instances, read_model, read_shown_instances
@@ -57,4 +58,12 @@ class FinishedLift:
         listed = {self.folder.result_path / file.path for file in read_manifest(self.folder.result_path).files}
         for frame in self.frames:
             baked = baked_files(self.folder, frame.name)[0]
-            yield frame, read_exr(baked) if baked in listed else self._baker.render(frame.camera).layers
+            yield frame, _read(baked) if baked in listed else self._baker.render(frame.camera).layers
+
+
+def _read(baked: Path) -> PanopticLayers:
+    """Raises JobError for a file that is damaged, OSError."""
+    try:
+        return read_exr(baked)
+    except ValueError as error:
+        raise JobError("a baked frame cannot be read", baked, "Delete the file, and bake its frame again.") from error

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+from io import BufferedReader
 from pathlib import Path
 from stat import S_ISREG
 from typing import BinaryIO
@@ -17,7 +18,7 @@ _SAFE = sum(getattr(os, name, 0) for name in ("O_BINARY", "O_CLOEXEC", "O_NOCTTY
 _NO_LINK: int = getattr(os, "O_NOFOLLOW", 0)
 
 
-def open_plain(path: Path, *, follow_link: bool = True) -> BinaryIO:
+def open_plain(path: Path, *, follow_link: bool = True) -> BufferedReader:
     """A plain file, open for reading. Raises OSError, also for what is none, or (on request) is a link."""
     descriptor = _open(path, os.O_RDONLY, follow_link)
     return os.fdopen(descriptor, "rb")

@@ -124,7 +124,10 @@ def is_baked(folder: LiftFolder, view: WantedView) -> bool:
     listed = {folder.result_path / file.path for file in read_manifest(folder.result_path).files}
     if not listed.issuperset(files):
         return False
-    return not view.fingerprint or read_note(files[0], CAMERA_NOTE) == view.fingerprint
+    try:
+        return not view.fingerprint or read_note(files[0], CAMERA_NOTE) == view.fingerprint
+    except ValueError:  # rotten: it is baked anew
+        return False
 
 
 def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:

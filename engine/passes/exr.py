@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gates import open_plain, refuse_special
 from ..job import write_atomically
 from ..machine.threads import worker_count
+from ..scene.image_header import MOST_PIXELS
 from . import cryptomatte
 from .baked_view import BakedView
 from .layers import PanopticLayers
@@ -17,6 +21,9 @@ from .layers import PanopticLayers
 LAYER = "PLGS"
 LARGEST_ID = 1 << 24
 """Ids below this are exact in 32-bit floats."""
+_HEADER_BYTES = 1 << 24
+_DATA_WINDOW = b"dataWindow\0box2i\0\x10\0\0\0"
+"""Name, type and size of the attribute that says how large the picture is."""
 
 
 def write_exr(path: Path, view: BakedView, notes: Mapping[str, str] | None = None) -> None:
@@ -36,15 +43,11 @@ def write_exr(path: Path, view: BakedView, notes: Mapping[str, str] | None = Non
 
 
 def read_exr(path: Path) -> PanopticLayers:
-    """The PLGS layer of a baked view. Raises ValueError when the file has no such layer, OSError when
+    """The PLGS layer of a baked view. Raises ValueError when the file has no such layer, or is damaged, OSError when
     unreadable.
     """
-    import OpenEXR
-
-    if not path.is_file():
-        raise FileNotFoundError(path)
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        found = {name: channel.pixels for name, channel in file.channels().items()}
+    _refuse_vast(path)
+    found = _channels(path)
     names = [f"{LAYER}.Combined.{c}" for c in "RGBA"]
     names += [f"{LAYER}.{name}.V" for name in ("Depth", "Semantic", "Instance", "Confidence", "Entropy")]
     missing = [name for name in names if name not in found]
@@ -62,14 +65,47 @@ def read_exr(path: Path) -> PanopticLayers:
 
 
 def read_note(path: Path, name: str) -> str | None:
-    """An attribute of a baked view's header; None where it has none. Raises OSError when the file is unreadable."""
+    """An attribute of a baked view's header; None where it has none. Raises ValueError when the file is damaged,
+    OSError when it is unreadable."""
+    value = _header(path).get(name)
+    return value if isinstance(value, str) else None
+
+
+def _header(path: Path) -> dict[str, Any]:
+    """Raises ValueError when it is damaged, OSError."""
     import OpenEXR
 
-    if not path.is_file():
-        raise FileNotFoundError(path)
-    with OpenEXR.File(str(path), header_only=True) as file:
-        value = file.header().get(name)
-    return value if isinstance(value, str) else None
+    refuse_special(path)
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            header: dict[str, Any] = file.header()
+            return header
+    except Exception as error:  # the library's own, of several kinds
+        raise ValueError(f"{path} is damaged ({error})") from error
+
+
+def _channels(path: Path) -> dict[str, NDArray[Any]]:
+    """Raises ValueError when it is damaged."""
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            return {name: channel.pixels for name, channel in file.channels().items()}
+    except Exception as error:  # the library's own, of several kinds
+        raise ValueError(f"{path} is damaged ({error})") from error
+
+
+def _refuse_vast(path: Path) -> None:
+    """Raises ValueError for more pixels than a picture has, as memory is taken for what the header claims; OSError."""
+    with open_plain(path) as file:
+        start = file.read(_HEADER_BYTES)
+    place = start.find(_DATA_WINDOW)
+    corners = start[place + len(_DATA_WINDOW) :][:16]
+    if place < 0 or len(corners) < 16:
+        raise ValueError(f"{path} is damaged: it has no size")
+    left, top, right, bottom = struct.unpack("<4i", corners)
+    if not 0 < (right - left + 1) * (bottom - top + 1) <= MOST_PIXELS:
+        raise ValueError(f"{path} is damaged: it claims {right - left + 1}x{bottom - top + 1} pixels")
 
 
 def _pass_channels(view: BakedView) -> dict[str, NDArray[np.float32]]:

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from engine.passes import BakedView, ShownInstances, bake_view, decide, read_exr, write_exr
+from engine.passes import BakedView, ShownInstances, bake_view, decide, read_exr, read_note, write_exr
+from tests.fuzzing import damaged, examples
 from tests.passes.views import CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, made_rendering
 
 OpenEXR = pytest.importorskip("OpenEXR")
@@ -70,6 +73,20 @@ def test_refusals(tmp_path: Path) -> None:
         read_exr(tmp_path / "b.exr")
     with pytest.raises(FileNotFoundError):
         read_exr(tmp_path / "c.exr")
+
+
+@examples(60)
+@given(data=st.data())
+def test_damaged_passes_are_refused(tmp_path: Path, data: st.DataObject) -> None:
+    """A header is small, and most of what may go wrong lies in it."""
+    whole = _write(tmp_path / "whole.exr").read_bytes()
+    path = tmp_path / "a.exr"
+    path.write_bytes(damaged(data.draw, whole[:3000]) + whole[3000:])
+    for read in (read_exr, lambda path: read_note(path, "note")):
+        try:
+            read(path)
+        except ValueError as error:
+            assert str(path) in str(error)
 
 
 def test_blender_reads_ids_and_mattes(tmp_path: Path) -> None:
