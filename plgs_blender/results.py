@@ -194,7 +194,7 @@ def _read_arrays(path: Path, kind: Any) -> Any:
 
 def _read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
     try:
-        content = read_object(path, _FIX)
+        content: Any = read_object(path, _FIX)
         if content["format"] != _FORMAT:
             fix = "Use the version of PLGS that wrote it, or lift into another folder."
             raise JobError(f"has format {content['format']!r}, this version reads {_FORMAT}", path, fix)

@@ -48,10 +48,11 @@ def test_the_zip_holds_what_runs_and_what_the_engine_is_set_up_from(root: Path, 
         names = set(zipped.namelist())
     parts = ("engine", "operators", "plgs_blender", "ui")
     assert {path.relative_to(root).as_posix() for part in parts for path in (root / part).rglob("*.py")} <= names
-    needed = {"torch.txt", "engine.txt", "constraints-3.11.txt", "constraints-3.13.txt"}
+    needed = {"torch.txt", "engine.txt", "constraints-3.11.txt", "constraints-3.13.txt", "hashes-3.11.txt"}
     assert {f"requirements/{name}" for name in needed} <= names
     tops = {name.partition("/")[0] for name in names}
     files = {"blender_manifest.toml", "__init__.py", "run_plgs.py", "LICENSE", "README.md", "CHANGELOG.md"}
+    files.add("SECURITY.md")
     assert tops == files | {*parts, "requirements"}
 
 

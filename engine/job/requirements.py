@@ -35,6 +35,11 @@ def constraints_path(root: Path, version: Version) -> Path:
     return root / "requirements" / f"constraints-{version[0]}.{version[1]}.txt"
 
 
+def hashes_path(root: Path, version: Version) -> Path:
+    """The file that names the engine's packages, but for torch, with the SHA-256 of their files; it may be missing."""
+    return root / "requirements" / f"hashes-{version[0]}.{version[1]}.txt"
+
+
 def needed_packages(root: Path, version: Version, platform: str = sys.platform) -> dict[str, str | None]:
     """Package and pinned version, torch first; None where nothing pins it for this Python. Raises JobError."""
     needed: dict[str, str | None] = {}

@@ -105,10 +105,11 @@ def read_shown_instances(folder: LiftFolder) -> ShownInstances:
 def read_instances(folder: LiftFolder) -> list[dict[str, Any]]:
     """The objects that instances.json lists, as they stand there. Raises JobError."""
     path, fix = folder.result_path / "instances.json", "Lift the scene anew, into another folder."
-    listed = read_object(path, fix).get("instances")
+    listed: Any = read_object(path, fix).get("instances")
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
         raise JobError("lists no instances", path, fix)
-    return listed
+    records: list[dict[str, Any]] = listed
+    return records
 
 
 def _id(value: object) -> int:

@@ -78,8 +78,7 @@ def _header(path: Path) -> dict[str, Any]:
     refuse_special(path)
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
-            header: dict[str, Any] = file.header()
-            return header
+            return dict(file.header())  # a copy: the library empties its own when it closes the file
     except Exception as error:  # the library's own, of several kinds
         raise ValueError(f"{path} is damaged ({error})") from error
 

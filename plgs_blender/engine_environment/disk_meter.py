@@ -36,13 +36,13 @@ class DiskMeter:
 
 
 def _sizes(folder: Path) -> Iterator[int]:
-    """The bytes of one file after the other. What vanishes meanwhile counts nothing."""
+    """The bytes of one file after the other. What vanishes meanwhile, or cannot be looked at, counts nothing."""
     waiting = [str(folder)]
     while waiting:
-        with suppress(FileNotFoundError), os.scandir(waiting.pop()) as entries:
+        with suppress(OSError), os.scandir(waiting.pop()) as entries:
             for entry in entries:
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(entry.path)
                 else:
-                    with suppress(FileNotFoundError):
+                    with suppress(OSError):
                         yield entry.stat(follow_symlinks=False).st_size

@@ -15,6 +15,7 @@ CPU_BUILDS = "https://download.pytorch.org/whl/cpu"
 # What would send packages elsewhere than into the environment.
 _ELSEWHERE = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_CONSTRAINT", "PIP_REQUIREMENT", "VIRTUAL_ENV")
 _NEWS = re.compile(r"^\s*(Collecting|Downloading|Using cached|Installing collected packages)[: ]+(\S+)(?:.*(\(.*\)))?")
+_USUAL = ["--only-binary", ":all:", "--no-compile", "--no-color", "--progress-bar", "off"]
 INSTALLING = "Installing collected packages"
 """What pip says when all is there and it begins to write into the environment."""
 
@@ -37,8 +38,12 @@ def install_command(
     python: Path, requirements: Sequence[str], constraints: Path, options: Sequence[str]
 ) -> list[str | Path]:
     """Install pinned packages, as wheels: nothing is compiled."""
-    usual = ["--only-binary", ":all:", "--no-compile", "--no-color", "--progress-bar", "off"]
-    return [python, "-I", "-m", "pip", "install", *usual, *options, "--constraint", constraints, *requirements]
+    return [python, "-I", "-m", "pip", "install", *_USUAL, *options, "--constraint", constraints, *requirements]
+
+
+def install_hashed_command(python: Path, hashes: Path) -> list[str | Path]:
+    """Install the packages of a file that has their hashes: these very files and no others."""
+    return [python, "-I", "-m", "pip", "install", *_USUAL, "--no-deps", "--require-hashes", "--requirement", hashes]
 
 
 def torch_options(index_url: str, torch_build: str) -> list[str]:

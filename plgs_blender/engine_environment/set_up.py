@@ -18,7 +18,7 @@ from ...engine.job.environment import COMPLETE, environment_name, environments_f
 from ...engine.job.handshake import EngineAnswer
 from ...engine.job.lock import FileLock, is_locked
 from ...engine.job.process import ROOT, clean_environment, engine_call
-from ...engine.job.requirements import constraints_path, needed_packages, pinned_versions
+from ...engine.job.requirements import constraints_path, hashes_path, needed_packages, pinned_versions
 from . import pip
 from .base_python import PROBE, BasePython, candidates, judge, wanted
 from .disk_meter import DiskMeter
@@ -165,7 +165,9 @@ class SetUp:
         return notes
 
     def _install_packages(self, environment: Path, base: BasePython, notes: Notes) -> Generator[None, None, None]:
-        """First torch alone, then all: which finds torch there, and brings what it needs."""
+        """First torch alone; then what has hashes; then all, which finds these there, and brings what torch needs of
+        CUDA.
+        """
         needed = needed_packages(self.root, base.version)
         pins = {name: f"{name}=={pin}" if pin else name for name, pin in needed.items()}
         constraints, python = constraints_path(self.root, base.version), python_in(environment)
@@ -177,8 +179,11 @@ class SetUp:
         yield from self._install("torch", environment, command, notes)
         self._tell(4, "Installing the other packages")
         self._begin(0.5, 0.8, expected_bytes=_OTHER_BYTES[wish.torch_build])
+        hashes = hashes_path(self.root, base.version)
+        if hashes.exists():
+            yield from self._install("packages", environment, pip.install_hashed_command(python, hashes), notes)
         command = pip.install_command(python, list(pins.values()), constraints, [])
-        yield from self._install("packages", environment, command, notes)
+        yield from self._install("what is left", environment, command, notes)
 
     def _install(
         self, step: str, environment: Path, command: Sequence[str | Path], notes: Notes

@@ -31,6 +31,7 @@ class Faults:
         """What failed, as "fsync manifest.json"."""
         self._folder, self._patch, self._thread = str(folder), patch, threading.get_ident()
         self._at, self._error, self._for_good = 0, SHORT, False
+        self._is_asleep = False
 
     @contextmanager
     def failing(self, at: int, error: int, for_good: bool) -> Iterator[None]:
@@ -45,6 +46,15 @@ class Faults:
             patch.setattr(os, "fdopen", lambda file, *rest, **more: self._file(reopening, file, *rest, **more))
             yield
 
+    @contextmanager
+    def asleep(self) -> Iterator[None]:
+        """What happens inside is another process's doing: it neither counts nor fails."""
+        self._is_asleep = True
+        try:
+            yield
+        finally:
+            self._is_asleep = False
+
     @property
     def has_failed(self) -> bool:
         return bool(self.failed)
@@ -52,7 +62,7 @@ class Faults:
     def tick(self, call: str, where: Any) -> None:
         """Raises OSError when it is this call's turn to fail."""
         path = self._path(where)
-        if path is None or threading.get_ident() != self._thread:
+        if path is None or self._is_asleep or threading.get_ident() != self._thread:
             return
         self.calls += 1
         if self.calls == self._at or (self._for_good and self.calls > self._at):

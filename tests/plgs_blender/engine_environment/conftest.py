@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from plgs.engine.job.environment import python_in
-from plgs.engine.job.requirements import module_of, needed_packages
+from plgs.engine.job.requirements import hashes_path, module_of, needed_packages
 from plgs.plgs_blender.engine_environment.notes import Notes
 from plgs.plgs_blender.engine_environment.progress import Wish
 from plgs.plgs_blender.engine_environment.set_up import SetUp
@@ -49,6 +49,7 @@ def code(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def index(code: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[PackageIndex]:
     needed = needed_packages(code, sys.version_info[:2])
     index = PackageIndex({name: (pin or "1.0", module_of(name)) for name, pin in needed.items()})
+    hashes_path(code, sys.version_info[:2]).write_text(index.hashes(without="torch"))
     for name in ("PIP_FIND_LINKS", "PIP_EXTRA_INDEX_URL", "PIP_INDEX_URL", "PIP_NO_INDEX"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")

@@ -50,6 +50,14 @@ class PackageIndex:
         self._server.shutdown()
         self._server.server_close()
 
+    def hashes(self, without: str) -> str:
+        """As requirements/hashes-*.txt has them."""
+        lines = []
+        for name, (file, content) in self.wheels.items():
+            if name != without:
+                lines.append(f"{name}=={file.split('-')[1]} --hash=sha256:{hashlib.sha256(content).hexdigest()}\n")
+        return "".join(lines)
+
     def _page(self, name: str) -> bytes | None:
         found = [file for package, (file, _) in self.wheels.items() if package.lower() == name]
         return "".join(f'<a href="/files/{file}">{file}</a>' for file in found).encode() if found else None

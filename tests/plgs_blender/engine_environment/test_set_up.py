@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 from following import follow
-from package_index import PackageIndex
+from package_index import PackageIndex, wheel
 from plgs.engine.job.environment import is_complete, python_in
+from plgs.plgs_blender.engine_environment import pip
 from plgs.plgs_blender.engine_environment import set_up as steps
 from plgs.plgs_blender.engine_environment.notes import Notes
 from plgs.plgs_blender.engine_environment.progress import Outcome, Wish
@@ -92,6 +93,38 @@ def test_a_broken_wheel_is_told(begin: Begin, index: PackageIndex) -> None:
     index.fault["torch"] = "garbage"
     told = error_of(follow(begin()))
     assert "pip could not install torch" in told and "wheel" in told.lower()
+
+
+def test_a_wheel_that_was_exchanged_is_refused(begin: Begin, index: PackageIndex) -> None:
+    name, _ = index.wheels["numba"]
+    index.wheels["numba"] = name, wheel("numba", name.split("-")[1], "other")[1]
+    assert "DO NOT MATCH THE HASHES" in error_of(follow(begin()))
+
+
+def test_the_password_of_an_index_stays_out_of_log_and_message(
+    code: Path, folder: Path, index: PackageIndex, capfd: pytest.CaptureFixture[str]
+) -> None:
+    index.fault["scipy"] = "garbage"
+    url = index.url.replace("http://", "http://me:secret@")
+    set_up = SetUp(Wish(Path(sys.executable), "cpu", url), code, folder)
+    assert "secret" not in error_of(follow(set_up))
+    log = set_up.log_path.read_text()
+    assert "pip install" in log and "secret" not in log
+
+
+def test_the_users_hash_policy_stays(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PIP_REQUIRE_HASHES", "1")
+    assert pip.environment(tmp_path)["PIP_REQUIRE_HASHES"] == "1"
+
+
+def test_what_pip_wrote_is_synced_before_it_counts_as_complete(begin: Begin, folder: Path) -> None:
+    set_up = begin()
+    while set_up.outcome is None:
+        set_up.poll()
+        if is_complete(environment_in(folder)):
+            assert "os, 'sync'" in set_up.log_path.read_text()
+        time.sleep(0.02)
+    assert set_up.outcome.error is None
 
 
 def test_cancel_ends_pip_at_once(begin: Begin, index: PackageIndex, folder: Path) -> None:
