@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterable, Iterator
 from hashlib import sha256
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from ..engine.job import JobError
 from ..engine.job.made_frames import MadeFrame, MadeFrames, SceneSource, is_newer, made_of
 from ..engine.job.user_cache import notes_folder
 from ..engine.scene import Camera, ClassTable, Frame, Scene, SceneError, Size
+from ..engine.scene.array_file import read_npz
 
 _MOST_BESIDE = 9
 
@@ -88,10 +88,10 @@ def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """xyz float32 [N, 3] metres and rgb uint8 [N, 3] of a cloud. Raises JobError."""
     fix = "Delete the file and import the scene again."
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            xyz, rgb = stored["xyz"], stored["rgb"]
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise JobError(f"cannot be read ({error})", path, fix) from error
+        stored = read_npz(path, fix, ("xyz", "rgb"))
+    except SceneError as error:
+        raise JobError(error.what, path, fix) from error
+    xyz, rgb = stored["xyz"], stored["rgb"]
     if xyz.dtype != np.float32 or rgb.dtype != np.uint8 or xyz.shape != rgb.shape or xyz.shape[1:] != (3,):
         raise JobError("is no coloured cloud", path, fix)
     return xyz, rgb

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..gates import read_plain
 from .class_tables import REDUCED, TABLES, known_table
 from .classes import LARGEST_CLASS_ID, ClassLabel
 from .frame import SceneError
@@ -75,9 +76,7 @@ def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
 def read_class_choice(path: Path) -> ClassChoice:
     """The choice in a file. Raises SceneError that names the file and the key that is wrong."""
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise SceneError("the file is too large for a list of classes", path, "Name another file.")
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        content = tomllib.loads(read_plain(path, _LARGEST_FILE).decode("utf-8-sig"))
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -14,7 +14,7 @@ import bpy
 
 from ...engine.job import ExitCode, JobError
 from ...engine.job.made_frames import made_of
-from ...engine.job.process import EngineProcess
+from ...engine.job.process import EngineProcess, engine_call
 from ..errors import EXPECTED
 from ..frame_pictures import show_made
 from ..import_scene import add_made, place_scene
@@ -61,7 +61,7 @@ def begin(order: Order, python: Path) -> None:
         fix = "Wait until it is done, or cancel it."
         raise JobError("an engine makes frames already", _now.order.place.folder, fix)
     folder = frames_folder(order.place.source)
-    command: list[str | Path] = [python, "-m", "engine", "frames", *order.place.arguments(), "-o", folder]
+    command = [*engine_call(python), "frames", *order.place.arguments(), "-o", folder]
     command += ["--stay-with-parent", "--make", *order.kinds]
     if order.frame:
         command += ["--frames", order.frame]

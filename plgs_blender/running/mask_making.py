@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 
 from ...engine.job import ExitCode, JobError
-from ...engine.job.process import EngineProcess
+from ...engine.job.process import EngineProcess, engine_call
 from ..redrawing import redraw_panels
 from ..scene_survey import Place
 from . import poll_timer
@@ -35,7 +35,7 @@ def begin(place: Place, python: Path, model: str, *, download: bool) -> None:
     global _now, _error, _line
     if _now is not None:
         raise JobError("an engine makes masks already", _now.place.folder, "Wait until it is done, or cancel it.")
-    command: list[str | Path] = [python, "-m", "engine", "segment", place.folder, f"--up={place.up}"]
+    command = [*engine_call(python), "segment", place.folder, f"--up={place.up}"]
     command += [] if place.scene_format is None else ["--format", place.scene_format]
     command += ["--stay-with-parent", *(["--model", model] if model else []), *(["--download"] if download else [])]
     _error, _line = None, "Making masks"

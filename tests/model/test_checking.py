@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 import torch
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from safetensors.torch import save
 
@@ -21,16 +21,12 @@ from engine.job import JobError, LiftFolder, LiftRequest
 from engine.lift.scene_files import read_model, write_model
 from engine.model.render import render_view
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene, from_tensors, to_tensors
+from tests.fuzzing import examples
 from tests.model.some_scene import CAMERA, GAUSSIANS, some_scene
 
 REFUSED = (ValueError, KeyError, TypeError, AttributeError)
 ODD_VALUES = [None, True, -1, 0, 1, 2, 5, 64, 65536, 2**31, 2**63, 1e308, math.nan, "7", [], {}, [7], [[7]], [0, 1, 2]]
 ODD_NUMBERS = [math.nan, math.inf, -math.inf, 1e38, -1e38, 3e6, 1e-40, 0.0]
-LARGE = settings(
-    max_examples=int(os.environ.get("PLGS_FUZZ_EXAMPLES", "80")),
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
 
 
 def a_model(voted: bool) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -83,7 +79,7 @@ def test_labels_that_no_table_has() -> None:
     refused(tensors | {"anchors.initial_class": torch.full((80,), 2**40)}, facts, "cannot hold")
 
 
-@LARGE
+@examples(100)
 @given(data=st.data(), voted=st.booleans())
 def test_odd_facts_and_tensors(data: st.DataObject, voted: bool) -> None:
     """What is not refused can be drawn."""
@@ -158,7 +154,7 @@ def test_a_model_with_bad_notes_is_a_line(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_with_kernels_that_know_their_bounds(root: Path, tmp_path: Path) -> None:
     """The fuzz above once more, in a process whose kernels raise IndexError where they would read or write astray."""
-    variables = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PLGS_FUZZ_EXAMPLES": "1000"}
+    variables = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PLGS_FUZZ": "10"}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "odd_facts"]
     said = subprocess.run(command, cwd=root, env=variables, capture_output=True, text=True)
     assert said.returncode == 0, said.stdout

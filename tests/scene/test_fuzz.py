@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from engine.scene import SceneError, check_scene, open_scene
+from tests.fuzzing import examples
 from tests.tiny_scene import write_tiny_scene
 
 odd_values = st.one_of(
@@ -24,7 +25,7 @@ odd_values = st.one_of(
     st.lists(st.integers(-1, 300), max_size=3),
     st.sampled_from(["0001.png", "../0001.png", "\0", 1e308, 2**31, 2**63, -1, 0]),
 )
-quick = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
+quick = examples(60)
 
 
 @pytest.fixture(scope="module")

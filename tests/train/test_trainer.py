@@ -241,3 +241,34 @@ def test_anchors_are_never_more_than_allowed(tiny: Input, tmp_path: Path) -> Non
     while not trainer.finished:
         trainer.step()
         assert len(trainer.scene.anchors) <= most
+
+
+def test_a_stored_state_that_does_not_fit_is_refused(tiny: Input, tmp_path: Path) -> None:
+    views, classes = tiny
+    trainer = trainer_of(views, classes, TINY, tmp_path)
+    trainer.step()
+    tensors, facts = trainer_state(trainer)
+    tensors = {name: tensor.detach().clone() for name, tensor in tensors.items()}
+    count = len(trainer.scene.anchors)
+    spoilt = {
+        "model.anchors.position": torch.full((count, 3), torch.nan),
+        "model.anchors.log_scale": torch.zeros(1, 6),
+        "optimiser.anchors.feature.mean": torch.zeros(1, 3),
+        "optimiser.anchors.offset.square": -torch.ones(count, TINY.gaussians_per_anchor, 3),
+        "growth.visits": torch.zeros(count + 1),
+        "pseudo.0": torch.full(views[0].depth.shape, 99, dtype=torch.int16),
+        "pseudo_slot.0": torch.zeros(2, 2, dtype=torch.int16),
+        "pseudo.999": torch.zeros(2, 2, dtype=torch.int16),
+        "pseudo.x": torch.zeros(2, 2, dtype=torch.int16),
+    }
+    for name, tensor in spoilt.items():
+        with pytest.raises((ValueError, KeyError)):
+            restore(trainer, tensors | {name: tensor}, facts)
+    for step in (-1, TINY.steps + 1, 1.5, None):
+        with pytest.raises(ValueError, match="its step"):
+            restore(trainer, tensors, facts | {"step": step})
+    with pytest.raises(ValueError, match="other labels"):
+        other = facts["model"] | {"slot_ids": [slot + (slot > 0) for slot in facts["model"]["slot_ids"]]}
+        restore(trainer, tensors, facts | {"model": other})
+    restore(trainer, tensors, facts)
+    trainer.step()

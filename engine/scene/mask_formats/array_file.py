@@ -12,9 +12,12 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import open_plain
+from ..array_file import read_npy, read_npz
 from ..frame import SceneError
 
 LARGEST_BYTES = 2**30
+_FIX = "Write it again with numpy.save."
 _DAMAGED = (
     ValueError, TypeError, EOFError, KeyError, SyntaxError, tokenize.TokenError, NotImplementedError, RuntimeError,
     zipfile.BadZipFile, zlib.error,
@@ -34,10 +37,10 @@ def array_headers(path: Path) -> dict[str, ArrayHeader]:
     """The arrays of an .npz by name; the one of an .npy is called "". Raises SceneError."""
     try:
         if path.suffix.lower() == ".npy":
-            with path.open("rb") as file:
+            with open_plain(path) as file:
                 return {"": _header(file, path)}
         found = {}
-        with zipfile.ZipFile(path) as archive:
+        with open_plain(path) as packed, zipfile.ZipFile(packed) as archive:
             for info in archive.infolist():
                 if info.filename.endswith(".npy"):
                     with archive.open(info) as member:
@@ -56,10 +59,8 @@ def read_array(path: Path, name: str = "") -> NDArray[Any]:
         raise SceneError(f'there is no array called "{name}"', path, f"It has {', '.join(headers) or 'none'}.")
     try:
         if not name and path.suffix.lower() == ".npy":
-            values: NDArray[Any] = np.load(path, allow_pickle=False)
-            return values
-        with np.load(path, allow_pickle=False) as stored:
-            return stored[name]
+            return read_npy(path, _FIX, LARGEST_BYTES)
+        return read_npz(path, _FIX, [name], LARGEST_BYTES)[name]
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
     except _DAMAGED as error:
@@ -80,4 +81,4 @@ def _header(file: IO[bytes], path: Path) -> ArrayHeader:
 
 
 def _no_arrays(path: Path) -> SceneError:
-    return SceneError("this is no NumPy file of numbers, or it is cut off", path, "Write it again with numpy.save.")
+    return SceneError("this is no NumPy file of numbers, or it is cut off", path, _FIX)

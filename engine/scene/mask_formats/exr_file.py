@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import open_plain
 from ..frame import SceneError, Size
 from .label_map import LARGEST_PIXELS
 
@@ -32,7 +33,7 @@ class ExrHeader:
 def read_exr_header(path: Path) -> ExrHeader:
     """The header of the first part. Raises SceneError."""
     try:
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             data = file.read(8)
             if not data.startswith(_MAGIC) or len(data) < 8:
                 raise SceneError("this is no OpenEXR file", path, _FIX)

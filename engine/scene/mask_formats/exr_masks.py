@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...gates import read_plain
 from ..class_tables import is_thing_by_name
 from ..classes import ClassLabel
 from ..frame import SceneError
@@ -191,11 +192,10 @@ def _side_file(path: Path, name: str | None) -> str:
         return "{}"
     side = file_inside(path.parent, name, path)
     try:
-        if side.stat().st_size > _LARGEST_MANIFEST:
-            raise SceneError("the manifest is too large", side, "Write the frames again.")
-        return side.read_text(encoding="utf-8")
+        return read_plain(side, _LARGEST_MANIFEST).decode()
     except (OSError, UnicodeDecodeError) as error:
-        raise SceneError("the manifest cannot be read", side, "Put it beside the pictures.") from error
+        reason = getattr(error, "strerror", None) or "it is no text"
+        raise SceneError(f"the manifest cannot be read ({reason})", side, "Put it beside the pictures.") from error
 
 
 def _manifest(text: str, path: Path) -> dict[int, str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...gates import open_plain
 from ..frame import SceneError, Size
 from ..layout import files_by_stem, require_all, shown_size
 from .label_map import label_header, read_indices
@@ -74,7 +75,7 @@ def has_palette(place: Path) -> bool:
     first = next(iter(sorted(place.glob("*.png"))), None) if place.is_dir() else None
     if first is None:
         return False
-    with first.open("rb") as file:
+    with open_plain(first) as file:
         return file.read(26)[25:26] == b"\3"  # the colour type of the header
 
 

@@ -20,10 +20,11 @@ from typing import Any
 
 import numpy as np
 
+from ...gates import read_plain
 from ..class_tables import is_thing_by_name
 from ..classes import LARGEST_CLASS_ID, ClassLabel
 from ..frame import SceneError
-from ..json_file import parse_json_object, read_json_object, take_flag, take_objects, take_whole_number
+from ..json_file import MOST_BYTES, parse_json_object, read_json_object, take_flag, take_objects, take_whole_number
 from ..layout import files_by_stem, listed, require_all
 from .coco import take_score
 from .label_map import SUFFIXES, label_map_size, read_label_map
@@ -89,7 +90,7 @@ def _picture_of(table: Path) -> Path | None:
 def _segments_info(path: Path) -> list[dict[str, Any]]:
     """The list in a file: by itself, or as "segments_info" of an object. Raises SceneError."""
     try:
-        data = path.read_bytes()
+        data = read_plain(path, MOST_BYTES)
     except OSError as error:
         raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
     if data.lstrip().startswith(b"["):
