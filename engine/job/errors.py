@@ -7,8 +7,7 @@ from pathlib import Path
 
 from ..gates import printable
 
-SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
-"""Errors of a disk or share that does not answer now: nothing is said about what lies there."""
+_SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
 
 
 class JobError(Exception):
@@ -22,3 +21,9 @@ class JobError(Exception):
 
 class Cancelled(Exception):
     """Somebody asked the lift to stop. Nothing is lost: the last checkpoint can be resumed (exit code 3)."""
+
+
+def is_silence(error: BaseException | None) -> bool:
+    """Whether a disk or share did not answer, which says nothing about what lies there: ``error`` or its cause."""
+    causes = (error, error.__cause__ if error is not None else None)
+    return any(isinstance(one, OSError) and one.errno in _SILENT for one in causes)

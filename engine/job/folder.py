@@ -12,7 +12,7 @@ from ..gates import create_plain
 from .atomic import PART, flush_to_disk, remove_parts
 from .bake_locks import BakeLocks
 from .checkpoint import CheckpointStore
-from .errors import SILENT, JobError
+from .errors import JobError, is_silence
 from .events import last_events
 from .lock import FileLock, is_locked
 from .manifest import check_sizes
@@ -230,7 +230,7 @@ class LiftFolder:
         try:
             check_sizes(self.result_path)
         except JobError as error:
-            if isinstance(error.__cause__, OSError) and error.__cause__.errno in SILENT:
+            if is_silence(error):
                 raise
             return False
         return True

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from ..gates import inner_path
 from .detached import DetachedEngine, detached_command
-from .errors import JobError
+from .errors import JobError, is_silence
 from .events import Event, EventReader
 from .exit_code import ExitCode
 from .folder import BAKE, LIFT, LIVE_PREVIEW, LiftFolder, LiftState
@@ -152,7 +152,9 @@ class LiftFollower:
             return []
         try:
             events = self._poll()
-        except (OSError, JobError):
+        except (OSError, JobError) as error:
+            if not is_silence(error):
+                raise
             # A disk may fail to answer for a moment (EIO, ESTALE): that ends no lift.
             self._blind_since = self._clock() if self._blind_since is None else self._blind_since
             if self._clock() - self._blind_since > PATIENCE_S:
