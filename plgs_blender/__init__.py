@@ -13,9 +13,9 @@ def _modules() -> tuple[ModuleType, ...]:
     """Those that Blender has to know, in order. Imported late: a script that only reads a result needs none of them."""
     from . import settings
     from .inspecting import following, records
-    from .running import poll_timer
+    from .running import diagnosing, poll_timer
 
-    return settings, records, following, poll_timer
+    return settings, records, following, poll_timer, diagnosing
 
 
 def register() -> None:

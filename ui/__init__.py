@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from ..plgs_blender.registration import register_modules, unregister_modules
 from . import (
+    diagnosis_panel,
     file_menu,
     frames_panel,
     lift_panel,
@@ -26,6 +27,7 @@ _MODULES = (
     lift_panel,
     passes_panel,
     scene_panel,
+    diagnosis_panel,
     frames_panel,
     result_panel,
     overlay,

@@ -104,9 +104,8 @@ def _linearised(
     for column in columns:
         step = np.zeros(len(PARAMETERS))
         step[column] = _STEPS[column]
-        before = views.compare(pairs, moved(at, -step), points)
         after = views.compare(pairs, moved(at, step), points)
-        found.append((before.error - after.error) / (2.0 * _STEPS[column]))
+        found.append((centre.error - after.error) / _STEPS[column])
     slopes = np.stack(found, -1)
     # Where a parameter seems to do much, the point went over an edge.
     usable = (centre.agrees > 0.0) & np.isfinite(slopes).all(-1) & (np.abs(slopes) < _STEEPEST).all(-1)

@@ -23,6 +23,7 @@ _ABOVE_NOISE = 2.0
 """A shift of the principal point counts where it moves surfaces by more than so many times the median error left."""
 _HALF, _NEARLY = 0.5, 0.1
 _SIGMAS = 5.0
+_MORE, _LESS = 1.03, 0.7
 _MOVED, _SCALED = 0.0075, 0.03
 """Of the width: colour and depth of one sensor are seldom registered better than to a few pixels of 640."""
 _GAIN = 0.1
@@ -223,7 +224,7 @@ def _of_calibration(
         return [], assumed
     mended = moved(assumed, again.values)
     before, after = (agreement(examined.views, examined.pairs, each) for each in (assumed, mended))
-    if after.mean < before.mean:
+    if not _explains(before, after):
         return [], assumed
     one, other = examined.telling_pair(mended)
     picture = depth_errors(examined.views, one, other, [("as it is", assumed), ("with the numbers measured", mended)])
@@ -242,6 +243,13 @@ def _of_calibration(
             )  # fmt: skip
         )
     return findings, mended
+
+
+def _explains(before: Agreement, after: Agreement) -> bool:
+    """Whether most of the error goes, or many more points agree: poses that drift bend every number a little, and
+    stay wrong with it.
+    """
+    return after.mean > _MORE * before.mean or (after.mean >= before.mean and after.error < _LESS * before.error)
 
 
 def _is_moved(examined: Examined, found: Calibration, axis: str, left: float) -> bool:

@@ -130,22 +130,23 @@ class Views:
 
     def depth_at(self, looks: NDArray[np.int64], place: Floats, wanted: NDArray[np.bool_]) -> Floats:
         """Depth at places [P, M, 2] of pictures [P], between pixels' centres interpolated; 0 at edges and outside."""
+        found = np.zeros(wanted.shape)
         width, height = self.size[looks, 0].astype(np.int64)[:, None], self.size[looks, 1].astype(np.int64)[:, None]
         x, y = place[..., 0] * width - 0.5, place[..., 1] * height - 0.5
         inside = wanted & (x >= 0.0) & (y >= 0.0) & (x < width - 1) & (y < height - 1)
-        x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
+        x, y, across = x[inside], y[inside], np.broadcast_to(width, inside.shape)[inside]
         left, top = x.astype(np.int64), y.astype(np.int64)
         right, down = x - left, y - top
-        index = self._starts[looks][:, None] + top * width + left
-        step = np.where(inside, width, 0), np.where(inside, 1, 0)
-        corners = [self._pixels[index + a * step[0] + b * step[1]] for a in (0, 1) for b in (0, 1)]
+        index = np.broadcast_to(self._starts[looks][:, None], inside.shape)[inside] + top * across + left
+        corners = [self._pixels[index + step] for step in (0, 1, across, across + 1)]
         nearest, farthest = np.minimum.reduce(corners), np.maximum.reduce(corners)
-        smooth = inside & (nearest > 0.0) & (farthest < _SMOOTH * nearest)
+        smooth = (nearest > 0.0) & (farthest < _SMOOTH * nearest)
         # A plane is linear in 1 / depth.
-        inverse = [1.0 / np.where(smooth, corner, 1.0) for corner in corners]
+        inverse = [1.0 / np.where(smooth, corner, 1.0).astype(np.float64) for corner in corners]
         upper = inverse[0] * (1.0 - right) + inverse[1] * right
         lower = inverse[2] * (1.0 - right) + inverse[3] * right
-        return np.where(smooth, 1.0 / (upper * (1.0 - down) + lower * down), 0.0)
+        found[inside] = np.where(smooth, 1.0 / (upper * (1.0 - down) + lower * down), 0.0)
+        return found
 
     def surface_at(self, look: int, local: Floats, assumed: Assumption, lens: Lens) -> Surface:
         """The surface of a look that points, float64 [N, 3] in its camera's axes, are projected to."""
