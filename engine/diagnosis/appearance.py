@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from typing import Any
 
-from ..scene import Scene
+import numpy as np
+from numpy.typing import NDArray
+
 from ..scene.layout import listed
 from .examined import Examined
 from .finding import Finding
 from .labels import LabelAgreement, measure_labels
-from .photos import Photo, relative_sharpness
+from .photos import Photo, neighbours_of, relative_sharpness
 from .pictures import side_by_side
 from .reprojection import Assumption, Floats
 
-_BLURRED = 0.7
-"""Of the neighbours' detail."""
-_VERY_BLURRED = 0.35
+_BLURRED, _BLURRED_SURFACE = 0.8, 0.88
+"""Of the neighbours' detail, in the whole picture and on the same surfaces: turned away from, these lose a tenth."""
+_VERY_BLURRED, _BLURRED_BY_ITSELF = 0.35, 0.3
 _EXPOSURE = 1.5
 """Times brighter and darker that frames show the same surface, from the 5th to the 95th percentile."""
 _CLIPPED = 0.5
+_GRAIN = 9
+"""Pixels of a picture 320 wide over which detail is measured."""
+_NO_DETAIL, _DETAIL = 13.0, 1500.0
 _LEAST_FRAMES = 5
 _FEWEST_POINTS = 100
 _SURFACES_AGREE = 0.5
@@ -27,49 +33,64 @@ _CONFUSED, _CONFUSED_SHARE = 0.25, 0.01
 """A class is contradicted when this part of it is called one other class, and that is this part of all points."""
 
 
-def photo_findings(scene: Scene, photos: dict[int, Photo]) -> list[Finding]:
-    """Frames that are blurred, black or white."""
-    shots = list(photos.values())
-    found = []
-    if len(shots) >= _LEAST_FRAMES:
-        sharpness = relative_sharpness(shots)
-        blurred = [(value, shot) for value, shot in zip(sharpness.tolist(), shots, strict=True) if value < _BLURRED]
-        if blurred:
-            found.append(_of_blur(sorted(blurred, key=lambda each: each[0]), shots))
-    clipped = [shot for shot in shots if shot.clipped > _CLIPPED]
-    if clipped:
-        names = tuple(shot.name for shot in clipped)
-        found.append(
-            Finding(
-                cause="exposure",
-                severity="note",
-                text=f"in {len(clipped)} of {len(shots)} frames most pixels are black or white: {listed(names)}",
-                option="leave them out with a splits.json",
-                figures={"frames": float(len(clipped)), "clipped": max(shot.clipped for shot in clipped)},
-                frames=names,
-                picture=side_by_side([(shot.name, shot.grey) for shot in clipped[:2]]),
-            )
+def clipped_findings(photos: dict[int, Photo]) -> list[Finding]:
+    """Frames that are mostly black or white."""
+    clipped = [shot for shot in photos.values() if shot.clipped > _CLIPPED]
+    if not clipped:
+        return []
+    names = tuple(shot.name for shot in clipped)
+    return [
+        Finding(
+            cause="exposure",
+            severity="note",
+            text=f"in {len(clipped)} of {len(photos)} frames most pixels are black or white: {listed(names)}",
+            option="leave them out with a splits.json",
+            figures={"frames": float(len(clipped)), "clipped": max(shot.clipped for shot in clipped)},
+            frames=names,
+            picture=side_by_side([(shot.name, shot.grey) for shot in clipped[:2]]),
         )
-    return found
+    ]
 
 
-def _of_blur(blurred: list[tuple[float, Photo]], shots: list[Photo]) -> Finding:
-    names = tuple(shot.name for _, shot in blurred)
-    worst, shot = blurred[0]
-    place = shots.index(shot)
-    beside = shots[place - 1] if place else shots[1]
-    drop = [each.name for value, each in blurred if value < _VERY_BLURRED]
+def blur_findings(photos: dict[int, Photo]) -> list[Finding]:
+    """Frames with far less detail than their neighbours, where there is no depth to tell what they show."""
+    shots = list(photos.values())
+    return _of_blur(shots, relative_sharpness(shots), np.ones(len(shots), bool), _BLURRED_BY_ITSELF)
+
+
+def blur_findings_on_surfaces(examined: Examined, assumed: Assumption) -> list[Finding]:
+    """Frames with less detail than their neighbours, also on the very surfaces that those show: a bare wall is no
+    blur.
+    """
+    shots = [_photo(examined, row) for row in range(len(examined.looks))]
+    details = relative_details(examined, assumed)
+    if details is None:
+        return []
+    beside = np.exp(details - np.array([np.median(around) for around in neighbours_of(details)]))
+    return _of_blur(shots, relative_sharpness(shots), beside < _BLURRED_SURFACE, _BLURRED)
+
+
+def _of_blur(shots: Sequence[Photo], sharpness: Floats, may_be: NDArray[np.bool_], threshold: float) -> list[Finding]:
+    found = sorted((float(sharpness[row]), int(row)) for row in np.flatnonzero(may_be & (sharpness < threshold)))
+    if not found or len(shots) < _LEAST_FRAMES:
+        return []
+    names = tuple(shots[row].name for _, row in found)
+    worst, row = found[0]
+    beside = shots[row - 1] if row else shots[1]
+    drop = [shots[row].name for value, row in found if value < _VERY_BLURRED]
     more = f"; {listed(drop)} may as well be left out" if drop else ""
-    return Finding(
-        cause="blur",
-        severity="note",
-        text=f"{len(blurred)} of {len(shots)} frames are less sharp than their neighbours, the worst with {worst:.0%} "
-        f"of their detail: {listed(names)}{more}",
-        option="none is needed: a lift counts them less; leave the worst out with a splits.json",
-        figures={"frames": float(len(blurred)), "least_detail": worst},
-        frames=names,
-        picture=side_by_side([(beside.name, beside.grey), (shot.name, shot.grey)]),
-    )
+    return [
+        Finding(
+            cause="blur",
+            severity="note",
+            text=f"{len(found)} of {len(shots)} frames are less sharp than their neighbours, the worst with "
+            f"{worst:.0%} of their detail: {listed(names)}{more}",
+            option="none is needed: a lift counts them less; leave the worst out with a splits.json",
+            figures={"frames": float(len(found)), "least_detail": worst},
+            frames=names,
+            picture=side_by_side([(beside.name, beside.grey), (shots[row].name, shots[row].grey)]),
+        )
+    ]
 
 
 def exposure_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
@@ -97,8 +118,29 @@ def exposure_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
 
 
 def relative_gains(examined: Examined, assumed: Assumption) -> Floats | None:
-    """The logarithm of how bright each look shows surfaces beside the others, float64 [F], of mean 0: least squares
-    over the median ratios of the pairs; None where too few pairs see the same.
+    """The logarithm of how bright each look shows surfaces beside the others, float64 [F], of mean 0."""
+    return _relative_levels(examined, assumed, [_photo(examined, row).grey for row in range(len(examined.looks))])
+
+
+def relative_details(examined: Examined, assumed: Assumption) -> Floats | None:
+    """The logarithm of how much detail each look shows on surfaces beside the others, float64 [F], of median 0."""
+    import cv2
+
+    maps = []
+    for row in range(len(examined.looks)):
+        grey = _photo(examined, row).grey
+        detail = cv2.blur(np.abs(cv2.Laplacian(grey, cv2.CV_32F)), (_GRAIN, _GRAIN))
+        # Exposure multiplies both; where there is next to none, it is noise.
+        maps.append(
+            _NO_DETAIL + _DETAIL * detail / np.maximum(cv2.blur(grey.astype(np.float32), (_GRAIN, _GRAIN)), 1.0)
+        )
+    levels = _relative_levels(examined, assumed, maps)
+    return None if levels is None else levels - np.median(levels)
+
+
+def _relative_levels(examined: Examined, assumed: Assumption, maps: Sequence[NDArray[Any]]) -> Floats | None:
+    """The logarithm of each look's values on surfaces beside those of the others there, float64 [F], of mean 0: least
+    squares over the median ratios of the pairs; None where too few pairs see the same. Values of 12 to 243 count.
     """
     comparison = examined.views.compare(examined.pairs, assumed)
     rows, ratios = [], []
@@ -106,8 +148,8 @@ def relative_gains(examined: Examined, assumed: Assumption) -> Floats | None:
         same = comparison.agrees[row] > _SURFACES_AGREE
         if same.sum() < _FEWEST_POINTS / 2:
             continue
-        ours = _brightness(examined, one, examined.views.places[one][same])
-        theirs = _brightness(examined, other, comparison.place[row][same])
+        ours = _at(maps[one], examined.views.places[one][same])
+        theirs = _at(maps[other], comparison.place[row][same])
         fair = (ours > 12) & (ours < 243) & (theirs > 12) & (theirs < 243)
         if fair.sum() >= _FEWEST_POINTS / 4:
             rows.append((one, other))
@@ -117,16 +159,19 @@ def relative_gains(examined: Examined, assumed: Assumption) -> Floats | None:
     system = np.zeros((len(rows), len(examined.looks)))
     system[np.arange(len(rows)), [one for one, _ in rows]] = -1.0
     system[np.arange(len(rows)), [other for _, other in rows]] = 1.0
-    gains = np.linalg.lstsq(system, np.array(ratios), rcond=1e-6)[0]
-    return gains - gains.mean()
+    levels = np.linalg.lstsq(system, np.array(ratios), rcond=1e-6)[0]
+    return levels - levels.mean()
 
 
-def _brightness(examined: Examined, row: int, places: Floats) -> Floats:
-    grey = examined.photos[examined.looks[row].number].grey
-    height, width = grey.shape
+def _at(pixels: NDArray[Any], places: Floats) -> Floats:
+    height, width = pixels.shape
     columns = np.clip((places[:, 0] * width).astype(np.int64), 0, width - 1)
     rows = np.clip((places[:, 1] * height).astype(np.int64), 0, height - 1)
-    return grey[rows, columns].astype(np.float64)
+    return pixels[rows, columns].astype(np.float64)
+
+
+def _photo(examined: Examined, row: int) -> Photo:
+    return examined.photos[examined.looks[row].number]
 
 
 def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:

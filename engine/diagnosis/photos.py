@@ -57,10 +57,14 @@ def _load(number: int, frame: Frame) -> Photo:
 def relative_sharpness(photos: Sequence[Photo]) -> NDArray[np.float64]:
     """Each picture's detail over the median of its neighbours in the recording, which show about the same."""
     detail = np.array([photo.detail for photo in photos])
-    around = [
-        np.median(np.concatenate([detail[max(0, i - _NEIGHBOURS) : i], detail[i + 1 : i + 1 + _NEIGHBOURS]]))
-        if len(detail) > 1
-        else detail[i]
-        for i in range(len(detail))
+    return detail / np.maximum([np.median(around) for around in neighbours_of(detail)], 1e-6)
+
+
+def neighbours_of(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Of each value in recording order, float64 [N], the four before and the four after it; alone, itself."""
+    if len(values) < 2:
+        return [values]
+    return [
+        np.concatenate([values[max(0, i - _NEIGHBOURS) : i], values[i + 1 : i + 1 + _NEIGHBOURS]])
+        for i in range(len(values))
     ]
-    return detail / np.maximum(around, 1e-6)

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene import Scene
-from .appearance import exposure_findings, label_findings, photo_findings
+from .appearance import (
+    blur_findings,
+    blur_findings_on_surfaces,
+    clipped_findings,
+    exposure_findings,
+    label_findings,
+)
 from .course import order_findings, order_of, pose_findings, repeat_findings
 from .examined import Examined, examine
 from .finding import Diagnosis, Finding, Mending
@@ -38,7 +44,8 @@ def diagnose(scene: Scene) -> Diagnosis:
     findings += repeat_findings(scene)
     if order is None or not order.is_shuffled:
         findings += pose_findings(examined, assumed)
-        findings += photo_findings(scene, examined.photos)
+        findings += blur_findings_on_surfaces(examined, assumed)
+    findings += clipped_findings(examined.photos)
     findings += exposure_findings(examined, assumed)
     findings += label_findings(examined, assumed)
     mending = Mending(
@@ -55,7 +62,8 @@ def _without_depth(scene: Scene) -> Diagnosis:
     order = order_of(scene, Assumption())
     findings = [*order_findings(scene, order), *repeat_findings(scene)]
     if order is None or not order.is_shuffled:
-        findings += photo_findings(scene, photos)
+        findings += blur_findings(photos)
+    findings += clipped_findings(photos)
     dropped = frozenset(name for finding in findings if finding.is_mended for name in finding.frames)
     return _sorted(Diagnosis(tuple(findings), Mending(dropped=dropped), len(scene.frames), len(photos), None))
 
