@@ -22,6 +22,8 @@ _VERY_BLURRED, _BLURRED_BY_ITSELF = 0.35, 0.3
 _EXPOSURE = 1.5
 """Times brighter and darker that frames show the same surface, from the 5th to the 95th percentile."""
 _CLIPPED = 0.5
+_SAME_DISTANCE = 0.15
+"""Logarithm: what is nearer shows its texture larger, which is no blur."""
 _GRAIN = 9
 """Pixels of a picture 320 wide over which detail is measured."""
 _NO_DETAIL, _DETAIL = 13.0, 1500.0
@@ -134,18 +136,22 @@ def relative_details(examined: Examined, assumed: Assumption) -> Floats | None:
         maps.append(
             _NO_DETAIL + _DETAIL * detail / np.maximum(cv2.blur(grey.astype(np.float32), (_GRAIN, _GRAIN)), 1.0)
         )
-    levels = _relative_levels(examined, assumed, maps)
+    levels = _relative_levels(examined, assumed, maps, _SAME_DISTANCE)
     return None if levels is None else levels - np.median(levels)
 
 
-def _relative_levels(examined: Examined, assumed: Assumption, maps: Sequence[NDArray[Any]]) -> Floats | None:
+def _relative_levels(
+    examined: Examined, assumed: Assumption, maps: Sequence[NDArray[Any]], nearly: float = np.inf
+) -> Floats | None:
     """The logarithm of each look's values on surfaces beside those of the others there, float64 [F], of mean 0: least
-    squares over the median ratios of the pairs; None where too few pairs see the same. Values of 12 to 243 count.
+    squares over the median ratios of the pairs; None where too few pairs see the same. Values of 12 to 243 count, of
+    surfaces whose distances to both cameras differ by ``nearly`` (logarithm) at most.
     """
     comparison = examined.views.compare(examined.pairs, assumed)
     rows, ratios = [], []
     for row, (one, other) in enumerate(examined.pairs.tolist()):
         same = comparison.agrees[row] > _SURFACES_AGREE
+        same[same] &= np.abs(np.log(comparison.scale[row][same])) < nearly
         if same.sum() < _FEWEST_POINTS / 2:
             continue
         ours = _at(maps[one], examined.views.places[one][same])

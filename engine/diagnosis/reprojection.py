@@ -50,12 +50,14 @@ class Comparison(NamedTuple):
     ``error`` float64: logarithm of the depth seen over the depth expected, nan where the other view shows nothing
     there. ``agrees`` float64: 1 for no error, 0 from 5 % on and where nothing is seen. ``known`` bool: there is such a
     point. ``place`` float64 [P, M, 2]: where it falls in the other picture, in shares of that; nan behind it.
+    ``scale`` float64: how many times as far from the other camera it is.
     """
 
     error: Floats
     agrees: Floats
     known: NDArray[np.bool_]
     place: Floats
+    scale: Floats
 
 
 class Surface(NamedTuple):
@@ -116,7 +118,9 @@ class Views:
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.where(seen > 0.0, np.log(seen / safe), np.nan)
         agrees = np.clip(1.0 - (np.nan_to_num(error, nan=1.0) / AGREES_WITHIN) ** 2, 0.0, 1.0) ** 2
-        return Comparison(error, agrees, known[one], np.where(front[..., None], place, np.nan))
+        own = np.where(known, planar(self.values[:, :points], self.places[:, :points], lens, assumed), 1.0)
+        place = np.where(front[..., None], place, np.nan)
+        return Comparison(error, agrees, known[one], place, np.where(front, safe / own[one], np.nan))
 
     def world_points(
         self, assumed: Assumption, lens: Lens, poses: Floats, points: int | None = None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -86,7 +88,10 @@ SAFE: dict[str, tuple[Callable[[Path], None], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", SAFE)
+QUICKLY = ("world-to-camera", "5000 steps a metre", "half a pixel")
+
+
+@pytest.mark.parametrize("name", [n if n in QUICKLY else pytest.param(n, marks=pytest.mark.slow) for n in SAFE])
 def test_what_is_planted_is_found_named_and_mended(scene: Path, tmp_path: Path, name: str) -> None:
     plant, cause = SAFE[name]
     plant(scene)
@@ -106,6 +111,7 @@ def test_nothing_is_found_in_a_good_scene(good: Path) -> None:
     assert diagnosis.agreement is not None and diagnosis.agreement.error < 1e-3
 
 
+@pytest.mark.slow
 def test_swapped_focal_lengths(scene: Path) -> None:
     """Pictures stretched to another shape have two focal lengths."""
     wide = (128, 72)
@@ -132,6 +138,7 @@ def test_another_axis_up_is_found_and_the_option_named(tmp_path: Path) -> None:
     assert diagnose(open_scene(tmp_path / "mended")).findings == ()
 
 
+@pytest.mark.slow
 def test_inverted_poses_in_a_world_with_another_axis_up(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path / "scene", FRAMES, SIZE, up="y")
     spoiling.poses(folder, inverted)
@@ -141,6 +148,7 @@ def test_inverted_poses_in_a_world_with_another_axis_up(tmp_path: Path) -> None:
     assert diagnose(open_scene(tmp_path / "mended")).findings == ()
 
 
+@pytest.mark.slow
 def test_two_defects_at_once(scene: Path, tmp_path: Path) -> None:
     spoiling.poses(scene, inverted)
     spoiling.depths(scene, lambda steps: steps * 5.0)
@@ -168,6 +176,7 @@ def test_drift_is_reported(scene: Path) -> None:
     assert diagnosis.findings[0].figures["far_m"] > 0.02
 
 
+@pytest.mark.slow
 def test_pictures_of_another_lens_than_depth_are_reported(scene: Path) -> None:
     """As an unregistered sensor has them: depth fits the intrinsics, the pictures do not."""
     width, height = SIZE
@@ -198,6 +207,7 @@ def test_classes_that_views_exchange_are_a_note(scene: Path) -> None:
     assert {diagnosis.findings[0].figures["class"], diagnosis.findings[0].figures["other"]} == {"chair", "cabinet"}
 
 
+@pytest.mark.slow
 def test_masks_of_another_frame_are_found(scene: Path) -> None:
     black = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
     path = scene / "panoptic" / "0010.png"
@@ -212,3 +222,17 @@ def test_without_depth_order_and_pictures_are_still_looked_at(scene: Path) -> No
     spoiling.repeat(scene, "0003", instead_of="0004", kinds=("color",))
     diagnosis = diagnose(open_scene(scene))
     assert diagnosis.agreement is None and wrong_in(diagnosis) == ["repeated frames"]
+
+
+@pytest.mark.slow
+def test_nothing_is_found_in_the_sample(root: Path) -> None:
+    assert diagnose(open_scene(root / "sample" / "room")).findings == ()
+
+
+@pytest.mark.slow
+def test_a_hand_held_capture_is_blurred_and_exposed_and_nothing_is_wrong(root: Path, tmp_path: Path) -> None:
+    """Poses 5 mm off, depth with noise and holes, black borders: none of it is a wrong number."""
+    command = [sys.executable, root / "sample" / "hand_held.py", root / "sample" / "room", tmp_path / "twin"]
+    subprocess.run([str(part) for part in command], check=True)
+    diagnosis = diagnose(open_scene(tmp_path / "twin"))
+    assert {finding.cause for finding in diagnosis.findings} <= {"blur", "exposure"} and wrong_in(diagnosis) == []
