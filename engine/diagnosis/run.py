@@ -10,8 +10,8 @@ from .appearance import (
     blur_findings_on_surfaces,
     clipped_findings,
     exposure_findings,
-    label_findings,
 )
+from .contradictions import label_findings
 from .course import order_findings, order_of, pose_findings, repeat_findings
 from .examined import Examined, examine
 from .finding import Diagnosis, Finding, Mending
