@@ -20,7 +20,8 @@ _MOVED, _SCALED = 0.0075, 0.03
 """Of the width: colour and depth of one sensor are seldom registered better than to a few pixels of 640."""
 _GAIN = 0.1
 """Standard deviations of the pictures' contrast, by which depth's edges fit better elsewhere."""
-_SAME_SHIFT = 0.4
+_CORROBORATED = 4.0
+"""Standard errors that are enough where depth's own geometry says the same."""
 
 Shift = tuple[float, float]
 
@@ -34,12 +35,14 @@ def number_findings(examined: Examined) -> tuple[list[Finding], Assumption, Shif
         findings.append(cause_finding(examined, cause, before))
     calibration = calibrate(examined.views, examined.pairs, assumed, points=200)
     registration = measure_registration(examined.looks, examined.photos)
-    lies_aside = registration is not None and _lies_aside(registration)
     shift: Shift = (0.0, 0.0)
-    if registration is not None and lies_aside:
-        is_depth = calibration is not None and _same_shift(registration, calibration)
-        findings.append(_of_registration(examined, registration, is_depth))
-        shift = registration.shift if is_depth else shift
+    if registration is not None:
+        moved = None if calibration is None else _depth_moved_by(examined, registration, calibration)
+        if moved is not None:
+            shift = moved
+            findings.append(_of_registration(examined, registration._replace(scale=1.0, shift=moved), is_depth=True))
+        elif _lies_aside(registration):
+            findings.append(_of_registration(examined, registration, is_depth=False))
     if calibration is not None:
         more, assumed = calibration_findings(examined, calibration, assumed, may_move=shift == (0.0, 0.0))
         findings.extend(more)
@@ -52,12 +55,19 @@ def _lies_aside(found: Registration) -> bool:
     return displaced and found.certainty >= _CERTAIN and found.gain >= _GAIN
 
 
-def _same_shift(registration: Registration, calibration: Calibration) -> bool:
-    """Whether depth's own geometry says that it was moved by as much as it lies beside the pictures."""
-    if abs(registration.scale - 1.0) >= _SCALED:
-        return False
-    measured, wanted = np.array([calibration.of("x"), calibration.of("y")]), -np.array(registration.shift)
-    return bool(np.linalg.norm(measured - wanted) < _SAME_SHIFT * np.linalg.norm(wanted))
+def _depth_moved_by(examined: Examined, registration: Registration, calibration: Calibration) -> Shift | None:
+    """The shift that depth needs, in shares of the picture, where its own geometry and the pictures' edges both say
+    that it was moved: the edges fit better nearer to where geometry has it than to where it lies.
+    """
+    if abs(registration.scale - 1.0) >= _SCALED or registration.certainty < _CORROBORATED:
+        return None
+    shift = -np.array([calibration.of("x"), calibration.of("y")])
+    pixel = 1.0 / examined.views.size[0]
+    if not any(calibration.is_sure_of(name, float(least)) for name, least in zip("xy", 0.75 * pixel, strict=True)):
+        return None
+    if np.linalg.norm(np.array(registration.shift) - shift) > 0.5 * np.linalg.norm(shift):
+        return None
+    return float(shift[0]), float(shift[1])
 
 
 def _of_registration(examined: Examined, found: Registration, is_depth: bool) -> Finding:
@@ -68,7 +78,8 @@ def _of_registration(examined: Examined, found: Registration, is_depth: bool) ->
     look = examined.looks[row]
     edges = depth_edges(look.depth)
     fitted = (edges - 0.5) * found.scale + 0.5 + found.shift
-    how = f"{abs(x):.1f} px to the {'left' if x > 0 else 'right'} and {abs(y):.1f} px {'above' if y > 0 else 'below'}"
+    sides = [(abs(x), "to the left" if x > 0.0 else "to the right"), (abs(y), "above" if y > 0.0 else "below")]
+    how = " and ".join(f"{pixels:.1f} px {side}" for pixels, side in sides if pixels >= 0.1)
     if is_depth:
         text, option = f"depth lies {how} of where the colour images have it", f"move it; {FIX}"
     else:

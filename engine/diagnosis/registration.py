@@ -20,6 +20,9 @@ _SCALES = (1.0, 0.97, 1.03, 0.94, 1.06, 0.91, 1.1, 0.88, 1.14, 0.84, 1.19, 0.8, 
 _JUMP = 0.06
 """Relative step of depth from one pixel to the next, beyond what the surface's slant makes, that is an edge."""
 _LEAST_EDGES = 60
+_LEAST_LOOKS = 5
+_AHEAD, _APART = 2.0, 0.1
+"""Metres: looks are of another place where the points so far ahead of their cameras are so far apart."""
 
 
 class Registration(NamedTuple):
@@ -39,18 +42,30 @@ class Registration(NamedTuple):
 
 def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registration | None:
     """Find the scale and shift that bring depth's edges onto those of the pictures; None with too few edges."""
-    chosen = [
-        looks[row] for row in np.unique(np.linspace(0, len(looks) - 1, min(len(looks), _MOST)).round().astype(int))
-    ]
-    pairs = [(depth_edges(look.depth), contrast(photos[look.number].grey)) for look in chosen if look.number in photos]
+    chosen = _distinct([look for look in looks if look.number in photos])
+    pairs = [(depth_edges(look.depth), contrast(photos[look.number].grey)) for look in chosen]
     pairs = [(edges, picture) for edges, picture in pairs if len(edges) >= _LEAST_EDGES]
-    if len(pairs) < 3:
+    if len(pairs) < _LEAST_LOOKS:
         return None
     coarse = max((_coarse(pairs, scale) for scale in _SCALES), key=lambda found: found[0])
     scale, shift = _refined(pairs, coarse[1], coarse[2])
     gains = _fits(pairs, scale, shift) - _fits(pairs, 1.0, (0.0, 0.0))
     error = max(float(gains.std(ddof=1)) / np.sqrt(len(gains)), 1e-6)
     return Registration(scale, shift, float(gains.mean()), float(gains.mean()) / error, len(pairs))
+
+
+def _distinct(looks: list[Look]) -> list[Look]:
+    """At most 32 looks spread over the recording, each of another place: the same view twice tells nothing more."""
+    rows = np.unique(np.linspace(0, len(looks) - 1, min(len(looks), _MOST)).round().astype(int))
+    kept: list[Look] = []
+    seen: list[Floats] = []
+    for look in (looks[row] for row in rows):
+        pose = look.camera.camera_to_world
+        aim = pose[:3, 3] + _AHEAD * pose[:3, 2]
+        if all(np.linalg.norm(aim - other) > _APART for other in seen):
+            kept.append(look)
+            seen.append(aim)
+    return kept
 
 
 def depth_edges(depth: NDArray[np.float32]) -> Floats:
