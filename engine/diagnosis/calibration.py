@@ -77,22 +77,16 @@ def calibrate(
 ) -> Calibration | None:
     """Fit the ``free`` parameters; None when too few points agree to say anything."""
     columns = [PARAMETERS.index(name) for name in free]
-    values = np.zeros(len(PARAMETERS))
+    values, deviations = np.zeros(len(PARAMETERS)), np.full(len(PARAMETERS), np.inf)
     for _ in range(_ROUNDS):
         linear = _linearised(views, pairs, moved(base, values), columns, points)
         if linear is None:
             return None
-        slopes, weighted = linear.slopes, linear.slopes * linear.weights[:, None]
-        noise = float(np.sqrt((linear.weights * linear.errors**2).sum() / linear.weights.sum()))
-        precision = max(noise, _FINEST) ** -2
-        prior = _PRIOR[columns] ** -2
-        normal = precision * slopes.T @ weighted + np.diag(prior)
-        step = np.linalg.solve(normal, precision * weighted.T @ linear.errors - prior * values[columns])
+        step, errors = _solve(linear, values[columns], 1.0 / np.square(_PRIOR[columns]))
         values[columns] += step
+        deviations[columns] = errors
         if np.abs(step / _STEPS[columns]).max() < 0.05:
             break
-    deviations = np.full(len(PARAMETERS), np.inf)
-    deviations[columns] = _deviations(linear, step, precision, prior, normal)
     return Calibration(values, deviations)
 
 
@@ -115,12 +109,18 @@ def _linearised(
     return _Linear(centre.error[usable], slopes[usable], centre.agrees[usable], frames)
 
 
-def _deviations(linear: _Linear, step: Floats, precision: float, prior: Floats, normal: Floats) -> Floats:
-    """Standard errors [p]. Errors within a frame hang together, so pairs that share one are not independent."""
-    residuals = linear.errors - linear.slopes @ step
-    scores = precision * linear.slopes * (linear.weights * residuals)[:, None]
-    by_frame = np.zeros((int(linear.frames.max()) + 1, len(step)))
+def _solve(linear: _Linear, values: Floats, prior: Floats) -> tuple[Floats, Floats]:
+    """The step of weighted least squares from ``values`` [p], ``prior`` [p] their precisions, and standard errors [p].
+
+    Errors within a frame hang together, so pairs that share one are not independent.
+    """
+    noise = float(np.sqrt((linear.weights * linear.errors**2).sum() / linear.weights.sum()))
+    precision = max(noise, _FINEST) ** -2
+    weighted = precision * linear.slopes * linear.weights[:, None]
+    inverse = np.linalg.inv(linear.slopes.T @ weighted + np.diag(prior))
+    step = np.dot(inverse, np.dot(weighted.T, linear.errors) - prior * values)
+    scores = weighted * (linear.errors - linear.slopes @ step)[:, None]
+    by_frame = np.zeros((int(linear.frames.max()) + 1, len(values)))
     np.add.at(by_frame, linear.frames[:, 0], scores)
     np.add.at(by_frame, linear.frames[:, 1], scores)
-    inverse = np.linalg.inv(normal)
-    return np.sqrt(np.diag(inverse @ (by_frame.T @ by_frame + np.diag(prior)) @ inverse))
+    return step, np.sqrt(np.diag(inverse @ (by_frame.T @ by_frame + np.diag(prior)) @ inverse))

@@ -7,6 +7,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,7 +203,7 @@ def _write_masks(frames: list[Frame], classes: ClassTable, folder: Path) -> None
     (folder / _MASKS).write_text(json.dumps({"annotations": annotations, "categories": categories}), encoding="utf-8")
 
 
-def _write_image(path: Path, pixels: NDArray[np.generic]) -> None:
+def _write_image(path: Path, pixels: NDArray[np.integer[Any]]) -> None:
     import cv2
 
     path.parent.mkdir(parents=True, exist_ok=True)

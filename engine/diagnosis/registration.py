@@ -139,7 +139,7 @@ def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: tuple[float, 
         places = (((edges - 0.5) * scale + 0.5 + shift) * (width, height) - 0.5).astype(np.float32)
         under = cv2.remap(
             picture.astype(np.float32), places[None, :, 0], places[None, :, 1], cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT, borderValue=0.0,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=(0.0,),
         )  # fmt: skip
         values.append(float(under.mean()))
     return np.array(values)

@@ -117,7 +117,8 @@ class Views:
         seen = planar(seen, place, lens[other], assumed)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.where(seen > 0.0, np.log(seen / safe), np.nan)
-        agrees = np.clip(1.0 - (np.nan_to_num(error, nan=1.0) / AGREES_WITHIN) ** 2, 0.0, 1.0) ** 2
+        share = np.square(np.nan_to_num(error, nan=1.0) / AGREES_WITHIN)
+        agrees = np.square(np.clip(1.0 - share, 0.0, 1.0))
         own = np.where(known, planar(self.values[:, :points], self.places[:, :points], lens, assumed), 1.0)
         place = np.where(front[..., None], place, np.nan)
         return Comparison(error, agrees, known[one], place, np.where(front, safe / own[one], np.nan))
