@@ -25,6 +25,9 @@ _BETTER = 1.15
 _CERTAIN = 5.0
 """... the frames' mean gain in its standard errors. True scenes have no better assumption at all."""
 _MOST_CAUSES = 4
+_POOR = 0.4
+"""Of what two views see: where fewer agree, something is wrong that may need two causes to be explained."""
+POSES = ("inverted", "opengl", "inverted opengl")
 _ASIDE = 0.1
 _KINDS_COMPARED = 4
 
@@ -90,7 +93,20 @@ def find_causes(views: Views, pairs: NDArray[np.int64]) -> tuple[list[Found], As
             break
         found.append(best)
         assumed, before = best.assumed, best.after
+    if not found and before.share < _POOR:
+        found = _two_at_once(views, pairs, before)
+        assumed = found[-1].assumed if found else assumed
     return found, assumed
+
+
+def _two_at_once(views: Views, pairs: NDArray[np.int64], before: Agreement) -> list[Found]:
+    """Poses and another number may both be wrong, so that either alone makes nothing better."""
+    best: tuple[Found, Found] | None = None
+    for pose in (trial for trial in _trials(views, Assumption()) if trial.cause in POSES):
+        found = _best(views, pairs, pose.assumed, before, {*POSES})
+        if found is not None and (best is None or found.after.mean > best[1].after.mean):
+            best = Found(pose.cause, pose.assumed, before, found.after), found
+    return [] if best is None else [*best]
 
 
 def is_better(after: Agreement, before: Agreement) -> bool:
