@@ -68,9 +68,7 @@ def begin(place: Place, python: Path, mended: Path | None = None) -> SceneDiagno
     global _latest, _engine, _folder
     forget()
     _folder = Path(tempfile.mkdtemp(prefix="plgs-findings-"))
-    command: list[str | Path] = [python, "-m", "engine", "inspect", place.folder, f"--up={place.up}", "--json"]
-    command += [] if place.masks is None else ["--masks", place.masks]
-    command += ["-o", _folder]
+    command: list[str | Path] = [python, "-m", "engine", "inspect", *place.arguments(), "--json", "-o", _folder]
     command += [] if mended is None else ["--fix", mended]
     try:
         _engine = EngineProcess(command)

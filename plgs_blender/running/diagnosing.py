@@ -11,6 +11,7 @@ from .. import scene_diagnosis
 from ..engine_environment import usable_python
 from ..redrawing import redraw_panels
 from ..scene_diagnosis import SceneDiagnosis
+from ..scene_formats import AUTOMATIC
 from ..settings import PLGS_PG_settings, place_of
 
 _TICK_S = 0.2
@@ -56,7 +57,7 @@ def _take(answer: SceneDiagnosis) -> None:
         return
     for scene in bpy.data.scenes:
         if scene.plgs.scene_folder and place_of(scene.plgs) == answer.place:
-            scene.plgs.masks, scene.plgs.up = "", "z"
+            scene.plgs.masks, scene.plgs.depth, scene.plgs.up, scene.plgs.format = "", "", "z", AUTOMATIC
             scene.plgs.scene_folder = str(answer.mended)
 
 
