@@ -29,11 +29,14 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
     "passes": {"scene", "job", "machine", "raster", "instances", "model"},
     "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
+    "diagnosis": {"scene", "job"},
     "export": {"scene", "job", "passes", "lift"},
     "frames": {"scene", "job"},
     "experiments": {"scene", "job", "metrics"},
     "segment": {"scene", "job"},
-    "command_line": {"scene", "job", "raster", "passes", "lift", "export", "experiments", "frames", "segment"},
+    "command_line": {
+        "scene", "job", "diagnosis", "raster", "passes", "lift", "export", "experiments", "frames", "segment",
+    },
     "__main__": {"command_line"},
 }
 # Each part of the extension, the same way. `engine` means scene and job only: the rest runs in a process of its own.

@@ -8,6 +8,7 @@ from __future__ import annotations
 from ..plgs_blender.registration import register_modules, unregister_modules
 from . import (
     classes_panel,
+    diagnosis_panel,
     file_menu,
     frames_panel,
     lift_panel,
@@ -28,6 +29,7 @@ _MODULES = (
     passes_panel,
     scene_panel,
     classes_panel,
+    diagnosis_panel,
     frames_panel,
     result_panel,
     overlay,

@@ -120,11 +120,16 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_inspect(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Read a scene as a lift would, and describe it. Bad input: one line, exit code 2."
+    parser.description = (
+        "Read a scene as a lift would, describe it, and measure what is wrong with it: axes, poses, depth, intrinsics, "
+        "order, drift, up, pictures, labels. Bad input: one line, exit code 2."
+    )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder")
     add_scene_options(parser)
     parser.add_argument("--json", action="store_true", help="one line of JSON, for programs")
     parser.add_argument("--preset", choices=PRESETS, help="also predict what a lift with this preset would take")
+    parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="write findings and their pictures there")
+    parser.add_argument("--fix", type=Path, metavar="OUT", help="write the scene to a new folder, mended where safe")
     parser.set_defaults(run=_inspect)
 
 
@@ -252,6 +257,8 @@ def _inspect(options: argparse.Namespace) -> ExitCode:
         classes=options.classes,
         as_json=options.json,
         preset=options.preset,
+        findings=options.output,
+        fix=options.fix,
     )
 
 
