@@ -5,7 +5,7 @@ guessing.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -13,7 +13,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.job import JobError, LiftFolder, check_sizes
+from ..engine.job import JobError, LiftFolder, Manifest, check_sizes
 from ..engine.scene import Category, ClassTable, Scene, open_scene
 
 _FORMAT = 1
@@ -94,8 +94,8 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class LiftResult:
-    """A finished lift: the frames it was made from and what came out. `passes` are the EXR files, by frame
-    name.
+    """A finished lift: the frames it was made from and what came out. `passes` are the EXR files by frame name,
+    `shots` those that were baked from other cameras, by their names.
     """
 
     folder: Path
@@ -105,6 +105,7 @@ class LiftResult:
     points: SemanticPoints
     anchors: Anchors
     passes: dict[str, Path]
+    shots: dict[str, Path] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -119,7 +120,7 @@ def read_result(folder: Path) -> LiftResult:
     was lifted from is no longer there or no longer whole.
     """
     lift = LiftFolder.open(folder)
-    check_sizes(lift.result_path)
+    manifest = check_sizes(lift.result_path)
     asked = lift.request
     scene = open_scene(
         asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth,
@@ -136,7 +137,14 @@ def read_result(folder: Path) -> LiftResult:
         points=_read_arrays(lift.result_path / "semantic_points.npz", SemanticPoints),
         anchors=_read_arrays(lift.result_path / "anchors.npz", Anchors),
         passes={name: path for name, path in passes.items() if path.is_file()},
+        shots={path.stem: path for path in _listed_passes(lift, manifest) if path.stem not in passes},
     )
+
+
+def _listed_passes(lift: LiftFolder, manifest: Manifest) -> list[Path]:
+    """The EXR files that the manifest lists, by name."""
+    listed = (lift.result_path / file.path for file in manifest.files)
+    return sorted(path for path in listed if path.parent == lift.passes_path and path.suffix == ".exr")
 
 
 _ARRAYS = {

@@ -86,6 +86,10 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         help="names of frames, test (those held out), or all (default, without --cameras)",
     )  # fmt: skip
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")
+    parser.add_argument(
+        "--events", type=Path, metavar="FILE.jsonl",
+        help="tell of it here, not in the lift's events: beside another process that bakes; FILE.cancel stops it",
+    )  # fmt: skip
     _add_stay_with_parent(parser)
     parser.set_defaults(run=_bake)
 

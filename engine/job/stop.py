@@ -20,8 +20,9 @@ GRACE_S = 0.5
 class StopSignal:
     """Asked by the engine's loops at every step: ``stop.check()``."""
 
-    def __init__(self, cancel_path: Path) -> None:
-        self._cancel_path = cancel_path
+    def __init__(self, *cancel_paths: Path) -> None:
+        """Any of the files ``cancel_paths`` stops it."""
+        self._cancel_paths = cancel_paths
         self._reason: str | None = None
         self.exit_code = ExitCode.CANCELLED
 
@@ -34,8 +35,9 @@ class StopSignal:
     @property
     def reason(self) -> str | None:
         """Why the lift shall stop; None when it shall go on."""
-        if self._reason is None and self._cancel_path.exists():
-            self._reason = "the file 'cancel' is there"
+        if self._reason is None:
+            found = [path for path in self._cancel_paths if path.exists()]
+            self._reason = f"the file '{found[0].name}' is there" if found else None
         return self._reason
 
     def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:

@@ -14,6 +14,7 @@ from ..paths import absolute, free_lift_folder
 from ..possibilities import why_not_liftable
 from ..scene_survey import survey_of
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, place_of, request_of
+from ..shots import shot_of, write_shot
 from . import lifts
 from .lifts import Watch
 
@@ -134,6 +135,21 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Watch:
             raise JobError("the active camera is no frame of the lift", scene.name, fix)
     python = engine_environment.usable_python()
     return lifts.bake(lift, python, names, keep_running=scene.plgs.keep_running)
+
+
+def bake_camera(
+    scene: bpy.types.Scene,
+    camera: str = "",
+    frames: tuple[int | None, int | None, int | None] = (None, None, None),
+    folder: str = "",
+) -> Watch:
+    """Let an engine bake passes of a finished lift from a camera, the scene's active one unless named, over ``frames``
+    (first, last, step), the scene's where None. Views that were baked from the same camera are kept. Raises JobError.
+    """
+    lift = lift_at(scene.plgs, folder)
+    python = engine_environment.usable_python()
+    cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames))
+    return lifts.bake(lift, python, cameras=cameras, keep_running=scene.plgs.keep_running)
 
 
 def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.passes import ShownInstances, bake_view, cryptomatte
+from engine.scene.matte_names import matte_names
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, WALL, made_rendering
 
 
@@ -65,7 +66,7 @@ def test_ranks() -> None:
 
 
 def test_names() -> None:
-    names = cryptomatte.matte_names({1: "chair 1", 2: 'a "b", c', 3: "chair 1", 4: ",", 5: "Tür"})
+    names = matte_names({1: "chair 1", 2: 'a "b", c', 3: "chair 1", 4: ",", 5: "Tür"})
     assert names == {1: "chair 1 #1", 2: "a b c", 3: "chair 1 #3", 4: "id 4", 5: "Tür"}
 
 
