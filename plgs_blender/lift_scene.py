@@ -31,6 +31,7 @@ from .lift_collection import (
     root_collection,
     scene_to_fill,
 )
+from .meshes import place_meshes
 from .open_room import open_room
 from .overview import overview_camera
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of
@@ -66,6 +67,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     open_room(owned, clouds)
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
     place_boxes(owned, child_collection(root, "Instances"), result.instances)
+    place_meshes(owned, root, result)
     overview = _place_overview(owned, root, result, normals)
     first = mark_timeline(scene, root, root[LIFT], overview, cameras)
     place_camera_path(owned, root, frames, first)

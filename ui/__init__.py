@@ -9,6 +9,7 @@ from ..plgs_blender.registration import register_modules, unregister_modules
 from . import (
     classes_panel,
     diagnosis_panel,
+    export_panel,
     file_menu,
     frames_panel,
     lift_panel,
@@ -27,6 +28,7 @@ _MODULES = (
     lists,
     lift_panel,
     passes_panel,
+    export_panel,
     scene_panel,
     classes_panel,
     diagnosis_panel,

@@ -107,6 +107,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames", nargs="+", default=["all"], metavar="FRAME", help="names of frames, test (those held out), or all"
     )
+    parser.add_argument("--progress", action="store_true", help="print a line after each frame, for programs")
     parser.set_defaults(run=_export)
 
 

@@ -36,8 +36,9 @@ class StopSignal:
     def reason(self) -> str | None:
         """Why the lift shall stop; None when it shall go on."""
         if self._reason is None:
-            found = [path for path in self._cancel_paths if path.exists()]
-            self._reason = f"the file '{found[0].name}' is there" if found else None
+            for path in self._cancel_paths:
+                if path.exists():
+                    self._reason = f"the file '{path.name}' is there"
         return self._reason
 
     def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:

@@ -10,12 +10,13 @@ from ...engine.job import JobError, LiftFolder
 from ...engine.scene import open_scene_to_lift
 from .. import engine_environment
 from ..lift_scene import place_lift
+from ..meshes import mesh_folder
 from ..paths import absolute, free_lift_folder
 from ..possibilities import why_not_liftable
 from ..scene_survey import survey_of
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, place_of, request_of
 from ..shots import shot_of, write_shot
-from . import lifts
+from . import exports, lifts
 from .lifts import Watch
 
 
@@ -150,6 +151,17 @@ def bake_camera(
     python = engine_environment.usable_python()
     cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames))
     return lifts.bake(lift, python, cameras=cameras, keep_running=scene.plgs.keep_running)
+
+
+def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str, folder: str = "") -> exports.Export:
+    """Let an engine export a finished lift into the folder ``output``; meshes without one into the lift's own, from
+    where they are put into the scene. Raises JobError, OSError.
+    """
+    lift = lift_at(settings, folder)
+    if not output and form != "mesh":
+        raise JobError("needs a folder", f"Export of {form}", "Choose where the files shall go.")
+    target = absolute(output) if output else mesh_folder(lift.path)
+    return exports.start(lift.path, form, target, engine_environment.usable_python(), [frames])
 
 
 def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:
