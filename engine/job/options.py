@@ -32,6 +32,10 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     )
     add_scene_options(parser)
     parser.add_argument(
+        "--names-from", type=Path, metavar="LIFT",
+        help="an earlier lift of the same scene: objects that are still there keep their names and ids",
+    )  # fmt: skip
+    parser.add_argument(
         "--bake",
         choices=(*BAKES, *more_bakes),
         help=f"which frames to render as passes: the held-out ones, all, or none (default: {_DEFAULTS.bake})"
@@ -110,7 +114,7 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
     """
     names = ("preset", "steps", "size", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    for name in ("masks", "depth"):
+    for name in ("masks", "depth", "names_from"):
         if getattr(options, name) is not None:
             given[name] = getattr(options, name).resolve()
     scene = options.scene.resolve()

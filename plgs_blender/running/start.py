@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -9,6 +10,7 @@ import bpy
 from ...engine.job import JobError, LiftFolder
 from ...engine.scene import open_scene_to_lift
 from .. import engine_environment
+from ..lift_collection import lift_of_scene
 from ..lift_scene import place_lift
 from ..meshes import mesh_folder
 from ..paths import absolute, free_lift_folder
@@ -49,16 +51,26 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     return why_no_scene(settings) or (None if survey is None else why_not_liftable(survey))
 
 
-def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False) -> Watch:
+def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
+    """The lift whose objects keep their names: that of the same scene which the settings' scene shows, if it is whole
+    and names shall be kept."""
+    if not settings.keep_names or not settings.scene_folder:
+        return None
+    found = lift_of_scene(absolute(settings.scene_folder), settings.id_data)
+    return found if found is not None and (found / "result" / "manifest.json").is_file() else None
+
+
+def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, names_from: str = "") -> Watch:
     """Start the lift that the settings ask for: in their lift folder or, where that holds a lift already, in a new one
-    beside the scene's; with ``in_that_folder`` such a folder is refused.
+    beside the scene's; with ``in_that_folder`` such a folder is refused. Objects are called as in ``names_from``, or
+    as in `earlier_lift`.
 
     Raises JobError or SceneError, and then leaves no folder behind.
     """
     if not settings.scene_folder:
         raise JobError("no scene is chosen", "Scene", "Choose a folder with color, depth, pose and intrinsic.")
     python = engine_environment.usable_python()
-    request = request_of(settings)
+    request = replace(request_of(settings), names_from=absolute(names_from) if names_from else earlier_lift(settings))
     known = survey_of(place_of(settings))
     # Else the panel looks, or has looked, and a button answers at once.
     if known is None or known.error is not None or why_not_liftable(known) is not None:
