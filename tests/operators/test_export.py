@@ -7,6 +7,7 @@ import json
 import shutil
 import sys
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import bpy
@@ -33,11 +34,15 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     exports.let_go()
 
 
+needs_engine = pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
+
+
 def test_the_command_knows_every_form(root: Path) -> None:
     text = (root / "engine" / "command_line" / "main.py").read_text()
     assert f"EXPORTS = {tuple(exports.FORMS)}".replace("'", '"') in text
 
 
+@needs_engine
 def test_forms_are_exported_by_the_engine(lift: Path, tmp_path: Path) -> None:
     boxes = tmp_path / "boxes"
     assert bpy.ops.plgs.export_lift(form="boxes", directory=str(boxes), lift_folder=str(lift)) == {"FINISHED"}
@@ -51,6 +56,7 @@ def test_forms_are_exported_by_the_engine(lift: Path, tmp_path: Path) -> None:
     assert shown is not None and (shown.done, shown.total) == (2, 2) and str(coco) in shown.message
 
 
+@needs_engine
 def test_what_goes_wrong_is_told(lift: Path, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="needs a folder"):
         bpy.ops.plgs.export_lift(form="coco", lift_folder=str(lift))

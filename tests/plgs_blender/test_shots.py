@@ -47,7 +47,8 @@ def rendered_positions(scene: bpy.types.Scene, frame: int, folder: Path) -> np.n
     render.filepath = str(folder / "hits.exr")
     bpy.ops.render.render(write_still=True)
     with OpenEXR.File(render.filepath, separate_channels=True) as file:
-        planes = {name.partition(".")[2]: channel.pixels for name, channel in file.channels().items()}
+        # With the view layer's name before it, or without.
+        planes = {".".join(name.split(".")[-2:]): channel.pixels for name, channel in file.channels().items()}
     position = np.stack([planes[f"Position.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
     position[planes["Depth.V" if "Depth.V" in planes else "Depth.Z"] > 1e6] = np.nan
     return position
