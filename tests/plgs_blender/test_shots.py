@@ -47,8 +47,9 @@ def rendered_positions(scene: bpy.types.Scene, frame: int, folder: Path) -> np.n
     render.filepath = str(folder / "hits.exr")
     bpy.ops.render.render(write_still=True)
     with OpenEXR.File(render.filepath, separate_channels=True) as file:
-        # With the view layer's name before it, or without.
-        planes = {".".join(name.split(".")[-2:]): channel.pixels for name, channel in file.channels().items()}
+        # Blender 5 writes a part a pass.
+        found = [(name, each.pixels) for part in file.parts for name, each in part.channels.items()]
+        planes = {".".join(name.split(".")[-2:]): pixels for name, pixels in found}
     position = np.stack([planes[f"Position.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
     position[planes["Depth.V" if "Depth.V" in planes else "Depth.Z"] > 1e6] = np.nan
     return position
