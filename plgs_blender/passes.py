@@ -37,7 +37,7 @@ def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene 
     sequence = numbered(list(result.passes))
     scene, tree = _fill_scene(owned, result, PASSES, result.passes, sequence)
     offsets = [] if sequence is None else [number - k for k, number in enumerate(sequence.numbers, start=1)]
-    _count_through(tree, len(result.passes), offsets)
+    _count_through(tree, len(result.passes), offsets, scene.frame_current)
     _set_timeline(scene, result)
     return scene
 
@@ -124,12 +124,14 @@ def _images(
     return images
 
 
-def _count_through(tree: bpy.types.NodeTree, views: int, offsets: list[int]) -> None:
-    """Timeline frame k shows file number k + offsets[k - 1]."""
+def _count_through(tree: bpy.types.NodeTree, views: int, offsets: list[int], frame: int) -> None:
+    """Timeline frame k shows file number k + offsets[k - 1]; `frame` is the current one."""
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration = 1, views
         path = f'nodes["{bpy.utils.escape_identifier(node.name)}"].frame_offset'
         compat.constant_keys(tree, path, offsets)
+        if offsets:  # keys are only looked at when the frame changes
+            node.frame_offset = offsets[min(max(frame, 1), views) - 1]
     node_of(tree, PASSES).use_auto_refresh = True
 
 

@@ -130,6 +130,16 @@ def test_views_without_numbers_are_swapped(lift: Path, tmp_path: Path) -> None:
         assert np.array_equal(rendered(scene, "Instance matte", tmp_path)[..., 0], view.instance == 1)
 
 
+def test_the_first_view_is_shown_at_once(lift: Path, tmp_path: Path) -> None:
+    lift_scene.place_lift(lift, bpy.context.scene)
+    scene = passes_scene()
+    view = truth(scene.timeline_markers[0].name)
+    tree = compat.compositor_tree(scene)
+    shown = {node_of(tree, key).frame_offset + 1 for key in (INSTANCES, CLASSES)}
+    assert shown == {int(scene.timeline_markers[0].name)}
+    assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
+
+
 def bake_shot(lift: LiftFolder, files: dict[str, int]) -> None:
     """As if these views had been baked, each with what a frame of the scene shows."""
     frames = open_scene(lift.request.scene).frames
