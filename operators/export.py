@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
@@ -24,6 +27,9 @@ _GLANCE_S = 0.25
 
 class Exporting(OnLiftFolder):
     """An operator that lets an engine export a lift."""
+
+    if TYPE_CHECKING:
+        poll_message_set: Callable[[str], None]
 
     frames: EnumProperty(  # type: ignore[valid-type]
         name="Frames", items=_FRAMES, default="all", options={"SKIP_SAVE"}, description="Which frames to export"

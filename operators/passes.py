@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
@@ -20,6 +23,9 @@ _FRAMES = [
 
 class OnFinishedLift(OnLiftFolder):
     """An operator that needs an engine, and a lift that is finished."""
+
+    if TYPE_CHECKING:
+        poll_message_set: Callable[[str], None]
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
