@@ -3,6 +3,11 @@
     blender -b --python-exit-code 1 --python run_plgs.py -- SCENE -o OUT
     python run_plgs.py SCENE -o OUT          (a Python that has the bpy module, or with `make set-up` done)
 
+Passes of a finished lift from a camera of a .blend, frame by frame (the lift's own .blend and its active camera unless
+named otherwise; frames that are baked are kept):
+
+    python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--frames FIRST-LAST]
+
 Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 130 Ctrl-C. What was cancelled or
 interrupted goes on with --resume.
 """
@@ -12,6 +17,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -64,7 +70,8 @@ def main(arguments: Sequence[str]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return ExitCode.BAD_INPUT
     except Interrupted as interrupted:
-        print(f"Stopped. Give the same command with --resume to go on: {options.output}", file=sys.stderr)
+        again = "with --resume to go on" if options.scene is not None else "to go on"
+        print(f"Stopped. Give the same command {again}: {options.output}", file=sys.stderr)
         return interrupted.exit_code
 
 
@@ -74,19 +81,43 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
     parser = argparse.ArgumentParser(prog="run_plgs.py", description="Lift a scene and put the result into a .blend.")
     parser.add_argument(
-        "scene", type=Path, metavar="SCENE", help="folder with color/, depth/, pose/, intrinsic/ and the masks"
-    )
+        "scene", type=Path, nargs="?", metavar="SCENE",
+        help="folder with color/, depth/, pose/, intrinsic/ and the masks; needed but to bake a camera",
+    )  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="OUT", help="the lift folder to make; all results go there"
     )
-    add_lift_options(parser)
+    add_lift_options(parser, {"camera": "what a camera of a .blend sees, frame by frame, of the finished lift"})
+    shot = parser.add_argument_group("with --bake camera", "Several processes may bake one lift, each its own frames.")
+    shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
+    shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
+    shot.add_argument(
+        "--frames", type=frame_range, default=(None, None, None), metavar="FIRST-LAST[xSTEP]",
+        help="such as 1-250 or 1-250x2 (default: the file's range)",
+    )  # fmt: skip
     parser.add_argument("--save", type=Path, metavar="FILE.blend", help="the .blend (default: OUT/lift.blend)")
     parser.add_argument(
         "--resume",
         action="store_true",
         help="go on with the lift in OUT that was stopped or killed; start it when there is none",
     )
-    return parser.parse_args(readable(arguments))
+    options = parser.parse_args(readable(arguments))
+    options.bakes_camera = options.bake == "camera"
+    if options.bakes_camera:
+        options.bake = None  # of the lift itself, that is as it was, or the default
+    elif options.scene is None:
+        parser.error("SCENE is needed, unless --bake camera bakes from a lift that is finished")
+    elif options.blend or options.camera or options.frames != (None, None, None):
+        parser.error("--blend, --camera and --frames belong to --bake camera")
+    return options
+
+
+def frame_range(text: str) -> tuple[int, int, int]:
+    """(first, last, step) from "1-250" or "1-250x2"; for argparse, so it raises ArgumentTypeError."""
+    found = re.fullmatch(r"(\d{1,7})-(\d{1,7})(?:x([1-9]\d{0,6}))?", text)
+    if found is None or int(found[2]) < int(found[1]):
+        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames, such as 1-250 or 1-250x2")
+    return int(found[1]), int(found[2]), int(found[3] or 1)
 
 
 def python_with_blender() -> Path | None:
@@ -116,23 +147,53 @@ def run_again(python: Path, arguments: Sequence[str]) -> int:
 def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     """Lift, then build the .blend, then tell what was made. Raises JobError, Interrupted."""
     from plgs.engine.job import ExitCode, JobError
-    from plgs.engine.job.report import made_files, metrics_table
     from plgs.engine.job.session import lift_in_terminal
     from plgs.engine.scene import SceneError
 
     blend = blend_path(options)
     try:
+        if options.scene is None:
+            return bake_camera(finished_lift(options.output), blend, options, interrupts)
         lift, code = lift_in_terminal(options, interrupts, check_scene_folder)
         if code != ExitCode.FINISHED:
             return code
         if options.save is not None or is_older(blend, lift.manifest_path):
-            print("Building the .blend ...", file=sys.stderr, flush=True)
             code = build_blend(lift, blend)
+        if code == ExitCode.FINISHED and options.bakes_camera:
+            code = bake_camera(lift, blend, options, interrupts)
     except SceneError as error:
         raise JobError(error.what, error.where, error.fix) from error
     if code == ExitCode.FINISHED:
-        print(metrics_table(lift), "", blend, *made_files(lift), sep="\n", flush=True)
+        tell_what_was_made(lift, blend)
     return code
+
+
+def tell_what_was_made(lift: LiftFolder, blend: Path) -> None:
+    from plgs.engine.job.report import made_files, metrics_table
+
+    print(metrics_table(lift), "", blend, *made_files(lift), sep="\n", flush=True)
+
+
+def finished_lift(folder: Path) -> LiftFolder:
+    """Raises JobError when there is none."""
+    from plgs.engine.job import LiftFolder, read_manifest
+
+    lift = LiftFolder.open(folder)
+    read_manifest(lift.result_path)
+    return lift
+
+
+def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:
+    """Bake the camera that the options name; the lift's own .blend then shows the passes. Raises JobError."""
+    from plgs.engine.job import ExitCode
+    from plgs.plgs_blender.shot_baking import bake_shot_in_terminal  # brings bpy
+
+    if options.blend is None and not blend.exists():
+        build_blend(lift, blend)
+    code = bake_shot_in_terminal(lift, options.blend or blend, options.camera, options.frames, interrupts)
+    if code != ExitCode.FINISHED:
+        return code
+    return build_blend(lift, blend) if options.blend is None or blend.exists() else code
 
 
 def check_scene_folder(request: LiftRequest) -> None:
@@ -181,6 +242,7 @@ def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
     from plgs.engine.job import ExitCode, JobError
     from plgs.engine.scene import SceneError
 
+    print("Building the .blend ...", file=sys.stderr, flush=True)
     try:
         from plgs.plgs_blender.lift_scene import save_lift  # brings bpy
 

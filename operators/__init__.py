@@ -6,9 +6,9 @@ All of them work from a script with the same arguments as from their buttons.
 from __future__ import annotations
 
 from ..plgs_blender.registration import register_modules, unregister_modules
-from . import engine, frames, inspect, inspect_views, lift, masks, passes, scene
+from . import diagnose, engine, export, frames, inspect, inspect_views, lift, masks, mattes, passes, scene
 
-_MODULES = (engine, lift, passes, scene, masks, frames, inspect, inspect_views)
+_MODULES = (engine, lift, passes, scene, masks, frames, diagnose, inspect, inspect_views, mattes, export)
 
 
 def register() -> None:

@@ -112,6 +112,11 @@ class PLGS_OT_lift_scene(LiftOptions, Following, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.lift_scene", "Start"
 
+    names_from: StringProperty(  # type: ignore[valid-type]
+        name="Names from", subtype="DIR_PATH", options={"SKIP_SAVE"},
+        description="An earlier lift whose objects keep their names; empty: the one in this scene, if names are kept",
+    )  # fmt: skip
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         panel = panel_of(context)
@@ -125,7 +130,8 @@ class PLGS_OT_lift_scene(LiftOptions, Following, bpy.types.Operator):
         for name in LiftOptions.__annotations__:
             if self.properties.is_property_set(name):
                 setattr(settings, name, getattr(self, name))
-        return start.start_lift(settings, in_that_folder=self.properties.is_property_set("lift_folder"))
+        in_that_folder = self.properties.is_property_set("lift_folder")
+        return start.start_lift(settings, in_that_folder=in_that_folder, names_from=self.names_from)
 
 
 class PLGS_OT_resume_lift(OnLiftFolder, Following, bpy.types.Operator):

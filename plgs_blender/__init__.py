@@ -13,9 +13,9 @@ def _modules() -> tuple[ModuleType, ...]:
     """Those that Blender has to know, in order. Imported late: a script that only reads a result needs none of them."""
     from . import mask_classes, settings
     from .inspecting import following, records
-    from .running import mask_making, poll_timer
+    from .running import diagnosing, mask_making, poll_timer
 
-    return settings, mask_classes, records, following, poll_timer, mask_making
+    return settings, mask_classes, records, following, poll_timer, mask_making, diagnosing
 
 
 def register() -> None:

@@ -109,6 +109,33 @@ def new_colour_mix(tree: bpy.types.NodeTree) -> tuple[bpy.types.Node, Any, Any, 
     return node, factor, first, second, next(socket for socket in node.outputs if socket.enabled)
 
 
+def new_dilation(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
+    """A compositor node that makes a mask grow by whole pixels. Input Mask; output 0."""
+    node = tree.nodes.new("CompositorNodeDilateErode")
+    if "Size" in node.inputs:
+        node.inputs["Size"].default_value = pixels
+    else:
+        node.distance = pixels
+    if "Type" not in node.inputs:
+        node.mode = "STEP"
+    return node
+
+
+def new_alpha_factor(tree: bpy.types.NodeTree) -> bpy.types.Node:
+    """A compositor node that multiplies a picture, its alpha too, by a mask. Inputs Image, Alpha; output 0."""
+    node = tree.nodes.new("CompositorNodeSetAlpha")
+    if "Type" in node.inputs:
+        node.inputs["Type"].default_value = "Apply Mask"
+    else:
+        node.mode = "APPLY"
+    return node
+
+
+def new_compositor_group(name: str) -> bpy.types.NodeTree:
+    """An empty group of compositor nodes."""
+    return bpy.data.node_groups.new(name, "CompositorNodeTree")
+
+
 def new_palette_lookup(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """A Map UV node that takes the nearest pixel and blends nothing. Inputs Image, UV; output 0."""
     node = tree.nodes.new("CompositorNodeMapUV")

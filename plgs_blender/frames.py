@@ -65,9 +65,14 @@ def camera_seen(scene: bpy.types.Scene) -> Camera | None:
     """What the scene's active camera sees, whoever made it, in a picture of the scene's size; None without one in
     perspective, and for one that shows the world mirrored.
     """
-    ob, render = scene.camera, scene.render
+    ob = scene.camera
     if ob is None or ob.type != "CAMERA" or ob.data.type != "PERSP" or ob.matrix_world.is_negative:
         return None
+    return seen_by(ob, scene.render)
+
+
+def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
+    """What a camera in perspective sees, in a picture of the render's size."""
     width, height = (
         max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y)
     )

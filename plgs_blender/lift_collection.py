@@ -26,6 +26,14 @@ def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
     return [c for c in scene.collection.children_recursive if text_of(c, LIFT) and text_of(c, KEY) == _ROOT]
 
 
+def lift_of_scene(scene_folder: Path, scene: bpy.types.Scene) -> Path | None:
+    """The folder of the lift of `scene_folder` that is placed in a scene; None where there is none."""
+    for root in lifts_in(scene):
+        if root.get(FOLDER) and is_same_place(root.get(SCENE, ""), scene_folder):
+            return Path(bpy.path.abspath(root[FOLDER])).resolve()
+    return None
+
+
 def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
     """A lift's overview camera, None when the user removed it."""
     return next((ob for ob in root.all_objects if key_of(ob, root[LIFT]) == "overview"), None)

@@ -31,10 +31,11 @@ from .lift_collection import (
     root_collection,
     scene_to_fill,
 )
+from .meshes import place_meshes
 from .open_room import open_room
 from .overview import overview_camera
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
-from .passes import place_passes
+from .passes import place_passes, place_shots
 from .results import LiftResult, read_result
 from .surfaces import SurfaceGrid
 from .viewport import look_from, start_file
@@ -51,7 +52,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     cannot be read.
     """
     result = read_result(lift)
-    check_layers(result.passes.values())
+    check_layers([*result.passes.values(), *result.shots.values()])
     scene = scene_to_fill(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
     owned = OwnedDataBlocks(root[LIFT], scene)
@@ -66,12 +67,14 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     open_room(owned, clouds)
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
     place_boxes(owned, child_collection(root, "Instances"), result.instances)
+    place_meshes(owned, root, result)
     overview = _place_overview(owned, root, result, normals)
     first = mark_timeline(scene, root, root[LIFT], overview, cameras)
     place_camera_path(owned, root, frames, first)
     if scene.camera is None:
         scene.camera = overview
     place_passes(owned, result)
+    place_shots(owned, result, scene)
     fill_lists(root, result)
     owned.sweep()
     if bpy.data.filepath:
@@ -80,16 +83,18 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
-    """After more frames were baked: refill the passes scene of a lift that is placed in ``scene``, and leave all else.
+    """After more frames were baked: refill the passes scenes of a lift that is placed in ``scene``, and leave all else.
 
     Raises JobError or SceneError when the lift cannot be read; JobError when it is not in the scene.
     """
     result = read_result(lift)
-    check_layers(result.passes.values())
+    check_layers([*result.passes.values(), *result.shots.values()])
     scene = scene_to_fill(scene)
     for root in lifts_in(scene):
         if is_same_place(text_of(root, FOLDER), result.folder):
-            place_passes(OwnedDataBlocks(root[LIFT], scene), result)
+            owned = OwnedDataBlocks(root[LIFT], scene)
+            place_passes(owned, result)
+            place_shots(owned, result, scene)
             return
     raise JobError("is not in this scene", lift, "Show the lift's result first.")
 
@@ -104,7 +109,7 @@ def save_lift(lift: Path, blend: Path) -> None:
     blend = blend.absolute()
     read_result(lift)  # before another file is opened
     is_new = not blend.exists()
-    scene = start_file() if is_new else _open(blend, lift)
+    scene = start_file() if is_new else open_blend(blend, lift)
     root = place_lift(lift, scene)
     if is_new:
         _dress(scene, root)
@@ -162,7 +167,7 @@ def _place_overview(
     return ob
 
 
-def _open(blend: Path, lift: Path) -> bpy.types.Scene:
+def open_blend(blend: Path, lift: Path) -> bpy.types.Scene:
     """Open a file, its screens too, and choose the scene that has the lift, else the one that was worked
     in.
     """

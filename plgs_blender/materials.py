@@ -1,4 +1,4 @@
-"""The two materials of a lift, both unlit: photos bring their light with them, and boxes are drawings."""
+"""The materials of a lift. Points and boxes are unlit: photos bring their light with them, and boxes are drawings."""
 
 from __future__ import annotations
 
@@ -38,6 +38,21 @@ def box_material(owned: OwnedDataBlocks) -> bpy.types.Material:
         _emit(tree, _node(tree, "ShaderNodeObjectInfo", 0, 0).outputs["Color"])
     if hasattr(material, "cycles"):  # not in builds without Cycles
         material.cycles.emission_sampling = "NONE"  # a drawing lights nothing
+    return material
+
+
+def surface_material(owned: OwnedDataBlocks) -> bpy.types.Material:
+    """Matt, lit by the scene's lights, in the colour of the attribute Col."""
+    material = owned.block("materials", "surfaces", lambda: bpy.data.materials.new("PLGS surfaces"))
+    tree = use_nodes(material)
+    if not any(node.bl_idname == "ShaderNodeAttribute" for node in tree.nodes):
+        tree.nodes.clear()
+        colour, end = _node(tree, "ShaderNodeAttribute", 0, 0), _node(tree, "ShaderNodeOutputMaterial", 2, 0)
+        colour.attribute_name = "Col"
+        matt = _node(tree, "ShaderNodeBsdfPrincipled", 1, 0)  # the one that exporters know
+        matt.inputs["Roughness"].default_value = 0.9
+        tree.links.new(colour.outputs["Color"], matt.inputs["Base Color"])
+        tree.links.new(matt.outputs[0], end.inputs["Surface"])
     return material
 
 

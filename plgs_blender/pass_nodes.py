@@ -11,9 +11,10 @@ import bpy
 
 from . import compat
 from .owned import KEY, tag
+from .panoptic_group import NAME, panoptic_group
 
 LAYER = "PLGS"
-PASSES, INSTANCES, CLASSES = "passes", "CryptoInstance", "CryptoClass"
+PASSES, INSTANCES, CLASSES, PANOPTIC = "passes", "CryptoInstance", "CryptoClass", "panoptic"
 _STRENGTH = 0.55
 """How strongly the instances' colours lie over the picture."""
 
@@ -35,17 +36,19 @@ def has_nodes(tree: bpy.types.NodeTree | None) -> bool:
 
 def output_of(tree: bpy.types.NodeTree, name: str) -> Any:
     """An output socket to link from: a layer ("Depth", "Semantic", ...), "Instance colours", "Class colours",
-    "Instance matte", "Class matte" or "Overlay". KeyError when there is none.
+    "Instance matte", "Class matte", "Overlay" (the group's picture), "Matte" or "Outline". KeyError when there is none.
     """
     key, output = {
         "Instance colours": ("Instance colours", "Image"),
         "Class colours": ("Class colours", "Image"),
         "Instance matte": (INSTANCES, "Matte"),
         "Class matte": (CLASSES, "Matte"),
-        "Overlay": ("overlay", None),
+        "Overlay": (PANOPTIC, "Image"),
+        "Matte": (PANOPTIC, "Matte"),
+        "Outline": (PANOPTIC, "Outline"),
     }.get(name, (PASSES, name))
     for socket in node_of(tree, key).outputs:
-        if socket.enabled and output in (None, socket.name):
+        if socket.enabled and output == socket.name:
             return socket
     raise KeyError(f"the passes have no output {name!r}")
 
@@ -93,7 +96,7 @@ def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
     _colour_code(make, "Class", "Semantic", -420)
     depth = make.add("depth", "Depth, near is black", 1.5, 400, "CompositorNodeNormalize")
     make.link(output_of(tree, "Depth"), depth.inputs[0])
-    _show_overlay(make)
+    _show_panoptic(make)
 
 
 def _colour_code(make: NodeBuilder, what: str, layer: str, row: float) -> None:
@@ -113,18 +116,19 @@ def _colour_code(make: NodeBuilder, what: str, layer: str, row: float) -> None:
     make.link(place.outputs[0], look_up.inputs["UV"])
 
 
-def _show_overlay(make: NodeBuilder) -> None:
-    """Where there is an instance, its colour over the picture; to the render result and the viewer."""
-    is_there = make.add("is instance", "Is an instance", 2.4, 200, "ShaderNodeMath", "CompositorNodeMath")
-    strength = make.add("strength", "Strength", 3.2, 200, "ShaderNodeMath", "CompositorNodeMath")
-    is_there.operation, strength.operation = "GREATER_THAN", "MULTIPLY"
-    is_there.inputs[1].default_value, strength.inputs[1].default_value = 0.5, _STRENGTH
-    mix, factor, first, second, mixed = compat.new_colour_mix(make.tree)
-    make.dress(mix, "overlay", "Instances over the picture", 4.1, 200)
-    make.link(output_of(make.tree, "Instance"), is_there.inputs[0])
-    make.link(is_there.outputs[0], strength.inputs[0])
-    make.link(strength.outputs[0], factor)
-    make.link(output_of(make.tree, "Combined"), first)
-    make.link(output_of(make.tree, "Instance colours"), second)
-    make.link(mixed, make.add("result", "", 5.0, 200, compat.COMPOSITE_OUTPUT).inputs[0])
-    make.link(mixed, make.add("viewer", "", 5.0, 40, "CompositorNodeViewer").inputs[0])
+def panoptic_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
+    """The node with the group "PLGS Panoptic". KeyError when the user removed it."""
+    return node_of(tree, PANOPTIC)
+
+
+def _show_panoptic(make: NodeBuilder) -> None:
+    """All that the group wants, and what it makes: to the render result and the viewer."""
+    node = make.add(PANOPTIC, NAME, 4.1, 200, "CompositorNodeGroup")
+    node.node_tree, node.width = panoptic_group(), 200.0
+    for name in ("Instance colours", "Class colours", "Instance matte", "Class matte", "Instance"):
+        make.link(output_of(make.tree, name), node.inputs[name])
+    make.link(output_of(make.tree, "Combined"), node.inputs["Image"])
+    node.inputs["Overlay"].default_value = _STRENGTH
+    image = node.outputs["Image"]
+    make.link(image, make.add("result", "", 5.3, 200, compat.COMPOSITE_OUTPUT).inputs[0])
+    make.link(image, make.add("viewer", "", 5.3, 40, "CompositorNodeViewer").inputs[0])

@@ -1,13 +1,15 @@
-"""A scene of its own in which the baked passes arrive as layers in the compositor.
+"""Scenes of their own in which the baked passes arrive as layers in the compositor: one for the lift's frames, and one
+for each camera that more was baked from.
 
-One frame of its timeline is one view. The EXR files are read as an image sequence whose numbers have gaps: a
-keyed offset leads from frame to file. Views whose names are not numbered cannot be a sequence; `show_view`
-then swaps images.
+One frame of the first one's timeline is one view. The EXR files are read as an image sequence whose numbers have gaps:
+a keyed offset leads from frame to file. Views whose names are not numbered cannot be a sequence; `show_view` then swaps
+images.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -15,40 +17,73 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..engine.scene.matte_names import matte_names
 from . import compat
 from .colour import linear_rgba
-from .owned import KEY, LIFT, OwnedDataBlocks, tag
+from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag
 from .pass_nodes import CLASSES, INSTANCES, PASSES, build, has_nodes, node_of, reading_nodes, use_image
 from .results import LiftResult
-from .sequence import NumberedNames, numbered
+from .sequence import NumberedNames, numbered, sequences
+
+SHOT = "shot:"
+"""Begins the key of a scene whose passes were baked from a camera of the user's."""
 
 
 def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene | None:
-    """Make or refill the scene "PLGS <name> passes"; None, and no scene, when the lift has no passes."""
+    """Make or refill the scene "PLGS <name> passes"; None, and no scene, when no frame of the lift has passes."""
     if not result.passes:
-        owned.drop("scenes", "passes")
+        owned.drop("scenes", PASSES)
         return None
-    name = f"PLGS {result.name} passes"
-    scene = owned.block("scenes", "passes", lambda: _new_scene(name))
-    scene.name = name
     sequence = numbered(list(result.passes))
-    images = _images(owned, result.passes, sequence)
+    scene, tree = _fill_scene(owned, result, PASSES, result.passes, sequence)
+    offsets = [] if sequence is None else [number - k for k, number in enumerate(sequence.numbers, start=1)]
+    _count_through(tree, len(result.passes), offsets, scene.frame_current)
+    _set_timeline(scene, result)
+    return scene
+
+
+def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.types.Scene) -> list[bpy.types.Scene]:
+    """Make or refill a scene "PLGS <name> <camera>" for each camera that more was baked from. Its frames are those of
+    `shot_scene`, in which the camera moves: whose rate and pixel aspect it takes."""
+    groups = sequences(list(result.shots))
+    for scene in list(bpy.data.scenes):
+        key = key_of(scene, owned.lift) or ""
+        if key.startswith(SHOT) and key.removeprefix(SHOT) not in groups:
+            owned.drop("scenes", key)
+    scenes = []
+    for camera, names in groups.items():
+        files = {name: result.shots[name] for name in names}
+        sequence = numbered(names)
+        scene, tree = _fill_scene(owned, result, f"{SHOT}{camera}", files, sequence)
+        numbers = (1,) if sequence is None else sequence.numbers
+        _count_on(tree, min(numbers), max(numbers))
+        _take_after(scene, shot_scene, numbers, _size_of(node_of(tree, PASSES).image))
+        scenes.append(scene)
+    return scenes
+
+
+def _fill_scene(
+    owned: OwnedDataBlocks, result: LiftResult, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
+) -> tuple[bpy.types.Scene, bpy.types.NodeTree]:
+    """A scene for these files, and its nodes; made where it is missing."""
+    name = f"PLGS {result.name} {key.removeprefix(SHOT)}"
+    scene = owned.block("scenes", key, lambda: _new_scene(name))
+    scene.name = name
+    images = _images(owned, key, files, sequence)
     tree = compat.compositor_tree(scene)
     if tree is None or not has_nodes(tree):
         tree = compat.new_compositor_tree(scene, name)
         build(tree, owned.lift, images[0])
         _first_mattes(tree, result)
     if not tree.is_embedded_data:
-        tag(tree, owned.lift, "passes tree")
+        tag(tree, owned.lift, f"{key} tree")
         owned.keep(tree)
     use_image(tree, images[0])
     if sequence is not None:
         images[0].source = "SEQUENCE"  # not before its layers were chosen: that only works on a single file
-    _count_through(tree, len(result.passes), sequence)
     _fill_palette(owned, tree, "Instance", {each.id: each.colour for each in result.instances})
     _fill_palette(owned, tree, "Class", {each.id: each.colour for each in result.classes.categories})
-    _set_timeline(scene, result)
-    return scene
+    return scene, tree
 
 
 def show_view(scene: bpy.types.Scene, name: str) -> None:
@@ -71,15 +106,15 @@ def _new_scene(name: str) -> bpy.types.Scene:
 
 
 def _images(
-    owned: OwnedDataBlocks, files: Mapping[str, Path], sequence: NumberedNames | None
+    owned: OwnedDataBlocks, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> list[bpy.types.Image]:
     """The EXR files as data-blocks: one that counts through all of them, or one each."""
     if sequence is not None:
         files = {"": files[sequence.first]}
     images = []
     for name, path in files.items():
-        key = f"passes:{name}" if name else "passes"
-        image = owned.block("images", key, partial(bpy.data.images.load, str(path), check_existing=False))
+        own_key = f"{key}:{name}" if name else key
+        image = owned.block("images", own_key, partial(bpy.data.images.load, str(path), check_existing=False))
         image.source = "FILE"
         image.filepath = str(path)
         image.reload()
@@ -89,16 +124,42 @@ def _images(
     return images
 
 
-def _count_through(tree: bpy.types.NodeTree, views: int, sequence: NumberedNames | None) -> None:
-    """Timeline frame k shows file number sequence.numbers[k - 1]."""
+def _count_through(tree: bpy.types.NodeTree, views: int, offsets: list[int], frame: int) -> None:
+    """Timeline frame k shows file number k + offsets[k - 1]; `frame` is the current one."""
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration = 1, views
         path = f'nodes["{bpy.utils.escape_identifier(node.name)}"].frame_offset'
-        offsets = (
-            [] if sequence is None else [number - k for k, number in enumerate(sequence.numbers, start=1)]
-        )
         compat.constant_keys(tree, path, offsets)
+        if offsets:  # keys are only looked at when the frame changes
+            node.frame_offset = offsets[min(max(frame, 1), views) - 1]
     node_of(tree, PASSES).use_auto_refresh = True
+
+
+def _count_on(tree: bpy.types.NodeTree, first: int, last: int) -> None:
+    """Each timeline frame shows the file of its number."""
+    for node in reading_nodes(tree):
+        node.frame_start, node.frame_duration, node.frame_offset = first, last - first + 1, first - 1
+    node_of(tree, PASSES).use_auto_refresh = True
+
+
+def _size_of(image: bpy.types.Image) -> tuple[int, int]:
+    """In pixels."""
+    width, height = image.size
+    return width, height
+
+
+def _take_after(
+    scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]
+) -> None:
+    """The frames, rate and pixels of the scene in which the shot was made."""
+    scene.frame_start, scene.frame_end = min(numbers), max(numbers)
+    scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1
+    scene.frame_set(min(numbers))
+    render = scene.render
+    if 0 not in size:
+        render.resolution_x, render.resolution_y = size
+    for name in ("fps", "fps_base", "pixel_aspect_x", "pixel_aspect_y"):
+        setattr(render, name, getattr(shot.render, name))
 
 
 def _fill_palette(
@@ -132,8 +193,10 @@ def _new_palette(name: str, width: int) -> bpy.types.Image:
 def _first_mattes(tree: bpy.types.NodeTree, result: LiftResult) -> None:
     """Something to see in the matte nodes at first sight."""
     if result.instances:
-        node_of(tree, INSTANCES).matte_id = result.instances[0].name
-        node_of(tree, CLASSES).matte_id = result.instances[0].class_name
+        first = result.instances[0]
+        node_of(tree, INSTANCES).matte_id = matte_names({each.id: each.name for each in result.instances})[first.id]
+        names = matte_names({each.id: each.name for each in result.classes.categories})
+        node_of(tree, CLASSES).matte_id = names.get(first.class_id, "")
 
 
 def _set_timeline(scene: bpy.types.Scene, result: LiftResult) -> None:

@@ -5,7 +5,7 @@ guessing.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -100,8 +100,8 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class LiftResult:
-    """A finished lift: the frames it was made from and what came out. `passes` are the EXR files, by frame
-    name.
+    """A finished lift: the frames it was made from and what came out. `passes` are the EXR files by frame name,
+    `shots` those that were baked from other cameras, by their names.
     """
 
     folder: Path
@@ -111,6 +111,7 @@ class LiftResult:
     points: SemanticPoints
     anchors: Anchors
     passes: dict[str, Path]
+    shots: dict[str, Path] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -132,10 +133,11 @@ def read_result(folder: Path) -> LiftResult:
         asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth,
         asked.mask_format, asked.classes,
     )  # fmt: skip
-    baked = [frame.name for frame in scene.frames if f"passes/{frame.name}.exr" in listed]
-    _verify(lift, [*_READ, *(f"passes/{name}.exr" for name in baked)], listed)
+    exrs = _listed_passes(lift, listed)
+    _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
     classes, instances = _read_instances(lift.result_path / "instances.json")
-    passes = {name: lift.passes_path / f"{name}.exr" for name in baked}
+    by_name = {path.stem: path for path in exrs}
+    passes = {frame.name: by_name[frame.name] for frame in scene.frames if frame.name in by_name}
     return LiftResult(
         folder=lift.path,
         scene=scene,
@@ -144,6 +146,7 @@ def read_result(folder: Path) -> LiftResult:
         points=_read_arrays(lift.result_path / "semantic_points.npz", SemanticPoints),
         anchors=_read_arrays(lift.result_path / "anchors.npz", Anchors),
         passes=passes,
+        shots={path.stem: path for path in exrs if path.stem not in passes},
     )
 
 
@@ -161,6 +164,12 @@ def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ResultF
             break
         files.append(listed[path])
     verify_files(lift.result_path, files)
+
+
+def _listed_passes(lift: LiftFolder, listed: Iterable[str]) -> list[Path]:
+    """The EXR files that the manifest lists, by name."""
+    paths = (lift.result_path / path for path in listed)
+    return sorted(path for path in paths if path.parent == lift.passes_path and path.suffix == ".exr")
 
 
 _ARRAYS = {

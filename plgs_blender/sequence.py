@@ -36,3 +36,17 @@ def numbered(names: Sequence[str]) -> NumberedNames | None:
     ):
         return None
     return NumberedNames(head + digits + tail, numbers) if max(numbers) <= _LARGEST else None
+
+
+def sequences(names: Sequence[str]) -> dict[str, list[str]]:
+    """Names in groups that Blender can count through, each by what stands before the number: "shot" of "shot.0001"
+    and "shot.0002". A name that fits in no group is one by itself.
+    """
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        parts = _LAST_NUMBER.fullmatch(name)
+        groups.setdefault(parts[1].rstrip(" ._-") if parts is not None else name, []).append(name)
+    found: dict[str, list[str]] = {}
+    for stem, group in groups.items():
+        found |= {stem or group[0]: group} if numbered(group) else {name: [name] for name in group}
+    return found

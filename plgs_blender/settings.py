@@ -96,6 +96,10 @@ class LiftOptions:
         options=_OPTION, name="Lift folder", subtype="DIR_PATH", update=_look_at_lift,
         description="Where the lift and its results go; empty: a new folder beside the scene's",
     )  # fmt: skip
+    keep_names: BoolProperty(  # type: ignore[valid-type]
+        options=_OPTION, name="Keep names", default=True,
+        description="Objects that the lift shown in this scene has found already keep their names and ids",
+    )  # fmt: skip
     keep_running: BoolProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Go on without Blender",
         description="Closing Blender does not stop the lift; the next Blender finds it again",

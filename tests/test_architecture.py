@@ -30,11 +30,14 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
     "passes": {"gates", "scene", "job", "machine", "raster", "instances", "model"},
     "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
+    "diagnosis": {"scene", "job"},
     "export": {"scene", "job", "passes", "lift"},
     "frames": {"scene", "job"},
     "experiments": {"scene", "job", "metrics"},
     "segment": {"scene", "job"},
-    "command_line": {"gates", "scene", "job", "raster", "passes", "lift", "export", "experiments", "frames", "segment"},
+    "command_line": {
+        "gates", "scene", "job", "diagnosis", "raster", "passes", "lift", "export", "experiments", "frames", "segment",
+    },
     "__main__": {"command_line"},
 }
 # Each part of the extension, the same way. `engine` means gates, scene and job only: the rest runs in its own process.

@@ -8,6 +8,8 @@ from __future__ import annotations
 from ..plgs_blender.registration import register_modules, unregister_modules
 from . import (
     classes_panel,
+    diagnosis_panel,
+    export_panel,
     file_menu,
     frames_panel,
     lift_panel,
@@ -26,8 +28,10 @@ _MODULES = (
     lists,
     lift_panel,
     passes_panel,
+    export_panel,
     scene_panel,
     classes_panel,
+    diagnosis_panel,
     frames_panel,
     result_panel,
     overlay,

@@ -59,6 +59,7 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         for name in ("steps", "width", "height", "seed"):
             column.prop(settings, name)
         layout.prop(settings, "bake")
+        layout.prop(settings, "keep_names")
         column = layout.column(heading="While it lifts")
         for name in ("live_preview", "place_when_done", "keep_running"):
             column.prop(settings, name)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from .sidebar import Step, from_panel
+from ..plgs_blender.inspecting.lookup import active_lift
+from ..plgs_blender.mattes import panoptic_of
+from ..plgs_blender.panoptic_group import COLOURS, CONTROLS
+from .sidebar import Sidebar, Step, from_panel, tell
 
 
 class PLGS_PT_passes(Step, bpy.types.Panel):
@@ -12,9 +15,38 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         column = from_panel(self.layout.column(align=True), context)
-        for frames, label in (("all", "Bake All Frames"), ("active", "Bake the Active Camera's Frame")):
+        for frames, label in (
+            ("all", "Bake All Frames"),
+            ("test", "Bake Held-out Frames"),
+            ("active", "Bake the Active Camera's Frame"),
+        ):
             column.operator("plgs.bake_passes", text=label, icon="RENDERLAYERS").frames = frames
+        scene = context.scene
+        column.operator("plgs.bake_camera", icon="CAMERA_DATA")
+        column.label(text=f"Frames {scene.frame_start} to {scene.frame_end}, {_size(scene.render)}")
         self.layout.operator("plgs.show_passes", icon="NODE_COMPOSITING")
 
 
-CLASSES = (PLGS_PT_passes,)
+class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_panoptic", "Matte in the Compositor"
+    bl_parent_id, bl_options = "PLGS_PT_passes", {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        root = active_lift(context.scene, context.active_object)
+        node = panoptic_of(root) if root is not None else None
+        if node is None:
+            tell(layout, context, "Bake passes first; a result's Matte button then chooses the matte.", "INFO")
+            return
+        layout.use_property_split, layout.use_property_decorate = True, False
+        for name in (*(control.name for control in CONTROLS), *COLOURS):
+            layout.prop(node.inputs[name], "default_value", text=name)
+
+
+def _size(render: bpy.types.RenderSettings) -> str:
+    """Of the pictures, in pixels."""
+    sides = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
+    return " x ".join(map(str, sides))
+
+
+CLASSES = (PLGS_PT_passes, PLGS_PT_panoptic)

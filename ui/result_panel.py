@@ -42,6 +42,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         text, icon = ("Show What Was Shown", "SOLO_ON") if is_alone else ("Show Only It", "SOLO_OFF")
         column.operator("plgs.isolate_instance", text=text, icon=icon, depress=is_alone)
         column.operator("plgs.go_to_best_view", icon="VIEW_CAMERA")
+        column.operator("plgs.matte_instance", icon="IMAGE_ALPHA")
         layout.operator("plgs.show_all", icon="HIDE_OFF")
 
 
@@ -86,6 +87,9 @@ class PLGS_PT_classes(OfResult, bpy.types.Panel):
             lists = root.plgs
             self.layout.prop(lists, "classes_search", text="", icon="VIEWZOOM")
             self.layout.template_list("PLGS_UL_classes", "", lists, "classes", lists, "class_index", rows=6)
+            if 0 <= lists.class_index < len(lists.classes):
+                matte = self.layout.operator("plgs.matte_class", icon="IMAGE_ALPHA")
+                matte.class_id = lists.classes[lists.class_index].class_id
 
 
 class PLGS_PT_result_display(OfResult, bpy.types.Panel):

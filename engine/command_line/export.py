@@ -14,7 +14,7 @@ def export_lift(options: argparse.Namespace) -> ExitCode:
 
     folder = LiftFolder.open(options.lift)
     try:
-        export(folder, options.to, options.output, options.frames)
+        export(folder, options.to, options.output, options.frames, count_frames=options.progress)
     except KeyboardInterrupt:
         print("Stopped. What was exported so far is there.", file=sys.stderr)
         return ExitCode.INTERRUPTED

@@ -1,4 +1,4 @@
-"""``inspect``: what is in a scene."""
+"""``inspect``: what is in a scene, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+from ..diagnosis import Diagnosis, diagnose, write_findings, write_mended
+from ..diagnosis.written import as_json as diagnosis_as_json
 from ..job import ExitCode
 from ..job.effort import chosen_effort
 from ..job.prediction import machine_slowness, predict
-from ..scene import SceneReport, Size, UpAxis, describe, open_scene
+from ..scene import Scene, SceneError, SceneReport, Size, UpAxis, describe, open_scene
 
 
 def inspect_scene(
@@ -24,20 +26,82 @@ def inspect_scene(
     classes: str | None = None,
     as_json: bool = False,
     preset: str | None = None,
+    findings: Path | None = None,
+    fix: Path | None = None,
 ) -> ExitCode:
-    """Decode every frame and print what is there, for people or as one line of JSON. For people also what a lift with
-    ``preset`` would take.
+    """Decode every frame and print what is there and what is wrong with it, for people or as one line of JSON. For
+    people also what a lift with ``preset`` would take.
 
-    Raises SceneError for the first thing that is wrong.
+    ``findings`` is a folder for the findings and their pictures, ``fix`` a new one for the mended scene. Raises
+    SceneError for the first thing that a lift would refuse, after the findings that may explain it.
     """
-    report = describe(open_scene(folder, masks, up, scene_format, depth, mask_format, classes))
+    if fix is not None and fix.exists():
+        raise SceneError("the folder for the mended scene exists", fix, "Name one that does not.")
+    scene = open_scene(folder, masks, up, scene_format, depth, mask_format, classes)
+    try:
+        report = describe(scene)
+    except SceneError as error:
+        diagnosis = _explanation(scene, error)
+        _tell(None, diagnosis, as_json, findings)
+        if fix is None or not diagnosis.mending.is_needed:
+            raise
+        return _mend(scene, diagnosis, fix, as_json)
+    diagnosis = diagnose(scene)
+    _tell(report, diagnosis, as_json, findings)
+    if preset is not None and not as_json:
+        print(_prediction(report, preset))
+    return ExitCode.FINISHED if fix is None else _mend(scene, diagnosis, fix, as_json)
+
+
+def _explanation(scene: Scene, refusal: SceneError) -> Diagnosis:
+    """What explains that a scene is refused. Raises the refusal where nothing does."""
+    try:
+        diagnosis = diagnose(scene)
+    except SceneError:
+        raise refusal from None
+    if not any(finding.severity == "wrong" for finding in diagnosis.findings):
+        raise refusal
+    return diagnosis
+
+
+def _tell(report: SceneReport | None, diagnosis: Diagnosis, as_json: bool, folder: Path | None) -> None:
+    if folder is not None:
+        write_findings(diagnosis, folder)
     if as_json:
-        print(json.dumps(asdict(report), default=str))
-    else:
+        told = {} if report is None else asdict(report)
+        print(json.dumps({**told, "diagnosis": diagnosis_as_json(diagnosis)}, default=str))
+        return
+    if report is not None:
         print(*_lines(report), sep="\n")
-        if preset is not None:
-            print(_prediction(report, preset))
+    print(*_finding_lines(diagnosis, folder), sep="\n")
+
+
+def _mend(scene: Scene, diagnosis: Diagnosis, fix: Path, as_json: bool) -> ExitCode:
+    if not diagnosis.mending.is_needed:
+        if not as_json:
+            print("mended    nothing: no finding can be mended without a doubt, and no folder is written")
+        return ExitCode.FINISHED
+    write_mended(scene, diagnosis, fix)
+    if not as_json:
+        mended = [finding.cause for finding in diagnosis.findings if finding.is_mended]
+        print(f"mended    {', '.join(mended)}: {fix}")
     return ExitCode.FINISHED
+
+
+def _finding_lines(diagnosis: Diagnosis, folder: Path | None) -> Iterator[str]:
+    views = diagnosis.agreement
+    if views is not None:
+        yield (
+            f"views     {views.share:.0%} of what two frames see lies where both have it, with a median error of "
+            f"{views.error:.2%} ({diagnosis.looked} of {diagnosis.frames} frames compared)"
+        )
+    if not diagnosis.findings:
+        yield "findings  none"
+    for finding in diagnosis.findings:
+        yield f"{finding.severity}: {finding.cause}: {finding.text}"
+        yield f"       mend: {finding.option}"
+    if folder is not None and diagnosis.findings:
+        yield f"pictures  {folder}"
 
 
 def _lines(report: SceneReport) -> Iterator[str]:

@@ -13,7 +13,7 @@ from ..scene import open_scene_to_lift
 from .run_engine import run_bake, run_engine
 
 _SCENE_OPTIONS = ("masks", "mask_format", "classes", "up", "scene_format", "depth")
-_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", *_SCENE_OPTIONS, "bake", "device")
+_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", *_SCENE_OPTIONS, "bake", "device", "names_from")
 
 
 def run_folder(options: argparse.Namespace) -> ExitCode:
@@ -33,7 +33,8 @@ def bake_in_folder(options: argparse.Namespace) -> ExitCode:
     frames = options.frames if options.frames or options.cameras else ["all"]
     if options.cameras is not None:
         read_cameras(options.cameras)  # what is wrong is told at once, not after the model was read
-    return run_bake(folder, frames, cameras=options.cameras, parent_pipe=_parent_pipe(options, folder))
+    pipe = _parent_pipe(options, folder)
+    return run_bake(folder, frames, cameras=options.cameras, parent_pipe=pipe, events_path=options.events)
 
 
 def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:

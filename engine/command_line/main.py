@@ -91,6 +91,10 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         help="names of frames, test (those held out), or all (default, without --cameras)",
     )  # fmt: skip
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")
+    parser.add_argument(
+        "--events", type=Path, metavar="FILE.jsonl",
+        help="tell of it here, not in the lift's events: beside another process that bakes; FILE.cancel stops it",
+    )  # fmt: skip
     _add_stay_with_parent(parser)
     parser.set_defaults(run=_bake)
 
@@ -108,6 +112,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames", nargs="+", default=["all"], metavar="FRAME", help="names of frames, test (those held out), or all"
     )
+    parser.add_argument("--progress", action="store_true", help="print a line after each frame, for programs")
     parser.set_defaults(run=_export)
 
 
@@ -125,11 +130,16 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_inspect(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Read a scene as a lift would, and describe it. Bad input: one line, exit code 2."
+    parser.description = (
+        "Read a scene as a lift would, describe it, and measure what is wrong with it: axes, poses, depth, intrinsics, "
+        "order, drift, up, pictures, labels. Bad input: one line, exit code 2."
+    )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder")
     add_scene_options(parser)
     parser.add_argument("--json", action="store_true", help="one line of JSON, for programs")
     parser.add_argument("--preset", choices=PRESETS, help="also predict what a lift with this preset would take")
+    parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="write findings and their pictures there")
+    parser.add_argument("--fix", type=Path, metavar="OUT", help="write the scene to a new folder, mended where safe")
     parser.set_defaults(run=_inspect)
 
 
@@ -257,6 +267,8 @@ def _inspect(options: argparse.Namespace) -> ExitCode:
         classes=options.classes,
         as_json=options.json,
         preset=options.preset,
+        findings=options.output,
+        fix=options.fix,
     )
 
 

@@ -75,14 +75,19 @@ def run_engine(
 
 
 def run_bake(
-    folder: LiftFolder, frames: Sequence[str] | None, *, cameras: Path | None = None, parent_pipe: int | None = None
+    folder: LiftFolder,
+    frames: Sequence[str] | None,
+    *,
+    cameras: Path | None = None,
+    parent_pipe: int | None = None,
+    events_path: Path | None = None,
 ) -> ExitCode:
     """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras of a file, and answer how it
     ended.
 
     Whatever happens the lift stays finished, and what was baked before stays. Where another process bakes already this
-    one bakes beside it, without a place in the lift's events: unless it is to be followed, by ``parent_pipe``.
-    Otherwise as `run_engine`.
+    one bakes beside it, without a place in the lift's events: unless it is to be followed, by ``parent_pipe``. With
+    ``events_path`` it bakes beside in any case, and is followed there. Otherwise as `run_engine`.
     """
 
     def work(events: EventWriter, stop: StopSignal) -> None:
@@ -96,6 +101,9 @@ def run_bake(
     left = "The result is whole, with what was baked so far"
     task = Task(work, False, BAKE, left, "bake again", "Bake again after closing other programs.")
     folder.refuse_foreign()
+    if events_path is not None:
+        _refuse_unfinished(folder)
+        return _bake_beside(folder, task, events_path, parent_pipe)
     try:
         lock = folder.lock().__enter__()
     except JobError:
@@ -111,13 +119,18 @@ def run_bake(
         lock.__exit__(None, None, None)
 
 
-def _bake_beside(folder: LiftFolder, task: Task) -> ExitCode:
-    """With a log and events of its own, which go when all went well. The file 'cancel' stops this process too."""
-    own = folder.path / f"bake-{platform.node()}-{os.getpid()}"
-    log_path, events_path = Path(f"{own}.log"), Path(f"{own}.jsonl")
+def _bake_beside(
+    folder: LiftFolder, task: Task, events_path: Path | None = None, parent_pipe: int | None = None
+) -> ExitCode:
+    """With a log and events of its own, which go when all went well: those of ``events_path`` only whoever follows
+    them clears away. The lift's file 'cancel' stops this process too, one beside its events this process alone.
+    """
+    events = events_path or folder.path / f"bake-{platform.node()}-{os.getpid()}.jsonl"
+    log_path = events.with_suffix(".log")
     with output_to(log_path) as terminal:
-        code = _run(folder, task, None, terminal, events_path)
-    events_path.unlink(missing_ok=True)
+        code = _run(folder, task, parent_pipe, terminal, events)
+    if events_path is None:
+        events.unlink(missing_ok=True)
     if code is ExitCode.FINISHED:
         log_path.unlink(missing_ok=True)
     return code
@@ -136,7 +149,8 @@ def _run(
     try:
         events.hello(threads=_threads(), resumed=task.resumed, task=task.name)
         _remember(folder)
-        stop = StopSignal(folder.cancel_path)
+        own_cancel = () if events_path is None else (events_path.with_suffix(".cancel"),)
+        stop = StopSignal(folder.cancel_path, *own_cancel)
         with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
             code = _do(folder, events, stop, task, terminal)
         with suppress(OSError):  # a full disk; the manifest and the exit code tell it as well

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..job import JobError, write_atomically
 from ..passes import PanopticLayers, ShownInstances, colour_picture, linear
-from ..passes.cryptomatte import matte_names
 from ..scene import Camera, ClassTable, Frame
+from ..scene.matte_names import matte_names
 from .glb import glb_bytes
 from .ply_tables import write_ply_table
 

@@ -17,15 +17,16 @@ from .points import write_points
 from .source import FinishedLift
 
 
-def export(folder: LiftFolder, kind: str, output: Path, frames: Sequence[str]) -> None:
+def export(folder: LiftFolder, kind: str, output: Path, frames: Sequence[str], *, count_frames: bool = False) -> None:
     """Write a finished lift as ``kind`` (of KINDS) into the folder ``output``, of ``frames`` ("test", "all", names).
+    ``count_frames``: print a line after each.
 
     Raises JobError for a lift that is not finished or an output that is no folder, SceneError, OSError.
     """
     read_manifest(folder.result_path)
     if output.exists() and not output.is_dir():
         raise JobError("the export needs a folder, this is a file", output, "Name another one.")
-    KINDS[kind](FinishedLift(folder, frames), output)
+    KINDS[kind](FinishedLift(folder, frames, count_frames), output)
 
 
 def _coco(lift: FinishedLift, output: Path) -> None:
@@ -69,9 +70,11 @@ KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
 
 
 def _shown(lift: FinishedLift) -> Iterator[tuple[Frame, PanopticLayers]]:
-    """The views, with a line that counts them on standard error where that is a terminal."""
+    """The views, counted on standard error where that is a terminal, or where it was asked for."""
     for number, view in enumerate(lift.views(), start=1):
         yield view
-        if sys.stderr.isatty():
-            end = "\n" if number == len(lift.frames) else ""
-            print(f"\r{number} of {len(lift.frames)} frames", end=end, file=sys.stderr, flush=True)
+        told = f"{number} of {len(lift.frames)} frames"
+        if lift.count_frames:
+            print(told, file=sys.stderr, flush=True)
+        elif sys.stderr.isatty():
+            print(f"\r{told}", end="\n" if number == len(lift.frames) else "", file=sys.stderr, flush=True)

@@ -22,6 +22,7 @@ class FinishedLift:
 
     folder: LiftFolder
     names: Sequence[str]
+    count_frames: bool = False
 
     @cached_property
     def scene(self) -> Scene:

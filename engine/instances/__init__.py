@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .agreement import ViewPoints, shown_classes
 from .consensus import ConsensusOptions, MemberMask, ObjectMasks, find_objects
+from .lasting_objects import LastingObjects, ObjectOverlap, lasting_objects, object_overlap
 from .linear_assignment import best_slots
 from .masks import instance_map, restrict_to_things, vote_instances
 from .matching import Evidence, GlobalInstance, MatchingOptions, limit_instances, match_views
@@ -29,6 +30,10 @@ __all__ = [
     "ConsensusOptions",
     "Evidence",
     "GlobalInstance",
+    "LastingObjects",
+    "ObjectOverlap",
+    "lasting_objects",
+    "object_overlap",
     "LocalInstance",
     "MaskExtent",
     "MemberMask",

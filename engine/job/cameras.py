@@ -10,12 +10,15 @@ depths in metres; what is centred nearer or farther is not drawn. "name" is the 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from .atomic import PART
 from .errors import JobError
 from .json_file import Json, read_value
 from .preview_request import PreviewCamera, camera_from
@@ -60,6 +63,20 @@ def read_cameras(path: Path) -> tuple[BakeCamera, ...]:
     return tuple(cameras)
 
 
+def write_cameras(path: Path, cameras: Sequence[BakeCamera]) -> None:
+    """A file that `read_cameras` reads as the very same cameras. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{PART}{os.getpid()}-{path.name}")  # several processes may bake the same shot
+    part.write_text(json.dumps([_entry(camera) for camera in cameras], allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(part, path)
+
+
+def safe_name(text: str) -> str:
+    """A name that every system takes for a file, as near to ``text`` as can be."""
+    name = _FORBIDDEN.sub("_", text).strip(". ")[:LONGEST_NAME].rstrip(". ") or "camera"
+    return f"_{name}" if _RESERVED.fullmatch(name) else name
+
+
 def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = ()) -> None:
     """Raise JobError for a name that comes twice, or is a frame's; capitals make no difference, as on Windows."""
     frames = {name.casefold() for name in taken}
@@ -71,6 +88,19 @@ def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = 
         if name.casefold() in seen:
             raise JobError(f"two cameras are named {name!r}", path, "Give every camera a name of its own.")
         seen.add(name.casefold())
+
+
+def _entry(camera: BakeCamera) -> dict[str, object]:
+    pinhole = camera.pinhole
+    clip = {} if math.isinf(camera.far) else {"clip": [camera.near, camera.far]}
+    return {
+        "name": camera.name,
+        "width": pinhole.width,
+        "height": pinhole.height,
+        "K": pinhole.K,
+        "camera_to_world": pinhole.camera_to_world,
+        **clip,
+    }
 
 
 def _camera(value: Json) -> BakeCamera:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
+from uuid import uuid4
 
 from ..gates import inner_path
 from .detached import DetachedEngine, detached_command
@@ -87,8 +88,12 @@ class LiftFollower:
         *,
         reader: EventReader | None = None,
         clock: Callable[[], float] = time.monotonic,
+        beside: Path | None = None,
     ) -> None:
+        """``beside``: the events of an engine of one's own that bakes beside another one; ``reader`` reads them."""
         self.folder, self.status = folder, LiftStatus()
+        self._beside = beside
+        self._cancel_path = folder.cancel_path if beside is None else beside.with_suffix(".cancel")
         self.outcome: Outcome | None = None
         self._process, self._clock = process, clock
         self._reader = reader or EventReader(folder.events_path, hurried=True)
@@ -118,14 +123,25 @@ class LiftFollower:
     def start_bake(
         cls,
         folder: LiftFolder,
-        frames: Sequence[str],
+        python: Path,
+        frames: Sequence[str] = (),
         *,
-        command: Sequence[str | Path] | None = None,
+        cameras: Path | None = None,
         stays_with_parent: bool = True,
     ) -> LiftFollower:
-        """Start an engine that bakes more frames of a finished lift: "test", "all", or names. Otherwise as `start`."""
-        command = command or bake_command(engine_python(), folder.path, frames)
-        follower = cls._started(folder, command, stays_with_parent, may_hold_old_cancel=True)
+        """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` of a
+        file. Where another process bakes already it does so beside, with events and a cancel file of its own. Otherwise
+        as `start`.
+        """
+        if not folder.is_running:
+            command = bake_command(python, folder.path, frames, cameras)
+            follower = cls._started(folder, command, stays_with_parent, may_hold_old_cancel=True)
+        else:
+            events = folder.path / "bake" / f"{uuid4().hex}.jsonl"
+            events.parent.mkdir(exist_ok=True)
+            command = bake_command(python, folder.path, frames, cameras, events)
+            engine = _engine(folder, command, stays_with_parent)
+            follower = cls(folder, engine, reader=EventReader(events, hurried=True), beside=events)
         follower.status.task = BAKE
         return follower
 
@@ -137,9 +153,12 @@ class LiftFollower:
         if may_hold_old_cancel:
             # Here, before the engine lives: a cancel that is asked for from now on is not to be taken for an old one.
             folder.cancel_path.unlink(missing_ok=True)
-        if stays_with_parent:
-            return cls(folder, EngineProcess(command), reader=reader)
-        return cls(folder, DetachedEngine(detached_command(command), folder.log_path), reader=reader)
+        return cls(folder, _engine(folder, command, stays_with_parent), reader=reader)
+
+    @property
+    def is_of_our_own(self) -> bool:
+        """Whether this process started the engine."""
+        return self._process is not None
 
     def poll(self) -> list[Event]:
         """The new events; ``status`` and ``outcome`` (None while it goes on) are up to date afterwards.
@@ -182,7 +201,7 @@ class LiftFollower:
         Raises OSError when the folder cannot be written and the engine is somebody else's; one's own is killed then.
         """
         try:
-            self.folder.ask_to_cancel()
+            self._cancel_path.touch()
         except OSError:
             if self._process is None:
                 raise
@@ -198,6 +217,9 @@ class LiftFollower:
         if self._process:
             self._process.close()
             self._process = None
+        if self._beside is not None and self.outcome is not None:
+            for path in (self._beside, self._cancel_path):
+                path.unlink(missing_ok=True)
 
     def _begin_waiting(self) -> None:
         if self._kill_at is None:
@@ -206,7 +228,7 @@ class LiftFollower:
     def _kill_if_deaf(self) -> None:
         """Somebody else may have made the cancel file: native code can keep the engine's own watchdog from running."""
         assert self._process is not None
-        if self._kill_at is None and self.folder.cancel_path.exists():
+        if self._kill_at is None and (self._cancel_path.exists() or self.folder.cancel_path.exists()):
             self._begin_waiting()
         if self._kill_at is not None and self._clock() >= self._kill_at:
             self._process.kill()
@@ -285,9 +307,21 @@ class LiftFollower:
         return "The lift can be resumed." if self.status.task == LIFT else "The result is whole; bake again."
 
 
-def bake_command(python: Path, lift: Path, frames: Sequence[str]) -> list[str | Path]:
-    """The command that bakes frames of a finished lift and stays with its parent."""
-    return [*engine_call(python), "bake", lift, "--stay-with-parent", "--frames", *frames]
+def bake_command(
+    python: Path, lift: Path, frames: Sequence[str] = (), cameras: Path | None = None, events: Path | None = None
+) -> list[str | Path]:
+    """The command that bakes frames of a finished lift, or the cameras of a file, and stays with its parent."""
+    command = [*engine_call(python), "bake", lift, "--stay-with-parent"]
+    for option, values in (("--cameras", [cameras]), ("--events", [events]), ("--frames", frames)):
+        given = [value for value in values if value is not None]
+        command += [option, *given] if given else []
+    return command
+
+
+def _engine(folder: LiftFolder, command: Sequence[str | Path], stays_with_parent: bool) -> Engine:
+    if stays_with_parent:
+        return EngineProcess(command)
+    return DetachedEngine(detached_command(command), folder.log_path)
 
 
 def _int(value: Json) -> int:

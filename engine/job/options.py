@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +11,14 @@ from .errors import JobError
 from .folder import LiftFolder
 from .request import BAKES, DEVICES, PRESETS, UPS, LiftRequest
 
+_NONE: Mapping[str, str] = {}
 _DEFAULTS = LiftRequest(scene=Path.cwd())
 
 
-def add_lift_options(parser: argparse.ArgumentParser) -> None:
-    """Everything that ends up in the request. What is not given is None, so that --resume can tell."""
+def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
+    """Everything that ends up in the request. What is not given is None, so that --resume can tell. ``more_bakes``:
+    what else --bake may name, and what that means; the caller has to take it out of the options.
+    """
     parser.add_argument(
         "--preset",
         choices=PRESETS,
@@ -29,9 +32,14 @@ def add_lift_options(parser: argparse.ArgumentParser) -> None:
     )
     add_scene_options(parser)
     parser.add_argument(
+        "--names-from", type=Path, metavar="LIFT",
+        help="an earlier lift of the same scene: objects that are still there keep their names and ids",
+    )  # fmt: skip
+    parser.add_argument(
         "--bake",
-        choices=BAKES,
-        help=f"which frames to render as passes: the held-out ones, all, or none (default: {_DEFAULTS.bake})",
+        choices=(*BAKES, *more_bakes),
+        help=f"which frames to render as passes: the held-out ones, all, or none (default: {_DEFAULTS.bake})"
+        + "".join(f"; {name}: {meaning}" for name, meaning in more_bakes.items()),
     )
     parser.add_argument(
         "--device",
@@ -106,7 +114,7 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
     """
     names = ("preset", "steps", "size", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    for name in ("masks", "depth"):
+    for name in ("masks", "depth", "names_from"):
         if getattr(options, name) is not None:
             given[name] = getattr(options, name).resolve()
     scene = options.scene.resolve()

@@ -36,6 +36,7 @@ _KEYS = {
     "classes",
     "bake",
     "device",
+    "names_from",
 }
 _OVERRIDES = {"steps", "size"}
 _FIX = "Mend it, or delete the folder and lift again."
@@ -47,7 +48,7 @@ class LiftRequest:
     ``scene_format`` names how the scene is laid out; None leaves it to the scene's looks. ``depth`` is a folder of
     depth maps that take the place of the scene's own. ``mask_format`` names how the masks are laid out, ``classes`` the
     table of their classes: a table's name, or the absolute path of a .toml file. ``device``: where the Gaussians are
-    drawn.
+    drawn. ``names_from`` is the folder of an earlier lift: its objects keep their names and ids.
 
     Raises JobError when a value is out of range. Files are not looked at: that is the scene's part.
     """
@@ -65,10 +66,12 @@ class LiftRequest:
     mask_format: str | None = None
     classes: str | None = None
     device: Device = "cpu"
+    names_from: Path | None = None
     engine_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:
-        for name, path in (("scene", self.scene), ("masks", self.masks), ("depth", self.depth)):
+        for name in ("scene", "masks", "depth", "names_from"):
+            path = getattr(self, name)
             if path is not None and not path.is_absolute():
                 raise JobError(f"the path of '{name}' is not absolute", path, "Give the whole path.")
             if path is not None:
@@ -97,6 +100,7 @@ class LiftRequest:
             "mask_format": self.mask_format,
             "classes": self.classes,
             "device": None if self.device == "cpu" else self.device,
+            "names_from": None if self.names_from is None else str(self.names_from),
         }
         named = {key: value for key, value in given.items() if value is not None}
         return to_text(
@@ -134,8 +138,7 @@ class LiftRequest:
     def differences(self, other: LiftRequest) -> list[str]:
         """Names of what differs, the engine's version left out."""
         reading = ("up", "scene_format", "depth", "mask_format", "classes")
-        reading = ("up", "scene_format", "depth", "mask_format", "classes")
-        names = ("scene", "masks", "preset", "steps", "size", "seed", *reading, "bake", "device")
+        names = ("scene", "masks", "preset", "steps", "size", "seed", *reading, "bake", "device", "names_from")
         return [name for name in names if getattr(self, name) != getattr(other, name)]
 
 
@@ -157,7 +160,7 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
     if not isinstance(device, str):
         raise JobError("'device' is not a text", path, _FIX)
     masks, size = content.get("masks"), overrides.get("size")
-    for name in ("masks", "scene_format", "depth", "mask_format", "classes"):
+    for name in ("masks", "scene_format", "depth", "mask_format", "classes", "names_from"):
         if not isinstance(content.get(name), str | None):
             raise JobError(f"'{name}' is neither a text nor null", path, _FIX)
     if not (size is None or isinstance(size, list)):
@@ -166,7 +169,7 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
         "scene": Path(str(content["scene"])),
         "masks": None if masks is None else Path(str(masks)),
         **{name: content.get(name) for name in ("scene_format", "mask_format", "classes")},
-        "depth": None if content.get("depth") is None else Path(str(content["depth"])),
+        **{name: None if content.get(name) is None else Path(str(content[name])) for name in ("depth", "names_from")},
         "size": None if size is None else tuple(size),
         "steps": overrides.get("steps"),
         "seed": content.get("seed"),

@@ -20,8 +20,9 @@ GRACE_S = 0.5
 class StopSignal:
     """Asked by the engine's loops at every step: ``stop.check()``."""
 
-    def __init__(self, cancel_path: Path) -> None:
-        self._cancel_path = cancel_path
+    def __init__(self, *cancel_paths: Path) -> None:
+        """Any of the files ``cancel_paths`` stops it."""
+        self._cancel_paths = cancel_paths
         self._reason: str | None = None
         self.exit_code = ExitCode.CANCELLED
 
@@ -34,20 +35,23 @@ class StopSignal:
     @property
     def reason(self) -> str | None:
         """Why the lift shall stop; None when it shall go on."""
-        if self._reason is None and self._is_asked_by_file():
-            self._reason = "the file 'cancel' is there"
+        if self._reason is None:
+            for path in self._cancel_paths:
+                if _is_there(path):
+                    self._reason = f"the file '{path.name}' is there"
         return self._reason
-
-    def _is_asked_by_file(self) -> bool:
-        try:
-            return self._cancel_path.exists()
-        except OSError:  # a disk that does not answer now (EIO, ESTALE): the next look tells
-            return False
 
     def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:
         """Make the next check raise, and the process end with this code."""
         self.exit_code = exit_code
         self._reason = reason
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a disk that does not answer now (EIO, ESTALE): the next look tells
+        return False
 
 
 class Watchdog:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from statistics import median
 
@@ -29,9 +29,10 @@ from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .device import be_repeatable, refuse_missing_device
+from .lasting_names import keep_names, read_earlier, write_names
 from .live_previews import LivePreviews
 from .preparation import prepare
-from .scene_files import shown_instances, write_scene_files
+from .scene_files import instance_names, shown_instances, write_scene_files
 from .voting import vote_labels
 
 log = logging.getLogger("plgs.lift")
@@ -75,6 +76,7 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
             request.scene, request.masks, request.up, request.scene_format, request.depth,
             request.mask_format, request.classes,
         )  # fmt: skip
+        earlier = None if request.names_from is None else read_earlier(request.names_from)
         for warning in (*scene.warnings, *check_scene(scene, progress)):
             events.warning(warning)
     with stages.stage("read") as progress:
@@ -91,15 +93,19 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     if checkpoint is not None:
         take_up(trainer, checkpoint)
         log.info("resuming after step %d", trainer.step_number)
-    instances = shown_instances(prepared, scene.classes)
-    previews = LivePreviews(folder, scene, instances, events)
+    names: Mapping[int, str] = instance_names(prepared.instances, scene.classes)
+    previews = LivePreviews(folder, scene, shown_instances(prepared, names), events)
     paces = train(trainer, folder, stages, previews)
 
     with stages.stage("result") as progress:
         if preset.labels == "votes" and prepared.label_maps is not None and preset.one_class_an_object:
             trainer.scene.voted = vote_labels(trainer.scene, scene.train_frames, prepared.label_maps, preset, progress)
-        write_scene_files(folder, scene, views, prepared, trainer.scene, events)
-    baker = FrameBaker(scene.classes, trainer.scene, instances)
+        if earlier is not None:
+            prepared, lasting = keep_names(earlier, prepared, trainer.scene, scene.classes)
+            names = lasting.names
+            write_names(folder, lasting, events)
+        write_scene_files(folder, scene, views, prepared, trainer.scene, events, names)
+    baker = FrameBaker(scene.classes, trainer.scene, shown_instances(prepared, names))
     bake_and_evaluate(folder, scene, baker, frames_to_bake(scene, request.bake), events, stages)
     previews.clear_away()
     write_manifest(

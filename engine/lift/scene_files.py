@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,9 +37,10 @@ def write_scene_files(
     prepared: PreparedLift,
     lifted: StructuredScene,
     events: EventWriter,
+    names: Mapping[int, str],
 ) -> None:
-    """Write everything of the result that needs no rendering; ``views`` are those it was lifted from. Raises OSError
-    when the disk is full.
+    """Write everything of the result that needs no rendering; ``views`` are those it was lifted from, ``names`` the
+    instances'. Raises OSError when the disk is full.
     """
     result = folder.result_path
     cloud = prepared.cloud
@@ -53,7 +54,7 @@ def write_scene_files(
         instance_id=prepared.instance_of_point,
         confidence=cloud.confidence,
     )
-    records = instance_records(views, prepared, scene.classes)
+    records = instance_records(views, prepared, scene.classes, names)
     write_instances(result / "instances.json", scene.classes, records)
     write_anchors(result / "anchors.npz", **vars(anchors))
     write_ply(result / "gaussians.ply", gaussians)
@@ -82,9 +83,9 @@ def read_model(folder: LiftFolder) -> StructuredScene:
         raise JobError(f"the model cannot be read ({error})", path, fix) from error
 
 
-def shown_instances(prepared: PreparedLift, classes: ClassTable) -> ShownInstances:
+def shown_instances(prepared: PreparedLift, names: Mapping[int, str]) -> ShownInstances:
     """Of a lift that is going on."""
-    return ShownInstances(instance_names(prepared.instances, classes), prepared.class_of_instance)
+    return ShownInstances(names, prepared.class_of_instance)
 
 
 def read_shown_instances(folder: LiftFolder) -> ShownInstances:
@@ -129,11 +130,10 @@ def instance_names(instances: Sequence[GlobalInstance], classes: ClassTable) -> 
 
 
 def instance_records(
-    views: Sequence[View], prepared: PreparedLift, classes: ClassTable
+    views: Sequence[View], prepared: PreparedLift, classes: ClassTable, names: Mapping[int, str]
 ) -> list[InstanceRecord]:
     """The matched objects as instances.json lists them, with the masks that made them."""
     extents = {view.name: mask_extents(view.mask) for view in views}
-    names = instance_names(prepared.instances, classes)
     points = np.bincount(prepared.instance_of_point, minlength=max(names, default=0) + 1)
     records = []
     for instance in prepared.instances:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import VOID, ClassTable
+from ..scene.matte_names import matte_names
 from .ranking import RANKS
 
 CRYPTO_INSTANCE, CRYPTO_CLASS = "CryptoInstance", "CryptoClass"
@@ -59,20 +60,6 @@ def _is_thing(instance: int, classes: ClassTable, instance_classes: Mapping[int,
 def _layer(name: str, ids: Sequence[int], names: Mapping[int, str]) -> MatteLayer:
     columns = tuple(column for column, one in enumerate(ids) if one in names)
     return MatteLayer(name, columns, tuple(names[ids[column]] for column in columns))
-
-
-def matte_names(names: Mapping[int, str]) -> dict[int, str]:
-    """The names that mattes go by: no commas, quotes or backslashes, and each only once (else the id
-    follows).
-    """
-    clean = {
-        key: " ".join("".join(" " if c in ",\"'\\" else c for c in name).split()) or f"id {key}"
-        for key, name in names.items()
-    }
-    seen: dict[str, int] = {}
-    for name in clean.values():
-        seen[name] = seen.get(name, 0) + 1
-    return {key: name if seen[name] == 1 else f"{name} #{key}" for key, name in clean.items()}
 
 
 def channels(layer: str, planes: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:

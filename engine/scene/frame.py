@@ -102,7 +102,8 @@ class Scene:
     """Posed frames in recording order, the classes their masks use, and what a user should know about them.
 
     ``folder`` is what the user named: a folder, or the one file that holds it all. ``format`` names the reader that
-    took it. ``points`` are those of the reconstruction that the poses come from, where the format has them.
+    took it. ``points`` are those of the reconstruction that the poses come from, where the format has them. ``turn``,
+    float64 [3, 3], is how the world of the poses was turned for z to point up; None where it was not.
     """
 
     folder: Path
@@ -111,6 +112,7 @@ class Scene:
     warnings: tuple[str, ...] = ()
     format: str = "scannet"
     points: SparsePoints | None = None
+    turn: NDArray[np.float64] | None = None
 
     @property
     def train_frames(self) -> tuple[Frame, ...]:

@@ -104,6 +104,7 @@ def open_scene(
         ),
         format=reader.name,
         points=points,
+        turn=None if np.array_equal(turn, np.eye(3)) else turn,
     )
 
 

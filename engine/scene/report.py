@@ -32,8 +32,8 @@ class SceneReport:
     poses come from, ``picture_files`` the frames whose picture is an image file as it is. Sizes are (width, height)
     with the number of frames that have them, the commonest first. ``depth_range`` is the nearest, the median and the
     farthest depth in metres; ``segments_per_frame`` the fewest, the median and the most; None where there is no depth,
-    no mask. ``void_share`` is the share of mask pixels without a label. ``extent`` is the size of the box around the
-    cameras' centres, in metres along x, y, z.
+    no mask. ``void_share`` is the share of mask pixels without a label. ``classes`` are those that occur. ``extent`` is
+    the size of the box around the cameras' centres, in metres along x, y, z.
     """
 
     folder: Path
@@ -82,6 +82,7 @@ def describe(scene: Scene) -> SceneReport:
         classes=tuple(
             ClassReport(category.id, category.name, category.is_thing, shares[category.id])
             for category in scene.classes.categories
+            if shares[category.id] > 0.0
         ),
         void_share=shares[VOID],
         extent=(float(extent[0]), float(extent[1]), float(extent[2])),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ...engine.job import ExitCode, JobError, LiftFolder, LiftState
 from ...engine.job.folder import BAKE
-from ...engine.job.follower import LiftFollower, LiftStatus, Outcome, bake_command
+from ...engine.job.follower import LiftFollower, LiftStatus, Outcome
 from ...engine.job.process import engine_command
 
 _POLL_S = 0.05
@@ -116,11 +116,24 @@ def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running:
     return _follow(Watch(follower))
 
 
-def bake(lift: LiftFolder, python: Path, frames: Sequence[str], *, keep_running: bool = False) -> Watch:
-    """Let an engine bake the passes of more frames of a finished lift: "test", "all", or names. Raises JobError."""
-    _refuse_running(lift)
-    command = bake_command(python, lift.path, frames)
-    return _follow(Watch(LiftFollower.start_bake(lift, frames, command=command, stays_with_parent=not keep_running)))
+def bake(
+    lift: LiftFolder,
+    python: Path,
+    frames: Sequence[str] = (),
+    *,
+    cameras: Path | None = None,
+    keep_running: bool = False,
+) -> Watch:
+    """Let an engine bake more passes of a finished lift: of frames ("test", "all", or names), or of the ``cameras`` of
+    a file. Another process may bake the same lift at the same time. Raises JobError.
+    """
+    known = _watches.get(lift.path)
+    if known is not None and known.is_running and known.follower.is_of_our_own:
+        raise JobError("this Blender bakes or lifts here already", lift.path, "Wait for it, or cancel it first.")
+    if not lift.manifest_path.is_file():
+        _refuse_running(lift)
+    stays = not keep_running
+    return _follow(Watch(LiftFollower.start_bake(lift, python, frames, cameras=cameras, stays_with_parent=stays)))
 
 
 def attach(folder: Path) -> Watch:

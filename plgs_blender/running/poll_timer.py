@@ -16,7 +16,7 @@ from ..engine_environment import engine_python
 from ..paths import absolute
 from ..redrawing import redraw_panels
 from ..scene_survey import Place
-from . import frame_making, lifts, live_preview, machine_pace, recents
+from . import exports, frame_making, lifts, live_preview, machine_pace, recents
 from .lifts import Watch
 
 TICK_S = 0.1
@@ -39,9 +39,10 @@ def tick() -> float | None:
     was_making, frames_are_made = frame_making.is_making(), frame_making.poll()
     if frames_are_made:
         _remember_step("PLGS Frames")
-    if with_news or was_looking != is_looking or was_making:
+    if exports.poll() or with_news or was_looking != is_looking or was_making:
         redraw_panels(views_too=any(shown_anew) or frames_are_made)
-    return TICK_S if lifts.running() or is_looking or frame_making.is_making() else None
+    goes_on = lifts.running() or is_looking or frame_making.is_making() or exports.is_running()
+    return TICK_S if goes_on else None
 
 
 def _remember_step(name: str) -> None:
@@ -121,4 +122,5 @@ def unregister() -> None:
     scene_survey.stop_looking()
     frame_making.forget()
     lifts.let_go()
+    exports.let_go()
     live_preview.forget()

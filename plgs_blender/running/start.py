@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -9,13 +10,16 @@ import bpy
 from ...engine.job import JobError, LiftFolder
 from ...engine.scene import open_scene_to_lift
 from .. import engine_environment
+from ..lift_collection import lift_of_scene
 from ..lift_scene import place_lift
+from ..meshes import mesh_folder
 from ..owned import text_of
 from ..paths import absolute, free_lift_folder
 from ..possibilities import why_not_liftable
 from ..scene_survey import survey_of
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, place_of, request_of
-from . import lifts
+from ..shots import shot_of, write_shot
+from . import exports, lifts
 from .lifts import Watch
 
 
@@ -48,16 +52,26 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     return why_no_scene(settings) or (None if survey is None else why_not_liftable(survey))
 
 
-def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False) -> Watch:
+def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
+    """The lift whose objects keep their names: that of the same scene which the settings' scene shows, if it is whole
+    and names shall be kept."""
+    if not settings.keep_names or not settings.scene_folder:
+        return None
+    found = lift_of_scene(absolute(settings.scene_folder), settings.id_data)
+    return found if found is not None and (found / "result" / "manifest.json").is_file() else None
+
+
+def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, names_from: str = "") -> Watch:
     """Start the lift that the settings ask for: in their lift folder or, where that holds a lift already, in a new one
-    beside the scene's; with ``in_that_folder`` such a folder is refused.
+    beside the scene's; with ``in_that_folder`` such a folder is refused. Objects are called as in ``names_from``, or
+    as in `earlier_lift`.
 
     Raises JobError or SceneError, and then leaves no folder behind.
     """
     if not settings.scene_folder:
         raise JobError("no scene is chosen", "Scene", "Choose a folder with color, depth, pose and intrinsic.")
     python = engine_environment.usable_python()
-    request = request_of(settings)
+    request = replace(request_of(settings), names_from=absolute(names_from) if names_from else earlier_lift(settings))
     known = survey_of(place_of(settings))
     # Else the panel looks, or has looked, and a button answers at once.
     if known is None or known.error is not None or why_not_liftable(known) is not None:
@@ -135,6 +149,32 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Watch:
             raise JobError("the active camera is no frame of the lift", scene.name, fix)
     python = engine_environment.usable_python()
     return lifts.bake(lift, python, names, keep_running=scene.plgs.keep_running)
+
+
+def bake_camera(
+    scene: bpy.types.Scene,
+    camera: str = "",
+    frames: tuple[int | None, int | None, int | None] = (None, None, None),
+    folder: str = "",
+) -> Watch:
+    """Let an engine bake passes of a finished lift from a camera, the scene's active one unless named, over ``frames``
+    (first, last, step), the scene's where None. Views that were baked from the same camera are kept. Raises JobError.
+    """
+    lift = lift_at(scene.plgs, folder)
+    python = engine_environment.usable_python()
+    cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames))
+    return lifts.bake(lift, python, cameras=cameras, keep_running=scene.plgs.keep_running)
+
+
+def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str, folder: str = "") -> exports.Export:
+    """Let an engine export a finished lift into the folder ``output``; meshes without one into the lift's own, from
+    where they are put into the scene. Raises JobError, OSError.
+    """
+    lift = lift_at(settings, folder)
+    if not output and form != "mesh":
+        raise JobError("needs a folder", f"Export of {form}", "Choose where the files shall go.")
+    target = absolute(output) if output else mesh_folder(lift.path)
+    return exports.start(lift.path, form, target, engine_environment.usable_python(), [frames])
 
 
 def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:

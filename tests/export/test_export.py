@@ -18,6 +18,7 @@ from engine.export.source import FinishedLift
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.lift import run_lift
 from engine.train.presets import PRESETS
+from tests.conftest import HAS_BLENDER
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY
 
@@ -138,6 +139,14 @@ def test_meshes(lift: LiftFolder, tmp_path: Path) -> None:
     xyz, labels = vertices.positions.numpy(), vertices["class_id"].numpy()[:, 0]
     np.testing.assert_allclose(np.asarray(surface.vertices), xyz)
     assert len(surface.triangles) > 1000 and set(np.unique(labels)) <= {0, 1, 2, 3, 5, 13}
+    if HAS_BLENDER:
+        from plgs.plgs_blender.mesh_table import read_surface
+
+        shown = read_surface(tmp_path / "mesh.ply")
+        np.testing.assert_array_equal(shown.xyz, xyz)
+        np.testing.assert_array_equal(shown.class_id, labels)
+        np.testing.assert_array_equal(shown.triangles, np.asarray(surface.triangles))
+        assert len(shown.parts()) == len(list((tmp_path / "meshes").iterdir()))
     floor = xyz[labels == 2]
     assert len(floor) > 100 and abs(np.median(floor[:, 2])) < 0.1  # metres
     names = {path.stem for path in (tmp_path / "meshes").iterdir()}

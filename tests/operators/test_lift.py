@@ -175,3 +175,15 @@ def test_showing_a_lift_changes_no_setting_that_says_the_same(lift: Path) -> Non
     settings.scene_folder += "/"
     bpy.ops.plgs.place_lift()
     assert settings.scene_folder.endswith("/")
+
+
+def test_a_scene_that_was_lifted_before_keeps_its_names(behaves: Behaves, lift: Path, tmp_path: Path) -> None:
+    behaves("short")
+    settings = bpy.context.scene.plgs
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    settings.place_when_done = False
+    for number, (given, expected) in enumerate(
+        [({}, lift), ({"keep_names": False}, None), ({"names_from": str(tmp_path / "other")}, tmp_path / "other")]
+    ):
+        bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / f"again {number}"), **given)
+        assert LiftFolder.open(tmp_path / f"again {number}").request.names_from == expected

@@ -5,10 +5,12 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
 import pytest
+from plgs.engine.job import BakeCamera, follower, read_cameras
 from plgs.plgs_blender import engine_environment
 from plgs.plgs_blender.running import lifts
 
@@ -23,17 +25,26 @@ events.done("finished")
 """
 
 
-@pytest.fixture
-def baked_frames(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
-    """The frames that an engine was asked to bake; the engine itself only pretends."""
-    asked: list[str] = []
+@dataclass
+class Asked:
+    """What an engine was asked to bake."""
 
-    def command(python: Path, lift: Path, frames: list[str]) -> list[str | Path]:
-        asked.extend(frames)
+    frames: list[str] = field(default_factory=list)
+    cameras: list[BakeCamera] = field(default_factory=list)
+
+
+@pytest.fixture
+def baked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Asked]:
+    """The engine only pretends."""
+    asked = Asked()
+
+    def command(python: Path, lift: Path, frames: list[str], cameras: Path | None) -> list[str | Path]:
+        asked.frames.extend(frames)
+        asked.cameras.extend(read_cameras(cameras) if cameras is not None else ())
         return [python, "-c", PRETENCE, lift]
 
     monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
-    monkeypatch.setattr(lifts, "bake_command", command)
+    monkeypatch.setattr(follower, "bake_command", command)
     yield asked
     lifts.let_go()
 
@@ -52,7 +63,7 @@ def test_without_passes_the_button_is_grey() -> None:
     assert not bpy.ops.plgs.show_passes.poll()
 
 
-def test_the_frame_of_the_active_camera_is_baked(lift: Path, baked_frames: list[str], tmp_path: Path) -> None:
+def test_the_frame_of_the_active_camera_is_baked(lift: Path, baked: Asked, tmp_path: Path) -> None:
     lift = shutil.copytree(lift, tmp_path / "lift")
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
     scene = bpy.context.scene
@@ -61,17 +72,17 @@ def test_the_frame_of_the_active_camera_is_baked(lift: Path, baked_frames: list[
     row = next(root for root in bpy.data.collections if root.plgs.instances).plgs.instances[0]
     row.visible = False
     assert bpy.ops.plgs.bake_passes(frames="active") == {"FINISHED"}
-    assert baked_frames == [scene.camera["frame"]]
+    assert baked.frames == [scene.camera["frame"]]
     assert {ob.name: ob.as_pointer() for ob in scene.objects} == before, "a bake leaves objects alone"
     assert not row.visible, "and what was hidden"
 
 
-def test_a_camera_that_is_no_frame_cannot_be_baked(lift: Path, baked_frames: list[str]) -> None:
+def test_a_camera_that_is_no_frame_cannot_be_baked(lift: Path, baked: Asked) -> None:
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
     bpy.context.scene.camera = None
     with pytest.raises(RuntimeError, match="no frame of the lift"):
         bpy.ops.plgs.bake_passes(frames="active")
-    assert baked_frames == []
+    assert baked.frames == []
 
 
 def test_only_a_finished_lift_can_be_baked_from_the_panel(lift: Path) -> None:
@@ -81,3 +92,29 @@ def test_only_a_finished_lift_can_be_baked_from_the_panel(lift: Path) -> None:
         settings.lift_folder = str(lift)
         assert bpy.ops.plgs.bake_passes.poll()
 
+
+
+def test_the_active_camera_is_baked_over_the_frame_range(lift: Path, baked: Asked, tmp_path: Path) -> None:
+    lift = shutil.copytree(lift, tmp_path / "lift")
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    scene = bpy.context.scene
+    scene.camera = bpy.data.objects.new("dolly", bpy.data.cameras.new("dolly"))
+    scene.collection.objects.link(scene.camera)
+    for frame in (1, 20):
+        scene.camera.location.x = 0.1 * frame
+        scene.camera.keyframe_insert("location", frame=frame)
+    scene.frame_start, scene.frame_end = 3, 5
+    assert bpy.ops.plgs.bake_camera() == {"FINISHED"}
+    assert [each.name for each in baked.cameras] == ["dolly.0003", "dolly.0004", "dolly.0005"]
+    assert baked.frames == []
+    baked.cameras.clear()
+    assert bpy.ops.plgs.bake_camera(camera="dolly", frame_start=8, frame_end=12, frame_step=4) == {"FINISHED"}
+    assert [each.name for each in baked.cameras] == ["dolly.0008", "dolly.0012"]
+
+
+def test_a_camera_that_no_engine_can_draw_is_refused(lift: Path, baked: Asked) -> None:
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    bpy.context.scene.camera.data.type = "ORTHO"
+    with pytest.raises(RuntimeError, match="orthographic"):
+        bpy.ops.plgs.bake_camera()
+    assert not baked.cameras

@@ -10,7 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.passes import ShownInstances, bake_view, cryptomatte
+from engine.scene.matte_names import matte_names
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, WALL, made_rendering
+
+LAYERS = ("CryptoInstance", "CryptoClass")
 
 
 @pytest.mark.parametrize(
@@ -64,8 +67,33 @@ def test_ranks() -> None:
     assert not any(values[NOTHING].any() for values in found.values())
 
 
+def test_ranks_sum_to_what_is_covered() -> None:
+    found, rendering = mattes({3: CHAIR, 70001: CHAIR}), made_rendering()
+    shares = {layer: sum(found[f"{layer}0{k}.{c}"] for k in range(3) for c in "ga") for layer in LAYERS}
+    np.testing.assert_allclose(shares["CryptoClass"], rendering.alpha, atol=1e-6)
+    np.testing.assert_allclose(shares["CryptoInstance"], rendering.instance_coverage.sum(axis=-1), atol=1e-6)
+    for layer in LAYERS:
+        falling = np.stack([found[f"{layer}0{k}.{c}"] for k in range(3) for c in "ga"])
+        assert (np.diff(falling, axis=0) <= 0).all()  # the strongest first
+
+
+def test_every_id_is_in_the_manifest_and_the_manifest_is_blenders() -> None:
+    rendering = made_rendering()
+    view = bake_view([rendering], rendering.camera, CLASSES, ShownInstances(NAMES, None))
+    for matte in view.mattes:
+        header = cryptomatte.header(matte.layer.name, matte.layer.names)
+        (prefix,) = {key.rpartition("/")[0] for key in header}
+        assert prefix == f"cryptomatte/{cryptomatte.murmur3(matte.layer.name.encode()):08x}"[:19]
+        assert header[f"{prefix}/hash"] == "MurmurHash3_32" and header[f"{prefix}/name"] == matte.layer.name
+        assert header[f"{prefix}/conversion"] == "uint32_to_float32"
+        bits = {int(value, 16) for value in json.loads(header[f"{prefix}/manifest"]).values()}
+        planes = cryptomatte.channels(matte.layer.name, matte.ranks)
+        ids = np.concatenate([planes[f"{matte.layer.name}0{k}.{c}"].ravel() for k in range(3) for c in "rb"])
+        assert set(ids[ids != 0].view(np.uint32).tolist()) <= bits
+
+
 def test_names() -> None:
-    names = cryptomatte.matte_names({1: "chair 1", 2: 'a "b", c', 3: "chair 1", 4: ",", 5: "Tür"})
+    names = matte_names({1: "chair 1", 2: 'a "b", c', 3: "chair 1", 4: ",", 5: "Tür"})
     assert names == {1: "chair 1 #1", 2: "a b c", 3: "chair 1 #3", 4: "id 4", 5: "Tür"}
 
 

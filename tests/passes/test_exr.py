@@ -89,6 +89,27 @@ def test_damaged_passes_are_refused(tmp_path: Path, data: st.DataObject) -> None
             assert str(path) in str(error)
 
 
+def test_openimageio_reads_the_same(tmp_path: Path) -> None:
+    oiio = pytest.importorskip("OpenImageIO")
+    path = _write(tmp_path / "a.exr")
+    read = oiio.ImageInput.open(str(path))
+    spec, pixels = read.spec(), read.read_image("float")
+    read.close()
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        written = {name: channel.pixels.copy() for name, channel in file.channels().items()}
+        header = dict(file.header())
+    assert set(spec.channelnames) == set(written)
+    for column, name in enumerate(spec.channelnames):
+        assert np.array_equal(pixels[..., column], written[name]), name
+    manifests = [key for key in header if key.startswith("cryptomatte/") and key.endswith("/manifest")]
+    assert len(manifests) == 2 and all(spec.getattribute(key) == header[key] for key in manifests)
+    copy = oiio.ImageOutput.create(str(tmp_path / "b.exr"))  # as a tool that passes the file on
+    assert copy.open(str(tmp_path / "b.exr"), spec) and copy.write_image(pixels)
+    copy.close()
+    one, other = read_exr(path), read_exr(tmp_path / "b.exr")
+    assert all((getattr(one, field.name) == getattr(other, field.name)).all() for field in fields(one))
+
+
 def test_blender_reads_ids_and_mattes(tmp_path: Path) -> None:
     bpy = pytest.importorskip("bpy")
     image = bpy.data.images.load(str(_write(tmp_path / "a.exr")))
@@ -100,6 +121,10 @@ def test_blender_reads_ids_and_mattes(tmp_path: Path) -> None:
     outputs = {socket.name: socket for socket in source.outputs if socket.enabled}
     wanted = {"instance": outputs["Instance"], "semantic": outputs["Semantic"], "colour": outputs["Combined"]}
     wanted |= {"depth": outputs["Depth"], "confidence": outputs["Confidence"], "entropy": outputs["Entropy"]}
+    for name in ("Normal", "Position"):
+        split = tree.nodes.new("ShaderNodeSeparateXYZ" if bpy.app.version >= (4, 5, 0) else "CompositorNodeSeparateXYZ")
+        tree.links.new(outputs[name], split.inputs[0])
+        wanted |= {f"{name} {axis}": split.outputs[axis] for axis in "XYZ"}
     for stem, layer, name in (
         ("matte_1", "CryptoInstance", "chair 1"),
         ("matte_2", "CryptoInstance", "chair 2"),
@@ -123,6 +148,11 @@ def test_blender_reads_ids_and_mattes(tmp_path: Path) -> None:
     assert seen["depth"][..., 0] == pytest.approx(layers.depth)
     assert seen["confidence"][..., 0] == pytest.approx(layers.confidence)
     assert seen["entropy"][..., 0] == pytest.approx(layers.entropy)
+    view = _baked()
+    for name, planes in (("Normal", view.surface.normal), ("Position", view.surface.position)):
+        for axis, plane in zip("XYZ", planes, strict=True):
+            assert np.array_equal(seen[f"{name} {axis}"][..., 0], plane), (name, axis)
+    assert np.array_equal(seen["colour"][..., 3], layers.combined[..., 3])  # the true coverage
     matte_1, matte_2, sofa = (seen[name][..., 0] for name in ("matte_1", "matte_2", "matte_sofa"))
     assert matte_1[LEFT] == pytest.approx(1.0, abs=1e-6)
     assert matte_1[EDGE] == pytest.approx(0.6, abs=1e-6)

@@ -8,13 +8,13 @@ import bpy
 import numpy as np
 import OpenEXR
 import pytest
-from plgs.engine.job import write_manifest
+from plgs.engine.job import LiftFolder, write_manifest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, lift_scene, passes
 from plgs.plgs_blender.colour import linear_rgba
 from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, node_of, output_of
-from plgs.plgs_blender.sequence import numbered
-from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, write_passes, write_tiny_lift
+from plgs.plgs_blender.sequence import numbered, sequences
+from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_passes, write_tiny_lift
 from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 
@@ -130,6 +130,50 @@ def test_views_without_numbers_are_swapped(lift: Path, tmp_path: Path) -> None:
         assert np.array_equal(rendered(scene, "Instance matte", tmp_path)[..., 0], view.instance == 1)
 
 
+def test_the_first_view_is_shown_at_once(lift: Path, tmp_path: Path) -> None:
+    lift_scene.place_lift(lift, bpy.context.scene)
+    scene = passes_scene()
+    view = truth(scene.timeline_markers[0].name)
+    tree = compat.compositor_tree(scene)
+    shown = {node_of(tree, key).frame_offset + 1 for key in (INSTANCES, CLASSES)}
+    assert shown == {int(scene.timeline_markers[0].name)}
+    assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
+
+
+def bake_shot(lift: LiftFolder, files: dict[str, int]) -> None:
+    """As if these views had been baked, each with what a frame of the scene shows."""
+    frames = open_scene(lift.request.scene).frames
+    for name, index in files.items():
+        write_passes(lift.passes_path / f"{name}.exr", frames[index], (64, 48))
+    mend_manifest(lift.path)
+
+
+def test_a_shot_has_a_scene_with_the_frames_of_its_own(tmp_path: Path) -> None:
+    lift = write_tiny_lift(tmp_path / "lift")
+    shown = {6: 3, 8: 5, 10: 9}
+    bake_shot(lift, {f"dolly.{frame:04d}": index for frame, index in shown.items()} | {"still.0001": 2})
+    mine = bpy.context.scene
+    mine.render.fps, mine.render.pixel_aspect_x = 25, 1.5
+    for _ in range(2):
+        lift_scene.place_lift(lift.path, mine)
+    scene = bpy.data.scenes["PLGS tiny room dolly"]
+    assert (scene.frame_start, scene.frame_end, scene.frame_step) == (6, 10, 2)
+    assert (scene.render.fps, scene.render.pixel_aspect_x) == (25, 1.5)
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (64, 48)
+    for frame, index in reversed(shown.items()):
+        scene.frame_set(frame)
+        assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], truth(str(index)).instance)
+    set_matte(scene, INSTANCES, CHAIR_NAME)
+    assert np.array_equal(rendered(scene, "Instance matte", tmp_path)[..., 0], truth("3").instance == 1)
+    still = bpy.data.scenes["PLGS tiny room still"]
+    assert np.array_equal(rendered(still, "Instance", tmp_path)[..., 0], truth("2").instance)
+    (lift.passes_path / "still.0001.exr").unlink()
+    mend_manifest(lift.path)
+    lift_scene.place_passes_anew(lift.path, mine)
+    assert "PLGS tiny room still" not in bpy.data.scenes and "PLGS tiny room dolly" in bpy.data.scenes
+    assert len([each for each in bpy.data.scenes if "passes" in each.name]) == 1
+
+
 def test_what_the_user_built_on_stays(lift: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     tree = compat.compositor_tree(passes_scene())
@@ -177,3 +221,11 @@ def test_numbered_names(names: list[str], first: str, numbers: tuple[int, ...]) 
 )
 def test_names_that_are_no_sequence(names: list[str]) -> None:
     assert numbered(names) is None
+
+
+def test_names_in_groups_that_can_be_counted_through() -> None:
+    names = ["dolly.0001", "dolly.0002", "pan 2.0001", "poster", "a.1", "a.01"]
+    assert sequences(names) == {
+        "dolly": ["dolly.0001", "dolly.0002"], "pan 2": ["pan 2.0001"], "poster": ["poster"], "a.1": ["a.1"],
+        "a.01": ["a.01"],
+    }  # fmt: skip

@@ -27,7 +27,7 @@ class Window:
         """Start a virtual screen and install the extension. `folder` is seen from inside the tree too."""
         self.folder, self._tree, self._blender = folder, tree, None
         self._log = (folder / "blender.log").open("ab")
-        self._number = 0
+        self._number, self.space = 0, "VIEW_3D"
         for name in ("home", "screen", "shaders", "kernels"):
             (folder / name).mkdir(exist_ok=True)
         tree.environment |= {
@@ -102,6 +102,7 @@ class Window:
         """File > New, and what was measured is forgotten."""
         if not self.is_running:
             self.start()
+        self.space = "VIEW_3D"
         self.run("bpy.ops.wm.read_homefile(use_splash=False)")
         self.run("watch.begin()")
         self.move(SIZE[0] // 2, SIZE[1] // 2)
@@ -184,7 +185,7 @@ class Window:
             self.key("n")
         # Tabs are known once the sidebar has been drawn.
         self.settle()
-        self.run(_IN_SIDEBAR + f"region.active_panel_category = {tab!r}; region.tag_redraw()")
+        self.run(self._in_sidebar() + f"region.active_panel_category = {tab!r}; region.tag_redraw()")
         self.settle()
 
     def find_button(self, operator: str, contains: str = "", near: int | None = None) -> tuple[int, int]:
@@ -224,9 +225,13 @@ class Window:
     def _region(self, kind: str) -> tuple[int, int, int, int]:
         """Left, top, width, height of the 3D view's region on the screen."""
         x, y, width, height = self.run(
-            _IN_SIDEBAR.replace("'UI'", repr(kind)) + "answer = region.x, region.y, region.width, region.height"
+            self._in_sidebar(kind) + "answer = region.x, region.y, region.width, region.height"
         )
         return x, SIZE[1] - y - height, width, height
+
+    def _in_sidebar(self, kind: str = "UI") -> str:
+        """Statements that find the region of that kind of the largest area of the editor `space`."""
+        return _IN_SIDEBAR.replace("'UI'", repr(kind)).replace("'VIEW_3D'", repr(self.space))
 
     def _middle(self, kind: str) -> tuple[int, int]:
         x, y, width, height = self._region(kind)

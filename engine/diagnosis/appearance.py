@@ -1,0 +1,176 @@
+"""Findings on pictures: blur and exposure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.layout import listed
+from .examined import Examined
+from .finding import Finding
+from .photos import Photo, neighbours_of, relative_sharpness
+from .pictures import side_by_side
+from .reprojection import Assumption, Floats
+
+_BLURRED, _BLURRED_SURFACE = 0.8, 0.88
+"""Of the neighbours' detail, in the whole picture and on the same surfaces: turned away from, these lose a tenth."""
+_VERY_BLURRED, _BLURRED_BY_ITSELF = 0.35, 0.3
+_EXPOSURE = 1.5
+"""Times brighter and darker that frames show the same surface, from the 5th to the 95th percentile."""
+_CLIPPED = 0.5
+_SAME_DISTANCE = 0.15
+"""Logarithm: what is nearer shows its texture larger, which is no blur."""
+_GRAIN = 9
+"""Pixels of a picture 320 wide over which detail is measured."""
+_NO_DETAIL, _DETAIL = 13.0, 1500.0
+_LEAST_FRAMES = 5
+_FEWEST_POINTS = 100
+_SURFACES_AGREE = 0.5
+
+
+def clipped_findings(photos: dict[int, Photo]) -> list[Finding]:
+    """Frames that are mostly black or white."""
+    clipped = [shot for shot in photos.values() if shot.clipped > _CLIPPED]
+    if not clipped:
+        return []
+    names = tuple(shot.name for shot in clipped)
+    return [
+        Finding(
+            cause="exposure",
+            severity="note",
+            text=f"in {len(clipped)} of {len(photos)} frames most pixels are black or white: {listed(names)}",
+            option="leave them out with a splits.json",
+            figures={"frames": float(len(clipped)), "clipped": max(shot.clipped for shot in clipped)},
+            frames=names,
+            picture=side_by_side([(shot.name, shot.grey) for shot in clipped[:2]]),
+        )
+    ]
+
+
+def blur_findings(photos: dict[int, Photo]) -> list[Finding]:
+    """Frames with far less detail than their neighbours, where there is no depth to tell what they show."""
+    shots = list(photos.values())
+    return _of_blur(shots, relative_sharpness(shots), np.ones(len(shots), bool), _BLURRED_BY_ITSELF)
+
+
+def blur_findings_on_surfaces(examined: Examined, assumed: Assumption) -> list[Finding]:
+    """Frames with less detail than their neighbours, also on the very surfaces that those show: a bare wall is no
+    blur.
+    """
+    shots = [_photo(examined, row) for row in range(len(examined.looks))]
+    details = relative_details(examined, assumed)
+    if details is None:
+        return []
+    beside = np.exp(details - np.array([np.median(around) for around in neighbours_of(details)]))
+    return _of_blur(shots, relative_sharpness(shots), beside < _BLURRED_SURFACE, _BLURRED)
+
+
+def _of_blur(shots: Sequence[Photo], sharpness: Floats, may_be: NDArray[np.bool_], threshold: float) -> list[Finding]:
+    found = sorted((float(sharpness[row]), int(row)) for row in np.flatnonzero(may_be & (sharpness < threshold)))
+    if not found or len(shots) < _LEAST_FRAMES:
+        return []
+    names = tuple(shots[row].name for _, row in found)
+    worst, row = found[0]
+    beside = shots[row - 1] if row else shots[1]
+    drop = [shots[row].name for value, row in found if value < _VERY_BLURRED]
+    more = f"; {listed(drop)} may as well be left out" if drop else ""
+    return [
+        Finding(
+            cause="blur",
+            severity="note",
+            text=f"{len(found)} of {len(shots)} frames are less sharp than their neighbours, the worst with "
+            f"{worst:.0%} of their detail: {listed(names)}{more}",
+            option="none is needed: a lift counts them less; leave the worst out with a splits.json",
+            figures={"frames": float(len(found)), "least_detail": worst},
+            frames=names,
+            picture=side_by_side([(beside.name, beside.grey), (shots[row].name, shots[row].grey)]),
+        )
+    ]
+
+
+def exposure_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
+    """How much brighter some frames show a surface than others do."""
+    gains = relative_gains(examined, assumed)
+    if gains is None:
+        return []
+    low, high = np.quantile(gains, [0.05, 0.95])
+    spread = float(np.exp(high - low))
+    if spread < _EXPOSURE:
+        return []
+    dark, bright = int(np.argmin(gains)), int(np.argmax(gains))
+    shown = [(examined.name(row), examined.photos[examined.looks[row].number].grey) for row in (dark, bright)]
+    return [
+        Finding(
+            cause="exposure",
+            severity="note",
+            text=f"exposure varies: some frames show the same surface {spread:.1f} times as bright as others "
+            f"(darkest {examined.name(dark)}, brightest {examined.name(bright)})",
+            option="none is needed: a lift fits each frame's exposure; lock it when you record again",
+            figures={"times": spread},
+            picture=side_by_side(shown),
+        )
+    ]
+
+
+def relative_gains(examined: Examined, assumed: Assumption) -> Floats | None:
+    """The logarithm of how bright each look shows surfaces beside the others, float64 [F], of mean 0."""
+    return _relative_levels(examined, assumed, [_photo(examined, row).grey for row in range(len(examined.looks))])
+
+
+def relative_details(examined: Examined, assumed: Assumption) -> Floats | None:
+    """The logarithm of how much detail each look shows on surfaces beside the others, float64 [F], of median 0."""
+    import cv2
+
+    maps = []
+    for row in range(len(examined.looks)):
+        grey = _photo(examined, row).grey
+        detail = cv2.blur(np.abs(cv2.Laplacian(grey, cv2.CV_32F)), (_GRAIN, _GRAIN))
+        # Exposure multiplies both; where there is next to none, it is noise.
+        maps.append(
+            _NO_DETAIL + _DETAIL * detail / np.maximum(cv2.blur(grey.astype(np.float32), (_GRAIN, _GRAIN)), 1.0)
+        )
+    levels = _relative_levels(examined, assumed, maps, _SAME_DISTANCE)
+    return None if levels is None else levels - np.median(levels)
+
+
+def _relative_levels(
+    examined: Examined, assumed: Assumption, maps: Sequence[NDArray[Any]], nearly: float = np.inf
+) -> Floats | None:
+    """The logarithm of each look's values on surfaces beside those of the others there, float64 [F], of mean 0: least
+    squares over the median ratios of the pairs; None where too few pairs see the same. Values of 12 to 243 count, of
+    surfaces whose distances to both cameras differ by ``nearly`` (logarithm) at most.
+    """
+    comparison = examined.views.compare(examined.pairs, assumed)
+    rows, ratios = [], []
+    for row, (one, other) in enumerate(examined.pairs.tolist()):
+        same = comparison.agrees[row] > _SURFACES_AGREE
+        same[same] &= np.abs(np.log(comparison.scale[row][same])) < nearly
+        if same.sum() < _FEWEST_POINTS / 2:
+            continue
+        ours = _at(maps[one], examined.views.places[one][same])
+        theirs = _at(maps[other], comparison.place[row][same])
+        fair = (ours > 12) & (ours < 243) & (theirs > 12) & (theirs < 243)
+        if fair.sum() >= _FEWEST_POINTS / 4:
+            rows.append((one, other))
+            ratios.append(float(np.median(np.log(theirs[fair] / ours[fair]))))
+    if len(rows) < len(examined.looks):
+        return None
+    system = np.zeros((len(rows), len(examined.looks)))
+    system[np.arange(len(rows)), [one for one, _ in rows]] = -1.0
+    system[np.arange(len(rows)), [other for _, other in rows]] = 1.0
+    levels = np.linalg.lstsq(system, np.array(ratios), rcond=1e-6)[0]
+    return levels - levels.mean()
+
+
+def _at(pixels: NDArray[Any], places: Floats) -> Floats:
+    height, width = pixels.shape
+    columns = np.clip((places[:, 0] * width).astype(np.int64), 0, width - 1)
+    rows = np.clip((places[:, 1] * height).astype(np.int64), 0, height - 1)
+    return pixels[rows, columns].astype(np.float64)
+
+
+def _photo(examined: Examined, row: int) -> Photo:
+    return examined.photos[examined.looks[row].number]

@@ -1,0 +1,213 @@
+"""A new scene folder in the present layout, mended where a diagnosis is sure. The user's files stay as they are."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..job.atomic import PART, write_atomically
+from ..scene import Camera, ClassTable, Frame, Scene, SceneError
+from ..scene.depth import MILLIMETRES
+from .finding import Diagnosis, Mending
+from .reprojection import Assumption, Floats, assumed_poses, lens_under, planar
+
+_DEEPEST = 65535
+_MASKS = "panoptic.json"
+
+
+def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> None:
+    """Write the mended scene to the folder ``out``, which must not exist: as a whole or not at all.
+
+    Colour images are linked where they are files of their own, and else written as PNGs; depth is written in
+    millimetres, masks as COCO panoptic, ground truth as images of classes and instances. Raises SceneError.
+    """
+    if out.exists():
+        raise SceneError("the folder for the mended scene exists", out, "Name one that does not.")
+    frames = [frame for frame in scene.frames if frame.name not in diagnosis.mending.dropped]
+    if not any(not frame.held_out for frame in frames):
+        raise SceneError("no frame to train on would be left", scene.folder, "Give more frames.")
+    part = out.with_name(PART + out.name)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if part.exists():
+            shutil.rmtree(part)
+        part.mkdir()
+        _write(scene, frames, diagnosis, part)
+        part.rename(out)
+    except OSError as error:
+        shutil.rmtree(part, ignore_errors=True)
+        where = error.filename or out
+        raise SceneError(f"this cannot be written ({error.strerror})", where, "Choose another folder.") from error
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path) -> None:
+    for name in ("color", "pose", "intrinsic"):
+        (folder / name).mkdir()
+    cameras = {
+        frame.name: camera
+        for frame, camera in zip(frames, mended_cameras(scene, frames, diagnosis.mending), strict=True)
+    }
+    for frame in frames:
+        camera = cameras[frame.name]
+        _write_colour(frame, folder / "color")
+        np.savetxt(folder / "pose" / f"{frame.name}.txt", camera.camera_to_world, "%.12g")
+        np.savetxt(folder / "intrinsic" / f"{frame.name}.txt", _matrix(camera), "%.12g")
+        if frame.read_depth is not None:
+            _write_depth(frame, diagnosis.mending, folder / "depth")
+        if frame.read_ground_truth is not None:
+            truth = frame.read_ground_truth(None)
+            _write_image(folder / "gt" / "semantic" / f"{frame.name}.png", truth.semantic.astype(np.uint16))
+            _write_image(folder / "gt" / "instance" / f"{frame.name}.png", truth.instance.astype(np.uint16))
+    if all(frame.read_mask is not None for frame in frames) and not _link_group_masks(scene, frames, folder):
+        _write_masks(frames, scene.classes, folder)
+    split = {"train": [f.name for f in frames if not f.held_out], "test": [f.name for f in frames if f.held_out]}
+    (folder / "splits.json").write_text(json.dumps(split), encoding="utf-8")
+    said = {
+        "made_from": str(scene.folder.resolve()),
+        "mended": [finding.as_json() for finding in diagnosis.findings if finding.is_mended],
+        "left": [finding.as_json() for finding in diagnosis.findings if not finding.is_mended],
+    }
+    write_atomically(folder / "mended.json", json.dumps(said, indent=1))
+
+
+def mended_cameras(scene: Scene, frames: list[Frame], mending: Mending) -> list[Camera]:
+    """The frames' cameras as they are meant."""
+    assumed = mending.assumed
+    turn = np.eye(3) if scene.turn is None else scene.turn
+    poses = assumed_poses(np.stack([frame.camera.camera_to_world for frame in frames]), turn, assumed)
+    upright = np.eye(4)
+    if mending.turn is not None:
+        upright[:3, :3] = mending.turn
+    mended = []
+    for frame, pose in zip(frames, upright @ poses, strict=True):
+        camera = frame.camera
+        fx, fy, cx, cy = _lens(camera, assumed)
+        width, height = camera.width, camera.height
+        mended.append(
+            replace(camera, fx=fx * width, fy=fy * height, cx=cx * width, cy=cy * height, camera_to_world=pose)
+        )
+    return mended
+
+
+def _lens(camera: Camera, assumed: Assumption) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy in shares of the picture as they are meant."""
+    given = np.array(
+        [[camera.fx / camera.width, camera.fy / camera.height, camera.cx / camera.width, camera.cy / camera.height]]
+    )
+    fx, fy, cx, cy = lens_under(given, np.array([camera.width / camera.height]), assumed)[0].tolist()
+    return fx, fy, cx, cy
+
+
+def _matrix(camera: Camera) -> Floats:
+    """The intrinsics with integer pixel centres, as the layout has them."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = camera.K
+    matrix[:2, 2] -= 0.5
+    return matrix
+
+
+def _write_colour(frame: Frame, folder: Path) -> None:
+    source = frame.colour_path
+    if frame.file_shows_colour and source.suffix.lower() in (".jpg", ".jpeg", ".png"):
+        _link_or_copy(source.resolve(), folder / f"{frame.name}{source.suffix.lower()}")
+    else:
+        _write_image(folder / f"{frame.name}.png", np.ascontiguousarray(frame.read_colour(None)[..., ::-1]))
+
+
+def _link_or_copy(source: Path, target: Path) -> None:
+    """A second name for the same file where the file system can, so that nothing breaks when the first is deleted."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
+
+
+def _write_depth(frame: Frame, mending: Mending, folder: Path) -> None:
+    metres = mended_depth(frame, mending)
+    millimetres = np.round(metres / MILLIMETRES)
+    millimetres[millimetres > _DEEPEST] = 0  # farther than the layout can say
+    _write_image(folder / f"{frame.name}.png", millimetres.astype(np.uint16))
+
+
+def mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
+    """Planar depth in metres, float64 [H, W], as it is meant."""
+    depth = frame.depth(None).astype(np.float64)
+    height, width = depth.shape
+    assumed = mending.assumed
+    if assumed.ray:
+        x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+        places = np.stack([x, y], -1).reshape(1, -1, 2)
+        depth = planar(depth.reshape(1, -1), places, np.array([_lens(frame.camera, assumed)]), assumed)
+        depth = depth.reshape(height, width)
+    else:
+        depth = depth * assumed.unit
+    return _moved(depth, round(mending.depth_shift[0] * width), round(mending.depth_shift[1] * height))
+
+
+def _moved(depth: NDArray[np.float64], right: int, down: int) -> NDArray[np.float64]:
+    """Depth moved by whole pixels; 0 where nothing comes in."""
+    moved = np.zeros_like(depth)
+    height, width = depth.shape
+    rows, columns = slice(max(down, 0), height + min(down, 0)), slice(max(right, 0), width + min(right, 0))
+    from_rows, from_columns = (
+        slice(max(-down, 0), height + min(-down, 0)),
+        slice(max(-right, 0), width + min(-right, 0)),
+    )
+    moved[rows, columns] = depth[from_rows, from_columns]
+    return moved
+
+
+def _link_group_masks(scene: Scene, frames: list[Frame], folder: Path) -> bool:
+    """COCO panoptic cannot say that a segment may be several objects: masks that can are taken as they are."""
+    theirs = [path for path in scene.folder.glob("m2f_*") if path.is_dir()] if scene.folder.is_dir() else []
+    if not theirs or not any(segment.is_group for frame in frames for segment in frame.mask(None).segments):
+        return False
+    for source in theirs:
+        (folder / source.name).mkdir()
+        for path in source.iterdir():
+            if path.is_file():
+                _link_or_copy(path.resolve(), folder / source.name / path.name)
+    return True
+
+
+def _write_masks(frames: list[Frame], classes: ClassTable, folder: Path) -> None:
+    annotations = []
+    for frame in frames:
+        mask = frame.mask(None)
+        rgb = np.stack([mask.ids % 256, mask.ids // 256 % 256, mask.ids // 65536], -1).astype(np.uint8)
+        _write_image(folder / "panoptic" / f"{frame.name}.png", np.ascontiguousarray(rgb[..., ::-1]))
+        segments = [
+            {
+                "id": segment.id,
+                "category_id": segment.class_id,
+                "score": segment.score,
+                "iscrowd": int(segment.is_group),
+            }
+            for segment in mask.segments
+        ]
+        annotations.append({"image_id": frame.name, "file_name": f"{frame.name}.png", "segments_info": segments})
+    categories = [
+        {"id": each.id, "name": each.name, "isthing": int(each.is_thing), "color": list(each.colour)}
+        for each in classes.categories
+    ]
+    (folder / _MASKS).write_text(json.dumps({"annotations": annotations, "categories": categories}), encoding="utf-8")
+
+
+def _write_image(path: Path, pixels: NDArray[np.integer[Any]]) -> None:
+    import cv2
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    written, encoded = cv2.imencode(".png", pixels)
+    if not written:
+        raise OSError(0, "the image cannot be encoded", str(path))
+    path.write_bytes(encoded.tobytes())

@@ -1,0 +1,210 @@
+"""Depth reprojected into other views under an assumption about what the scene's numbers mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .looks import Look
+
+Floats = NDArray[np.float64]
+Lens = Floats
+"""fx, fy, cx, cy in shares of the picture's width and height: float64 [..., 4]."""
+
+AGREES_WITHIN = 0.05
+"""Of the depth: what differs more shows another surface, or is wrong."""
+_SMOOTH = 1.1
+_NORMAL_GRAIN = 160
+"""A normal is that of the surface within a 160th of the picture's width and height to each side."""
+FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+class Assumption(NamedTuple):
+    """What the numbers of a scene might mean; the default is what they are taken for.
+
+    ``inverted``: poses are world-to-camera. ``opengl``: y up and z backward. ``unit``: what depth has to be multiplied
+    by. ``ray``: 1 when depth is the distance to the camera, -1 when it was divided as if it were.
+    ``lens_scale``: of fx, fy, cx, cy. ``focal``: of fx and fy beside. ``aspect``: of fx alone. ``swapped``: fx and fy
+    change places. ``centred``: the principal point is in the middle. ``shift``: added to the principal point, in
+    shares of the picture.
+    """
+
+    inverted: bool = False
+    opengl: bool = False
+    unit: float = 1.0
+    ray: float = 0.0
+    lens_scale: float = 1.0
+    focal: float = 1.0
+    aspect: float = 1.0
+    swapped: bool = False
+    centred: bool = False
+    shift: tuple[float, float] = (0.0, 0.0)
+
+
+class Comparison(NamedTuple):
+    """What became of the points: [P, M] each; P pairs, M points.
+
+    ``error`` float64: logarithm of the depth seen over the depth expected, nan where the other view shows nothing
+    there. ``agrees`` float64: 1 for no error, 0 from 5 % on and where nothing is seen. ``known`` bool: there is such a
+    point. ``place`` float64 [P, M, 2]: where it falls in the other picture, in shares of that; nan behind it.
+    ``scale`` float64: how many times as far from the other camera it is.
+    """
+
+    error: Floats
+    agrees: Floats
+    known: NDArray[np.bool_]
+    place: Floats
+    scale: Floats
+
+
+class Surface(NamedTuple):
+    """What a look shows where points are projected to: ``distance`` float64 [N], metres of the points above it along
+    its ``normal`` float64 [N, 3] in the camera's axes; nan where there is none.
+    """
+
+    distance: Floats
+    normal: Floats
+
+
+class Views:
+    """The looks as arrays: all pairs are compared in one go.
+
+    ``turn``, float64 [3, 3], is how the world was turned upright when the scene was opened: what the poses mean is
+    told of the poses as they were written.
+    """
+
+    def __init__(self, looks: Sequence[Look], turn: Floats) -> None:
+        self.looks = looks
+        self.turn = turn
+        most = max(len(look.points) for look in looks)
+        self.size = np.array([(look.camera.width, look.camera.height) for look in looks], np.float64)
+        cameras = [look.camera for look in looks]
+        self.lens = np.array([(c.fx / c.width, c.fy / c.height, c.cx / c.width, c.cy / c.height) for c in cameras])
+        self.poses = np.stack([camera.camera_to_world for camera in cameras])
+        self.places = np.zeros((len(looks), most, 2))
+        self.values = np.zeros((len(looks), most))
+        for row, look in enumerate(looks):
+            columns, rows = look.points.T
+            self.places[row, : len(look.points)] = (look.points + 0.5) / self.size[row]
+            self.values[row, : len(look.points)] = look.depth[rows, columns]
+        sizes = np.array([look.depth.size for look in looks])
+        self._starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+        self._pixels = np.concatenate([look.depth.ravel() for look in looks])
+
+    def lens_of(self, assumed: Assumption) -> Lens:
+        """What the lenses are under an assumption, float64 [F, 4]."""
+        return lens_under(self.lens, self.size[:, 0] / self.size[:, 1], assumed)
+
+    def poses_of(self, assumed: Assumption) -> Floats:
+        """Camera-to-world poses in the scene's world under an assumption, float64 [F, 4, 4]."""
+        return assumed_poses(self.poses, self.turn, assumed)
+
+    def compare(self, pairs: NDArray[np.int64], assumed: Assumption, points: int | None = None) -> Comparison:
+        """Carry the first ``points`` points of each pair's one look into the other, int64 [P, 2]."""
+        lens, poses = self.lens_of(assumed), self.poses_of(assumed)
+        one, other = pairs[:, 0], pairs[:, 1]
+        world, known = self.world_points(assumed, lens, poses, points)
+        rotation, centre = poses[other, :3, :3], poses[other, :3, 3]
+        local = np.matmul(world[one] - centre[:, None], rotation)
+        z = local[..., 2]
+        front = z > 1e-6
+        safe = np.where(front, z, 1.0)
+        place = local[..., :2] / safe[..., None] * lens[other, None, :2] + lens[other, None, 2:]
+        seen = self.depth_at(other, place, front & known[one])
+        seen = planar(seen, place, lens[other], assumed)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.where(seen > 0.0, np.log(seen / safe), np.nan)
+        share = np.square(np.nan_to_num(error, nan=1.0) / AGREES_WITHIN)
+        agrees = np.square(np.clip(1.0 - share, 0.0, 1.0))
+        own = np.where(known, planar(self.values[:, :points], self.places[:, :points], lens, assumed), 1.0)
+        place = np.where(front[..., None], place, np.nan)
+        return Comparison(error, agrees, known[one], place, np.where(front, safe / own[one], np.nan))
+
+    def world_points(
+        self, assumed: Assumption, lens: Lens, poses: Floats, points: int | None = None
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """The looks' points in the world, float64 [F, M, 3], and which there are, bool [F, M]."""
+        places, values = self.places[:, :points], self.values[:, :points]
+        depth = planar(values, places, lens, assumed)
+        rays = (places - lens[:, None, 2:]) / lens[:, None, :2]
+        local = np.concatenate([rays, np.ones_like(rays[..., :1])], -1) * depth[..., None]
+        return np.matmul(local, poses[:, :3, :3].swapaxes(1, 2)) + poses[:, None, :3, 3], values > 0.0
+
+    def depth_at(self, looks: NDArray[np.int64], place: Floats, wanted: NDArray[np.bool_]) -> Floats:
+        """Depth at places [P, M, 2] of pictures [P], between pixels' centres interpolated; 0 at edges and outside."""
+        found = np.zeros(wanted.shape)
+        width, height = self.size[looks, 0].astype(np.int64)[:, None], self.size[looks, 1].astype(np.int64)[:, None]
+        x, y = place[..., 0] * width - 0.5, place[..., 1] * height - 0.5
+        inside = wanted & (x >= 0.0) & (y >= 0.0) & (x < width - 1) & (y < height - 1)
+        x, y, across = x[inside], y[inside], np.broadcast_to(width, inside.shape)[inside]
+        left, top = x.astype(np.int64), y.astype(np.int64)
+        right, down = x - left, y - top
+        index = np.broadcast_to(self._starts[looks][:, None], inside.shape)[inside] + top * across + left
+        corners = [self._pixels[index + step] for step in (0, 1, across, across + 1)]
+        nearest, farthest = np.minimum.reduce(corners), np.maximum.reduce(corners)
+        smooth = (nearest > 0.0) & (farthest < _SMOOTH * nearest)
+        # A plane is linear in 1 / depth.
+        inverse = [1.0 / np.where(smooth, corner, 1.0).astype(np.float64) for corner in corners]
+        upper = inverse[0] * (1.0 - right) + inverse[1] * right
+        lower = inverse[2] * (1.0 - right) + inverse[3] * right
+        found[inside] = np.where(smooth, 1.0 / (upper * (1.0 - down) + lower * down), 0.0)
+        return found
+
+    def surface_at(self, look: int, local: Floats, assumed: Assumption, lens: Lens) -> Surface:
+        """The surface of a look that points, float64 [N, 3] in its camera's axes, are projected to."""
+        safe = np.where(local[:, 2] > 1e-6, local[:, 2], 1.0)
+        place = local[:, :2] / safe[:, None] * lens[:2] + lens[2:]
+        step = np.maximum(1.0, np.round(self.size[look] / _NORMAL_GRAIN)) / self.size[look]
+        moves = np.array([(0.0, 0.0), (step[0], 0.0), (-step[0], 0.0), (0.0, step[1]), (0.0, -step[1])])
+        places = place[None] + moves[:, None]
+        wanted = np.broadcast_to(local[:, 2] > 1e-6, places.shape[:2])
+        depth = self.depth_at(np.full(len(moves), look), places, wanted)
+        depth = planar(depth, places, np.broadcast_to(lens, (len(moves), 4)), assumed)
+        rays = np.concatenate([(places - lens[2:]) / lens[:2], np.ones((*places.shape[:2], 1))], -1)
+        at, right, left, down, up = rays * depth[..., None]
+        normal = np.cross(down - up, right - left)
+        length = np.linalg.norm(normal, axis=1)
+        sound = (depth > 0.0).all(0) & (length > 1e-12)
+        normal = normal / np.where(sound, length, 1.0)[:, None]
+        return Surface(np.where(sound, (normal * (local - at)).sum(1), np.nan), normal)
+
+
+def lens_under(lens: Lens, aspect: Floats, assumed: Assumption) -> Lens:
+    """What lenses [F, 4] of pictures with an ``aspect`` [F] (width over height) are under an assumption."""
+    meant = lens.copy()
+    if assumed.swapped:
+        meant[:, 0], meant[:, 1] = lens[:, 1] / aspect, lens[:, 0] * aspect
+    meant *= assumed.lens_scale
+    meant[:, :2] *= assumed.focal
+    meant[:, 0] *= assumed.aspect
+    if assumed.centred:
+        meant[:, 2:] = 0.5
+    meant[:, 2:] += assumed.shift
+    return meant
+
+
+def assumed_poses(poses: Floats, turn: Floats, assumed: Assumption) -> Floats:
+    """Camera-to-world poses [F, 4, 4] as they are meant under an assumption, see ``Views`` for ``turn``."""
+    if not (assumed.inverted or assumed.opengl):
+        return poses
+    rotation, centre = turn.T @ poses[:, :3, :3], poses[:, :3, 3] @ turn
+    if assumed.inverted:
+        rotation = rotation.swapaxes(1, 2)
+        centre = -np.einsum("fij,fj->fi", rotation, centre)
+    if assumed.opengl:
+        rotation = rotation @ FLIP
+    meant = poses.copy()
+    meant[:, :3, :3], meant[:, :3, 3] = turn @ rotation, centre @ turn.T
+    return meant
+
+
+def planar(depth: Floats, place: Floats, lens: Lens, assumed: Assumption) -> Floats:
+    """Depth along the axis, metres, of a scene's values [..., M] at places [..., M, 2] under an assumption."""
+    if assumed.ray:
+        rays = (place - lens[:, None, 2:]) / lens[:, None, :2]
+        length = np.sqrt((rays**2).sum(-1) + 1.0)
+        depth = depth * length ** (-assumed.ray)
+    return depth * assumed.unit

@@ -1,0 +1,98 @@
+"""Which objects of a lift are those of an earlier lift of the same scene: matched by the overlap of their points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+CELL = 0.08
+"""Metres: the side of the cells in which points are compared. Lifts with other presets have other spacings."""
+LEAST_IOU = 0.2
+"""Of the cells of two objects, for them to be one: more frames may show twice as much of it."""
+MOST_OF_IT = 0.5
+"""Of an object's cells that lie in another: then it is a part of that one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectOverlap:
+    """``common`` int64 [A, B] counts the cells that hold points of object ``old_ids[a]`` and of ``new_ids[b]``;
+    ``old_cells`` int64 [A] and ``new_cells`` int64 [B] all that hold points of each."""
+
+    old_ids: NDArray[np.int64]
+    new_ids: NDArray[np.int64]
+    old_cells: NDArray[np.int64]
+    new_cells: NDArray[np.int64]
+    common: NDArray[np.int64]
+
+    @property
+    def iou(self) -> NDArray[np.float64]:
+        """Intersection over union of the cells, float64 [A, B]."""
+        union = self.old_cells[:, None] + self.new_cells[None, :] - self.common
+        return self.common / np.maximum(union, 1)
+
+
+@dataclass(frozen=True)
+class LastingObjects:
+    """``old_of`` maps a new object's id to that of the old object that it is. ``parts`` maps each new object that is
+    none, but lies within an old one, to that one; ``merged`` each old object that is gone, but lies within a new one.
+    """
+
+    old_of: dict[int, int]
+    parts: dict[int, int]
+    merged: dict[int, int]
+
+
+def object_overlap(
+    old_xyz: NDArray[np.floating],
+    old_id: NDArray[np.integer],
+    new_xyz: NDArray[np.floating],
+    new_id: NDArray[np.integer],
+) -> ObjectOverlap:
+    """Of points [N, 3] and [M, 3] in metres, whose objects are ``old_id`` [N] and ``new_id`` [M] (0 = none)."""
+    cells = np.floor(np.concatenate([old_xyz[old_id > 0], new_xyz[new_id > 0]]) / CELL).astype(np.int64)
+    _, cell = np.unique(cells, axis=0, return_inverse=True)
+    cell, count = cell.ravel(), int((old_id > 0).sum())
+    old_ids, old_of, old_cell = _distinct(old_id[old_id > 0], cell[:count])
+    new_ids, new_of, new_cell = _distinct(new_id[new_id > 0], cell[count:])
+    size = int(cell.max(initial=-1)) + 1
+    common = np.zeros((len(old_ids), len(new_ids)), np.int64)
+    # A cell may hold points of several objects: each of its old ones meets each of its new ones.
+    starts = np.searchsorted(new_cell, np.arange(size + 1))
+    for old, at in zip(old_of.tolist(), old_cell.tolist(), strict=True):
+        common[old, new_of[starts[at] : starts[at + 1]]] += 1
+    old_cells = np.bincount(old_of, minlength=len(old_ids))
+    return ObjectOverlap(old_ids, new_ids, old_cells, np.bincount(new_of, minlength=len(new_ids)), common)
+
+
+def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
+    """The assignment with the largest sum of IoU; pairs below LEAST_IOU are none."""
+    iou = overlap.iou
+    rows, columns = linear_sum_assignment(-np.where(iou >= LEAST_IOU, iou, 0.0))
+    pairs = [(row, column) for row, column in zip(rows, columns, strict=True) if iou[row, column] >= LEAST_IOU]
+    old_of = {int(overlap.new_ids[column]): int(overlap.old_ids[row]) for row, column in pairs}
+    kept = set(old_of.values())
+    parts, merged = {}, {}
+    for column, new in enumerate(overlap.new_ids.tolist()):
+        if new not in old_of and len(overlap.old_ids):
+            row = int(overlap.common[:, column].argmax())
+            if overlap.common[row, column] >= MOST_OF_IT * overlap.new_cells[column]:
+                parts[new] = int(overlap.old_ids[row])
+    for row, old in enumerate(overlap.old_ids.tolist()):
+        if old not in kept and len(overlap.new_ids):
+            column = int(overlap.common[row].argmax())
+            if overlap.common[row, column] >= MOST_OF_IT * overlap.old_cells[row]:
+                merged[old] = int(overlap.new_ids[column])
+    return LastingObjects(old_of, parts, merged)
+
+
+def _distinct(
+    ids: NDArray[np.integer], cell: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The ids there are, and for each pair of object and cell, in the order of the cells, the id's place and the
+    cell."""
+    known, place = np.unique(ids.astype(np.int64), return_inverse=True)
+    pairs = np.unique(np.stack([cell, place.ravel()], axis=1), axis=0)
+    return known, pairs[:, 1], pairs[:, 0]

@@ -1,0 +1,82 @@
+"""The lifted surface as meshes: one for each instance and one for each stuff class, in a collection for each class."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..engine.job import JobError
+from .colour import linear_rgba, object_colour
+from .lift_collection import FOLDER, child_collection, is_same_place, lifts_in, scene_to_fill
+from .materials import surface_material
+from .mesh_table import LabelledSurface, read_surface
+from .owned import LIFT, OwnedDataBlocks
+from .results import LiftResult, read_result
+
+COLLECTION = "Meshes"
+
+
+def mesh_folder(lift: Path) -> Path:
+    """Where the engine exports a lift's meshes to when they are made for Blender."""
+    return lift / "exports" / "mesh"
+
+
+def place_meshes(owned: OwnedDataBlocks, root: bpy.types.Collection, result: LiftResult) -> list[bpy.types.Object]:
+    """The meshes that were made of the lift; none when none were. Raises JobError for a damaged file."""
+    path = mesh_folder(result.folder) / "mesh.ply"
+    if not path.is_file():
+        return []
+    surface = read_surface(path)
+    instances = {one.id: one for one in result.instances}
+    top, placed = child_collection(root, COLLECTION), []
+    for (class_id, instance_id), triangles in surface.parts().items():
+        if class_id not in result.classes or (instance_id and instance_id not in instances):
+            continue
+        kind = result.classes[class_id]
+        name, colour = kind.name, kind.colour
+        if instance_id:
+            name, colour = instances[instance_id].name, instances[instance_id].colour
+        key = f"mesh:{class_id}:{instance_id}"
+        mesh = _fill(owned, key, name, surface.cut(triangles))
+        ob = owned.object(key, name, mesh, child_collection(top, f"{kind.name} meshes"))
+        ob.color = object_colour(colour)
+        ob["class"], ob["class_id"], ob["instance_id"] = kind.name, class_id, instance_id
+        placed.append(ob)
+    return placed
+
+
+def place_meshes_anew(lift: Path, scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """After meshes were made: put them beside the lift that is placed in `scene`. Raises JobError, SceneError."""
+    result = read_result(lift)
+    scene = scene_to_fill(scene)
+    for root in lifts_in(scene):
+        if is_same_place(root.get(FOLDER, ""), result.folder):
+            return place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
+    raise JobError("is not in this scene", lift, "Show the lift's result first.")
+
+
+def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) -> bpy.types.Mesh:
+    """Vertices with Col, class_id and instance_id; smooth triangles."""
+    mesh: bpy.types.Mesh = owned.data_of(key) or owned.new_data(bpy.data.meshes.new(name), key)
+    mesh.clear_geometry()
+    count = len(part.triangles)
+    mesh.vertices.add(len(part.xyz))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(part.xyz).ravel())
+    mesh.loops.add(3 * count)
+    mesh.loops.foreach_set("vertex_index", part.triangles.ravel())
+    mesh.polygons.add(count)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    mesh.polygons.foreach_set("use_smooth", np.ones(count, bool))
+    colours = mesh.color_attributes.new("Col", "FLOAT_COLOR", "POINT")
+    colours.data.foreach_set("color", np.ascontiguousarray(linear_rgba(part.rgb), np.float32).ravel())
+    for column in ("class_id", "instance_id"):
+        layer = mesh.attributes.new(column, "INT", "POINT")
+        layer.data.foreach_set("value", getattr(part, column))
+    mesh.color_attributes.active_color = mesh.color_attributes["Col"]
+    mesh.materials.clear()
+    mesh.materials.append(surface_material(owned))
+    mesh.update()
+    mesh.validate()
+    return mesh

@@ -1,0 +1,238 @@
+"""Defects planted one by one are found and named, and mended where that is safe; a good scene has none."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.diagnosis import Diagnosis, diagnose, write_mended
+from engine.scene import open_scene
+from tests.diagnosis import spoiling
+from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
+
+FRAMES, SIZE = 26, (128, 96)
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny room from an orbit: never write into it."""
+    return write_tiny_scene(tmp_path_factory.mktemp("good") / "scene", FRAMES, SIZE)
+
+
+@pytest.fixture
+def scene(good: Path, tmp_path: Path) -> Path:
+    """A copy to spoil."""
+    return Path(shutil.copytree(good, tmp_path / "scene"))
+
+
+def wrong_in(diagnosis: Diagnosis) -> list[str]:
+    return [finding.cause for finding in diagnosis.findings if finding.severity == "wrong"]
+
+
+def inverted(_: int, pose: np.ndarray) -> np.ndarray:
+    return np.linalg.inv(pose)
+
+
+def scaled(*factors: float) -> Callable[[np.ndarray], np.ndarray]:
+    """K with fx, fy, cx, cy times these."""
+
+    def change(matrix: np.ndarray) -> np.ndarray:
+        return matrix * np.array([[factors[0], 1, factors[2], 1], [1, factors[1], factors[3], 1], [1] * 4, [1] * 4])
+
+    return change
+
+
+def added(x: float, y: float) -> Callable[[np.ndarray], np.ndarray]:
+    """K with cx and cy moved, in pixels."""
+    return lambda matrix: matrix + np.array([[0, 0, x, 0], [0, 0, y, 0], [0] * 4, [0] * 4])
+
+
+def longer(sign: int) -> Callable[[Path], None]:
+    def plant(folder: Path) -> None:
+        spoiling.depths(folder, lambda steps: steps * spoiling.ray_lengths(folder, steps.shape) ** sign)
+
+    return plant
+
+
+SAFE: dict[str, tuple[Callable[[Path], None], str]] = {
+    "world-to-camera": (lambda f: spoiling.poses(f, inverted), "inverted poses"),
+    "OpenGL": (lambda f: spoiling.poses(f, lambda _, p: p @ FLIP), "wrong axes"),
+    "OpenGL, world-to-camera": (
+        lambda f: spoiling.poses(f, lambda _, p: np.linalg.inv(p @ FLIP)),
+        "inverted poses and wrong axes",
+    ),
+    "5000 steps a metre": (lambda f: spoiling.depths(f, lambda d: d * 5.0), "depth unit"),
+    "6553.5 steps a metre": (lambda f: spoiling.depths(f, lambda d: d * 6.5535), "depth unit"),
+    "centimetres": (lambda f: spoiling.depths(f, lambda d: d * 0.1), "depth unit"),
+    "ray depth": (longer(1), "ray depth"),
+    "divided by the ray": (longer(-1), "depth divided by the ray"),
+    "half the size": (lambda f: spoiling.intrinsics(f, scaled(0.5, 0.5, 0.5, 0.5)), "intrinsics of another size"),
+    "a fifth too long": (lambda f: spoiling.intrinsics(f, scaled(1.2, 1.2, 1, 1)), "focal length"),
+    "principal point": (lambda f: spoiling.intrinsics(f, added(6.0, -3.0)), "principal point"),
+    "half a pixel": (lambda f: spoiling.intrinsics(f, added(0.5, 0.5)), "half a pixel"),
+    "half a pixel back": (lambda f: spoiling.intrinsics(f, added(-0.5, -0.5)), "half a pixel"),
+    "depth moved": (lambda f: spoiling.depths(f, lambda d: np.roll(d, 4, 1)), "colour-to-depth shift"),
+    "frame out of place": (
+        lambda f: spoiling.poses(f, lambda n, p: p @ np.diag([-1.0, 1.0, -1.0, 1.0]) if n == 9 else p),
+        "frames out of place",
+    ),
+    "repeated": (lambda f: spoiling.repeat(f, "0011", instead_of="0012"), "repeated frames"),
+}
+
+
+QUICKLY = ("world-to-camera", "5000 steps a metre", "half a pixel")
+
+
+@pytest.mark.parametrize("name", [n if n in QUICKLY else pytest.param(n, marks=pytest.mark.slow) for n in SAFE])
+def test_what_is_planted_is_found_named_and_mended(scene: Path, tmp_path: Path, name: str) -> None:
+    plant, cause = SAFE[name]
+    plant(scene)
+    before = {path: path.read_bytes() for path in scene.rglob("*") if path.is_file()}
+    spoilt = open_scene(scene)
+    diagnosis = diagnose(spoilt)
+    assert wrong_in(diagnosis) == [cause]
+    assert diagnosis.findings[0].picture is not None and diagnosis.findings[0].figures
+    write_mended(spoilt, diagnosis, tmp_path / "mended")
+    assert diagnose(open_scene(tmp_path / "mended")).findings == ()
+    assert before == {path: path.read_bytes() for path in scene.rglob("*") if path.is_file()}
+
+
+def test_nothing_is_found_in_a_good_scene(good: Path) -> None:
+    diagnosis = diagnose(open_scene(good))
+    assert diagnosis.findings == () and not diagnosis.mending.is_needed
+    assert diagnosis.agreement is not None and diagnosis.agreement.error < 1e-3
+
+
+@pytest.mark.slow
+def test_swapped_focal_lengths(scene: Path) -> None:
+    """Pictures stretched to another shape have two focal lengths."""
+    wide = (128, 72)
+    for kind, way in (("color", cv2.INTER_AREA), ("depth", cv2.INTER_NEAREST)):
+        for path in (scene / kind).iterdir():
+            pixels = cv2.resize(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), wide, interpolation=way)
+            cv2.imwrite(str(path), pixels)
+    shutil.rmtree(scene / "panoptic")
+    (scene / "panoptic.json").unlink()
+    shutil.rmtree(scene / "gt")
+    spoiling.intrinsics(scene, scaled(1, 0.75, 1, 0.75))
+    assert wrong_in(diagnose(open_scene(scene))) == []
+    spoiling.intrinsics(scene, lambda k: np.where(np.eye(4) > 0, np.diag(k.diagonal()[[1, 0, 2, 3]]), k))
+    assert wrong_in(diagnose(open_scene(scene))) == ["swapped focal lengths"]
+
+
+def test_another_axis_up_is_found_and_the_option_named(tmp_path: Path) -> None:
+    scene = open_scene(write_tiny_scene(tmp_path / "scene", FRAMES, SIZE, up="y"))
+    diagnosis = diagnose(scene)
+    assert wrong_in(diagnosis) == ["up direction"]
+    assert "--up y" in diagnosis.findings[0].option
+    assert diagnose(open_scene(tmp_path / "scene", up="y")).findings == ()
+    write_mended(scene, diagnosis, tmp_path / "mended")
+    assert diagnose(open_scene(tmp_path / "mended")).findings == ()
+
+
+@pytest.mark.slow
+def test_inverted_poses_in_a_world_with_another_axis_up(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path / "scene", FRAMES, SIZE, up="y")
+    spoiling.poses(folder, inverted)
+    diagnosis = diagnose(open_scene(folder, up="y"))
+    assert wrong_in(diagnosis) == ["inverted poses"]
+    write_mended(open_scene(folder, up="y"), diagnosis, tmp_path / "mended")
+    assert diagnose(open_scene(tmp_path / "mended")).findings == ()
+
+
+@pytest.mark.slow
+def test_two_defects_at_once(scene: Path, tmp_path: Path) -> None:
+    spoiling.poses(scene, inverted)
+    spoiling.depths(scene, lambda steps: steps * 5.0)
+    diagnosis = diagnose(open_scene(scene))
+    assert sorted(wrong_in(diagnosis)) == ["depth unit", "inverted poses"]
+    write_mended(open_scene(scene), diagnosis, tmp_path / "mended")
+    assert diagnose(open_scene(tmp_path / "mended")).findings == ()
+
+
+def test_shuffled_frames_are_reported_not_renamed(scene: Path) -> None:
+    spoiling.rename(scene, np.random.default_rng(1).permutation(FRAMES).tolist())
+    diagnosis = diagnose(open_scene(scene))
+    assert wrong_in(diagnosis) == ["unsorted frames"] and not diagnosis.mending.is_needed
+
+
+def test_drift_is_reported(scene: Path) -> None:
+    def drifted(number: int, pose: np.ndarray) -> np.ndarray:
+        moved = pose.copy()
+        moved[:3, 3] += np.array([0.25, 0.1, 0.05]) * number / FRAMES
+        return moved
+
+    spoiling.poses(scene, drifted)
+    diagnosis = diagnose(open_scene(scene))
+    assert wrong_in(diagnosis) == ["drift"] and not diagnosis.mending.is_needed
+    assert diagnosis.findings[0].figures["far_m"] > 0.02
+
+
+@pytest.mark.slow
+def test_pictures_of_another_lens_than_depth_are_reported(scene: Path) -> None:
+    """As an unregistered sensor has them: depth fits the intrinsics, the pictures do not."""
+    width, height = SIZE
+    zoomed = cv2.getRotationMatrix2D((width / 2 - 0.5, height / 2 - 0.5), 0.0, 1.12)
+    spoiling.colours(scene, lambda _, picture: cv2.warpAffine(picture, zoomed, SIZE))  # type: ignore[arg-type, return-value]
+    diagnosis = diagnose(open_scene(scene))
+    assert wrong_in(diagnosis) == ["colour-to-depth shift"] and not diagnosis.mending.is_needed
+    assert diagnosis.findings[0].figures["scale"] == pytest.approx(1.12, abs=0.02)
+
+
+def test_blur_and_exposure_are_notes(scene: Path) -> None:
+    def shot(number: int, picture: np.ndarray) -> np.ndarray:
+        darker = (picture * (1.0 if number % 4 else 0.45)).astype(np.uint8)
+        return cv2.GaussianBlur(darker, (0, 0), 4.0) if number in (7, 15) else darker
+
+    spoiling.colours(scene, shot)
+    diagnosis = diagnose(open_scene(scene))
+    assert wrong_in(diagnosis) == []
+    notes = {finding.cause: finding for finding in diagnosis.findings}
+    assert {*notes} == {"blur", "exposure"} and {*notes["blur"].frames} == {"0007", "0015"}
+    assert notes["exposure"].figures["times"] == pytest.approx(1 / 0.45, rel=0.2)
+
+
+def test_classes_that_views_exchange_are_a_note(scene: Path) -> None:
+    spoiling.rename_class(scene, {f"{number:04d}" for number in range(0, FRAMES, 2)}, CHAIR_ID, CABINET_ID)
+    diagnosis = diagnose(open_scene(scene))
+    assert {finding.cause for finding in diagnosis.findings} == {"contradicting classes"}
+    assert {diagnosis.findings[0].figures["class"], diagnosis.findings[0].figures["other"]} == {"chair", "cabinet"}
+
+
+@pytest.mark.slow
+def test_masks_of_another_frame_are_found(scene: Path) -> None:
+    black = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+    path = scene / "panoptic" / "0010.png"
+    pixels = cv2.imread(str(path))
+    cv2.imwrite(str(path), np.where((pixels > 0).any(-1, keepdims=True), pixels[::-1], black))
+    diagnosis = diagnose(open_scene(scene))
+    assert [(finding.cause, finding.frames) for finding in diagnosis.findings] == [("contradicting masks", ("0010",))]
+
+
+def test_without_depth_order_and_pictures_are_still_looked_at(scene: Path) -> None:
+    shutil.rmtree(scene / "depth")
+    spoiling.repeat(scene, "0003", instead_of="0004", kinds=("color",))
+    diagnosis = diagnose(open_scene(scene))
+    assert diagnosis.agreement is None and wrong_in(diagnosis) == ["repeated frames"]
+
+
+@pytest.mark.slow
+def test_nothing_is_found_in_the_sample(root: Path) -> None:
+    assert diagnose(open_scene(root / "sample" / "room")).findings == ()
+
+
+@pytest.mark.slow
+def test_a_hand_held_capture_is_blurred_and_exposed_and_nothing_is_wrong(root: Path, tmp_path: Path) -> None:
+    """Poses 5 mm off, depth with noise and holes, black borders: none of it is a wrong number."""
+    command = [sys.executable, root / "sample" / "hand_held.py", root / "sample" / "room", tmp_path / "twin"]
+    subprocess.run([str(part) for part in command], check=True)
+    diagnosis = diagnose(open_scene(tmp_path / "twin"))
+    assert {finding.cause for finding in diagnosis.findings} <= {"blur", "exposure"} and wrong_in(diagnosis) == []

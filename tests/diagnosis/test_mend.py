@@ -1,0 +1,106 @@
+"""What a mended scene's folder holds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.command_line.main import main
+from engine.diagnosis import diagnose, write_mended
+from engine.diagnosis.finding import Diagnosis, Mending
+from engine.diagnosis.reprojection import Assumption
+from engine.scene import Scene, SceneError, open_scene
+from tests.tiny_scene import write_tiny_scene
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    return open_scene(write_tiny_scene(tmp_path / "scene", 6, (64, 48)))
+
+
+def treated(scene: Scene, mending: Mending) -> Diagnosis:
+    return Diagnosis((), mending, len(scene.frames), len(scene.frames), None)
+
+
+def test_nothing_but_what_was_mended_changes(scene: Scene, tmp_path: Path) -> None:
+    write_mended(scene, treated(scene, Mending(Assumption(unit=2.0), dropped=frozenset({"0002"}))), tmp_path / "out")
+    mended = open_scene(tmp_path / "out")
+    kept = [frame for frame in scene.frames if frame.name != "0002"]
+    assert [(f.name, f.held_out) for f in mended.frames] == [(f.name, f.held_out) for f in kept]
+    assert mended.classes == scene.classes
+    for new, old in zip(mended.frames, kept, strict=True):
+        np.testing.assert_array_equal(new.read_colour(None), old.read_colour(None))
+        np.testing.assert_allclose(new.depth(), 2.0 * old.depth(), atol=5.1e-4)
+        np.testing.assert_allclose(new.camera.camera_to_world, old.camera.camera_to_world, atol=1e-9)
+        np.testing.assert_allclose(new.camera.K, old.camera.K, atol=1e-6)
+        np.testing.assert_array_equal(new.mask().ids, old.mask().ids)
+        assert new.mask().segments == old.mask().segments
+        assert new.read_ground_truth is not None and old.read_ground_truth is not None
+        np.testing.assert_array_equal(new.read_ground_truth(None).instance, old.read_ground_truth(None).instance)
+
+
+def test_depth_moves_by_whole_pixels(scene: Scene, tmp_path: Path) -> None:
+    write_mended(scene, treated(scene, Mending(depth_shift=(2 / 64, -1 / 48))), tmp_path / "out")
+    old, new = scene.frames[0].depth(), open_scene(tmp_path / "out").frames[0].depth()
+    np.testing.assert_array_equal(new[:-1, 2:], old[1:, :-2])
+    assert not new[-1].any() and not new[:, :2].any()
+
+
+def test_segments_that_may_be_several_objects_stay_so(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path / "scene", 6, (64, 48), masks="panoptic_lifting")
+    for path in (folder / "m2f_instance").iterdir():
+        path.write_bytes((folder / "m2f_instance" / "0000.png").read_bytes())
+    scene = open_scene(folder)
+    write_mended(scene, treated(scene, Mending(Assumption(unit=2.0))), tmp_path / "out")
+    old, new = (s.frames[3].mask() for s in (scene, open_scene(tmp_path / "out")))
+    assert any(segment.is_group for segment in old.segments)
+    assert [(s.class_id, s.is_group) for s in new.segments] == [(s.class_id, s.is_group) for s in old.segments]
+
+
+def test_a_folder_that_exists_is_refused(scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    with pytest.raises(SceneError, match="exists"):
+        write_mended(scene, treated(scene, Mending(Assumption(unit=2.0))), tmp_path / "out")
+    assert main(["inspect", str(scene.folder), "--fix", str(tmp_path / "out")]) == 2
+
+
+def test_a_failure_leaves_no_folder(scene: Scene, tmp_path: Path) -> None:
+    scene.frames[4].colour_path.unlink()
+    with pytest.raises(SceneError):
+        write_mended(scene, treated(scene, Mending(Assumption(unit=2.0))), tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["scene"]
+
+
+def test_the_command_says_shows_and_mends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_tiny_scene(tmp_path / "scene", 14, (96, 72))
+    for path in (folder / "pose").iterdir():
+        np.savetxt(path, np.linalg.inv(np.loadtxt(path)))
+    out, shown = tmp_path / "out", tmp_path / "shown"
+    assert main(["inspect", str(folder), "-o", str(shown), "--fix", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "wrong: inverted poses: " in told and "mended    inverted poses" in told
+    (finding,) = json.loads((shown / "findings.json").read_text())["findings"]
+    assert finding["cause"] == "inverted poses" and (shown / finding["picture"]).stat().st_size > 1000
+    assert json.loads((out / "mended.json").read_text())["mended"][0]["cause"] == "inverted poses"
+    assert main(["inspect", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["diagnosis"]["findings"] == []
+    assert not diagnose(open_scene(out)).mending.is_needed
+
+
+def test_a_scene_that_a_lift_refuses_is_explained_and_mended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Poses so wrong that no two frames see the same surface."""
+    folder = write_tiny_scene(tmp_path / "scene", 14, (96, 72))
+    for path in (folder / "pose").iterdir():
+        pose = np.loadtxt(path)
+        pose[:3, 3] += (50.0, -30.0, 0.0)
+        np.savetxt(path, np.linalg.inv(pose))
+    assert main(["inspect", str(folder)]) == 2
+    told = capsys.readouterr()
+    assert "wrong: inverted poses: " in told.out and told.err.startswith("error: ")
+    assert main(["inspect", str(folder), "--fix", str(tmp_path / "out")]) == 0
+    assert main(["inspect", str(tmp_path / "out")]) == 0

@@ -1,0 +1,112 @@
+"""Real processes that bake one lift at once, each its own views."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from engine.job import ExitCode, LiftFolder, verify
+from engine.job.follower import LiftFollower
+from tests.lift.test_bake_more import finished, write_cameras  # noqa: F401 - the fixture
+
+PATIENCE_S = 300.0
+
+
+@pytest.fixture
+def lift(finished: dict[str, LiftFolder], tmp_path: Path) -> LiftFolder:  # noqa: F811
+    return LiftFolder.open(shutil.copytree(finished["test"].path, tmp_path / "lift"))
+
+
+@pytest.fixture
+def followers() -> Iterator[list[LiftFollower]]:
+    """Those of the test, ended with it."""
+    started: list[LiftFollower] = []
+    yield started
+    for follower in started:
+        follower.kill()
+        follower.close()
+
+
+def ended(*followers: LiftFollower) -> None:
+    began = time.monotonic()
+    while any(follower.outcome is None for follower in followers):
+        assert time.monotonic() - began < PATIENCE_S
+        for follower in followers:
+            follower.poll()
+        time.sleep(0.02)
+
+
+def begun(follower: LiftFollower) -> None:
+    """Its engine holds the lift's lock, or has told of itself."""
+    began = time.monotonic()
+    while not any(event.kind == "hello" for event in follower.poll()):
+        assert follower.outcome is None and time.monotonic() - began < PATIENCE_S
+        time.sleep(0.01)
+
+
+def shot(path: Path, name: str, count: int) -> tuple[Path, set[str]]:
+    names = [f"{name}.{number:04d}" for number in range(count)]
+    return write_cameras(path, names), set(names)
+
+
+def test_two_that_are_followed_do_not_disturb_each_other(
+    lift: LiftFolder, followers: list[LiftFollower], tmp_path: Path
+) -> None:
+    python = Path(sys.executable)
+    left, left_names = shot(tmp_path / "left.json", "left", 12)
+    right, right_names = shot(tmp_path / "right.json", "right", 12)
+    first = LiftFollower.start_bake(lift, python, cameras=left)
+    followers.append(first)
+    begun(first)
+    second = LiftFollower.start_bake(lift, python, cameras=right)
+    followers.append(second)
+    ended(first, second)
+    assert first.outcome and second.outcome
+    assert (first.outcome.error, second.outcome.error) == (None, None)
+    assert (first.outcome.code, second.outcome.code) == (ExitCode.FINISHED, ExitCode.FINISHED)
+    first.close()
+    second.close()
+    baked = {file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
+    assert baked == {"0004"} | left_names | right_names
+    assert not [path for path in (lift.path / "bake").iterdir() if not path.name.startswith(("view-", "manifest"))]
+    assert not [*lift.path.glob("bake-*"), *lift.path.rglob(".part-*")]
+
+
+def test_cancelling_the_second_leaves_the_first(
+    lift: LiftFolder, followers: list[LiftFollower], tmp_path: Path
+) -> None:
+    python = Path(sys.executable)
+    left, left_names = shot(tmp_path / "left.json", "left", 40)
+    right, right_names = shot(tmp_path / "right.json", "right", 40)
+    first = LiftFollower.start_bake(lift, python, cameras=left)
+    followers.append(first)
+    begun(first)
+    second = LiftFollower.start_bake(lift, python, cameras=right)
+    followers.append(second)
+    begun(second)
+    second.cancel()
+    ended(second)
+    assert second.outcome and second.outcome.code is ExitCode.CANCELLED
+    ended(first)
+    assert first.outcome and first.outcome.code is ExitCode.FINISHED
+    baked = {file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
+    assert left_names <= baked and not right_names <= baked
+
+
+def test_two_commands_share_the_frames(lift: LiftFolder, root: Path) -> None:
+    command = [sys.executable, "-m", "engine", "bake", lift.path]
+    processes = [subprocess.Popen([*map(str, command)], cwd=root, stdout=subprocess.DEVNULL) for _ in range(2)]
+    try:
+        assert [process.wait(PATIENCE_S) for process in processes] == [0, 0]
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+    files = [file.path.name for file in verify(lift.result_path).files if file.path.suffix == ".exr"]
+    assert files == [f"{number:04d}.exr" for number in range(6)]

@@ -1,0 +1,128 @@
+"""A scene that is lifted again keeps the names and ids of its objects, in every file of the result."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from engine.instances import GlobalInstance, fit_box
+from engine.job import EventWriter, JobError, LiftFolder, LiftRequest, StopSignal, write_manifest
+from engine.lift import run_lift
+from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier
+from engine.passes import read_exr
+from engine.scene import Category, ClassTable
+from engine.train.presets import PRESETS
+from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import TINY
+
+CLASSES = ClassTable((Category(3, "cabinet", True, (1, 1, 1)), Category(5, "chair", True, (2, 2, 2))))
+
+
+def instance(number: int, class_id: int) -> GlobalInstance:
+    points = np.random.default_rng(number).uniform(size=(50, 3))
+    return GlobalInstance(number, points, fit_box(points, 0.05), (), class_id)
+
+
+def corner(number: int) -> np.ndarray:
+    """Points of an object at a place of its own."""
+    return np.random.default_rng(0).uniform(0, 0.4, (4000, 3)) + [2.0 * number, 0.0, 0.0]
+
+
+def test_new_numbers_are_those_that_nothing_had() -> None:
+    xyz, owner = np.concatenate([corner(0), corner(1), corner(2)]), np.repeat([1, 2, 4], 4000).astype(np.int32)
+    names = {1: "chair 1", 2: "chair 2", 4: "cabinet 1"}
+    kinds = {1: "chair", 2: "chair", 4: "cabinet"}
+    earlier = EarlierLift(Path("/old"), names, kinds, xyz, owner, 7, {"chair": 3, "cabinet": 1})
+    now = np.concatenate([corner(5), corner(2), corner(1)])
+    found = [instance(1, 5), instance(2, 5), instance(3, 5)]
+    lasting = lasting_names(earlier, found, now, np.repeat([1, 2, 3], 4000).astype(np.int32), CLASSES)
+    assert lasting.id_of == {1: 8, 2: 4, 3: 2}
+    assert lasting.names == {8: "chair 4", 4: "chair 5", 2: "chair 2"}
+    changes = lasting.changes
+    assert changes["kept"] == [{"id": 2, "name": "chair 2"}]
+    assert changes["renamed"] == [{"id": 4, "name": "chair 5", "was": "cabinet 1"}]
+    assert changes["new"] == [{"id": 8, "name": "chair 4"}]
+    assert changes["gone"] == [{"id": 1, "name": "chair 1"}]
+    assert changes["largest_id"] == 8 and changes["last_numbers"] == {"chair": 5, "cabinet": 1}
+
+
+@pytest.fixture(scope="module")
+def lifts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[LiftFolder, LiftFolder]]:
+    """A room lifted, with ids as after many lifts; then with twice as many frames, after the first's names."""
+    root = tmp_path_factory.mktemp("names")
+    preview = PRESETS["preview"]
+    PRESETS["preview"] = TINY
+    try:
+        first = lifted(root / "first", LiftRequest(scene=write_tiny_scene(root / "few", frames=6, noise=0.1)))
+        renumber(first)
+        request = LiftRequest(scene=write_tiny_scene(root / "many", frames=6, noise=0.05), seed=3)
+        yield first, lifted(root / "again", replace(request, names_from=first.path))
+    finally:
+        PRESETS["preview"] = preview
+        torch.use_deterministic_algorithms(False)
+
+
+def lifted(path: Path, request: LiftRequest) -> LiftFolder:
+    folder = LiftFolder.create(path, request)
+    events = EventWriter(folder.events_path)
+    run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
+    events.close()
+    return LiftFolder.open(path)
+
+
+def records_of(folder: LiftFolder) -> dict[int, str]:
+    content = json.loads((folder.result_path / "instances.json").read_text())
+    return {one["id"]: one["name"] for one in content["instances"]}
+
+
+def renumber(folder: LiftFolder) -> None:
+    """As if the objects were called otherwise: ids 11, 12, ... and names with 70, 69, ..."""
+    path = folder.result_path / "instances.json"
+    content = json.loads(path.read_text())
+    for one in content["instances"]:
+        one["name"] = f"{one['class_name']} {70 - one['id']}"
+        one["id"] += 10
+    path.write_text(json.dumps(content))
+    points = dict(np.load(folder.result_path / "semantic_points.npz"))
+    points["instance_id"] = np.where(points["instance_id"] > 0, points["instance_id"] + 10, 0).astype(np.int32)
+    np.savez(folder.result_path / "semantic_points.npz", **points)
+    settings = json.loads(folder.manifest_path.read_text())["settings"]
+    folder.manifest_path.unlink()
+    write_manifest(folder.result_path, versions={}, seed=0, settings=settings, timings={})
+
+
+def test_every_file_has_the_ids_that_last(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+    first, again = lifts
+    before, after = records_of(first), records_of(again)
+    assert before and set(before.items()) & set(after.items()) == set(after.items()) & set(before.items())
+    kept = json.loads((again.result_path / "names.json").read_text())["kept"]
+    assert len(kept) >= 2 and {(one["id"], one["name"]) for one in kept} <= set(before.items()) & set(after.items())
+    for file in ("semantic_points.npz", "anchors.npz"):
+        with np.load(again.result_path / file) as arrays:
+            assert set(np.unique(arrays["instance_id"]).tolist()) - {0} <= set(after)
+    for exr in again.passes_path.iterdir():
+        shown = set(np.unique(read_exr(exr).instance).tolist()) - {0}
+        assert shown and shown <= set(after)
+
+
+def test_the_request_tells_of_it_and_the_events_count(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+    first, again = lifts
+    assert again.request.names_from == first.path
+    lines = [json.loads(line) for line in again.events_path.read_text().splitlines()]
+    (counts,) = [line["values"] for line in lines if line["event"] == "metric" and line["name"] == "names"]
+    assert counts["kept"] >= 2
+    assert read_earlier(again.path).largest_id >= 12
+
+
+def test_what_is_no_finished_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
+    with pytest.raises(JobError, match="no folder"):
+        read_earlier(tmp_path / "nothing")
+    other = LiftFolder.create(tmp_path / "begun", LiftRequest(scene=lifts[0].request.scene))
+    with pytest.raises(JobError, match="not finished"):
+        read_earlier(other.path)

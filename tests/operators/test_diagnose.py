@@ -1,0 +1,45 @@
+"""Diagnose and Fix, as a script calls them: the engine measures in a process of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from plgs.plgs_blender.scene_diagnosis import diagnosis_of
+from plgs.plgs_blender.settings import place_of
+from tiny_scene import write_tiny_scene
+
+
+@pytest.fixture
+def inverted(tmp_path: Path) -> Path:
+    """A scene whose poses are world-to-camera."""
+    folder = write_tiny_scene(tmp_path / "scene", frames=14, size=(96, 72))
+    for path in (folder / "pose").iterdir():
+        np.savetxt(path, np.linalg.inv(np.loadtxt(path)))
+    return folder
+
+
+def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
+    settings = bpy.context.scene.plgs
+    assert not bpy.ops.plgs.diagnose.poll() and not bpy.ops.plgs.show_finding.poll()
+    settings.scene_folder = str(inverted)
+    assert bpy.ops.plgs.diagnose() == {"FINISHED"}
+    known = diagnosis_of(place_of(settings))
+    assert known is not None and [finding.cause for finding in known.findings] == ["inverted poses"]
+    assert known.can_be_mended and known.findings[0].is_mended and "%" in known.findings[0].text
+    assert bpy.ops.plgs.show_finding(number=0) == {"FINISHED"}
+    assert any(image.name.startswith("PLGS finding") and image.packed_file for image in bpy.data.images)
+    assert bpy.ops.plgs.fix_scene() == {"FINISHED"}
+    assert Path(settings.scene_folder) == inverted.with_name("scene_mended")
+    assert bpy.ops.plgs.diagnose() == {"FINISHED"}
+    again = diagnosis_of(place_of(settings))
+    assert again is not None and again.findings == () and again.error is None
+    assert not bpy.ops.plgs.fix_scene.poll()
+
+
+def test_a_folder_without_a_scene_is_an_error(tmp_path: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    with pytest.raises(RuntimeError, match="no scene of a known format"):
+        bpy.ops.plgs.diagnose()

@@ -1,0 +1,48 @@
+"""A mesh.ply of two squares, as the engine exports it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tests.tiny_scene import CHAIR_ID, FLOOR_ID
+
+SIDE = 8
+"""Points along each side of a square."""
+
+
+def write_surface(path: Path) -> None:
+    """As the engine exports it: a floor of 4 by 3 m, and above it a patch of 1 by 1 m that is the chair."""
+    floor, chair = net((0.0, 0.0, 0.0), (4.0, 3.0)), net((1.0, 1.0, 0.5), (1.0, 1.0))
+    xyz = np.concatenate([floor, chair])
+    triangles = np.concatenate([net_triangles(), net_triangles() + len(floor)])
+    part = np.repeat([0, 1], [len(floor), len(chair)])
+    columns = {axis: xyz[:, i].astype(np.float32) for i, axis in enumerate("xyz")}
+    columns |= {f"n{axis}": np.full(len(xyz), axis == "z", np.float32) for axis in "xyz"}
+    columns |= {name: np.full(len(xyz), value, np.uint8) for name, value in (("red", 255), ("green", 128), ("blue", 0))}
+    columns["class_id"] = np.where(part == 0, FLOOR_ID, CHAIR_ID).astype(np.int32)
+    columns["instance_id"] = part.astype(np.int32)
+    kinds = {"f": "float", "i": "int", "u": "uchar"}
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(xyz)}"]
+    lines += [f"property {kinds[values.dtype.kind]} {name}" for name, values in columns.items()]
+    lines += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header", ""]
+    table = np.empty(len(xyz), [(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        table[name] = values
+    faces = np.empty(len(triangles), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, triangles
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes("\n".join(lines).encode() + table.tobytes() + faces.tobytes())
+
+
+def net(corner: tuple[float, float, float], size: tuple[float, float]) -> np.ndarray:
+    """SIDE x SIDE points, float64 [N, 3]."""
+    x, y = np.meshgrid(np.linspace(0, size[0], SIDE), np.linspace(0, size[1], SIDE))
+    return np.stack([x.ravel(), y.ravel(), np.zeros(SIDE * SIDE)], axis=1) + corner
+
+
+def net_triangles() -> np.ndarray:
+    first = (np.arange(SIDE - 1)[:, None] * SIDE + np.arange(SIDE - 1)).ravel()
+    lower = np.stack([first, first + 1, first + SIDE], axis=1)
+    return np.concatenate([lower, np.stack([first + 1, first + SIDE + 1, first + SIDE], axis=1)])

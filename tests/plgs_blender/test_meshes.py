@@ -1,0 +1,88 @@
+"""The lifted surface in Blender: real meshes, labelled, found again, and exported by Blender."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from plgs.engine.job import JobError
+from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.mesh_table import read_surface
+from plgs.plgs_blender.meshes import mesh_folder, place_meshes_anew
+from surface_file import SIDE, write_surface
+from tiny_lift import write_tiny_lift
+from tiny_scene import CHAIR_ID, FLOOR_ID
+
+
+@pytest.fixture
+def lift(tmp_path: Path) -> Path:
+    """With the surface of a floor of 4 by 3 m, on which a patch of 1 by 1 m is the chair."""
+    path = write_tiny_lift(tmp_path / "lift").path
+    write_surface(mesh_folder(path) / "mesh.ply")
+    return path
+
+
+def placed(lift: Path) -> dict[str, bpy.types.Object]:
+    lift_scene.place_lift(lift, bpy.context.scene)
+    (root,) = lifts_in(bpy.context.scene)
+    (top,) = [child for child in root.children if child.name == "Meshes"]
+    assert sorted(child.name for child in top.children) == ["chair meshes", "floor meshes"]
+    return {ob["plgs_key"]: ob for ob in top.all_objects}
+
+
+def test_one_mesh_for_an_instance_and_one_for_a_stuff_class(lift: Path) -> None:
+    objects = placed(lift)
+    assert set(objects) == {f"mesh:{CHAIR_ID}:1", f"mesh:{FLOOR_ID}:0"}
+    for key, name, area, label in (
+        (f"mesh:{CHAIR_ID}:1", "chair 1", 1.0, (CHAIR_ID, 1)),
+        (f"mesh:{FLOOR_ID}:0", "floor", 12.0, (FLOOR_ID, 0)),
+    ):
+        ob = objects[key]
+        mesh = ob.data
+        assert ob.name.startswith(name) and (ob["class_id"], ob["instance_id"]) == label
+        assert sum(polygon.area for polygon in mesh.polygons) == pytest.approx(area, rel=1e-5)
+        assert all(polygon.normal.z > 0.99 for polygon in mesh.polygons)
+        assert (len(mesh.vertices), len(mesh.polygons)) == (SIDE**2, 2 * (SIDE - 1) ** 2)
+        for attribute, value in zip(("class_id", "instance_id"), label, strict=True):
+            assert {each.value for each in mesh.attributes[attribute].data} == {value}
+        assert mesh.color_attributes.active_color.name == "Col"
+        assert np.allclose(mesh.color_attributes["Col"].data[0].color, (1.0, 0.2158605, 0.0, 1.0), atol=1e-4)
+
+
+def test_placed_again_they_are_the_same_objects(lift: Path) -> None:
+    before = {key: ob.as_pointer() for key, ob in placed(lift).items()}
+    assert {key: ob.as_pointer() for key, ob in placed(lift).items()} == before
+    assert len(place_meshes_anew(lift, bpy.context.scene)) == 2
+    (mesh_folder(lift) / "mesh.ply").unlink()
+    lift_scene.place_lift(lift, bpy.context.scene)
+    assert not [ob for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")]
+
+
+def test_blender_exports_them(lift: Path, tmp_path: Path) -> None:
+    objects = placed(lift)
+    for ob in bpy.context.scene.objects:
+        ob.select_set(ob in objects.values())
+    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "room.glb"), use_selection=True, export_attributes=True)
+    bpy.ops.wm.usd_export(filepath=str(tmp_path / "room.usdc"), selected_objects_only=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.import_scene.gltf(filepath=str(tmp_path / "room.glb"))
+    meshes = [ob.data for ob in bpy.data.objects if ob.type == "MESH"]
+    assert [len(mesh.polygons) for mesh in meshes] == [2 * (SIDE - 1) ** 2] * 2
+    assert all(mesh.color_attributes for mesh in meshes)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.wm.usd_import(filepath=str(tmp_path / "room.usdc"))
+    meshes = [ob.data for ob in bpy.data.objects if ob.type == "MESH"]
+    assert [len(mesh.polygons) for mesh in meshes] == [2 * (SIDE - 1) ** 2] * 2
+    assert {value.value for mesh in meshes for value in mesh.attributes["class_id"].data} == {CHAIR_ID, FLOOR_ID}
+
+
+def test_a_damaged_surface_is_told_in_one_line(lift: Path) -> None:
+    path = mesh_folder(lift) / "mesh.ply"
+    whole = path.read_bytes()
+    for content in (whole[:-3], whole.replace(b"class_id", b"klass_id"), b"", b"ply\n"):
+        path.write_bytes(content)
+        with pytest.raises(JobError, match="is damaged|no labelled surface"):
+            read_surface(path)

@@ -1,0 +1,162 @@
+"""The compositor's group "PLGS Panoptic", rendered without a window, against the same sums in numpy."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+from plgs.engine.job import JobError
+from plgs.plgs_blender import compat, lift_scene, mattes
+from plgs.plgs_blender.colour import linear_rgba
+from plgs.plgs_blender.inspecting.records import registered
+from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.panoptic_group import LINE_PIXELS, NAME
+from plgs.plgs_blender.pass_nodes import output_of, panoptic_node
+from plgs.plgs_blender.passes import show_view
+from tiny_lift import FRAMES
+from tiny_scene import CABINET_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view
+
+CHAIR, CABINET = 1, 2
+
+
+@pytest.fixture
+def root(lift: Path) -> Iterator[bpy.types.Collection]:
+    with registered():
+        lift_scene.place_lift(lift, bpy.context.scene)
+        (found,) = lifts_in(bpy.context.scene)
+        yield found
+
+
+@pytest.fixture
+def scene(root: bpy.types.Collection) -> bpy.types.Scene:
+    """With nothing but the picture to be seen."""
+    scene, tree = next(mattes.compositors_of(root))
+    panoptic_node(tree).inputs["Overlay"].default_value = 0.0
+    show_view(scene, scene.timeline_markers[1].name)
+    return scene
+
+
+@pytest.fixture
+def view(scene: bpy.types.Scene) -> TinyView:
+    """What the passes hold."""
+    name = scene.timeline_markers[1].name
+    return trace_view(tiny_pose(int(name), FRAMES), tiny_intrinsics((64, 48)), (64, 48))
+
+
+def rendered(scene: bpy.types.Scene, output: str, folder: Path, **controls: float | tuple[float, ...]) -> np.ndarray:
+    """What an output of the group gives: float32 [H, W, 4], with these of its inputs set."""
+    tree = compat.compositor_tree(scene)
+    for name, value in controls.items():
+        panoptic_node(tree).inputs[name.replace("_", " ")].default_value = value
+    result = next(node for node in tree.nodes if node.bl_idname == compat.COMPOSITE_OUTPUT)
+    tree.links.new(output_of(tree, output), result.inputs[0])
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGBA", "32"
+    scene.render.filepath = str(folder / "shown.exr")
+    with bpy.context.temp_override(scene=scene):
+        bpy.ops.render.render(write_still=True)
+    with OpenEXR.File(scene.render.filepath, separate_channels=True) as file:
+        return np.stack([file.channels()[c].pixels for c in "RGBA"], axis=-1)
+
+
+def picture(view: TinyView) -> np.ndarray:
+    """The passes' colours, linear, float64 [H, W, 4]."""
+    return np.concatenate([(view.colour / 255.0) ** 2.2, np.ones((*view.depth.shape, 1))], axis=-1)
+
+
+def ring(matte: np.ndarray) -> np.ndarray:
+    """What lies within LINE_PIXELS around a matte, bool [H, W]."""
+    side = 2 * LINE_PIXELS + 1
+    return cv2.dilate(matte.astype(np.uint8), np.ones((side, side), np.uint8)).astype(bool) & ~matte
+
+
+def test_as_it_comes_it_is_the_picture(scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
+    assert np.allclose(rendered(scene, "Overlay", tmp_path), picture(view), atol=1e-5)
+
+
+def test_a_matte_by_instance_and_by_class(
+    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
+) -> None:
+    for number in (CABINET, CHAIR):
+        mattes.matte_instance(root, number)
+        assert np.array_equal(rendered(scene, "Matte", tmp_path)[..., 0], view.instance == number)
+    for class_id in (CABINET_ID, 2):
+        mattes.matte_class(root, class_id)
+        assert np.array_equal(rendered(scene, "Matte", tmp_path)[..., 0], view.semantic == class_id)
+    mattes.matte_instance(root, CHAIR)
+    assert np.array_equal(rendered(scene, "Matte", tmp_path)[..., 0], view.instance == CHAIR)
+
+
+def test_isolate_and_hold_out(
+    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
+) -> None:
+    mattes.matte_instance(root, CHAIR)
+    matte = (view.instance == CHAIR)[..., None]
+    alone = rendered(scene, "Overlay", tmp_path, Outline=0.0, Isolate=1.0)
+    assert np.allclose(alone, picture(view) * matte, atol=1e-5)
+    half = rendered(scene, "Overlay", tmp_path, Isolate=0.0, Hold_out=0.5)
+    assert np.allclose(half, picture(view) * np.where(matte, 0.5, 1.0), atol=1e-5)
+
+
+def test_outline(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
+    mattes.matte_instance(root, CHAIR)  # which turns the outline on, as nothing else shows the matte
+    matte, colour = view.instance == CHAIR, (0.2, 0.7, 0.1, 1.0)
+    shown = rendered(scene, "Overlay", tmp_path, Outline_colour=colour)
+    line = ring(matte)
+    assert 20 < line.sum() and np.array_equal(rendered(scene, "Outline", tmp_path)[..., 0], line)
+    assert np.allclose(shown, np.where(line[..., None], colour, picture(view)), atol=1e-5)
+    cut = rendered(scene, "Overlay", tmp_path, Isolate=1.0)
+    assert np.allclose(cut, np.where((line | matte)[..., None], shown, 0.0), atol=1e-5)
+
+
+def test_recolour_keeps_light_and_shade(
+    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
+) -> None:
+    mattes.matte_instance(root, CHAIR)
+    matte, colour = view.instance == CHAIR, (0.1, 0.3, 0.8, 1.0)
+    shown = rendered(scene, "Overlay", tmp_path, Outline=0.0, Recolour=1.0, Recolour_to=colour)
+    before = picture(view)
+    assert np.allclose(shown[~matte], before[~matte], atol=1e-5)
+    hue, saturation, _ = colorsys.rgb_to_hsv(*colour[:3])
+    expected = [colorsys.hsv_to_rgb(hue, saturation, max(pixel)) for pixel in before[matte][:, :3]]
+    assert np.allclose(shown[matte][:, :3], expected, atol=1e-4)
+
+
+def test_overlay_of_instances_and_of_classes(
+    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
+) -> None:
+    before = picture(view)
+    shown = rendered(scene, "Overlay", tmp_path, Overlay=0.4)
+    assert_mixed(shown, before, view.instance == CABINET, (20, 190, 220))
+    assert np.allclose(shown[view.instance == 0], before[view.instance == 0], atol=1e-5)
+    shown = rendered(scene, "Overlay", tmp_path, By_class=1.0)
+    assert_mixed(shown, before, view.semantic == 2, (120, 90, 60))
+
+
+def assert_mixed(shown: np.ndarray, before: np.ndarray, where: np.ndarray, srgb: tuple[int, int, int]) -> None:
+    """Of the colour 0.4, of the picture the rest."""
+    expected = 0.6 * before[where][:, :3] + 0.4 * linear_rgba(srgb)[:3]
+    assert np.allclose(shown[where][:, :3], expected, atol=1e-5)
+
+
+def test_the_group_is_one_a_file_and_stays_as_the_user_set_it(lift: Path, root: bpy.types.Collection) -> None:
+    _, tree = next(mattes.compositors_of(root))
+    panoptic_node(tree).inputs["Hold out"].default_value = 0.25
+    lift_scene.place_lift(lift, bpy.context.scene)
+    _, tree = next(mattes.compositors_of(root))
+    assert panoptic_node(tree).inputs["Hold out"].default_value == 0.25
+    assert [group.name for group in bpy.data.node_groups if group.name.startswith(NAME)] == [NAME]
+
+
+def test_without_passes_there_is_nothing_to_matte(lift: Path, root: bpy.types.Collection) -> None:
+    scene, _ = next(mattes.compositors_of(root))
+    bpy.data.scenes.remove(scene)
+    with pytest.raises(JobError, match="no passes in a compositor"):
+        mattes.matte_instance(root, CHAIR)
+    assert mattes.panoptic_of(root) is None

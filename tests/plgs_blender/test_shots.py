@@ -1,0 +1,145 @@
+"""A camera of the user's is baked as Blender renders it, frame by frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import OpenEXR
+import pytest
+from plgs.engine.job import BakeCamera, JobError, read_cameras
+from plgs.plgs_blender.shots import Shot, cameras_of, shot_of, write_shot
+
+
+@pytest.fixture
+def scene() -> bpy.types.Scene:
+    """A camera that looks down at a cube, and dollies and zooms from frame 1 to 4."""
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_cube_add(size=1.5, location=(0.2, 0.1, 0.3), rotation=(0.3, 0.2, 0.7))
+    ob = bpy.data.objects.new("dolly", bpy.data.cameras.new("dolly"))
+    scene.collection.objects.link(ob)
+    scene.camera = ob
+    ob.rotation_euler, ob.scale = (0.5, 0.05, 0.1), (2.0, 2.0, 2.0)
+    for frame in (1, 4):
+        ob.location = (0.6 + 0.2 * frame, -2.5, 4.5)
+        ob.data.lens, ob.data.shift_x = 30.0 + 4.0 * frame, 0.02 * frame
+        ob.keyframe_insert("location", frame=frame)
+        ob.data.keyframe_insert("lens", frame=frame)
+        ob.data.keyframe_insert("shift_x", frame=frame)
+    scene.frame_start, scene.frame_end = 1, 4
+    render = scene.render
+    render.resolution_x, render.resolution_y, render.resolution_percentage = 192, 144, 50
+    return scene
+
+
+def rendered_positions(scene: bpy.types.Scene, frame: int, folder: Path) -> np.ndarray:
+    """World positions [H, W, 3] that Cycles hits through the middle of each pixel; NaN where it hits nothing."""
+    scene.frame_set(frame)
+    render, cycles = scene.render, scene.cycles
+    render.engine = "CYCLES"
+    cycles.samples, cycles.use_denoising, cycles.use_adaptive_sampling = 1, False, False
+    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    scene.view_layers[0].use_pass_position = scene.view_layers[0].use_pass_z = True
+    if hasattr(render.image_settings, "media_type"):
+        render.image_settings.media_type = "MULTI_LAYER_IMAGE"
+    render.image_settings.file_format, render.image_settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    render.filepath = str(folder / "hits.exr")
+    bpy.ops.render.render(write_still=True)
+    with OpenEXR.File(render.filepath, separate_channels=True) as file:
+        # Blender 5 writes a part a pass.
+        found = [(name, each.pixels) for part in file.parts for name, each in part.channels.items()]
+        planes = {".".join(name.split(".")[-2:]): pixels for name, pixels in found}
+    position = np.stack([planes[f"Position.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
+    position[planes["Depth.V" if "Depth.V" in planes else "Depth.Z"] > 1e6] = np.nan
+    return position
+
+
+def projected(camera: BakeCamera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the engine draws world points [..., 3], by the file's own conventions: pixels [..., 2], depth [...]."""
+    pose = np.array(camera.pinhole.camera_to_world)
+    seen = (points - pose[:3, 3]) @ pose[:3, :3] @ np.array(camera.pinhole.K).T
+    return seen[..., :2] / seen[..., 2:], seen[..., 2]
+
+
+@pytest.mark.parametrize(
+    ("fit", "aspect"),
+    [
+        ("AUTO", (1.0, 1.0)),
+        ("AUTO", (1.0, 1.8)),
+        ("HORIZONTAL", (1.5, 1.0)),
+        ("VERTICAL", (1.0, 1.0)),
+        ("VERTICAL", (1.0, 1.8)),
+    ],
+)
+def test_what_is_rendered_lies_on_the_same_pixels(
+    scene: bpy.types.Scene, fit: str, aspect: tuple[float, float], tmp_path: Path
+) -> None:
+    data = scene.camera.data
+    data.sensor_fit, data.sensor_width, data.sensor_height, data.shift_y = fit, 30.0, 21.0, -0.11
+    scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
+    cameras = read_cameras(write_shot(tmp_path, scene, shot_of(scene)))
+    assert [camera.name for camera in cameras] == [f"dolly.{frame:04d}" for frame in range(1, 5)]
+    position = rendered_positions(scene, 3, tmp_path)
+    assert position.shape[:2] == (72, 96) == (cameras[0].pinhole.height, cameras[0].pinhole.width)
+    hit = np.isfinite(position[..., 0])
+    assert hit.mean() > 0.05
+    pixel, depth = projected(cameras[2], position[hit])
+    row, column = np.nonzero(hit)
+    assert np.abs(pixel - np.stack([column + 0.5, row + 0.5], axis=-1)).max() < 0.05
+    assert (depth > 0).all()
+
+
+def test_the_scene_is_left_as_it_was(scene: bpy.types.Scene) -> None:
+    scene.frame_set(3)
+    other = bpy.data.objects.new("other", bpy.data.cameras.new("other"))
+    scene.timeline_markers.new("cut", frame=2).camera = other
+    shown = scene.camera
+    cameras = cameras_of(scene, Shot(bpy.data.objects["dolly"], 1, 4, 2))
+    assert [camera.name for camera in cameras] == ["dolly.0001", "dolly.0003"]
+    assert scene.frame_current == 3 and scene.camera == shown
+
+
+def test_clip_and_the_range_that_is_asked_for(scene: bpy.types.Scene) -> None:
+    scene.camera.data.clip_start, scene.camera.data.clip_end = 0.25, 40.0
+    cameras = cameras_of(scene, shot_of(scene, "dolly", 2, 3))
+    assert [(camera.name, camera.near, camera.far) for camera in cameras] == [
+        ("dolly.0002", 0.25, 40.0), ("dolly.0003", 0.25, 40.0),
+    ]  # fmt: skip
+
+
+def test_a_camera_that_stands_still_is_one_picture(scene: bpy.types.Scene) -> None:
+    scene.camera.animation_data_clear()
+    scene.camera.data.animation_data_clear()
+    assert [camera.name for camera in cameras_of(scene, shot_of(scene))] == ["dolly.0001"]
+
+
+def test_names_that_are_no_files(scene: bpy.types.Scene) -> None:
+    scene.camera.name = 'a/b: "c"?'
+    assert cameras_of(scene, shot_of(scene))[0].name == "a_b_ _c__.0001"
+
+
+def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
+    def refused(line: str, **asked: int) -> None:
+        with pytest.raises(JobError, match=line) as told:
+            cameras_of(scene, shot_of(scene, **asked))
+        assert "\n" not in str(told.value)
+
+    refused("no range", first=5, last=4)
+    scene.frame_start = 0
+    refused("no range", first=-3, last=4)
+    for kind, line in (("ORTHO", "orthographic"), ("PANO", "panoramic")):
+        scene.camera.data.type = kind
+        refused(line)
+    scene.camera.data.type = "PERSP"
+    scene.camera.scale.x = -1.0
+    refused("mirrored")
+    scene.camera.scale.x = 1.0
+    scene.render.resolution_x = 60000
+    refused("30000x72")
+    scene.camera = None
+    refused("no active camera")
+    with pytest.raises(JobError, match="no camera named 'nobody'"):
+        shot_of(scene, "nobody")
+    scene.camera = bpy.data.objects["Cube"]
+    refused("is no camera")

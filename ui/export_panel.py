@@ -1,0 +1,55 @@
+"""5 Export: the lift in forms that other programs read, and its meshes in the scene; also in File > Export."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..plgs_blender.running import exports
+from .sidebar import Step, tell
+
+
+class PLGS_PT_export(Step, bpy.types.Panel):
+    bl_idname, bl_label, bl_order, bl_options = "PLGS_PT_export", "5  Export", 5, {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, export = self.layout, exports.latest()
+        if export is not None and not export.ended:
+            counted = f"{export.done} of {export.total} frames" if export.total else "..."
+            layout.label(text=export.message, icon="EXPORT")
+            layout.progress(factor=export.done / max(1, export.total), type="BAR", text=counted)
+            layout.operator("plgs.cancel_export", icon="CANCEL")
+            return
+        layout.operator("plgs.make_meshes", icon="MESH_DATA")
+        _draw_forms(layout.column(align=True))
+        if export is not None:
+            tell(layout, context, export.message, "ERROR" if export.error else "INFO")
+
+
+class PLGS_MT_export(bpy.types.Menu):
+    bl_idname, bl_label = "PLGS_MT_export", "PLGS Lift"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        _draw_forms(self.layout)
+
+
+def _draw_forms(layout: bpy.types.UILayout) -> None:
+    layout.operator_context = "INVOKE_DEFAULT"
+    for form, (label, _) in exports.FORMS.items():
+        layout.operator("plgs.export_lift", text=f"{label} ...").form = form
+
+
+def _in_file_menu(menu: Any, context: bpy.types.Context) -> None:
+    menu.layout.menu(PLGS_MT_export.bl_idname)
+
+
+CLASSES = (PLGS_PT_export, PLGS_MT_export)
+
+
+def register() -> None:
+    bpy.types.TOPBAR_MT_file_export.append(_in_file_menu)
+
+
+def unregister() -> None:
+    bpy.types.TOPBAR_MT_file_export.remove(_in_file_menu)
