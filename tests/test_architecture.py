@@ -22,7 +22,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "job": set(),
     "machine": set(),
     "raster": {"machine"},
-    "semantics": {"scene"},
+    "semantics": {"scene", "machine"},
     "instances": {"scene", "machine"},
     "metrics": {"scene"},
     "model": {"scene", "machine", "raster", "instances"},
