@@ -78,6 +78,7 @@ def lift_options(experiment: Experiment, scene: SceneToLift) -> argparse.Namespa
         classes=None,
         depth=None,
         device=None,
+        names_from=None,
         bake="none",
         resume=True,
     )
