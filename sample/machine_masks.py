@@ -43,7 +43,7 @@ def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise | None = Non
         images.append({"id": path.stem, "file_name": f"{path.stem}.jpg", "width": width, "height": height})
         annotations.append({"image_id": path.stem, "file_name": f"{path.stem}.png", "segments_info": segments})
     table = {"images": images, "annotations": annotations, "categories": categories}
-    (out / "panoptic.json").write_text(_readable(table))
+    (out / "panoptic.json").write_text(readable(table))
 
 
 def mask_of_frame(
@@ -122,7 +122,7 @@ def _segment_info(index: int, region: Region, number: dict[str, int]) -> dict[st
     }
 
 
-def _readable(table: dict[str, Any]) -> str:
+def readable(table: dict[str, Any]) -> str:
     """JSON with one entry a line."""
     blocks = []
     for key, entries in table.items():

@@ -23,7 +23,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "job": {"gates"},
     "machine": set(),
     "raster": {"machine"},
-    "semantics": {"scene"},
+    "semantics": {"scene", "machine"},
     "instances": {"scene", "machine"},
     "metrics": {"scene"},
     "model": {"gates", "scene", "machine", "raster", "instances"},

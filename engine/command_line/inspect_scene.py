@@ -11,7 +11,7 @@ from ..diagnosis import Diagnosis, diagnose, write_findings, write_mended
 from ..diagnosis.written import as_json as diagnosis_as_json
 from ..job import ExitCode
 from ..job.effort import chosen_effort
-from ..job.prediction import machine_slowness, predict
+from ..job.prediction import USUAL_CLASSES, USUAL_MASKS, machine_slowness, predict
 from ..scene import Scene, SceneError, SceneReport, Size, UpAxis, describe, open_scene
 
 
@@ -134,7 +134,9 @@ def _lines(report: SceneReport) -> Iterator[str]:
 def _prediction(report: SceneReport, preset: str) -> str:
     """Such as "preview   about 3 min and 1.0 GB of memory"."""
     size, effort, slowness = report.colour_sizes[0][0], chosen_effort(preset), machine_slowness()
-    lift = predict(report.train_frames, report.test_frames, size, effort, slowness=slowness)
+    masks = USUAL_MASKS if report.segments_per_frame is None else report.segments_per_frame[1]
+    counts, classes = (report.train_frames, report.test_frames), len(report.classes) or USUAL_CLASSES
+    lift = predict(*counts, size, effort, slowness=slowness, masks_a_frame=masks, classes=classes)
     minutes = lift.seconds / 60
     time = f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"
     return f"{preset:<9} about {time} and {lift.peak_bytes / 1e9:.1f} GB of memory"

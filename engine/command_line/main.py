@@ -247,9 +247,18 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak. "
         "step: a training step of a lift of the sample, by part, and the drawing of what was lifted. "
-        "bake: a baked frame, by part, and its memory."
+        "bake: a baked frame, by part, and its memory. "
+        "long: lifts of long captures made of the sample, by stage, with their memory."
     )
-    parser.add_argument("what", choices=("raster", "step", "bake"))
+    parser.add_argument("what", choices=("raster", "step", "bake", "long"))
+    parser.add_argument(
+        "--frames", type=int, nargs="+", default=[100, 300], metavar="N", help="long: of how many (default: 100 300)"
+    )
+    parser.add_argument("--preset", choices=PRESETS, default="preview", help="long: as for lift (default: preview)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("lifts/long"), metavar="FOLDER",
+        help="long: where the captures are kept (default: lifts/long)",
+    )  # fmt: skip
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=_bench)
 
@@ -303,6 +312,10 @@ def _bench(options: argparse.Namespace) -> ExitCode:
         from ..passes.bench import bench_bake
 
         bench_bake(options.json)
+    elif options.what == "long":
+        from ..lift.bench_long import bench_long
+
+        bench_long(options.frames, options.output, options.preset, options.json)
     else:
         from ..lift.bench import bench_step
 

@@ -68,6 +68,8 @@ def lift_options(experiment: Experiment, scene: SceneToLift) -> argparse.Namespa
         preset=experiment.preset,
         steps=experiment.steps,
         size=None,
+        frames=None,
+        fit=None,
         seed=experiment.seed,
         masks=None,
         up=scene.up,
@@ -75,8 +77,9 @@ def lift_options(experiment: Experiment, scene: SceneToLift) -> argparse.Namespa
         mask_format=None,
         classes=None,
         depth=None,
-        bake="none",
         device=None,
+        names_from=None,
+        bake="none",
         resume=True,
     )
 

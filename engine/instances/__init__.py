@@ -13,7 +13,14 @@ from .objects import object_instances
 from .oriented_box import OrientedBox, fit_box, intersection_volume
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 from .pieces import PieceRules, regroup_pieces
-from .segment_votes import SegmentVoting, VotedLabels, member_labels, segment_labels, vote_panoptic_labels
+from .segment_votes import (
+    SegmentVoting,
+    VotedLabels,
+    member_labels,
+    segment_labels,
+    view_labels,
+    vote_panoptic_labels,
+)
 from .segments import LocalInstance, MaskExtent, SegmentOptions, local_instances, mask_extents
 
 __all__ = [
@@ -26,6 +33,7 @@ __all__ = [
     "VotedLabels",
     "member_labels",
     "segment_labels",
+    "view_labels",
     "vote_panoptic_labels",
     "ConsensusOptions",
     "Evidence",

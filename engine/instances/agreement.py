@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from ..scene import Segment, View
 from .segments import edge_distance
 
+PAIRS_AT_A_TIME = 8192
+"""Pairs of masks whose common points are looked up at a time, which bounds the memory."""
+
 
 @dataclass(frozen=True, eq=False)
 class ViewPoints:
@@ -157,9 +160,13 @@ def _swallowed(
     space: MasksInSpace, row: NDArray[np.intp], column: NDArray[np.intp], rules: JudgingRules
 ) -> NDArray[np.bool_]:
     """Whether the stuff masks ``column`` swallow the things' masks ``row``, bool [n]."""
-    common = np.asarray(space.holds[row].multiply(space.holds[column]).sum(1)).reshape(-1)
-    is_pair = space.is_thing[row] & ~space.is_thing[column]
-    return is_pair & (space.size[column] > rules.swallowing * common)
+    swallowed = space.is_thing[row] & ~space.is_thing[column]
+    pairs = np.flatnonzero(swallowed)
+    for start in range(0, len(pairs), PAIRS_AT_A_TIME):
+        some = pairs[start : start + PAIRS_AT_A_TIME]
+        common = np.asarray(space.holds[row[some]].multiply(space.holds[column[some]]).sum(1)).reshape(-1)
+        swallowed[some] = space.size[column[some]] > rules.swallowing * common
+    return swallowed
 
 
 def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:

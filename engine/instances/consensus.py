@@ -13,9 +13,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from ..scene import Segment, View
-from .agreement import Agreement, JudgingRules, MasksInSpace, ViewPoints, judge_masks, masks_in_space, view_points
+from .agreement import (
+    PAIRS_AT_A_TIME,
+    Agreement,
+    JudgingRules,
+    MasksInSpace,
+    ViewPoints,
+    judge_masks,
+    masks_in_space,
+    view_points,
+)
 from .joining import join
 from .keyframes import choose_keyframes
 from .masks import PointOfPixel
@@ -105,27 +116,89 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> ObjectMa
         return nothing
     judgement, sound = judge_masks(space, options.rules)
     rows = np.flatnonzero(sound)
-    favour, judging = pairwise(judgement, rows)
-    weight = favour - options.agreement * judging
-    if any(segment.track is not None for _, segment in space.masks):
-        same, followed = tracked(space, rows)
-        weight += options.tracker * (same - options.agreement * followed)
-    cluster = join(weight)
+    cluster = join_agreeing(space, judgement, rows, options)
     members = [rows[cluster == name] for name in np.unique(cluster)]
     members = [each for each in members if _is_supported(space, each, options)]
     if not members:
         return nothing
     votes = np.stack([np.asarray(space.holds[each].sum(0)).reshape(-1) for each in members])
     owner = np.where(votes.max(0) > 0, votes.argmax(0) + 1, 0).astype(np.int32)
-    place = np.zeros(len(space.masks), np.intp)
-    place[rows] = np.arange(len(rows))
     found = []
     for each in members:
-        own = np.ix_(place[each], place[each])
-        shares = agreements(favour[own], judging[own])
+        shares = agreements(*pairwise(judgement, each))
         chosen = (space.masks[row] for row in each)
         found.append(tuple(MemberMask(frame, one, share) for (frame, one), share in zip(chosen, shares, strict=True)))
     return ObjectMasks(owner, tuple(found))
+
+
+def join_agreeing(
+    space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
+) -> NDArray[np.int64]:
+    """The cluster of each of the masks ``rows``, int64 [R], named by its lowest place: joined by ``join_weight``.
+
+    Masks that no chain of links connects are never joined: each linked part is joined by itself, so that no array of
+    all masks by all masks is needed.
+    """
+    part = linked_parts(space, judgement, rows, options)
+    cluster = np.arange(len(rows))
+    order = np.argsort(part, kind="stable")
+    for own in np.split(order, np.cumsum(np.bincount(part))[:-1]):
+        if len(own) > 1:
+            cluster[own] = own[join(join_weight(space, judgement, rows[own], options))]
+    return cluster
+
+
+def join_weight(
+    space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
+) -> NDArray[np.float32]:
+    """What speaks for joining two of the masks ``rows``, float32 [R, R]: views in favour beyond the ``agreement`` of
+    those that judge both, and the tracker's word."""
+    favour, judging = pairwise(judgement, rows)
+    weight: NDArray[np.float32] = favour - options.agreement * judging
+    if has_tracks(space):
+        same, followed = tracked(space, rows)
+        weight += options.tracker * (same - options.agreement * followed)
+    return weight
+
+
+def linked_parts(
+    space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
+) -> NDArray[np.int32]:
+    """Which part each of the masks ``rows`` is in, int32 [R]: no ``join_weight`` between two parts is positive."""
+    inside = judgement.inside[rows]
+    judges = judgement.judges[np.ix_(rows, judgement.judges.any(0))]
+    favour = (inside @ inside.T).tocoo()
+    row, column = favour.row, favour.col
+    judging = np.empty(len(row), np.float32)
+    for start in range(0, len(row), PAIRS_AT_A_TIME):
+        some = slice(start, start + PAIRS_AT_A_TIME)
+        judging[some] = np.einsum("pv,pv->p", judges[row[some]], judges[column[some]])
+    most = options.tracker if has_tracks(space) else 0.0
+    linked = favour.data + most > options.agreement * judging
+    one, other = same_track(space, rows)
+    ends = np.concatenate([row[linked], one]), np.concatenate([column[linked], other])
+    graph = coo_matrix((np.ones(len(ends[0]), bool), ends), favour.shape)
+    part: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+    return part
+
+
+def has_tracks(space: MasksInSpace) -> bool:
+    """Whether a tracker followed any of the masks."""
+    return any(segment.track is not None for _, segment in space.masks)
+
+
+def same_track(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs of places in ``rows`` that chain the masks of each track, int64 [n] each."""
+    track = tracks_of(space, rows)
+    order = np.argsort(track, kind="stable")
+    chained = (track[order[1:]] == track[order[:-1]]) & (track[order[1:]] >= 0)
+    return order[:-1][chained], order[1:][chained]
+
+
+def tracks_of(space: MasksInSpace, rows: NDArray[np.intp]) -> NDArray[np.int64]:
+    """The track of each of the masks ``rows``, int64 [R], -1 = none."""
+    tracks = (space.masks[row][1].track for row in rows)
+    return np.array([-1 if track is None else track for track in tracks], np.int64)
 
 
 def pairwise(judgement: Agreement, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -138,7 +211,7 @@ def pairwise(judgement: Agreement, rows: NDArray[np.intp]) -> tuple[NDArray[np.f
 def tracked(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Which pairs of the masks ``rows`` a tracker gave one track, and which it followed at all, 0/1 float32 [R, R]. Two
     masks of one view are left out: no track is twice in a frame."""
-    track = np.array([-1 if space.masks[row][1].track is None else space.masks[row][1].track for row in rows], np.int64)
+    track = tracks_of(space, rows)
     view = space.view[rows]
     followed = (track[:, None] >= 0) & (track[None, :] >= 0) & (view[:, None] != view[None, :])
     same = followed & (track[:, None] == track[None, :])

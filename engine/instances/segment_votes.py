@@ -9,14 +9,14 @@ views together.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import VOID, PanopticMask, View
+from ..scene import VOID, OnDemand, PanopticMask, View
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
 ROWS_AT_A_TIME = 32768
@@ -36,11 +36,11 @@ class SegmentVoting:
 @dataclass(frozen=True, eq=False)
 class VotedLabels:
     """``label`` int32 [N] of each point, ``confidence`` float32 [N], and ``maps``, the label that each view's pixels
-    were given in the end, int16 [H, W] a view (-1 = unknown)."""
+    were given in the end, int16 [H, W] a view (-1 = unknown), made when asked for."""
 
     label: NDArray[np.int32]
     confidence: NDArray[np.float32]
-    maps: list[NDArray[np.int16]]
+    maps: Sequence[NDArray[np.int16]]
 
 
 def vote_panoptic_labels(
@@ -55,15 +55,28 @@ def vote_panoptic_labels(
 
     ``object_of_segment``: frame and segment id to the object 1..U that the mask is one of.
     """
-    maps = [member_labels(view, labels, object_of_segment) for view in views]
+    maps = OnDemand(len(views), lambda number: member_labels(views[number], labels, object_of_segment))
     label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels, options)
     for _ in range(options.rounds):
-        maps = [
-            segment_labels(view.mask, np.append(label, UNKNOWN_LABEL)[rows], len(labels), options.agreement)
-            for view, rows in zip(views, point_of_pixel, strict=True)
-        ]
+        maps = view_labels(views, point_of_pixel, label, len(labels), options.agreement)
         label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels, options)
     return VotedLabels(label, confidence, maps)
+
+
+def view_labels(
+    views: Sequence[View],
+    point_of_pixel: Sequence[NDArray[np.int32]],
+    label: NDArray[np.int32],
+    count: int,
+    agreement: float,
+) -> OnDemand[NDArray[np.int16]]:
+    """The labels of each view's pixels, int16 [H, W], made when asked for: ``segment_labels`` of what the points show.
+    ``label`` int32 [N], of ``count`` labels, -1 = unknown; ``point_of_pixel`` int32 [H, W] a view, -1 = none."""
+    table = np.append(label, UNKNOWN_LABEL)
+    return OnDemand(
+        len(views),
+        lambda number: segment_labels(views[number].mask, table[point_of_pixel[number]], count, agreement),
+    )
 
 
 def member_labels(
@@ -103,7 +116,7 @@ def segment_labels(
 
 
 def _votes(
-    maps: Sequence[NDArray[np.int16]], point_of_pixel: Sequence[NDArray[np.int32]], points: int, count: int
+    maps: Iterable[NDArray[np.int16]], point_of_pixel: Iterable[NDArray[np.int32]], points: int, count: int
 ) -> Any:
     """Sparse float32 [points, count]: in each view a point's pixels share sqrt(pixels) votes, so that a near view
     cannot outvote the others by its mass of pixels."""

@@ -12,7 +12,9 @@ class Effort:
 
     ``size_within`` (width, height): pictures are brought into this box, never enlarged; ``voxel_size`` metres between
     anchors; ``most_points`` and ``most_anchors`` cap cloud and model; ``self_training_every`` is a share of the steps.
-    With many views there are ``steps_a_view`` steps for each.
+    With many views there are ``steps_a_view`` steps for each. Of more than ``most_frames`` frames to train on so many
+    are chosen (900: Panoptic Lifting's), 0 takes all. Labels are voted in ``vote_rounds`` (0: not at all), by masks
+    within ``vote_size_within``.
     """
 
     name: str
@@ -24,6 +26,13 @@ class Effort:
     most_anchors: int = 400_000
     self_training_every: float = 1.0
     steps_a_view: float = 0.0
+    most_frames: int = 900
+    vote_size_within: tuple[int, int] = (320, 320)
+    vote_rounds: int = 2
+
+    def views_of(self, train_frames: int) -> int:
+        """How many of so many frames to train on are lifted."""
+        return min(train_frames, self.most_frames) if self.most_frames else train_frames
 
     def steps_for(self, views: int) -> int:
         """Training steps of a scene with so many training views."""
@@ -33,9 +42,23 @@ class Effort:
 EFFORTS = {
     effort.name: effort
     for effort in (
-        Effort("preview", steps=500, size_within=(200, 200), voxel_size=0.06, gaussians_per_anchor=4, steps_a_view=5),
         Effort(
-            "standard", steps=1500, size_within=(320, 320), voxel_size=0.05, gaussians_per_anchor=4, steps_a_view=15
+            "preview",
+            steps=500,
+            size_within=(200, 200),
+            voxel_size=0.06,
+            gaussians_per_anchor=4,
+            steps_a_view=5,
+            most_frames=400,
+        ),
+        Effort(
+            "standard",
+            steps=1500,
+            size_within=(320, 320),
+            voxel_size=0.05,
+            gaussians_per_anchor=4,
+            steps_a_view=15,
+            vote_size_within=(640, 640),
         ),
         Effort(
             "paper",
@@ -46,14 +69,20 @@ EFFORTS = {
             most_points=2_000_000,
             most_anchors=2_000_000,
             self_training_every=1 / 6,
+            vote_rounds=0,
         ),
     )
 }
 
 
-def chosen_effort(name: str, steps: int | None = None, size: tuple[int, int] | None = None) -> Effort:
-    """The preset's effort with the user's steps and size. Raises KeyError for a name that is none."""
+def chosen_effort(
+    name: str, steps: int | None = None, size: tuple[int, int] | None = None, frames: int | None = None
+) -> Effort:
+    """The preset's effort with the user's steps, size and number of frames (0 = all). Raises KeyError for a name that
+    is none."""
     effort = EFFORTS[name]
     if steps is not None:
         effort = replace(effort, steps=steps, steps_a_view=0.0)
+    if frames is not None:
+        effort = replace(effort, most_frames=frames)
     return effort if size is None else replace(effort, size_within=size)

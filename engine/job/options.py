@@ -26,6 +26,13 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         f"own settings (default: {_DEFAULTS.preset})",
     )
     parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
+    parser.add_argument(
+        "--frames", type=number_of_frames, metavar="N|all",
+        help="train on at most so many frames, the sharpest of each stretch of the recording (default: the preset's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--fit", action="store_true", default=None, help="train on fewer frames where memory would not do otherwise"
+    )
     parser.add_argument("--size", type=picture_size, metavar="WxH", help="train at this picture size, such as 320x240")
     parser.add_argument(
         "--seed", type=int, metavar="N", help=f"start of all chance: same seed, same result (default: {_DEFAULTS.seed})"
@@ -107,12 +114,22 @@ def picture_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def number_of_frames(text: str) -> int:
+    """From a number or "all", which is 0; for argparse, so it raises ArgumentTypeError."""
+    if text.lower() == "all":
+        return 0
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of frames, and not 'all'")
+    return int(text)
+
+
 def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -> LiftRequest:
     """The request that the options of `add_lift_options` and ``scene`` ask for; the rest as in ``base``.
 
     Raises JobError when a value is out of range.
     """
-    names = ("preset", "steps", "size", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device")
+    asked = ("preset", "steps", "size", "frames", "fit", "seed")
+    names = (*asked, "up", "scene_format", "mask_format", "classes", "bake", "device")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     for name in ("masks", "depth", "names_from"):
         if getattr(options, name) is not None:

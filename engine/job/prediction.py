@@ -1,8 +1,9 @@
 """How long a lift will take and how much memory it needs, before it is begun.
 
-The constants were measured on lifts of the bundled sample (72 frames of 320x240) on two cores of a 2.5 GHz Xeon; how
-much slower or faster this machine is, finished lifts tell. What is not known before is how much surface the cameras
-see: that of the sample is taken.
+The constants were measured on lifts of the bundled sample (72 frames of 320x240) and of long captures made of it (100
+to 2000 frames of 1296x968, see `engine/lift/bench_long.py`) on two cores, relative to a training step; how much slower
+or faster this machine is, finished lifts tell. What is not known before is how much surface the cameras see: that of
+the sample is taken.
 """
 
 from __future__ import annotations
@@ -23,6 +24,18 @@ FORMAT = 1
 SURFACE = 400.0
 """Square metres that the sample's frames see: what anchors lie on."""
 MOST_ANCHORS_PER_POINT = 0.8
+USUAL_MASKS, USUAL_CLASSES = 20.0, 20
+"""A frame's segments, and the classes of all, where nobody has looked."""
+OBJECTS_A_MASK = 2.0
+"""Objects of a room for every segment that a frame has."""
+MOST_MASKS = 5000
+"""About as many are judged by one another, those of keyframes; the others only join what was found."""
+CANDIDATES = 3
+"""Pictures looked at for each that is chosen."""
+MOST_VOTERS = 500
+"""Frames that vote for the yardstick."""
+SEEN_SHARE = 0.3
+"""Of the Gaussians, in one view."""
 REMEMBERED = 5
 MB = 1_000_000
 
@@ -48,30 +61,41 @@ def predict(
     *,
     bake: str = "test",
     slowness: float = 1.0,
+    masks_a_frame: float = USUAL_MASKS,
+    classes: int = USUAL_CLASSES,
 ) -> Prediction:
     """For ``train_frames`` + ``test_frames`` pictures of ``frame_size`` (width, height) pixels. ``bake``: as in a
-    request; ``slowness``: see `machine_slowness`."""
+    request; ``slowness``: see `machine_slowness`; ``masks_a_frame`` and ``classes`` are what the masks have."""
     frames = train_frames + test_frames
+    views = effort.views_of(train_frames)
     own = frame_size[0] * frame_size[1] / 1e6
     trained_on = _megapixels_within(frame_size, effort.size_within)
-    seen = train_frames * trained_on
-    baked = {"test": test_frames, "all": frames, "none": 0}[bake]
-    steps = effort.steps_for(train_frames)
-    step = step_seconds(trained_on, _millions_of_gaussians(effort))
+    seen = views * trained_on
+    rendered = {"test": test_frames, "all": frames, "none": test_frames}[bake]  # those held out are scored anyhow
+    written = 0 if bake == "none" else rendered
+    steps = effort.steps_for(views)
+    gaussians = _millions_of_gaussians(effort)
+    step = step_seconds(trained_on, gaussians)
     rounds = max(0, min(round(1 / effort.self_training_every), steps) - 1)
+    voting = views if effort.vote_rounds else 0
+    voted = voting * _megapixels_within(frame_size, effort.vote_size_within)
+    judged = min(views * masks_a_frame, MOST_MASKS) / 1000
+    looked_at = min(train_frames, CANDIDATES * views) if views < train_frames else 0
     stages = {
         "start": 4.0,
-        "check": 0.1 + 0.14 * frames * own,
-        "read": 0.07 * train_frames * own,
-        "consistency": 1.3 + 1.6 * seen,
-        "match": 1.1 + 0.7 * seen,
-        "prepare": 10.0 + 2.3 * seen,
-        "train": steps * step + rounds * train_frames * 0.42 * step,
-        "result": 0.5 + 2.75 * _millions_of_gaussians(effort),
-        "bake": baked * (0.2 + 10.0 * own),
-        "evaluate": 0.2 + 0.65 * frames * own,
+        "check": 0.1 + 0.03 * (views + test_frames) * own + 0.03 * looked_at * own,
+        "read": 0.05 * views * own,
+        "consistency": 3.0 + 2.8 * seen,
+        "match": 1.5 + 1.0 * seen + 0.3 * judged**2 + 0.0005 * views * masks_a_frame,
+        "prepare": 10.0 + 0.7 * seen,
+        "train": steps * step + rounds * views * 0.42 * step,
+        "result": 0.5 + (2.0 + 1.0 * effort.vote_rounds) * voted + 0.12 * voting * own + 2.75 * gaussians,
+        "bake": rendered * (0.2 + 3.0 * own) + written * 2.0 * own,
+        "evaluate": 0.5 + 1.6 * test_frames * own + 0.17 * min(views, MOST_VOTERS) * own,
     }
-    return Prediction({name: slowness * seconds for name, seconds in stages.items()}, _peak_bytes(seen, own, effort))
+    labels = classes + OBJECTS_A_MASK * masks_a_frame
+    peak = _peak_bytes(frame_size, effort, views, gaussians, labels)
+    return Prediction({name: slowness * seconds for name, seconds in stages.items()}, peak)
 
 
 def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
@@ -95,9 +119,17 @@ def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: flo
         write_atomically(path, to_text({"format": FORMAT, "slowness": measured[-REMEMBERED:]}))
 
 
-def _peak_bytes(seen: float, own: float, effort: Effort) -> int:
-    """``seen``: megapixels of all training pictures; ``own``: of one frame, which is baked at its own size."""
-    return round((1000 + 125 * seen + 300 * own + 400 * _millions_of_gaussians(effort)) * MB)
+def _peak_bytes(
+    frame_size: tuple[int, int], effort: Effort, views: int, gaussians: float, labels: float
+) -> int:
+    """What is held at once: at matching it grows with the views, at training with the Gaussians, and when a frame is
+    baked, at its own size, with its pixels; the last two with the labels too."""
+    own = frame_size[0] * frame_size[1] / 1e6
+    trained_on = _megapixels_within(frame_size, effort.size_within)
+    matching = 800 + 12 * views * trained_on
+    training = 880 + 500 * gaussians + (700 + 8 * labels) * trained_on + SEEN_SHARE * gaussians * 12 * labels
+    baking = 700 + 400 * gaussians + (1000 + 4 * labels) * own
+    return round(max(matching, training, baking) * MB)
 
 
 def _millions_of_gaussians(effort: Effort) -> float:

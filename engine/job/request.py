@@ -38,13 +38,14 @@ _KEYS = {
     "device",
     "names_from",
 }
-_OVERRIDES = {"steps", "size"}
+_OVERRIDES = {"steps", "size", "frames", "fit"}
 _FIX = "Mend it, or delete the folder and lift again."
 
 
 @dataclass(frozen=True)
 class LiftRequest:
-    """One lift. Paths are absolute; ``size`` is (width, height) in pixels; None leaves it to the preset.
+    """One lift. Paths are absolute; ``size`` is (width, height) in pixels, ``frames`` how many frames are trained on at
+    most, 0 = all; None leaves it to the preset. ``fit``: fewer frames where memory would not do otherwise.
     ``scene_format`` names how the scene is laid out; None leaves it to the scene's looks. ``depth`` is a folder of
     depth maps that take the place of the scene's own. ``mask_format`` names how the masks are laid out, ``classes`` the
     table of their classes: a table's name, or the absolute path of a .toml file. ``device``: where the Gaussians are
@@ -58,6 +59,8 @@ class LiftRequest:
     preset: Preset = "preview"
     steps: int | None = None
     size: tuple[int, int] | None = None
+    frames: int | None = None
+    fit: bool = False
     seed: int = 0
     up: Up = "z"
     bake: Bake = "test"
@@ -88,6 +91,10 @@ class LiftRequest:
         ):
             fix = f"Give width and height in pixels, each from {SMALLEST_SIDE} to {LARGEST_SIDE}."
             raise JobError("is no picture size", f"size = {self.size!r}", fix)
+        if self.frames is not None and not _is_int(self.frames, 0, 1_000_000):
+            raise JobError("is no number of frames", f"frames = {self.frames!r}", "Give a number, or 0 for all.")
+        if not isinstance(self.fit, bool):
+            raise JobError("is neither true nor false", f"fit = {self.fit!r}", "Leave it out, or write true.")
         if not _is_int(self.seed, 0, 2**32 - 1):
             raise JobError("is no seed", f"seed = {self.seed!r}", "Give a whole number from 0 to 4294967295.")
 
@@ -102,6 +109,9 @@ class LiftRequest:
             "device": None if self.device == "cpu" else self.device,
             "names_from": None if self.names_from is None else str(self.names_from),
         }
+        frames: dict[str, object] = {} if self.frames is None else {"frames": self.frames}
+        if self.fit:
+            frames["fit"] = True
         named = {key: value for key, value in given.items() if value is not None}
         return to_text(
             {
@@ -110,7 +120,7 @@ class LiftRequest:
                 "scene": str(self.scene),
                 "masks": None if self.masks is None else str(self.masks),
                 "preset": self.preset,
-                "overrides": {"steps": self.steps, "size": size},
+                "overrides": {"steps": self.steps, "size": size} | frames,
                 "seed": self.seed,
                 "up": self.up,
                 "bake": self.bake,
@@ -138,7 +148,8 @@ class LiftRequest:
     def differences(self, other: LiftRequest) -> list[str]:
         """Names of what differs, the engine's version left out."""
         reading = ("up", "scene_format", "depth", "mask_format", "classes")
-        names = ("scene", "masks", "preset", "steps", "size", "seed", *reading, "bake", "device", "names_from")
+        asked = ("preset", "steps", "size", "frames", "fit", "seed")
+        names = ("scene", "masks", *asked, *reading, "bake", "device", "names_from")
         return [name for name in names if getattr(self, name) != getattr(other, name)]
 
 
@@ -172,6 +183,8 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
         **{name: None if content.get(name) is None else Path(str(content[name])) for name in ("depth", "names_from")},
         "size": None if size is None else tuple(size),
         "steps": overrides.get("steps"),
+        "frames": overrides.get("frames"),
+        "fit": overrides.get("fit", False),
         "seed": content.get("seed"),
         "device": device,
         **{name: content[name] for name in ("preset", "up", "bake", "engine_version")},

@@ -83,7 +83,7 @@ def bake_and_evaluate(
     Ground truth goes into metrics.json alone. Raises Cancelled, SceneError, OSError.
     """
     baked_names = {frame.name for frame in wanted}
-    frames = [frame for frame in scene.frames if frame.held_out or frame.name in baked_names]
+    frames = wanted or scene.test_frames  # what is wanted has those held out among it, or is nothing
     shown = {scene.test_frames[index].name for index in chosen(len(scene.test_frames))}
     report, rows = Report(scene.classes), []
     with stages.stage("bake") as progress:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..instances import (
-    UNKNOWN_LABEL,
     GlobalInstance,
     MemberMask,
     ObjectMasks,
@@ -28,13 +28,13 @@ from ..instances import (
     object_classes,
     object_instances,
     regroup_pieces,
-    segment_labels,
     shown_classes,
+    view_labels,
     vote_classes,
     vote_instances,
     vote_panoptic_labels,
 )
-from ..scene import VOID, ClassTable, View
+from ..scene import VOID, ClassTable, OnDemand, View, stored
 from ..semantics import SemanticPointCloud
 from ..train.presets import Preset
 from ..train.progress import StageProgress
@@ -46,19 +46,26 @@ LARGEST_GAP = 0.15
 @dataclass(frozen=True, eq=False)
 class Matching:
     """The ``cloud`` with its final classes, the ``instances`` with ids 1.., the instance of each point int32 [N] (0 =
-    none), how many more instances were ``dropped``, and ``label_maps`` as ``PreparedLift`` has them."""
+    none), how many more instances were ``dropped``, ``label_maps`` as ``PreparedLift`` has them, and where the views
+    were looked up, the point of the cloud that each of their pixels shows, int32 [H, W] (-1 = none)."""
 
     cloud: SemanticPointCloud
     instances: list[GlobalInstance]
     instance_of_point: NDArray[np.int32]
     dropped: int
-    label_maps: list[NDArray[np.int16]] | None = None
+    label_maps: Sequence[NDArray[np.int16]] | None = None
+    point_of_pixel: Sequence[NDArray[np.int32]] | None = None
 
 
 def instances_by_boxes(
-    views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
+    views: Sequence[View],
+    cloud: SemanticPointCloud,
+    classes: ClassTable,
+    preset: Preset,
+    progress: StageProgress,
+    scratch: Path | None = None,
 ) -> Matching:
-    """The paper's way: Algorithm 1 on the thing segments of all views."""
+    """The paper's way: Algorithm 1 on the thing segments of all views. Nothing is stored in ``scratch``."""
     found = match_views(
         views,
         classes.thing_ids,
@@ -77,22 +84,28 @@ def instances_by_boxes(
 
 
 def objects_by_agreement(
-    views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
+    views: Sequence[View],
+    cloud: SemanticPointCloud,
+    classes: ClassTable,
+    preset: Preset,
+    progress: StageProgress,
+    scratch: Path | None = None,
 ) -> Matching:
     """Ours: objects that the views agree on, whatever they call them; the views vote on each object's class; then
-    segments and points vote on what every pixel shows."""
-    index, reach = cloud.index(), 2 * cloud.spacing
-    rows = {view.name: index.nearest_of_pixels(view.camera, view.depth, reach) for view in views}
-    objects, seen = find_objects(views, lambda view: rows[view.name], len(cloud), preset.consensus, progress)
+    segments and points vote on what every pixel shows. ``scratch``: where temporary files go."""
+    rows = point_of_pixels(views, cloud, scratch)
+    number_of = {view.name: number for number, view in enumerate(views)}
+    objects, seen = find_objects(
+        views, lambda view: rows[number_of[view.name]], len(cloud), preset.consensus, progress
+    )
     things = thing_objects(objects, views, seen, cloud, classes)
-    in_order = [rows[view.name] for view in views]
     labels = PanopticLabels(cloud.class_ids, tuple(class_id for _, class_id in things))
     member_of = {
         (mask.frame, mask.segment.id): number
         for number, (masks, _) in enumerate(things, start=1)
         for mask in masks
     }
-    voted = vote_panoptic_labels(views, in_order, len(cloud), labels, member_of, preset.segment_voting)
+    voted = vote_panoptic_labels(views, rows, len(cloud), labels, member_of, preset.segment_voting)
     object_of_point = labels.objects(voted.label)
     owner, members = pieces_in_space(things, object_of_point, views, seen, cloud)
     fragment = (object_of_point > 0) & (owner == 0)
@@ -101,12 +114,18 @@ def objects_by_agreement(
     found = object_instances(views, members, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
     final = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in instances))
-    of_point = np.append(final.of_points(cloud.class_id, instance_of_point), UNKNOWN_LABEL)
-    maps = [
-        segment_labels(view.mask, of_point[row], len(final), preset.segment_voting.agreement)
-        for view, row in zip(views, in_order, strict=True)
-    ]
-    return Matching(cloud, instances, instance_of_point, dropped, maps)
+    of_point = final.of_points(cloud.class_id, instance_of_point)
+    maps = view_labels(views, rows, of_point, len(final), preset.segment_voting.agreement)
+    return Matching(cloud, instances, instance_of_point, dropped, stored(maps, scratch), rows)
+
+
+def point_of_pixels(
+    views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None
+) -> OnDemand[NDArray[np.int32]]:
+    """The point of the cloud that each pixel of the views shows, int32 [H, W] a view, -1 = none; in temporary files in
+    ``scratch``."""
+    index, reach = cloud.index(), 2 * cloud.spacing
+    return stored((index.nearest_of_pixels(view.camera, view.depth, reach) for view in views), scratch)
 
 
 MasksOfClass = tuple[Sequence[MemberMask], int]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from ..instances import GlobalInstance
 from ..job import EventWriter
 from ..model.structured import StructuredScene
-from ..scene import ClassTable, View
+from ..scene import ClassTable, OnDemand, View, stored
 from ..scene.hole_filling import fill_holes
 from ..semantics import (
     CloudOptions,
@@ -40,32 +41,38 @@ class PreparedLift:
     unknown), where segments and points voted on them; else None."""
 
     scene: StructuredScene
-    targets: list[ViewTargets]
+    targets: Sequence[ViewTargets]
     cloud: SemanticPointCloud
     instance_of_point: NDArray[np.int32]
     instances: tuple[GlobalInstance, ...]
     class_of_instance: Mapping[int, int] | None
-    label_maps: list[NDArray[np.int16]] | None
+    label_maps: Sequence[NDArray[np.int16]] | None
 
 
 def prepare(
-    views: Sequence[View], classes: ClassTable, preset: Preset, seed: int, stages: StageReporter
+    views: Sequence[View],
+    classes: ClassTable,
+    preset: Preset,
+    seed: int,
+    stages: StageReporter,
+    scratch: Path | None = None,
 ) -> PreparedLift:
-    """Everything before the first step. Raises what the progress callbacks raise (Cancelled)."""
+    """Everything before the first step. What there is of every view is stored in temporary files in ``scratch`` (None:
+    where the system has them). Raises what the progress callbacks raise (Cancelled), OSError when the disk is full."""
     class_ids = used_classes(views)
     with stages.stage("consistency") as progress:
-        placed = [filled_view(view) for view in views] if preset.fill_holes else list(views)
+        placed = filled_views(views, scratch) if preset.fill_holes else views
         cloud = semantic_cloud(placed, class_ids, preset, stages.events, progress)
     with stages.stage("match") as progress:
         match = objects_by_agreement if preset.objects == "agreement" else instances_by_boxes
-        matching = match(placed, cloud, classes, preset, progress)
+        matching = match(placed, cloud, classes, preset, progress, scratch)
         if matching.dropped:
             found = len(matching.instances) + matching.dropped
             stages.events.warning(f"the {matching.dropped} smallest of {found} instances are left out")
     channels = label_channels(class_ids, matching.instances, preset)
     viewpoints = np.array([view.camera.centre for view in views])
     scene = starting_scene(matching.cloud, matching.instance_of_point, channels, viewpoints, preset, seed)
-    targets = list(targets_of(views, placed, matching, channels, classes, preset))
+    targets = targets_of(views, placed, matching, channels, classes, preset, scratch)
     class_of_instance = {one.id: one.class_id for one in matching.instances} if preset.one_class_an_object else None
     return PreparedLift(
         scene,
@@ -95,9 +102,10 @@ def semantic_cloud(
     return cloud
 
 
-def filled_view(view: View) -> View:
-    """The view with the planar holes of its depth filled."""
-    return replace(view, depth=fill_holes(view.depth, view.mask.ids))
+def filled_views(views: Sequence[View], scratch: Path | None = None) -> OnDemand[View]:
+    """The views with the planar holes of their depth filled."""
+    depths = stored((fill_holes(view.depth, view.mask.ids) for view in views), scratch)
+    return OnDemand(len(views), lambda number: replace(views[number], depth=depths[number]))
 
 
 def used_classes(views: Sequence[View]) -> tuple[int, ...]:

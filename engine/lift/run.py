@@ -17,18 +17,33 @@ import torch
 from safetensors.torch import save_file
 
 from ..job import Cancelled, Checkpoint, EventWriter, JobError, LiftFolder, StopSignal, write_manifest
+from ..job.main_memory import main_memory
 from ..job.prediction import learn_slowness
 from ..machine.log_compilation import log_compilation
 from ..model.structured import StructuredScene
 from ..model.tensor_file import read_tensors
 from ..raster import drawing_on
-from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene_to_lift, size_within
+from ..scene import (
+    VOID,
+    Frame,
+    Scene,
+    SceneError,
+    StoredViews,
+    View,
+    check_scene,
+    choose_frames,
+    load_view,
+    open_scene_to_lift,
+    read_ahead,
+    size_within,
+)
 from ..train.presets import Preset, chosen_preset
-from ..train.progress import StageReporter
+from ..train.progress import StageProgress, StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .device import be_repeatable, refuse_missing_device
+from .fitting import frames_that_fit
 from .lasting_names import keep_names, read_earlier, write_names
 from .live_previews import LivePreviews
 from .preparation import prepare
@@ -59,7 +74,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     Raises SceneError for input that cannot be lifted, Cancelled when stopped; the folder can be resumed then.
     """
     request = folder.request
-    preset = chosen_preset(request.preset, request.steps, request.size)
+    preset = chosen_preset(request.preset, request.steps, request.size, request.frames)
     refuse_missing_device(request.device)
     be_repeatable(request.device)
     stages = StageReporter(events, stop, STAGES)
@@ -72,41 +87,43 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     request, events = folder.request, stages.events
 
     with stages.stage("check") as progress:
-        scene = open_scene_to_lift(
+        whole = open_scene_to_lift(
             request.scene, request.masks, request.up, request.scene_format, request.depth,
             request.mask_format, request.classes,
         )  # fmt: skip
         earlier = None if request.names_from is None else read_earlier(request.names_from)
+        most = frames_that_fit(whole, request, main_memory(), events)
+        scene = frames_to_lift(whole, most, progress, events)
         for warning in (*scene.warnings, *check_scene(scene, progress)):
             events.warning(warning)
     with stages.stage("read") as progress:
-        views = []
-        for frame in scene.train_frames:
-            views.append(load_view(frame, size_within(frame.size, preset.size_within)))
-            progress(len(views), len(scene.train_frames))
+        frames = scene.train_frames
+        read = read_ahead(frames, lambda frame: load_view(frame, size_within(frame.size, preset.size_within)))
+        views = StoredViews(read, folder.path, lambda done: progress(done, len(frames)))
         refuse_empty(views, scene)
 
     preset = preset.for_views(len(views))
-    prepared = prepare(views, scene.classes, preset, request.seed, stages)
+    prepared = prepare(views, scene.classes, preset, request.seed, stages, folder.path)
     trainer = Trainer(prepared.scene, prepared.targets, views, preset, request.seed)
     checkpoint = folder.checkpoints.latest() if resume else None
     if checkpoint is not None:
         take_up(trainer, checkpoint)
         log.info("resuming after step %d", trainer.step_number)
     names: Mapping[int, str] = instance_names(prepared.instances, scene.classes)
-    previews = LivePreviews(folder, scene, shown_instances(prepared, names), events)
+    previews = LivePreviews(folder, whole, shown_instances(prepared, names), events)
     paces = train(trainer, folder, stages, previews)
 
     with stages.stage("result") as progress:
         if preset.labels == "votes" and prepared.label_maps is not None and preset.one_class_an_object:
-            trainer.scene.voted = vote_labels(trainer.scene, scene.train_frames, prepared.label_maps, preset, progress)
+            maps = prepared.label_maps
+            trainer.scene.voted = vote_labels(trainer.scene, frames, maps, preset, progress, folder.path)
         if earlier is not None:
             prepared, lasting = keep_names(earlier, prepared, trainer.scene, scene.classes)
             names = lasting.names
             write_names(folder, lasting, events)
         write_scene_files(folder, scene, views, prepared, trainer.scene, events, names)
     baker = FrameBaker(scene.classes, trainer.scene, shown_instances(prepared, names))
-    bake_and_evaluate(folder, scene, baker, frames_to_bake(scene, request.bake), events, stages)
+    bake_and_evaluate(folder, scene, baker, frames_to_bake(whole, request.bake), events, stages)
     previews.clear_away()
     write_manifest(
         folder.result_path,
@@ -126,6 +143,18 @@ def take_up(trainer: Trainer, checkpoint: Checkpoint) -> None:
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         fix = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
         raise JobError(f"the checkpoint cannot be used ({error})", path, fix) from error
+
+
+def frames_to_lift(scene: Scene, most: int, progress: StageProgress, events: EventWriter) -> Scene:
+    """The scene with at most ``most`` frames to train on (0: all), and a word about what was left out."""
+    chosen = choose_frames(scene, most, progress) if most else scene
+    there, taken = len(scene.train_frames), len(chosen.train_frames)
+    if taken < there:
+        events.warning(
+            f"of {there} frames to train on {taken} are lifted, the sharpest of each stretch of the recording; "
+            "--frames takes another number, or all"
+        )
+    return chosen
 
 
 def refuse_empty(views: Sequence[View], scene: Scene) -> None:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..instances import PanopticLabels, restrict_to_things
 from ..model.structured import LabelChannels
-from ..scene import ClassTable, View
-from ..semantics import LabelledPoints, SemanticPointCloud, project_labels
+from ..scene import ClassTable, OnDemand, View, stored
+from ..semantics import LabelledPoints, project_labels
 from ..train.photos import exposure_gains, sharpness_weights
 from ..train.presets import Preset
 from ..train.targets import ViewTargets, view_targets
-from .objects import Matching
+from .objects import Matching, point_of_pixels
 
 
 def targets_of(
@@ -24,17 +25,22 @@ def targets_of(
     channels: LabelChannels,
     classes: ClassTable,
     preset: Preset,
-) -> Iterator[ViewTargets]:
+    scratch: Path | None = None,
+) -> OnDemand[ViewTargets]:
     """What each view is supervised with: the labels its segments were voted, or else the projected cloud's semantic
-    mask and M_match. ``placed`` are the views with the depth that places pixels in space."""
-    photos = [view.colour for view in views]
-    weights = sharpness_weights(photos) if preset.weigh_sharpness else np.ones(len(views))
-    gains = _exposures(views, placed, matching.cloud) if preset.fit_exposure else None
-    project = _voted_masks(matching) if matching.label_maps is not None else _projected_masks(matching, classes, preset)
-    for number, view in enumerate(views):
-        projected, matched = project(number, placed[number])
-        yield view_targets(
-            view,
+    mask and M_match. ``placed`` are the views with the depth that places pixels in space. A view's are made when they
+    are asked for; ``scratch`` is where temporary files go."""
+    weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
+    gains = _exposures(views, placed, matching, scratch) if preset.fit_exposure else None
+    if matching.label_maps is not None:
+        masks = _voted_masks(matching)
+    else:
+        masks = _projected_masks(placed, matching, classes, preset, scratch)
+
+    def targets(number: int) -> ViewTargets:
+        projected, matched = masks(number)
+        return view_targets(
+            views[number],
             channels,
             projected_class=projected,
             matched_instance=matched,
@@ -42,34 +48,51 @@ def targets_of(
             gain=None if gains is None else gains[number],
         )
 
+    return OnDemand(len(views), targets)
+
 
 def _exposures(
-    views: Sequence[View], placed: Sequence[View], cloud: SemanticPointCloud
+    views: Sequence[View], placed: Sequence[View], matching: Matching, scratch: Path | None
 ) -> NDArray[np.float64]:
-    index, reach = cloud.index(), 2 * cloud.spacing
-    rows = [index.nearest_of_pixels(view.camera, view.depth, reach)[::2, ::2] for view in placed]
-    return exposure_gains([view.colour[::2, ::2] for view in views], rows, len(cloud))
+    """``exposure_gains`` of every other pixel of every other row."""
+    rows = matching.point_of_pixel or point_of_pixels(placed, matching.cloud, scratch)
+    photos = OnDemand(len(views), lambda number: views[number].colour[::2, ::2])
+    points = OnDemand(len(views), lambda number: rows[number][::2, ::2])
+    return exposure_gains(photos, points, len(matching.cloud))
 
 
 Masks = tuple[NDArray[np.int32], NDArray[np.int32]]
 """Class ids and instance ids of a view's pixels, int32 [H, W] each."""
 
 
-def _voted_masks(matching: Matching) -> Callable[[int, View], Masks]:
+def _voted_masks(matching: Matching) -> Callable[[int], Masks]:
     assert matching.label_maps is not None
     maps = matching.label_maps
     labels = PanopticLabels(matching.cloud.class_ids, tuple(one.class_id for one in matching.instances))
-    return lambda number, view: (labels.classes(maps[number]), labels.objects(maps[number]))
+
+    def decide(number: int) -> Masks:
+        voted = maps[number]
+        return labels.classes(voted), labels.objects(voted)
+
+    return decide
 
 
-def _projected_masks(matching: Matching, classes: ClassTable, preset: Preset) -> Callable[[int, View], Masks]:
+def _projected_masks(
+    placed: Sequence[View], matching: Matching, classes: ClassTable, preset: Preset, scratch: Path | None
+) -> Callable[[int], Masks]:
     cloud, reach = matching.cloud, 2 * preset.voxel_size
     classed = LabelledPoints(cloud.xyz, cloud.class_id, cloud.spacing)
     owned = LabelledPoints(cloud.xyz, matching.instance_of_point, cloud.spacing)
 
-    def project(number: int, view: View) -> Masks:
+    def project(view: View) -> NDArray[np.int32]:
         projected = project_labels(view.camera, view.depth, classed, reach)
         instances = project_labels(view.camera, view.depth, owned, reach)
-        return projected, restrict_to_things(instances, projected, classes.thing_ids)
+        return np.stack([projected, restrict_to_things(instances, projected, classes.thing_ids)])
 
-    return project
+    both = stored((project(view) for view in placed), scratch)
+
+    def masks(number: int) -> Masks:
+        projected, instances = both[number]
+        return projected, instances
+
+    return masks

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 from ..instances import segment_labels
 from ..model.label_voting import Contributors, LabelVotes, contributors, pixel_labels
 from ..model.structured import GaussianLabels, StructuredScene
-from ..scene import Frame, PanopticMask, Size, size_within
+from ..scene import Frame, PanopticMask, Segment, Size, StoredArrays, size_within
 from ..scene.hole_filling import fill_holes
 from ..scene.pixels import resize_nearest
 from ..train.presets import Preset
 
-MOST_BYTES = 1 << 29
-"""What is kept of frames between two rounds; others are looked at anew."""
+MOST_BYTES = 1 << 32
+"""What is stored on disk of frames between two rounds."""
 
 
 def vote_labels(
@@ -26,23 +27,23 @@ def vote_labels(
     label_maps: Sequence[NDArray[np.int16]],
     preset: Preset,
     progress: Callable[[int, int], None],
+    scratch: Path | None = None,
 ) -> GaussianLabels:
     """What the training frames vote every Gaussian to be.
 
     ``label_maps`` int16 [H, W] are the labels that the frames' pixels were given before training, at the size of
     training; the segments of the mask at its own size take them over. In every further round they take what the
-    Gaussians of the round before show. Raises SceneError when a file is bad, and what ``progress`` raises.
+    Gaussians of the round before show. What does not change from round to round waits in temporary files in
+    ``scratch``. Raises SceneError when a file is bad, and what ``progress`` raises.
     """
     channels = scene.channels
     count = len(channels.class_ids) + len(channels.instance_slots)
     voted: GaussianLabels | None = None
-    looks: dict[str, _Look] = {}  # what does not change from round to round, as far as there is room
+    looks = _Looks(scene, frames, preset, scratch)
     for number in range(preset.vote_rounds):
         votes = LabelVotes(scene, preset.voting)
-        for place, (frame, label_map) in enumerate(zip(frames, label_maps, strict=True)):
-            look = looks.get(frame.name) or _look(scene, frame, preset)
-            if preset.vote_rounds > 1 and len(looks) * look.bytes < MOST_BYTES:
-                looks[frame.name] = look
+        for place, label_map in enumerate(label_maps):
+            look = looks.at(place)
             shown = pixel_labels(scene, voted, look.seen) if voted else resize_nearest(label_map, look.size)
             agreed = segment_labels(look.mask, shown, count, preset.segment_voting.agreement)
             votes.add(look.seen, agreed, look.depth)
@@ -65,10 +66,29 @@ class _Look:
         height, width = self.depth.shape
         return width, height
 
-    @property
-    def bytes(self) -> int:
-        arrays = (self.seen.gaussian, self.seen.weight, self.seen.depth, self.mask.ids, self.depth)
-        return sum(each.nbytes for each in arrays)
+
+class _Looks:
+    """The frames as they vote, each rendered once and read back from disk in later rounds, as far as MOST_BYTES go;
+    the others are rendered anew."""
+
+    def __init__(
+        self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None
+    ) -> None:
+        self.scene, self.frames, self.preset = scene, frames, preset
+        self._arrays = StoredArrays(scratch)
+        self._stored: dict[int, tuple[list[int], tuple[Segment, ...]]] = {}
+
+    def at(self, place: int) -> _Look:
+        """Of the frame in that place. Raises SceneError, OSError when the disk is full."""
+        if place in self._stored:
+            numbers, segments = self._stored[place]
+            gaussian, weight, drawn, ids, depth = (self._arrays[number] for number in numbers)
+            return _Look(Contributors(gaussian, weight, drawn), PanopticMask(ids, segments), depth)
+        look = _look(self.scene, self.frames[place], self.preset)
+        if self.preset.vote_rounds > 1 and self._arrays.nbytes < MOST_BYTES:
+            arrays = (look.seen.gaussian, look.seen.weight, look.seen.depth, look.mask.ids, look.depth)
+            self._stored[place] = [self._arrays.append(array) for array in arrays], look.mask.segments
+        return look
 
 
 def _look(scene: StructuredScene, frame: Frame, preset: Preset) -> _Look:

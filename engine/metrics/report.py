@@ -24,6 +24,9 @@ VOTING_WIDTH = 320
 """Training views vote at most this wide: a pixel is still far smaller than a voxel, and rooms take seconds.
 """
 
+MOST_VOTERS = 500
+"""Of more training views so many vote, evenly spread: every voxel has had its votes by then."""
+
 _NO_LABEL_SCORES: dict[str, object] = {"mode": None, "miou": None, "pq": None, "sq": None, "rq": None, "per_class": []}
 
 Progress = Callable[[int, int], None]
@@ -150,7 +153,9 @@ def masks_as_prediction(mask: PanopticMask, first_id: int) -> PredictedView:
 def vote(scene: Scene, progress: Progress | None = None) -> VoxelMap | None:
     """The yardstick's map from the training views, or None when no pixel could vote. Raises SceneError."""
     votes = VoxelVote(scene.classes)
-    frames = scene.train_frames
+    there = scene.train_frames
+    chosen = np.linspace(0, len(there) - 1, min(len(there), MOST_VOTERS)).round().astype(int)
+    frames = [there[place] for place in chosen]
     for done, frame in enumerate(frames, start=1):
         width, height = frame.size
         scale = min(1.0, VOTING_WIDTH / width)

@@ -15,7 +15,8 @@ from .scene_labels import shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
 CHUNK = 65536
-"""Anchors decoded at a time, which bounds the memory."""
+"""Anchors decoded at a time, which bounds the memory; fewer where there are more than USUAL_LABELS labels."""
+USUAL_LABELS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +84,9 @@ def bake(
     k, classes = scene.anchors.gaussians_per_anchor, len(scene.channels.class_ids)
     known = shown_labels(scene)
     without = None if known is None else no_labels(scene.anchors)
-    for start in range(0, len(scene.anchors), CHUNK):
-        rows = torch.arange(start, min(start + CHUNK, len(scene.anchors)))
+    step = CHUNK * USUAL_LABELS // max(USUAL_LABELS, classes + len(scene.channels.slot_ids))
+    for start in range(0, len(scene.anchors), step):
+        rows = torch.arange(start, min(start + step, len(scene.anchors)))
         decoded = decode_rows(scene.anchors, scene.decoders, rows, centre, known_labels=without)
         if known is None:
             by_class, by_slot = decoded.labels[:, :classes], decoded.labels[:, classes:]
@@ -93,10 +95,11 @@ def bake(
             labels = known.of(decoded.rows(k)).numpy()
         parts.append(_gaussian_columns(decoded, labels, scene.channels, thing_ids))
         owner, weight = (decoded.kept // k).numpy(), decoded.opacities.numpy()
-        anchor_parts.append(_anchor_means(len(rows), owner, weight, decoded.colours.numpy(), labels))
-        anchor_parts[-1]["opacity"] = decoded.all_opacities.clamp_min(0).mean(dim=1).numpy()
-    means = _joined(anchor_parts)
-    return BakedGaussians(**_joined(parts)), _baked_anchors(scene, means, thing_ids)
+        part = _anchor_means(len(rows), owner, weight, decoded.colours.numpy(), labels)
+        part["class_id"], part["instance_id"] = decided_labels(part.pop("labels"), scene.channels, thing_ids)
+        part["opacity"] = decoded.all_opacities.clamp_min(0).mean(dim=1).numpy()
+        anchor_parts.append(part)
+    return BakedGaussians(**_joined(parts)), _baked_anchors(scene, _joined(anchor_parts))
 
 
 def _joined(parts: list[dict[str, NDArray]]) -> dict[str, NDArray]:
@@ -119,13 +122,13 @@ def _gaussian_columns(
     }
 
 
-def _baked_anchors(scene: StructuredScene, means: dict[str, NDArray], thing_ids: frozenset[int]) -> BakedAnchors:
-    """From ``_anchor_means`` of all anchors. One that draws nothing shows no class."""
-    class_id, instance_id = decided_labels(means["labels"], scene.channels, thing_ids)
+def _baked_anchors(scene: StructuredScene, means: dict[str, NDArray]) -> BakedAnchors:
+    """From ``_anchor_means`` of all anchors, their labels decided. One that draws nothing shows no class."""
+    is_drawn = means["weight"] > 0
     return BakedAnchors(
         xyz=scene.anchors.position.numpy(),
-        class_id=np.where(means["weight"] > 0, class_id, 0).astype(np.int32),
-        instance_id=np.where(means["weight"] > 0, instance_id, 0).astype(np.int32),
+        class_id=np.where(is_drawn, means["class_id"], 0).astype(np.int32),
+        instance_id=np.where(is_drawn, means["instance_id"], 0).astype(np.int32),
         opacity=means["opacity"],
         level=scene.anchors.level.numpy().astype(np.int32),
         rgb=np.round(means["colour"] * 255).astype(np.uint8),

@@ -9,22 +9,26 @@ serve where nothing was seen.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from ..instances.class_first import LEAST_OF_CLASS, object_of_class
-from ..machine.compiled import compiled
+from ..machine.compiled import compiled, device_function
 from ..raster import rasterize
 from ..scene import Camera
 from .gaussians import decode
 from .structured import GaussianLabels, StructuredScene
 
 LEAST_SHARE = np.float32(LEAST_OF_CLASS)
+LABELS_HELD = 16
+"""A Gaussian holds votes for so many labels at a time. It lies on one surface, so that few get any."""
 CHUNK = 16384
-"""Anchors whose labels are decoded at a time, which bounds the memory."""
+"""Anchors whose labels are decoded at a time, which bounds the memory; fewer where there are more than USUAL_LABELS
+labels."""
+USUAL_LABELS = 64
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,20 @@ class Contributors:
     gaussian: NDArray[np.int32]
     weight: NDArray[np.float32]
     depth: NDArray[np.float32]
+
+
+class HeldVotes(NamedTuple):
+    """The labels that each Gaussian has votes for, int16 [G, L] (-1 = none yet), and these votes, float32 [G, L]."""
+
+    label: NDArray[np.int16]
+    votes: NDArray[np.float32]
+
+    def of_all_labels(self, start: int, stop: int, labels: int) -> NDArray[np.float32]:
+        """The votes of the Gaussians from ``start`` to ``stop`` for each of the ``labels``, float32 [n, labels]."""
+        dense = np.zeros((stop - start, labels), np.float32)
+        row, place = np.nonzero(self.label[start:stop] >= 0)
+        dense[row, self.label[start:stop][row, place]] = self.votes[start:stop][row, place]
+        return dense
 
 
 @torch.no_grad()
@@ -79,14 +97,20 @@ def contributors(scene: StructuredScene, camera: Camera, count: int) -> Contribu
 
 
 class LabelVotes:
-    """Collects the votes of view after view for the G Gaussians of a finished scene."""
+    """Collects the votes of view after view for the G Gaussians of a finished scene.
+
+    A Gaussian has votes for LABELS_HELD labels at most, so that memory does not grow with the number of labels. A
+    label more takes the place of the one with the fewest votes and inherits these (the "space saving" of Metwally et
+    al. 2005): a label with more than 1 / LABELS_HELD of a Gaussian's votes is never lost.
+    """
 
     def __init__(self, scene: StructuredScene, options: VotingOptions) -> None:
         self.scene, self.options = scene, options
         channels = scene.channels
         self._labels = len(channels.class_ids) + len(channels.instance_slots)
         gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
-        self._votes = np.zeros((gaussians, self._labels), np.float32)
+        held = min(LABELS_HELD, self._labels)
+        self._held = HeldVotes(np.full((gaussians, held), -1, np.int16), np.zeros((gaussians, held), np.float32))
         self._seen = np.zeros(gaussians, np.float32)
 
     def add(self, view: Contributors, label: NDArray[np.int16], sensor: NDArray[np.float32]) -> None:
@@ -95,16 +119,17 @@ class LabelVotes:
         gap = np.maximum(options.depth_gap_m, options.depth_gap_share * sensor)
         votes = (label >= 0) & ((sensor <= 0) | (np.abs(view.depth - sensor) <= gap))
         shown = np.where(votes, label, -1).astype(np.int16)
-        _add_votes(view.gaussian, view.weight, shown, np.float32(options.power), self._seen, self._votes)
+        _add_votes(view.gaussian, view.weight, shown, np.float32(options.power), self._seen, self._held)
 
     @torch.no_grad()
     def result(self) -> GaussianLabels:
         """The likeliest labels of every Gaussian, the decoders' among them; their shares sum to 1."""
         k, kept = self.scene.anchors.gaussians_per_anchor, min(self.options.kept, self._labels)
         parts = []
-        for start in range(0, len(self.scene.anchors), CHUNK):
-            feature = self.scene.anchors.feature.detach()[start : start + CHUNK]
-            votes = torch.from_numpy(self._votes[start * k : (start + len(feature)) * k])
+        step = CHUNK * USUAL_LABELS // max(USUAL_LABELS, self._labels)
+        for start in range(0, len(self.scene.anchors), step):
+            feature = self.scene.anchors.feature.detach()[start : start + step]
+            votes = torch.from_numpy(self._held.of_all_labels(start * k, (start + len(feature)) * k, self._labels))
             if not self.scene.decoders.shape.label_view_input:  # else they say nothing without a view
                 votes = votes + self.options.prior * self._decoded(feature)
             parts.append(votes.topk(kept, dim=1))
@@ -134,10 +159,25 @@ def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributo
     return out
 
 
+@device_function
+def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
+    """Add votes for a label to those that one Gaussian holds, [L] each."""
+    least = 0
+    for place in range(len(labels)):
+        if labels[place] == label or labels[place] < 0:
+            labels[place] = label
+            votes[place] += amount
+            return
+        if votes[place] < votes[least]:
+            least = place
+    labels[least] = label
+    votes[least] += amount
+
+
 @compiled
-def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, votes: Any) -> None:
-    """Add each pixel's weights to ``votes`` [G, L], scaled so that a Gaussian has (its weight in the view)^power votes;
-    ``seen`` [G] holds zeros before and after."""
+def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, held: HeldVotes) -> None:
+    """Add each pixel's weights to the votes ``held``, scaled so that a Gaussian has (its weight in the view)^power
+    votes; ``seen`` [G] holds zeros before and after."""
     height, width, count = weight.shape
     for y in range(height):
         for x in range(width):
@@ -151,7 +191,8 @@ def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, vo
                 for c in range(count):
                     row = gaussian[y, x, c]
                     if row >= 0 and seen[row] > 0:
-                        votes[row, label[y, x]] += weight[y, x, c] * seen[row] ** (power - np.float32(1))
+                        amount = weight[y, x, c] * seen[row] ** (power - np.float32(1))
+                        _add_vote(held.label[row], held.votes[row], label[y, x], amount)
     for y in range(height):
         for x in range(width):
             for c in range(count):

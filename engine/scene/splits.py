@@ -12,6 +12,8 @@ from .layout import listed
 
 _EVERY = 8
 _FIRST = 4
+_MOST = 40
+"""More frames held out measure nothing better, and each is rendered and scored."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +38,12 @@ def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split
 
 
 def default_split(names: Sequence[str]) -> Split:
-    """Hold out every 8th frame: the 5th, the 13th, ... The first and often the last, which see the most by themselves,
-    are trained on. A scene of fewer than five frames has nothing held out.
+    """Hold out every 8th frame: the 5th, the 13th, ..., and of long recordings 40 at most. The first and often the
+    last, which see the most by themselves, are trained on. A scene of fewer than five frames has nothing held out.
     """
-    test = names[_FIRST::_EVERY]
-    train = tuple(name for index, name in enumerate(names) if index % _EVERY != _FIRST)
+    every = max(_EVERY, -(-len(names) // _MOST))
+    test = names[_FIRST::every]
+    train = tuple(name for index, name in enumerate(names) if index % every != _FIRST)
     warnings = () if test else ("there are too few frames to hold one out: nothing is measured on unseen views",)
     return Split(train, tuple(test), warnings)
 

@@ -13,10 +13,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ..machine.threads import parallel_for, worker_count
 from ..scene import Camera
 
 _BITS = 21
 _OFFSET = 1 << (_BITS - 1)
+_CHUNK = 1024
+"""Queries that a worker looks up at a time."""
 
 
 def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
@@ -80,7 +83,7 @@ class CloudIndex:
         if len(self.points) and len(flat):
             limit = (_OFFSET - 1) * self.cell_size - reach
             usable = np.isfinite(flat).all(1) & (np.abs(flat) < limit).all(1)
-            _nearest(flat, usable, self._hashed, float(reach), found)
+            parallel_for(worker_count(), _nearest, flat, usable, self._hashed, float(reach), found)
         return found.reshape(queries.shape[:-1])
 
     def nearest_of_pixels(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
@@ -113,18 +116,22 @@ def _fill_table(keys: Any, table_keys: Any, table_cells: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _nearest(queries: Any, usable: Any, hashed: HashedPoints, reach: Any, found: Any) -> None:
-    """The 27 cells around a query first; when nothing lies within one cell, every cell within reach."""
+def _nearest(
+    worker: Any, workers: Any, queries: Any, usable: Any, hashed: HashedPoints, reach: Any, found: Any
+) -> None:
+    """Every ``workers``-th chunk of the queries. The 27 cells around a query first; when nothing lies within one cell,
+    every cell within reach."""
     size = hashed.size
     rings = int(np.ceil(reach / size))
-    for q in range(queries.shape[0]):
-        if not usable[q]:
-            continue
-        best, squared = _scan(queries[q], 1, hashed, reach * reach)
-        # Beyond one cell a nearer point may lie outside the 27 cells.
-        if rings > 1 and (best < 0 or squared > size * size):
-            best, squared = _scan(queries[q], rings, hashed, reach * reach)
-        found[q] = best
+    for start in range(worker * _CHUNK, queries.shape[0], workers * _CHUNK):
+        for q in range(start, min(start + _CHUNK, queries.shape[0])):
+            if not usable[q]:
+                continue
+            best, squared = _scan(queries[q], 1, hashed, reach * reach)
+            # Beyond one cell a nearer point may lie outside the 27 cells.
+            if rings > 1 and (best < 0 or squared > size * size):
+                best, squared = _scan(queries[q], rings, hashed, reach * reach)
+            found[q] = best
 
 
 @njit(cache=True, nogil=True)

@@ -31,24 +31,29 @@ def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArr
     """
     if spacing <= 0 or cap < 1:
         raise ValueError(f"spacing and cap must be positive, got {spacing} and {cap}")
-    cells = np.zeros((0, 4))
-    pending: list[NDArray[np.float64]] = []
-    rows = 0
-    for points in batches():
-        batch = _merge_cells(np.column_stack([points, np.ones(len(points))]), spacing)
-        pending.append(batch)
-        rows += len(batch)
-        if rows > _PENDING_ROWS:
-            cells, pending, rows = _merge_cells(np.concatenate([cells, *pending]), spacing), [], 0
-    cells = _merge_cells(np.concatenate([cells, *pending]), spacing)
+    cells = merged_points(batches(), spacing)
     while len(cells) > cap:
         # Surfaces fill space as the square of the spacing; a little more, so that one or two rounds do.
         spacing *= max(1.01, math.sqrt(len(cells) / cap))
-        cells = _merge_cells(cells, spacing)
+        cells = merge_cells(cells, spacing)
     return cells[:, :3], spacing
 
 
-def _merge_cells(rows: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+def merged_points(batches: Iterable[NDArray[np.float64]], spacing: float) -> NDArray[np.float64]:
+    """Points [n, 3] a batch that share a cell become one row (mean x, y, z, weight), [K, 4], ordered by cell."""
+    cells = np.zeros((0, 4))
+    pending: list[NDArray[np.float64]] = []
+    rows = 0
+    for points in batches:
+        batch = merge_cells(np.column_stack([points, np.ones(len(points))]), spacing)
+        pending.append(batch)
+        rows += len(batch)
+        if rows > _PENDING_ROWS:
+            cells, pending, rows = merge_cells(np.concatenate([cells, *pending]), spacing), [], 0
+    return merge_cells(np.concatenate([cells, *pending]), spacing)
+
+
+def merge_cells(rows: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
     """Rows (mean x, y, z, weight) [n, 4] that share a cell become one row, ordered by cell."""
     if not len(rows):
         return rows

@@ -8,6 +8,7 @@ discards what the neighbour does not see, so that an occluder's label cannot vet
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -88,7 +89,7 @@ def views_are_sparse(views: Sequence[View], options: ConsistencyOptions) -> bool
     """Whether the step had better be skipped: the median overlap with the next view is below SPARSE_OVERLAP."""
     if len(views) < 2:
         return True
-    overlaps = [view_overlap(view, other, options) for view, other in zip(views[:-1], views[1:], strict=True)]
+    overlaps = [view_overlap(view, other, options) for view, other in itertools.pairwise(views)]
     return float(np.median(overlaps)) < SPARSE_OVERLAP
 
 

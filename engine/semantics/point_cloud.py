@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import VOID, View
+from .adaptive_spacing import ENLARGED, LabelledPoints, adapted_centres
 from .cloud_index import CloudIndex
 from .clustering import lloyd_step, seed_centres
 
@@ -24,9 +25,10 @@ Progress = Callable[[int, int], None]
 @dataclass(frozen=True)
 class CloudOptions:
     """``spacing`` of the clusters in metres (half the anchors' voxel size does well), enlarged until at most
-    ``cap`` clusters remain; ``lloyd_steps`` after seeding; a cluster whose winner has less than ``majority``
-    of the votes is unknown. ``vote_by``: in each view a cluster has as many votes as pixels ("pixels", the paper's
-    points), or the square root of that ("views"), so that a near view cannot outvote the others by its mass of pixels.
+    ``cap`` clusters remain, in very large scenes less where labels change (`adapted_centres`); ``lloyd_steps`` after
+    seeding; a cluster whose winner has less than ``majority`` of the votes is unknown. ``vote_by``: in each view a
+    cluster has as many votes as pixels ("pixels", the paper's points), or the square root of that ("views"), so that a
+    near view cannot outvote the others by its mass of pixels.
     At most about ``max_pixels`` pixels are used, every s-th row and column.
     """
 
@@ -110,6 +112,13 @@ def build_point_cloud(
             report(done, total)
 
     centres, spacing = seed_centres(batches, options.spacing, options.cap)
+    if spacing > ENLARGED * options.spacing and len(class_ids):
+        sizes = len(class_ids), options.spacing, options.cap
+
+        def labelled() -> Iterable[LabelledPoints]:
+            return (_labelled_points(view, stride, np.asarray(class_ids)) for view in views)
+
+        centres = adapted_centres(labelled, centres, spacing, *sizes)
     for _ in range(options.lloyd_steps):
         centres = lloyd_step(batches, centres, spacing)
     if not len(centres):
@@ -142,6 +151,13 @@ def _points(view: View, stride: int) -> NDArray[np.float64]:
     depth = view.depth[::stride, ::stride]
     points: NDArray[np.float64] = view.camera.unproject(view.depth)[::stride, ::stride][depth > 0]
     return points
+
+
+def _labelled_points(view: View, stride: int, class_ids: NDArray[np.int64]) -> LabelledPoints:
+    """``_points``, and the place of each one's class in ``class_ids``, -1 where it has none."""
+    label = view.mask.class_map()[::stride, ::stride][view.depth[::stride, ::stride] > 0]
+    column = np.minimum(np.searchsorted(class_ids, label), len(class_ids) - 1)
+    return _points(view, stride), np.where(class_ids[column] == label, column, -1)
 
 
 def _vote(

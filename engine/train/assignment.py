@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..instances import best_slots
 from ..machine.compiled import Array, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
+from ..scene import distinct_ids
 from .label_losses import TINY
 from .pixel_chunks import chunk_count, chunk_range
 
@@ -34,10 +35,11 @@ class ThingSegments:
     @classmethod
     def of(cls, ids: NDArray[np.integer]) -> ThingSegments:
         """From segment ids [H, W], 0 = none."""
-        present, row = np.unique(ids, return_inverse=True)
-        without = int((present == 0).any())  # 0 is the least id, so the first
-        row = (row.reshape(ids.shape) - without).astype(np.int32)
-        return cls(row, np.bincount(row[row >= 0], minlength=len(present) - without))
+        present, pixels = distinct_ids(np.asarray(ids, np.int32))
+        row = np.searchsorted(present, ids).astype(np.int32)
+        if len(present) and present[0] == 0:  # the least id, so the first
+            return cls(row - np.int32(1), pixels[1:])
+        return cls(row, pixels)
 
 
 def assigned_slots(

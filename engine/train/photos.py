@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from ..scene import photo_detail
 
 LARGEST_GAIN = 4.0
 """Of a photo against the room, and its inverse the least."""
@@ -27,63 +29,81 @@ def exposure_gains(
     ``photos`` uint8 [H, W, 3]; ``point_of_pixel`` int32 [H, W] a photo: the point of the cloud (of ``points`` points)
     that each pixel shows, -1 = none. Auto exposure and white balance multiply light, which is nearly a gain of encoded
     values too: the logarithm of a pixel is its photo's gain plus its point's colour, which least squares tell apart
-    over all pixels, twice, the second time without those that do not fit. The gains' geometric mean is 1.
+    over all pixels, twice, the second time without those that do not fit. The gains' geometric mean is 1. One photo is
+    looked at after the other: only sums are held.
     """
-    rows, photo, colour = _log_colours(photos, point_of_pixel)
-    gains = np.zeros((len(photos), 3))
-    fits = np.ones(len(rows), bool)
+    fit: _Fit | None = None
     for _ in range(2):
-        gains, points_colour = _least_squares(rows[fits], photo[fits], colour[fits], len(photos), points)
-        fits = (np.abs(colour - gains[photo] - points_colour[rows]) < OUTLIER).all(axis=1)
-    return np.exp(np.clip(gains, -np.log(LARGEST_GAIN), np.log(LARGEST_GAIN)))
+        fit = _least_squares(_log_colour_sums(photos, point_of_pixel, points, fit))
+    assert fit is not None
+    return np.exp(np.clip(fit.gains, -np.log(LARGEST_GAIN), np.log(LARGEST_GAIN)))
 
 
-def _least_squares(
-    rows: NDArray[np.int64], photo: NDArray[np.int64], colour: NDArray[np.float64], photos: int, points: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Log gains [photos, 3] of mean 0 and log colours [points, 3] whose sums are nearest to ``colour`` [n, 3], the log
-    colour that photo ``photo[i]`` gives point ``rows[i]``. The points are eliminated first."""
+class _Fit(NamedTuple):
+    """Log gains of the photos [photos, 3], of mean 0, and log colours of the points [points, 3]."""
+
+    gains: NDArray[np.float64]
+    colours: NDArray[np.float64]
+
+
+class _Sums(NamedTuple):
+    """``pixels`` sparse float64 [photos, points], how many show what; the sums of their log colours, float64, by point
+    [points, 3] and by photo [photos, 3]."""
+
+    pixels: Any
+    by_point: NDArray[np.float64]
+    by_photo: NDArray[np.float64]
+
+
+def _least_squares(sums: _Sums) -> _Fit:
+    """The fit nearest to all pixels. The points are eliminated first."""
     from scipy import sparse
 
-    seen = sparse.csr_matrix((np.ones(len(rows)), (photo, rows)), (photos, points))
+    seen = sums.pixels
     pixels = np.maximum(np.asarray(seen.sum(0)).reshape(-1), 1)
-    mean = np.column_stack([np.bincount(rows, colour[:, c], points) for c in range(3)]) / pixels[:, None]
-    total = np.column_stack([np.bincount(photo, colour[:, c], photos) for c in range(3)])
+    mean = sums.by_point / pixels[:, None]
     system = np.diag(np.asarray(seen.sum(1)).reshape(-1)) - (seen @ sparse.diags(1 / pixels) @ seen.T).toarray()
     # A photo that shares no point with another has no gain: the least solution leaves it at 0.
-    gains = np.linalg.lstsq(system, total - seen @ mean, rcond=1e-6)[0]
+    gains = np.linalg.lstsq(system, sums.by_photo - seen @ mean, rcond=1e-6)[0]
     gains -= gains.mean(axis=0)
-    shift = np.column_stack([np.bincount(rows, gains[photo, c], points) for c in range(3)]) / pixels[:, None]
-    return gains, mean - shift
+    return _Fit(gains, mean - (seen.T @ gains) / pixels[:, None])
 
 
-def _log_colours(
-    photos: Sequence[NDArray[np.uint8]], point_of_pixel: Sequence[NDArray[np.int32]]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Of all pixels neither too dark nor too bright: point int64 [n], photo int64 [n] and log colour [n, 3]."""
-    parts = []
-    for number, (photo, rows) in enumerate(zip(photos, point_of_pixel, strict=True)):
-        usable = (rows >= 0) & (photo.min(axis=2) >= DARK) & (photo.max(axis=2) <= BRIGHT)
-        colour = np.log(photo[usable].astype(np.float64))
-        parts.append((rows[usable].astype(np.int64), np.full(len(colour), number), colour))
-    rows, photo, colour = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return rows, photo, colour
+def _log_colour_sums(
+    photos: Sequence[NDArray[np.uint8]], point_of_pixel: Sequence[NDArray[np.int32]], points: int, fit: _Fit | None
+) -> _Sums:
+    """Over all pixels neither too dark nor too bright; with a ``fit``, over those that it fits."""
+    from scipy import sparse
+
+    by_point, by_photo = np.zeros((3, points)), np.zeros((len(photos), 3))
+    shown: list[NDArray[np.int64]] = []
+    counts: list[NDArray[np.int64]] = []
+    for number, (photo, point) in enumerate(zip(photos, point_of_pixel, strict=True)):
+        usable = (point >= 0) & (photo.min(axis=2) >= DARK) & (photo.max(axis=2) <= BRIGHT)
+        colour, rows = np.log(photo[usable].astype(np.float64)), point[usable].astype(np.int64)
+        if fit is not None:
+            fits = (np.abs(colour - fit.gains[number] - fit.colours[rows]) < OUTLIER).all(axis=1)
+            colour, rows = colour[fits], rows[fits]
+        for channel in range(3):
+            np.add.at(by_point[channel], rows, colour[:, channel])
+        by_photo[number] = colour.sum(axis=0)
+        unique, count = np.unique(rows, return_counts=True)
+        shown.append(unique)
+        counts.append(count)
+    ends = np.cumsum([0, *map(len, shown)])
+    pixels = (np.concatenate(counts).astype(np.float64), np.concatenate(shown), ends)
+    return _Sums(sparse.csr_matrix(pixels, (len(photos), points)), by_point.T.copy(), by_photo)
 
 
-def sharpness_weights(photos: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
+def sharpness_weights(photos: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
     """How much each photo uint8 [H, W, 3], in recording order, counts for the picture: float64 [N] in (0, 1].
 
-    A photo blurred by motion has less detail than its neighbours, which show about the same. Detail is the mean
-    absolute Laplacian over the mean brightness, so that exposure does not matter.
+    A photo blurred by motion has less detail than its neighbours, which show about the same.
     """
-    detail = np.array([_detail(photo) for photo in photos])
-    weights = np.ones(len(photos))
-    for index, own in enumerate(detail):
-        around = detail[max(index - NEIGHBOURS, 0) : index + NEIGHBOURS + 1]
+    details = np.array([photo_detail(photo) for photo in photos])
+    weights = np.ones(len(details))
+    for index, own in enumerate(details):
+        around = details[max(index - NEIGHBOURS, 0) : index + NEIGHBOURS + 1]
         weights[index] = np.clip((own / max(float(np.median(around)), 1e-9)) ** 2, LEAST_WEIGHT, 1.0)
     return weights
 
-
-def _detail(photo: NDArray[np.uint8]) -> float:
-    grey = photo.mean(axis=2, dtype=np.float32)
-    return float(np.abs(cv2.Laplacian(grey, cv2.CV_32F)).mean() / (grey.mean() + 1.0))

@@ -84,7 +84,8 @@ class Preset:
     ``most_points`` caps the semantic point cloud. ``seeded_features``: start features from colour and label of the
     anchors instead of zero; ``warm_start`` fits the decoders to them.
 
-    ``steps_a_view``: where there are many views, the steps are as many as let each be seen so often.
+    ``steps_a_view``: where there are many views, the steps are as many as let each be seen so often. At most
+    ``most_frames`` frames are trained on (0: all), see ``choose_frames``.
     ``fill_holes``: planar holes of the depth are filled before anything is placed in space. ``segment_voting``: how
     segments and points vote on the labels of objects found by agreement. ``linear_assignment``: whether a view's
     segments are assigned to slots in each step. ``fit_exposure``: each photo is compared after the model's picture was
@@ -109,7 +110,7 @@ class Preset:
     vote_by: Literal["views", "pixels"] = "views"
     majority: float = 0.0
     objects: Literal["boxes", "agreement"] = "agreement"
-    most_instances: int = 200
+    most_instances: int = 1000
     one_class_an_object: bool = True
     most_points: int = Effort.most_points
     seeded_features: bool = True
@@ -120,6 +121,7 @@ class Preset:
     weights: LossWeights = LossWeights()
     growth: GrowthRules = GrowthRules(least_visits=10)
     steps_a_view: float = 0.0
+    most_frames: int = Effort.most_frames
     fill_holes: bool = True
     consensus: ConsensusOptions = ConsensusOptions()
     segment_voting: SegmentVoting = SegmentVoting()
@@ -152,6 +154,9 @@ def _of_effort(effort: Effort, **others: Any) -> Preset:
         most_anchors=effort.most_anchors,
         schedule=Schedule(self_training_every=effort.self_training_every),
         steps_a_view=effort.steps_a_view,
+        most_frames=effort.most_frames,
+        vote_size_within=effort.vote_size_within,
+        vote_rounds=max(1, effort.vote_rounds),
         **others,
     )
 
@@ -160,7 +165,7 @@ PRESETS = {
     preset.name: preset
     for preset in (
         _of_effort(EFFORTS["preview"]),
-        _of_effort(EFFORTS["standard"], vote_size_within=(640, 640)),
+        _of_effort(EFFORTS["standard"]),
         _of_effort(
             EFFORTS["paper"],
             distance_input=True,
@@ -186,11 +191,14 @@ PRESETS = {
 }
 
 
-def chosen_preset(name: str, steps: int | None = None, size: tuple[int, int] | None = None) -> Preset:
-    """The preset of that name with the user's steps and size. Raises KeyError for a name that is none."""
+def chosen_preset(
+    name: str, steps: int | None = None, size: tuple[int, int] | None = None, frames: int | None = None
+) -> Preset:
+    """The preset of that name with the user's steps, size and number of frames (0 = all). Raises KeyError for a name
+    that is none."""
     preset = PRESETS[name]
     if steps is not None:
         preset = replace(preset, steps=steps, steps_a_view=0.0)
     if size is not None:
         preset = replace(preset, size_within=size)
-    return preset
+    return preset if frames is None else replace(preset, most_frames=frames)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,6 +12,8 @@ import torch
 from ..model.checking import Wanted, check_tensors
 from ..model.growing import GrowthStatistics
 from ..model.structured import StructuredScene, from_tensors, to_tensors
+from ..scene import Camera
+from .targets import PseudoLabels
 from .trainer import Trainer
 
 
@@ -20,11 +23,11 @@ def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, 
     tensors = {f"model.{name}": tensor for name, tensor in model.items()}
     tensors |= {f"optimiser.{name}": tensor for name, tensor in trainer.optimiser.tensors().items()}
     tensors |= {f"growth.{name}": tensor for name, tensor in trainer.statistics.tensors().items()}
-    for number, target in enumerate(trainer.targets):
-        if target.pseudo is not None:
-            tensors[f"pseudo.{number}"] = target.pseudo
-        if target.pseudo_slot is not None:
-            tensors[f"pseudo_slot.{number}"] = target.pseudo_slot
+    for number, labels in enumerate(trainer.pseudo):
+        if labels is not None:
+            tensors[f"pseudo.{number}"] = _as_tensor(labels.classes)
+            if labels.slots is not None:
+                tensors[f"pseudo_slot.{number}"] = _as_tensor(labels.slots)
     return tensors, {"step": trainer.step_number, "optimiser_steps": trainer.optimiser.count, "model": facts}
 
 
@@ -40,10 +43,7 @@ def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mappin
     trainer.optimiser.restore(_under("optimiser.", tensors), facts["optimiser_steps"])
     growth = _under("growth.", tensors)
     trainer.statistics = GrowthStatistics(**{name: tensor.clone() for name, tensor in growth.items()})
-    for number, target in enumerate(trainer.targets):
-        pseudo, slot = (tensors.get(f"{name}.{number}") for name in ("pseudo", "pseudo_slot"))
-        target.pseudo = None if pseudo is None else pseudo.clone()
-        target.pseudo_slot = None if slot is None else slot.clone()
+    trainer.pseudo = [_pseudo_labels(number, view.camera, tensors) for number, view in enumerate(trainer.views)]
     trainer.step_number = facts["step"]
     trainer.follow_anchors()
 
@@ -70,10 +70,36 @@ def _check(
     empty = GrowthStatistics.empty(scene.anchors).tensors()
     check_tensors(growth, {name: Wanted(tuple(tensor.shape), least=0.0) for name, tensor in empty.items()})
     for prefix, channels in (("pseudo.", scene.channels.class_ids), ("pseudo_slot.", scene.channels.slot_ids)):
-        maps = _under(prefix, tensors)
-        shapes = {f"{number}": tuple(target.projected.shape) for number, target in enumerate(trainer.targets)}
-        wanted = {name: Wanted(shapes[name], torch.int16, -1, len(channels) - 1) for name in maps}
-        check_tensors(maps, wanted)
+        for number, packed in _under(prefix, tensors).items():
+            if number not in {str(view) for view in range(len(trainer.views))}:
+                raise ValueError(f"its pseudo labels are of a view {number}, which this lift has not")
+            _check_packed(packed, trainer.views[int(number)].camera, len(channels))
+
+
+def _check_packed(packed: torch.Tensor, camera: Camera, channels: int) -> None:
+    """Raises ValueError unless these are compressed channel numbers of each of the camera's pixels."""
+    expected = 2 * camera.height * camera.width
+    try:
+        numbers = zlib.decompressobj().decompress(packed.numpy().tobytes(), expected + 1)
+    except zlib.error as error:
+        raise ValueError(f"its pseudo labels are damaged ({error})") from None
+    if packed.dtype != torch.uint8 or len(numbers) != expected:
+        raise ValueError("its pseudo labels are of another size")
+    labels = torch.frombuffer(bytearray(numbers), dtype=torch.int16)
+    if int(labels.min()) < -1 or int(labels.max()) >= channels:
+        raise ValueError("its pseudo labels are no channels of the model")
+
+
+def _as_tensor(packed: bytes) -> torch.Tensor:
+    return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
+
+
+def _pseudo_labels(number: int, camera: Camera, tensors: Mapping[str, torch.Tensor]) -> PseudoLabels | None:
+    classes, slots = (tensors.get(f"{name}.{number}") for name in ("pseudo", "pseudo_slot"))
+    if classes is None:
+        return None
+    shape = (camera.height, camera.width)
+    return PseudoLabels(shape, classes.numpy().tobytes(), None if slots is None else slots.numpy().tobytes())
 
 
 def _under(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

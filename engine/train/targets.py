@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import zlib
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,6 +14,38 @@ from ..model.structured import NO_OBJECT, LabelChannels
 from ..scene import Camera, View
 from .assignment import ThingSegments
 from .similarity import PhotoMoments
+
+
+@dataclass(frozen=True)
+class PseudoLabels:
+    """What self-training says of one view's pixels, packed: regions of a label compress to a hundredth.
+
+    ``classes``: bytes of semantic channels int16 [H, W], -1 = nothing; ``slots`` of instance slots with them, or None
+    where segments were given no objects.
+    """
+
+    shape: tuple[int, int]
+    classes: bytes
+    slots: bytes | None
+
+    @classmethod
+    def of(cls, classes: torch.Tensor, slots: torch.Tensor | None) -> PseudoLabels:
+        """Of channel numbers and slots, [H, W] each."""
+        height, width = classes.shape
+        return cls((height, width), _packed(classes), None if slots is None else _packed(slots))
+
+    def unpacked(self) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Classes and slots, int16 [H, W] each."""
+        classes, slots = (
+            None if packed is None else torch.frombuffer(bytearray(zlib.decompress(packed)), dtype=torch.int16)
+            for packed in (self.classes, self.slots)
+        )
+        assert classes is not None
+        return classes.view(self.shape), None if slots is None else slots.view(self.shape)
+
+
+def _packed(labels: torch.Tensor) -> bytes:
+    return zlib.compress(labels.to(torch.int16).contiguous().numpy().tobytes(), 1)
 
 
 @dataclass
@@ -42,6 +76,11 @@ class ViewTargets:
     pseudo: torch.Tensor | None = None
     pseudo_slot: torch.Tensor | None = None
 
+    def taught(self, labels: PseudoLabels) -> ViewTargets:
+        """With these pseudo labels."""
+        pseudo, pseudo_slot = labels.unpacked()
+        return replace(self, pseudo=pseudo, pseudo_slot=pseudo_slot)
+
     @property
     def semantic(self) -> torch.Tensor:
         return self.projected if self.pseudo is None else self.pseudo
@@ -54,20 +93,25 @@ class ViewTargets:
 def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...]) -> torch.Tensor:
     """Labels of any shape as channel numbers, int64: its place in ``ids`` (all >= 0), -1 for those not in it and for
     0."""
-    table = np.full(max(int(labels.max(initial=0)), max(ids, default=0)) + 1, -1, np.int64)
+    return torch.from_numpy(_places(labels, ids, np.dtype(np.int64)))
+
+
+def _places(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """``columns_of`` as an array."""
+    table = np.full(max(int(labels.max(initial=0)), max(ids, default=0)) + 1, -1, dtype)
     for column, label in enumerate(ids):
         if label:
             table[label] = column
-    return torch.from_numpy(table[np.maximum(labels, 0)])
+    return table[np.maximum(labels, 0)]
 
 
 def slots_of(instances: NDArray[np.integer], known: NDArray[np.bool_], channels: LabelChannels) -> torch.Tensor:
     """Instance ids of any shape (0 = none) as slots, int16: "no object" where none is ``known`` to be, -1 where
     nothing is known."""
     instance_ids = tuple(max(slot, 0) for slot in channels.slot_ids)
-    slots = columns_of(instances, instance_ids)
-    alone = torch.from_numpy(known & (instances == 0))
-    return torch.where(alone, channels.slot_ids.index(NO_OBJECT), slots).to(torch.int16)
+    slots = _places(instances, instance_ids, np.dtype(np.int16))
+    slots[known & (instances == 0)] = channels.slot_ids.index(NO_OBJECT)
+    return torch.from_numpy(slots)
 
 
 def view_targets(
@@ -87,7 +131,7 @@ def view_targets(
         name=view.name,
         camera=view.camera,
         photo=PhotoMoments.of(torch.from_numpy(view.colour.astype(np.float32) / 255.0)),
-        projected=columns_of(projected_class, channels.class_ids).to(torch.int16),
+        projected=torch.from_numpy(_places(projected_class, channels.class_ids, np.dtype(np.int16))),
         matched=slots_of(matched_instance, projected_class != 0, channels),
         things=ThingSegments.of(np.where(is_thing, view.mask.ids, 0)),
         depth=torch.from_numpy(view.depth if view.border is None else np.where(view.border, np.float32(0), view.depth)),

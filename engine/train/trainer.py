@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ from .losses import reconstruction_loss
 from .optimiser import Optimiser
 from .presets import Preset
 from .step_clock import StepClock
-from .targets import ViewTargets, columns_of, slots_of
+from .targets import PseudoLabels, ViewTargets, columns_of, slots_of
 
 SATURATED = 0.99
 """Where a photo is as bright as can be, the room may be brighter than what is seen of it."""
@@ -63,15 +63,16 @@ class Trainer:
     restored at step n goes on bit for bit as the one that never stopped. ``clock`` is told of the parts of a step."""
 
     def __init__(
-        self, scene: StructuredScene, targets: list[ViewTargets], views: list[View], preset: Preset, seed: int
+        self, scene: StructuredScene, targets: Sequence[ViewTargets], views: Sequence[View], preset: Preset, seed: int
     ) -> None:
         self.scene, self.targets, self.views, self.preset, self.seed = scene, targets, views, preset, seed
+        self.pseudo: list[PseudoLabels | None] = [None] * len(targets)
         self.step_number = 0
         self.clock = StepClock()
         schedule = preset.schedule
         self.growth_steps = max(round(schedule.grow_every * preset.steps), schedule.grow_every_at_least_steps)
         self.pseudo_label_steps = pseudo_label_steps(schedule.self_training_every, preset.steps)
-        self.optimiser = Optimiser(scene.anchors, scene.decoders, preset.rates, _extent(targets))
+        self.optimiser = Optimiser(scene.anchors, scene.decoders, preset.rates, _extent(views))
         self.statistics = GrowthStatistics.empty(scene.anchors)
         self.follow_anchors()
 
@@ -83,11 +84,16 @@ class Trainer:
         """Bring what is derived from the anchors up to date after they were replaced."""
         self.initial_channels = columns_of(self.scene.anchors.initial_class.numpy(), self.scene.channels.class_ids)
 
+    def target(self, number: int) -> ViewTargets:
+        """What view ``number`` is supervised with by now."""
+        pseudo = self.pseudo[number]
+        return self.targets[number] if pseudo is None else self.targets[number].taught(pseudo)
+
     def _view_of_step(self, step: int) -> ViewTargets:
         """A random order of all views, anew in each epoch."""
         epoch, place = divmod(step, len(self.targets))
         order = np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.targets))
-        return self.targets[order[place]]
+        return self.target(int(order[place]))
 
     def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
         """New pseudo labels if they are due, one optimisation step on one view, then growth if it is due.
@@ -102,9 +108,10 @@ class Trainer:
         with_labels = self.step_number % self.preset.label_every == 0
         gaussians = self._decode(target, with_labels)
         self.clock.lap("decode, forward")
-        rendering = self._rasterize(gaussians, target, with_labels)
+        columns = self._columns_to_draw(target) if with_labels else None
+        rendering = self._rasterize(gaussians, target, columns)
         self.clock.lap("rasterise, forward")
-        losses = self._losses(gaussians, rendering, target)
+        losses = self._losses(gaussians, rendering, target, columns)
         loss = losses.total.item()
         if not math.isfinite(loss):
             raise FloatingPointError(f"the loss of step {self.step_number + 1} is {loss}; the scene diverged")
@@ -135,14 +142,28 @@ class Trainer:
         unlabelled = torch.zeros(len(anchors) * anchors.gaussians_per_anchor, 1)
         return decode(anchors, decoders, target.camera, known_labels=unlabelled)
 
-    def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets, with_labels: bool = True) -> Rendering:
+    def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
+        """The label channels that the view is compared in, ascending int64: all, where segments are assigned to slots
+        by what is drawn; else those of its targets, as the losses look at no others."""
+        channels = self.scene.channels
+        classes, slots = len(channels.class_ids), len(channels.slot_ids)
+        if self.preset.linear_assignment:
+            return torch.arange(classes + slots)
+        used = torch.zeros(classes + slots + 1, dtype=torch.bool)  # the last is that of no target
+        used[target.semantic.long()] = True
+        used[torch.where(target.slot < 0, -1, target.slot.long() + classes)] = True
+        used[0] |= not used[:-1].any()  # a view without targets draws one channel, as the others draw some
+        return torch.nonzero(used[:-1]).reshape(-1)
+
+    def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets, columns: torch.Tensor | None) -> Rendering:
+        """With the label channels ``columns``, or with none."""
         return rasterize(
             gaussians.means,
             gaussians.scales,
             gaussians.quats,
             gaussians.opacities,
             gaussians.colours,
-            gaussians.labels if with_labels else None,
+            None if columns is None else gaussians.labels[:, columns],
             torch.from_numpy(target.camera.camera_to_world).float(),
             torch.from_numpy(target.camera.K).float(),
             target.camera.width,
@@ -150,8 +171,11 @@ class Trainer:
             want_means2d_grad=True,
         )
 
-    def _losses(self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets) -> Losses:
-        """L_total: what was drawn against the view's targets. Without label losses where no labels were drawn."""
+    def _losses(
+        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor | None
+    ) -> Losses:
+        """L_total: what was drawn against the view's targets. Without label losses where no labels were drawn, else
+        ``columns`` are their channels."""
         weights = self.preset.weights
         reconstruction = reconstruction_loss(
             self._as_photographed(rendering.image, target),
@@ -163,8 +187,8 @@ class Trainer:
         )
         self.clock.lap("SSIM, L1, volume")
         semantic, instance = reconstruction.new_zeros(2)
-        if rendering.labels is not None:
-            semantic, instance = self._label_losses(gaussians, rendering, target)
+        if columns is not None:
+            semantic, instance = self._label_losses(gaussians, rendering, target, columns)
         total = reconstruction + weights.semantic * semantic + weights.instance * instance
         if weights.depth:
             total = total + weights.depth * depth_loss(rendering.depth, rendering.alpha, target.depth)
@@ -191,14 +215,20 @@ class Trainer:
         self.clock.lap("decode, backward")
 
     def _label_losses(
-        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets
+        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """L_sem (the view's target and L_cluster) and L_ins (linear assignment and M_match).
 
         They stop at the blending weights, so nothing of them reaches opacity, shape or colour decoders. They do reach
         the anchors' features, which all decoders share: that is what makes labels follow what the picture shows.
+        ``columns``: the channels that were drawn.
         """
-        classes = len(self.scene.channels.class_ids)
+        channels = len(self.scene.channels.class_ids), len(self.scene.channels.slot_ids)
+        classes = int((columns < channels[0]).sum())
+        place = torch.full((sum(channels) + 1,), -1, dtype=torch.int16)  # the last is that of no target
+        place[columns] = torch.arange(len(columns), dtype=torch.int16)
+        semantic = place[target.semantic.long()]
+        slot = torch.where(target.slot < 0, -1, place[target.slot.long() + channels[0]] - classes).to(torch.int16)
         assert rendering.labels is not None  # drawn with labels
         if self.preset.linear_assignment:
             assigned = assigned_slots(
@@ -210,12 +240,10 @@ class Trainer:
             )
             self.clock.lap("linear assignment")
         else:
-            assigned = torch.full_like(target.slot, -1)
-        semantic, instance = label_losses(
-            rendering.labels, rendering.alpha, classes, target.semantic, (assigned, target.slot)
-        )
+            assigned = torch.full_like(slot, -1)
+        by_class, by_slot = label_losses(rendering.labels, rendering.alpha, classes, semantic, (assigned, slot))
         self.clock.lap("label losses")
-        return semantic + gaussians.cluster_loss, instance
+        return by_class + gaussians.cluster_loss, by_slot
 
     def _gather_statistics(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float
@@ -258,24 +286,19 @@ class Trainer:
         """
         shown = scene_labels(self.scene)
         relabel = self._panoptic_pseudo_labels if self.scene.channels.class_of_slot else self._class_pseudo_labels
-        fresh = []
-        for target, view in zip(self.targets, self.views, strict=True):
+        fresh: list[PseudoLabels | None] = []
+        for view in self.views:
             check()
-            fresh.append(relabel(view.mask, render_view(self.scene, target.camera, shown)))
-        for target, (classes, slots) in zip(self.targets, fresh, strict=True):
-            target.pseudo, target.pseudo_slot = classes, slots
+            fresh.append(relabel(view.mask, render_view(self.scene, view.camera, shown)))
+        self.pseudo = fresh
 
-    def _class_pseudo_labels(
-        self, mask: PanopticMask, rendering: PanopticRendering
-    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+    def _class_pseudo_labels(self, mask: PanopticMask, rendering: PanopticRendering) -> PseudoLabels:
         class_ids = np.array(self.scene.channels.class_ids, np.int32)
         coverage = rendering.class_coverage
         rendered = np.where(coverage.any(axis=2), class_ids[coverage.argmax(axis=2)], VOID).astype(np.int32)
-        return columns_of(pseudo_labels(mask, rendered), self.scene.channels.class_ids).to(torch.int16), None
+        return PseudoLabels.of(columns_of(pseudo_labels(mask, rendered), self.scene.channels.class_ids), None)
 
-    def _panoptic_pseudo_labels(
-        self, mask: PanopticMask, rendering: PanopticRendering
-    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+    def _panoptic_pseudo_labels(self, mask: PanopticMask, rendering: PanopticRendering) -> PseudoLabels:
         channels = self.scene.channels
         things = frozenset(channels.class_of_slot) - {VOID}
         covered = np.concatenate([rendering.class_coverage, rendering.instance_coverage], axis=2)
@@ -286,8 +309,8 @@ class Trainer:
         label[rendering.alpha <= 0] = UNKNOWN_LABEL
         agreed = segment_labels(mask, label, len(labels), self.preset.segment_voting.agreement)
         classes, instances = labels.classes(agreed), labels.objects(agreed)
-        semantic = columns_of(classes, channels.class_ids).to(torch.int16)
-        return semantic, slots_of(instances, classes != VOID, channels)
+        known = classes != VOID
+        return PseudoLabels.of(columns_of(classes, channels.class_ids), slots_of(instances, known, channels))
 
 
 def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
@@ -297,7 +320,7 @@ def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
     return frozenset(point for point in points if 0 < point < steps)
 
 
-def _extent(targets: list[ViewTargets]) -> float:
+def _extent(views: Sequence[View]) -> float:
     """1.1 times the greatest distance of a camera from the mean camera centre, metres (Scaffold-GS)."""
-    centres = np.array([target.camera.centre for target in targets])
+    centres = np.array([view.camera.centre for view in views])
     return 1.1 * max(float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()), 1e-2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...engine.job.effort import chosen_effort
-from ...engine.job.prediction import Prediction, predict
+from ...engine.job.prediction import USUAL_CLASSES, Prediction, predict
 from ..scene_survey import survey_of
 from ..settings import PLGS_PG_settings, place_of, size_of
 from . import machine_pace
@@ -20,5 +20,11 @@ def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
     effort = chosen_effort(settings.preset, settings.steps or None, size_of(settings))
     (size, _), *_ = survey.sizes
     return predict(
-        survey.train_frames, survey.test_frames, size, effort, bake=settings.bake, slowness=machine_pace.slowness()
+        survey.train_frames,
+        survey.test_frames,
+        size,
+        effort,
+        bake=settings.bake,
+        slowness=machine_pace.slowness(),
+        classes=len(survey.classes) or USUAL_CLASSES,
     )

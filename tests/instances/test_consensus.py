@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import sparse
 
 from engine.instances import ConsensusOptions, ObjectMasks, find_objects, object_instances, shown_classes
-from engine.instances.agreement import view_points
-from engine.instances.consensus import agreements
+from engine.instances.agreement import Agreement, MasksInSpace, view_points
+from engine.instances.consensus import agreements, join_agreeing, join_weight
 from engine.instances.joining import join
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
@@ -255,3 +256,21 @@ def test_a_track_does_not_outvote_the_views() -> None:
     views = [with_tracks(good(f"{i}"), {3: 1, 4: 2} if i < 3 else {3: 2, 4: 1}) for i in range(5)]
     left, right = owners(objects_in(views), LEFT, RIGHT)
     assert left != right
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.booleans())
+def test_linked_parts_are_joined_as_all_masks_at_once_would_be(seed: int, has_tracks: bool) -> None:
+    """Every mask lies inside few others; the whole array of masks by masks is what a short scan could afford."""
+    random = np.random.default_rng(seed)
+    masks, views = 40, 9
+    inside = sparse.csr_matrix((random.random((masks, masks)) < 0.03).astype(np.float32) + np.eye(masks, dtype="f4"))
+    judges = (random.random((masks, views)) < 0.6).astype(np.float32)
+    judgement = Agreement(inside, judges, judges)
+    tracks = random.integers(0, 12, masks).tolist() if has_tracks else [None] * masks
+    segments = [("view", Segment(1, CHAIR, True, track=track if track else None)) for track in tracks]
+    space = MasksInSpace(segments, random.integers(0, views, masks), np.ones(masks, bool), None, None)
+    rows = np.flatnonzero(random.random(masks) < 0.8)
+    at_once = join(join_weight(space, judgement, rows, OPTIONS))
+    assert join_agreeing(space, judgement, rows, OPTIONS).tolist() == at_once.tolist()
+    assert 1 < len(np.unique(at_once)) < len(rows)

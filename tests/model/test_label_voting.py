@@ -13,7 +13,16 @@ from hypothesis import strategies as st
 from engine.instances import PanopticLabels, decide_labels
 from engine.instances.class_first import LEAST_OF_CLASS
 from engine.model.gaussians import decode
-from engine.model.label_voting import Contributors, LabelVotes, VotingOptions, contributors, pixel_labels
+from engine.model.label_voting import (
+    LABELS_HELD,
+    Contributors,
+    HeldVotes,
+    LabelVotes,
+    VotingOptions,
+    _add_votes,
+    contributors,
+    pixel_labels,
+)
 from engine.model.render import render_view
 from engine.model.scene_labels import VotedLabels, scene_labels
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene
@@ -144,6 +153,24 @@ def test_only_the_likeliest_labels_are_kept(scene: StructuredScene) -> None:
     for each in (few, all_of_them):
         assert (each.share[:, 0] >= each.share[:, 1]).all()
         torch.testing.assert_close(each.share.sum(1), torch.ones(GAUSSIANS))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_of_many_labels_those_with_many_votes_are_never_lost(seed: int) -> None:
+    """One Gaussian, whose pixels show 200 labels; label 7 has more than a sixteenth of all votes."""
+    random = np.random.default_rng(seed)
+    label = random.integers(0, 200, 300).astype(np.int16)
+    label[random.random(300) < 0.1] = 7
+    held = HeldVotes(np.full((1, LABELS_HELD), -1, np.int16), np.zeros((1, LABELS_HELD), np.float32))
+    one = np.zeros((1, 300, 1), np.int32)
+    weight = np.ones((1, 300, 1), np.float32)
+    _add_votes(one, weight, label[None], np.float32(1.0), np.zeros(1, np.float32), held)
+    everything = held.of_all_labels(0, 1, 200)[0]
+    true = np.bincount(label, minlength=200)
+    kept = everything > 0
+    assert everything.sum() == 300 and kept.sum() == LABELS_HELD
+    assert kept[true > 300 / LABELS_HELD].all() and (everything[kept] >= true[kept]).all()
 
 
 def test_labels_that_depend_on_the_view_are_no_prior() -> None:

@@ -12,7 +12,7 @@ import torch
 from engine.job import Cancelled
 from engine.model.render import render_view
 from engine.model.structured import NO_OBJECT
-from engine.scene import ClassTable, View
+from engine.scene import Camera, ClassTable, View
 from engine.train.losses import reconstruction_loss
 from engine.train.presets import LossWeights
 from engine.train.state import restore, trainer_state
@@ -47,7 +47,7 @@ def test_a_restored_trainer_goes_on_bit_for_bit(tiny: Input, tmp_path: Path) -> 
         losses.append(whole.step().loss)
         stored[whole.step_number] = whole_state(whole)
     assert len(whole.scene.anchors) > started_with
-    assert all(target.pseudo is not None and target.pseudo_slot is not None for target in whole.targets)
+    assert all(labels is not None and labels.slots is not None for labels in whole.pseudo)
 
     # Before the first step, before any growth, between growth and pseudo labels, and after both.
     for step in (0, 2, 3, 9):
@@ -76,7 +76,9 @@ def test_label_losses_never_reach_opacity_or_shape(tiny: Input, tmp_path: Path) 
     target = trainer.targets[0]
     gaussians = trainer._decode(target)
     assert gaussians.cluster_loss > 0
-    semantic, instance = trainer._label_losses(gaussians, trainer._rasterize(gaussians, target), target)
+    columns = trainer._columns_to_draw(target)
+    rendering = trainer._rasterize(gaussians, target, columns)
+    semantic, instance = trainer._label_losses(gaussians, rendering, target, columns)
     assert semantic > 0 and instance > 0
     (semantic + instance).backward()
 
@@ -96,6 +98,23 @@ def test_without_label_losses_opacity_is_the_same(tiny: Input, tmp_path: Path) -
         trainer.step()
         moved.append([p.detach().clone() for p in trainer.scene.decoders.opacity.parameters()])
     assert all(torch.equal(one, two) for one, two in zip(*moved, strict=True))
+
+
+def test_channels_that_no_target_has_need_not_be_drawn(
+    tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The model is the same, bit for bit, after steps that draw all of them."""
+    few = trainer_of(*tiny, TINY, tmp_path)
+    drawn = few._columns_to_draw(few.target(0))
+    channels = few.scene.channels
+    everything = torch.arange(len(channels.class_ids) + len(channels.slot_ids))
+    assert 0 < len(drawn) < len(everything)
+    all_ = trainer_of(*tiny, TINY, tmp_path)
+    monkeypatch.setattr(all_, "_columns_to_draw", lambda target: everything)
+    for _ in range(5):
+        one, two = few.step(), all_.step()
+        assert one.semantic == two.semantic and one.instance == two.instance
+    assert_equal(whole_state(few)[0], whole_state(all_)[0])
 
 
 def test_pseudo_labels_are_made_at_sixths_of_the_lift() -> None:
@@ -127,14 +146,19 @@ def test_pseudo_labels_stopped_half_way_are_made_anew(tiny: Input, tmp_path: Pat
     assert_equal(trainer_state(stopped)[0], trainer_state(whole)[0])
 
 
+def far_away(camera: Camera) -> np.ndarray:
+    """The camera's pose a kilometre off."""
+    pose = camera.camera_to_world.copy()
+    pose[:3, 3] += 1000.0
+    return pose
+
+
 def test_what_is_not_rendered_has_no_say_in_pseudo_labels(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
-    camera = trainer.targets[0].camera
-    away = camera.camera_to_world.copy()
-    away[:3, 3] += 1000.0
-    trainer.targets[0].camera = replace(camera, camera_to_world=away)
+    first, *others = trainer.views
+    trainer.views = [replace(first, camera=replace(first.camera, camera_to_world=far_away(first.camera))), *others]
     trainer.refresh_pseudo_labels()
-    nothing, something = trainer.targets[0].pseudo, trainer.targets[1].pseudo
+    nothing, something = trainer.target(0).pseudo, trainer.target(1).pseudo
     assert nothing is not None and (nothing == -1).all()
     assert something is not None and (something >= 0).any()
 
@@ -144,7 +168,7 @@ def test_pseudo_labels_give_segments_a_class_and_its_object(tiny: Input, tmp_pat
     trainer.refresh_pseudo_labels()
     channels = trainer.scene.channels
     owned = 0
-    for target in trainer.targets:
+    for target in map(trainer.target, range(len(trainer.views))):
         classes, slots = target.semantic, target.slot
         assert target.pseudo is not None and target.pseudo_slot is not None
         known = classes >= 0
@@ -159,7 +183,7 @@ def test_pseudo_labels_give_segments_a_class_and_its_object(tiny: Input, tmp_pat
     assert owned > 0
     plain = trainer_of(*tiny, replace(TINY, one_class_an_object=False), tmp_path)
     plain.refresh_pseudo_labels()
-    assert all(target.pseudo is not None and target.pseudo_slot is None for target in plain.targets)
+    assert all(labels is not None and labels.slots is None for labels in plain.pseudo)
 
 
 def test_border_pixels_have_no_gradient(tiny: Input, tmp_path: Path) -> None:
@@ -214,10 +238,10 @@ def test_depth_is_brought_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
 
 def test_a_view_that_sees_nothing_does_no_harm(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
-    for target in trainer.targets:
-        away = target.camera.camera_to_world.copy()
-        away[:3, 3] += 1000.0
-        target.camera = replace(target.camera, camera_to_world=away)
+    trainer.targets = [
+        replace(target, camera=replace(target.camera, camera_to_world=far_away(target.camera)))
+        for target in trainer.targets
+    ]
     before = whole_state(trainer)[0]
     assert trainer.step().gaussians == 0
     after = trainer_state(trainer)[0]

@@ -1,0 +1,66 @@
+"""How much main memory this machine has, and how much of it is free. Standard library alone."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+CGROUP = Path("/sys/fs/cgroup")
+
+
+class MainMemory(NamedTuple):
+    """Bytes in all, and those that are free. A container's limit counts as the machine's memory."""
+
+    total: int
+    free: int
+
+
+def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> MainMemory | None:
+    """None where the system does not tell. Never raises."""
+    try:
+        if sys.platform == "win32":
+            return _of_windows()
+        if proc.exists():
+            return _within(_of_linux(proc), cgroup)
+        total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        return MainMemory(total, total)
+    except (OSError, ValueError, KeyError, IndexError):
+        return None
+
+
+def _of_linux(proc: Path) -> MainMemory:
+    """Raises OSError, ValueError, KeyError, IndexError."""
+    lines = (line.split(":") for line in proc.read_text().splitlines() if ":" in line)
+    bytes_of = {name: 1024 * int(value.split()[0]) for name, value in lines}
+    return MainMemory(bytes_of["MemTotal"], bytes_of["MemAvailable"])
+
+
+def _within(memory: MainMemory, cgroup: Path) -> MainMemory:
+    """What a container's limit leaves of it, where there is one."""
+    try:
+        limit = int((cgroup / "memory.max").read_text())
+        held = int((cgroup / "memory.current").read_text())
+    except (OSError, ValueError):  # no such file, or "max"
+        return memory
+    return MainMemory(min(memory.total, limit), min(memory.free, max(0, limit - held)))
+
+
+def _of_windows() -> MainMemory:
+    """Raises OSError."""
+    import ctypes
+
+    class Status(ctypes.Structure):
+        """MEMORYSTATUSEX of the Windows API."""
+
+        _fields_ = (
+            ("length", ctypes.c_ulong),
+            ("load", ctypes.c_ulong),
+            *((name, ctypes.c_ulonglong) for name in ("total", "free", "page", "page_free", "own", "own_free", "more")),
+        )
+
+    status = Status(length=ctypes.sizeof(Status))
+    if not ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)):  # type: ignore[attr-defined,unused-ignore]
+        raise OSError("GlobalMemoryStatusEx failed")
+    return MainMemory(int(status.total), int(status.free))
