@@ -6,7 +6,7 @@
 Passes of a finished lift from a camera of a .blend, frame by frame (the lift's own .blend and its active camera unless
 named otherwise; frames that are baked are kept):
 
-    python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--frames FIRST-LAST]
+    python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST]
 
 Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 130 Ctrl-C. What was cancelled or
 interrupted goes on with --resume.
@@ -92,7 +92,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
     shot.add_argument(
-        "--frames", type=frame_range, default=(None, None, None), metavar="FIRST-LAST[xSTEP]",
+        "--range", dest="camera_frames", type=frame_range, default=(None, None, None), metavar="FIRST-LAST[xSTEP]",
         help="such as 1-250 or 1-250x2 (default: the file's range)",
     )  # fmt: skip
     parser.add_argument("--save", type=Path, metavar="FILE.blend", help="the .blend (default: OUT/lift.blend)")
@@ -107,8 +107,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         options.bake = None  # of the lift itself, that is as it was, or the default
     elif options.scene is None:
         parser.error("SCENE is needed, unless --bake camera bakes from a lift that is finished")
-    elif options.blend or options.camera or options.frames != (None, None, None):
-        parser.error("--blend, --camera and --frames belong to --bake camera")
+    elif options.blend or options.camera or options.camera_frames != (None, None, None):
+        parser.error("--blend, --camera and --range belong to --bake camera")
     return options
 
 
@@ -190,7 +190,7 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
 
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)
-    code = bake_shot_in_terminal(lift, options.blend or blend, options.camera, options.frames, interrupts)
+    code = bake_shot_in_terminal(lift, options.blend or blend, options.camera, options.camera_frames, interrupts)
     if code != ExitCode.FINISHED:
         return code
     return build_blend(lift, blend) if options.blend is None or blend.exists() else code

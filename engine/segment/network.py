@@ -73,7 +73,7 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
         raise _not_loaded(name, download, error) from error
     labels = tuple(
         ClassLabel(int(number), str(word), is_thing_by_name(str(word)) is not False)
-        for number, word in sorted(network.config.id2label.items())
+        for number, word in sorted((network.config.id2label or {}).items())
     )
     return Mask2Former(name, labels, network.eval(), processor)
 
