@@ -221,8 +221,9 @@ class LiftFolder:
         (self.path / "request.json").unlink()  # first: what is left without it is no lift
         for path in (self.cancel_path, self.preview_request_path, self.log_path):
             path.unlink(missing_ok=True)
-        if self.result_path.is_dir():
-            shutil.rmtree(self.result_path)
+        for folder in (self.result_path, self.path / "bake"):
+            if folder.is_dir():
+                shutil.rmtree(folder)
         remove_parts(self.path)
 
     def _has_result(self) -> bool:
