@@ -13,7 +13,7 @@ from ..scene import open_scene_to_lift
 from .run_engine import run_bake, run_engine
 
 _SCENE_OPTIONS = ("masks", "mask_format", "classes", "up", "scene_format", "depth")
-_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", *_SCENE_OPTIONS, "bake", "device", "names_from")
+_REQUEST_OPTIONS = ("preset", "steps", "size", "seed", *_SCENE_OPTIONS, "bake", "device", "names_from", "set")
 
 
 def run_folder(options: argparse.Namespace) -> ExitCode:

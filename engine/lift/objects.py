@@ -25,6 +25,7 @@ from ..instances import (
     find_objects,
     limit_instances,
     match_views,
+    member_labels,
     object_classes,
     object_instances,
     regroup_pieces,
@@ -106,7 +107,20 @@ def objects_by_agreement(
         segment_labels(view.mask, of_point[row], len(final), preset.segment_voting.agreement)
         for view, row in zip(views, in_order, strict=True)
     ]
+    if preset.vote_from == "masks":
+        object_of = {(item.frame, item.segment_id): one.id for one in instances for item in one.evidence}
+        maps = [member_labels(view, final, object_of) for view in views]
     return Matching(cloud, instances, instance_of_point, dropped, maps)
+
+
+def no_objects(
+    views: Sequence[View], cloud: SemanticPointCloud, classes: ClassTable, preset: Preset, progress: StageProgress
+) -> Matching:
+    """Nothing is matched: what an instance is, the linear assignment decides while training."""
+    return Matching(cloud, [], np.zeros(len(cloud), np.int32), 0)
+
+
+MATCHINGS = {"boxes": instances_by_boxes, "agreement": objects_by_agreement, "none": no_objects}
 
 
 MasksOfClass = tuple[Sequence[MemberMask], int]

@@ -22,7 +22,8 @@ from ..machine.log_compilation import log_compilation
 from ..model.structured import StructuredScene
 from ..raster import drawing_on
 from ..scene import VOID, Frame, Scene, SceneError, View, check_scene, load_view, open_scene_to_lift, size_within
-from ..train.presets import Preset, chosen_preset
+from ..train.option_table import requested_preset
+from ..train.presets import Preset
 from ..train.progress import StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
@@ -58,7 +59,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     Raises SceneError for input that cannot be lifted, Cancelled when stopped; the folder can be resumed then.
     """
     request = folder.request
-    preset = chosen_preset(request.preset, request.steps, request.size)
+    preset = requested_preset(request)
     refuse_missing_device(request.device)
     be_repeatable(request.device)
     stages = StageReporter(events, stop, STAGES)

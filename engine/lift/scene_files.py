@@ -82,8 +82,9 @@ def read_model(folder: LiftFolder) -> StructuredScene:
 
 
 def shown_instances(prepared: PreparedLift, names: Mapping[int, str]) -> ShownInstances:
-    """Of a lift that is going on."""
-    return ShownInstances(names, prepared.class_of_instance)
+    """Of a lift that is going on. Slots that only the linear assignment gives a meaning have numbers for names."""
+    free = {one: f"object {one}" for one in prepared.scene.channels.shown_ids if one not in names}
+    return ShownInstances({**names, **free}, prepared.class_of_instance)
 
 
 def read_shown_instances(folder: LiftFolder) -> ShownInstances:
@@ -93,7 +94,7 @@ def read_shown_instances(folder: LiftFolder) -> ShownInstances:
     if "one_class_an_object" not in settings:
         what, fix = "does not tell whether an object has one class", "Lift the scene anew, into another folder."
         raise JobError(what, folder.manifest_path, fix)
-    one_class = settings["one_class_an_object"]
+    one_class = settings["one_class_an_object"] and settings.get("objects") != "none"
     class_of = {one["id"]: one["class_id"] for one in listed} if one_class else None
     return ShownInstances({one["id"]: one["name"] for one in listed}, class_of)
 

@@ -26,18 +26,22 @@ def targets_of(
     preset: Preset,
 ) -> Iterator[ViewTargets]:
     """What each view is supervised with: the labels its segments were voted, or else the projected cloud's semantic
-    mask and M_match. ``placed`` are the views with the depth that places pixels in space."""
+    mask and M_match; or what else the preset says. ``placed`` are the views with the depth that places pixels in
+    space."""
     photos = [view.colour for view in views]
     weights = sharpness_weights(photos) if preset.weigh_sharpness else np.ones(len(views))
     gains = _exposures(views, placed, matching.cloud) if preset.fit_exposure else None
     project = _voted_masks(matching) if matching.label_maps is not None else _projected_masks(matching, classes, preset)
     for number, view in enumerate(views):
         projected, matched = project(number, placed[number])
+        if preset.semantic_targets != "projected":
+            projected = view.mask.class_map() if preset.semantic_targets == "masks" else np.zeros_like(projected)
         yield view_targets(
             view,
             channels,
             projected_class=projected,
-            matched_instance=matched,
+            matched_instance=matched if preset.matched_masks else None,
+            with_segments=preset.weights.segment > 0,
             weight=float(weights[number]),
             gain=None if gains is None else gains[number],
         )

@@ -8,6 +8,7 @@ import torch
 
 from .anchors import Anchors
 from .decoders import Decoders, DecoderShape
+from .plain import PlainDecoders
 
 FORMAT = 2
 """Of model.safetensors; 1 had no slot for "no object"."""
@@ -84,7 +85,8 @@ def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredSce
     if facts.get("format") != FORMAT:
         raise ValueError(f"model format {facts.get('format')!r} is not known to this version; lift again or update")
     anchors = Anchors(**{name: tensors[f"anchors.{name}"].clone() for name in (*Anchors.LEARNT, *Anchors.FIXED)})
-    decoders = Decoders(DecoderShape(**facts["decoders"]), seed=0)
+    shape = DecoderShape(**facts["decoders"])
+    decoders = PlainDecoders(shape) if shape.plain else Decoders(shape, seed=0)
     weights = {name: tensor for name, tensor in tensors.items() if name.startswith("decoders.")}
     decoders.load_state_dict({name.removeprefix("decoders."): tensor for name, tensor in weights.items()})
     meaning = (tuple(facts[name]) for name in ("class_ids", "slot_ids", "class_of_slot"))

@@ -13,8 +13,9 @@ import torch
 from ..instances import UNKNOWN_LABEL, PanopticLabels, segment_labels
 from ..model.baking import decided_labels
 from ..model.gaussians import decode
-from ..model.growing import GrowthStatistics, grow_and_prune
+from ..model.growing import GrowthRound, GrowthStatistics, grow_and_prune
 from ..model.neural_gaussians import NeuralGaussians
+from ..model.plain import clone_split_prune, reset_opacities
 from ..model.render import render_view
 from ..model.rendering import PanopticRendering
 from ..model.scene_labels import scene_labels
@@ -28,6 +29,7 @@ from .label_losses import label_losses
 from .losses import reconstruction_loss
 from .optimiser import Optimiser
 from .presets import Preset
+from .segment_loss import segment_targets
 from .step_clock import StepClock
 from .targets import ViewTargets, columns_of, slots_of
 
@@ -131,7 +133,8 @@ class Trainer:
         """What the view's camera sees, and with labels L_cluster of it."""
         anchors, decoders = self.scene.anchors, self.scene.decoders
         if with_labels:
-            return decode(anchors, decoders, target.camera, channels=self.initial_channels)
+            channels = self.initial_channels if self.preset.weights.cluster else None
+            return decode(anchors, decoders, target.camera, channels=channels)
         unlabelled = torch.zeros(len(anchors) * anchors.gaussians_per_anchor, 1)
         return decode(anchors, decoders, target.camera, known_labels=unlabelled)
 
@@ -215,7 +218,14 @@ class Trainer:
             rendering.labels, rendering.alpha, classes, target.semantic, (assigned, target.slot)
         )
         self.clock.lap("label losses")
-        return semantic + gaussians.cluster_loss, instance
+        weights = self.preset.weights
+        if target.segments is not None:
+            wanted = segment_targets(rendering.labels, rendering.alpha, classes, target.segments)
+            nothing = torch.full_like(wanted, -1)
+            consistency, _ = label_losses(rendering.labels, rendering.alpha, classes, wanted, (nothing, nothing))
+            semantic = semantic + weights.segment * consistency
+            self.clock.lap("segment consistency")
+        return semantic + weights.cluster * gaussians.cluster_loss, instance
 
     def _gather_statistics(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float
@@ -231,17 +241,10 @@ class Trainer:
         growing = schedule.grow_from * steps < self.step_number < schedule.grow_until * steps
         if growing and self.step_number % self.growth_steps == 0:
             self._grow()
+        self._reset_if_due()
 
     def _grow(self) -> None:
-        round_ = grow_and_prune(
-            self.scene.anchors,
-            self.statistics,
-            self.preset.growth,
-            voxel_size=self.scene.voxel_size,
-            steps_between=self.growth_steps,
-            random=np.random.default_rng([self.seed, 2, self.step_number]),
-            most_anchors=self.preset.most_anchors,
-        )
+        round_ = self._growth_round(np.random.default_rng([self.seed, 2, self.step_number]))
         statistics = {name: tensor[round_.keep] for name, tensor in self.statistics.tensors().items()}
         fresh = GrowthStatistics.empty(round_.grown).tensors()
         self.statistics = GrowthStatistics(**{name: torch.cat([statistics[name], fresh[name]]) for name in fresh})
@@ -249,6 +252,35 @@ class Trainer:
         self.scene.anchors.log_scale.clamp_(max=math.log(LARGEST_SCALE))
         self.optimiser.replace_anchors(self.scene.anchors, round_.keep)
         self.follow_anchors()
+
+    def _growth_round(self, random: np.random.Generator) -> GrowthRound:
+        preset = self.preset
+        if self.scene.decoders.shape.plain:
+            return clone_split_prune(
+                self.scene.anchors,
+                self.statistics,
+                preset.plain,
+                extent=self.optimiser.extent,
+                random=random,
+                most=preset.most_anchors,
+            )
+        return grow_and_prune(
+            self.scene.anchors,
+            self.statistics,
+            preset.growth,
+            voxel_size=self.scene.voxel_size,
+            steps_between=self.growth_steps,
+            random=random,
+            most_anchors=preset.most_anchors,
+        )
+
+    def _reset_if_due(self) -> None:
+        """Opacities of plain Gaussians, as long as they grow."""
+        schedule, rules, steps = self.preset.schedule, self.preset.plain, self.preset.steps
+        every = round(rules.reset_share * steps)
+        if self.scene.decoders.shape.plain and every >= rules.reset_steps:
+            if self.step_number < schedule.grow_until * steps and self.step_number % every == 0:
+                reset_opacities(self.scene.anchors, rules)
 
     def refresh_pseudo_labels(self, check: Callable[[], None] = lambda: None) -> None:
         """Self-training: give each region of the machine's masks the label most of its pixels are rendered with.
