@@ -7,7 +7,9 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
-from ..engine.job import LiftRequest
+from ..engine.job import JobError, LiftRequest
+from ..engine.job.json_file import Json
+from ..engine.job.preset_options import parsed_options, preset_options, shown_options, shown_value
 from ..engine.job.request import LARGEST_SIDE, SMALLEST_SIDE
 from .paths import absolute
 from .running import poll_timer
@@ -92,6 +94,10 @@ class LiftOptions:
     bake: EnumProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Bake", items=_BAKES, default="test", description="Which frames become compositor passes"
     )
+    preset_options: StringProperty(  # type: ignore[valid-type]
+        options=_OPTION, name="Changed",
+        description="Any options of the preset, such as: weights.depth=0 objects=boxes; empty takes the preset's",
+    )  # fmt: skip
     lift_folder: StringProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Lift folder", subtype="DIR_PATH", update=_look_at_lift,
         description="Where the lift and its results go; empty: a new folder beside the scene's",
@@ -138,6 +144,7 @@ def size_of(settings: PLGS_PG_settings) -> tuple[int, int] | None:
 def request_of(settings: PLGS_PG_settings) -> LiftRequest:
     """What the settings ask for. Raises JobError when a value is out of range."""
     return LiftRequest(
+        options=chosen_options(settings),
         scene=absolute(settings.scene_folder),
         masks=absolute(settings.masks) if settings.masks else None,
         preset=settings.preset,
@@ -149,6 +156,30 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
         scene_format=chosen_format(settings.format),
         depth=absolute(settings.depth) if settings.depth else None,
     )
+
+
+def chosen_options(settings: PLGS_PG_settings) -> dict[str, Json]:
+    """The preset's options that the settings change. Raises JobError for a name or a value that is none."""
+    return parsed_options(settings.preset_options.split())
+
+
+def why_no_options(settings: PLGS_PG_settings) -> str | None:
+    """What is wrong with the options that the settings change; None when they can be."""
+    try:
+        chosen_options(settings)
+    except JobError as error:
+        return str(error)
+    return None
+
+
+def shown_preset(settings: PLGS_PG_settings) -> list[tuple[str, str, bool]]:
+    """Name and value of every option of the chosen preset, and whether the settings change it."""
+    try:
+        changed = chosen_options(settings)
+    except JobError:
+        changed = {}
+    values = {name: option.values[settings.preset] for name, option in preset_options().items()}
+    return [(name, shown_value(changed.get(name, value)), name in changed) for name, value in values.items()]
 
 
 def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> None:
@@ -167,6 +198,7 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "height": height,
         "seed": min(request.seed, 2**31 - 1),
         "bake": request.bake,
+        "preset_options": " ".join(shown_options(request.options)),
     }
     for name, value in asked.items():
         now = getattr(settings, name)

@@ -33,10 +33,11 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "diagnosis": {"scene", "job"},
     "export": {"scene", "job", "passes", "lift"},
     "frames": {"scene", "job"},
-    "experiments": {"scene", "job", "metrics"},
+    "experiments": {"scene", "job", "metrics", "passes", "export"},
     "segment": {"scene", "job"},
     "command_line": {
-        "gates", "scene", "job", "diagnosis", "raster", "passes", "lift", "export", "experiments", "frames", "segment",
+        "gates", "scene", "job", "diagnosis", "raster", "metrics", "passes", "train", "lift", "export", "experiments",
+        "frames", "segment",
     },
     "__main__": {"command_line"},
 }

@@ -62,7 +62,7 @@ def test_one_zip_serves_every_platform(package: Path) -> None:
         endings = {Path(name).suffix for name in zipped.namelist()}
     assert manifest["id"] == "plgs" and manifest["blender_version_min"] == "4.2.0"
     assert not {"wheels", "platforms", "blender_version_max"} & set(manifest)
-    assert endings <= {".py", ".txt", ".toml", ".md", ".csv", ""}
+    assert endings <= {".py", ".txt", ".toml", ".json", ".md", ".csv", ""}
 
 
 def test_the_zip_installs_and_registers_and_goes(package: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from ..plgs_blender.running import lifts, recents
 from ..plgs_blender.running.estimate import estimate_of
 from ..plgs_blender.running.lifts import LiftState, Watch
 from ..plgs_blender.running.start import followed_lift
-from ..plgs_blender.settings import chosen_lift
+from ..plgs_blender.settings import chosen_lift, shown_preset, why_no_options
 from .sidebar import Sidebar, Step, duration, from_panel, tell
 
 _LOG_LINES = 8
@@ -63,6 +63,22 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         column = layout.column(heading="While it lifts")
         for name in ("live_preview", "place_when_done", "keep_running"):
             column.prop(settings, name)
+
+
+class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_all_options", "All options"
+    bl_parent_id, bl_options = "PLGS_PT_lift_options", {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.plgs
+        layout.prop(settings, "preset_options")
+        refusal = why_no_options(settings)
+        if refusal is not None:
+            tell(layout, context, refusal, "ERROR")
+        column = layout.column(align=True)
+        column.scale_y = 0.7
+        for name, value, is_changed in shown_preset(settings):
+            column.label(text=f"{name}={value}", icon="CHECKMARK" if is_changed else "BLANK1")
 
 
 class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
@@ -148,4 +164,4 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
         column.label(text=line)
 
 
-CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_recent_lifts)
+CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_all_options, PLGS_PT_recent_lifts)

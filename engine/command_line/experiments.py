@@ -1,25 +1,47 @@
-"""``experiments``: the figures of many scenes in one table."""
+"""``experiments``: the figures of many lifts in tables."""
 
 from __future__ import annotations
 
 import argparse
 
-from ..experiments import Experiment, read_results, run_experiment, scenes_from
+from ..experiments import Experiment, Rows, read_results, read_rows, run_experiment, scenes_from
+from ..job import ExitCode, JobError
 from ..job.terminal import Interrupted, Interrupts
+
+SAMPLE = "sample/room"
 
 
 def experiments(options: argparse.Namespace) -> int:
-    """Lift the scenes, one process each, and print the table. Raises JobError, SceneError."""
+    """Run the rows, one process each, and print the tables. Raises JobError, SceneError."""
+    rows = read_rows()
+    if options.list:
+        print(*_listed(rows), sep="\n")
+        return ExitCode.FINISHED
+    if options.named_scenes and options.scenes:
+        raise JobError("scenes are named twice", "--scenes", "Leave one of the two out.")
     experiment = Experiment(
-        scenes=scenes_from(options.scenes, options.names),
+        scenes=scenes_from(options.named_scenes or options.scenes or [SAMPLE], options.names),
         folder=options.output,
+        rows=rows,
+        only=tuple(options.only),
         preset=options.preset,
         steps=options.steps,
-        seed=options.seed,
+        sets=tuple(options.set or ()),
+        seeds=tuple(options.seeds),
         earlier=read_results(options.against) if options.against else (),
+        page=options.report,
     )
     try:
         with Interrupts() as interrupts:
             return run_experiment(experiment, interrupts)
     except Interrupted as error:
         return error.exit_code
+
+
+def _listed(rows: Rows) -> list[str]:
+    """A line a row, under the name of its table."""
+    lines = []
+    for table, heading in rows.tables.items():
+        lines.append(f"{table}: {heading}")
+        lines += [f"    {row.name}" for row in rows.rows if row.table == table and not row.is_cited]
+    return lines

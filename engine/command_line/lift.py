@@ -14,7 +14,7 @@ from .run_engine import run_bake, run_engine
 
 _SCENE_OPTIONS = ("masks", "mask_format", "classes", "up", "scene_format", "depth")
 _REQUEST_OPTIONS = (
-    "preset", "steps", "size", "frames", "fit", "seed", *_SCENE_OPTIONS, "bake", "device", "names_from"
+    "preset", "steps", "size", "frames", "fit", "seed", *_SCENE_OPTIONS, "bake", "device", "names_from", "set"
 )  # fmt: skip
 
 

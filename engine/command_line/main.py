@@ -11,11 +11,18 @@ from pathlib import Path
 from .. import __version__
 from ..gates import printable
 from ..job import PRESETS, UPS, ExitCode, JobError
-from ..job.options import add_capture_options, add_lift_options, add_scene_options, readable
+from ..job.options import (
+    add_capture_options,
+    add_lift_options,
+    add_scene_options,
+    add_set_option,
+    preset_or_file,
+    readable,
+)
 
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
 SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
-EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh")
+EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh", "depth")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -53,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_frames(commands.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
     _add_segment(commands.add_parser("segment", help="make masks for a scene that has none"))
     _add_experiments(commands.add_parser("experiments", help="lift many scenes and show their figures in one table"))
+    _add_presets(commands.add_parser("presets", help="show the presets and all their options"))
     handshake = commands.add_parser("handshake", help="tell at once what this engine is and what it lacks")
     handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to mend it."
     handshake.set_defaults(run=_handshake)
@@ -104,6 +112,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
         "coco: COCO panoptic (panoptic.json, panoptic/). instances: 16-bit PNGs of classes and instances, and in "
         "colours. scannet: label-filt/ and instance-filt/. points: the labelled points and Gaussians (PLY). boxes: the "
         "objects' boxes (JSON, CSV). mesh: the surface, cut into a mesh an instance and one a stuff class (PLY, GLB). "
+        "depth: a map of metres a frame (NPY), as lift --depth takes it. "
         "Frames that are not baked are rendered."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
@@ -123,9 +132,19 @@ def _add_stay_with_parent(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Check a finished lift's files against its manifest and print its metrics."
-    parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
+    parser.description = (
+        "LIFT: check a finished lift's files against its manifest and print its metrics. With --predictions and "
+        "--truth: the same metrics of any labels, as COCO panoptic (panoptic.json and panoptic/) or PNGs of class ids "
+        "and of instance ids (class/ and instance/, semantic/ and instance/, gt/, rs_*, m2f_*, *-filt)."
+    )
+    parser.add_argument("lift", type=Path, nargs="?", metavar="LIFT", help="the folder of a finished lift")
+    parser.add_argument("--predictions", type=Path, metavar="FOLDER", help="labels to score")
+    parser.add_argument("--truth", type=Path, metavar="FOLDER", help="the true labels of the same frames")
+    parser.add_argument(
+        "--ids-per-frame", action="store_true", help="instance ids of the predictions mean nothing across frames"
+    )
     parser.add_argument("--classes", action="store_true", help="also class by class")
+    parser.add_argument("--json", action="store_true", help="of folders: one line of JSON, for programs")
     parser.set_defaults(run=_evaluate)
 
 
@@ -182,26 +201,49 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
 
 def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Lift every scene in a process of its own, without passes, and print one table in Markdown: machine masks, "
-        "voxel vote and the lifted model. What is finished in FOLDER is not lifted again, what was stopped goes on."
+        "Lift every scene in the ways of the rows, each in a process of its own and without passes, and print the "
+        "paper's tables in Markdown: rivals, ablations, departures. What is finished in FOLDER is not lifted again, "
+        "what was stopped goes on."
     )
-    parser.add_argument(
-        "scenes", nargs="+", metavar="SCENE[:up=AXIS]", help=f"a scene's folder; AXIS is one of {', '.join(UPS)}"
-    )
+    about = f"a scene's folder; AXIS is one of {', '.join(UPS)}"
+    parser.add_argument("scenes", nargs="*", metavar="SCENE[:up=AXIS]", help=f"{about} (default: sample/room)")
+    parser.add_argument("--scenes", nargs="+", dest="named_scenes", metavar="SCENE[:up=AXIS]", help="the same")
     parser.add_argument("--names", type=_names, metavar="A,B,..", help="what to call them (default: as their folders)")
-    parser.add_argument("--preset", choices=PRESETS, default="preview", help="as for lift (default: preview)")
+    parser.add_argument("--only", nargs="+", default=[], metavar="ROW|TABLE", help="these rows, or the rows of a table")
+    parser.add_argument("--list", action="store_true", help="tell which tables and rows there are")
+    parser.add_argument(
+        "--preset", type=preset_or_file, default="preview", metavar="NAME|FILE.toml",
+        help="as for lift (default: preview)",
+    )  # fmt: skip
+    add_set_option(parser)
     parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="start of all chance (default: 0)")
+    parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="starts of chance (default: 0)")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",
-        help="where the lifts, results.json and results.md go (default: lifts/experiments)",
+        help="where lifts, results.json, .csv and .md, plots and sheets go (default: lifts/experiments)",
     )  # fmt: skip
+    parser.add_argument("--report", type=Path, metavar="FILE.md", help="a page whose tables are brought up to date")
     parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier results.json: before -> after")
     parser.set_defaults(run=_experiments)
 
 
+def _add_presets(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Without NAME: the presets there are. With it: all options of one, in TOML; changed and saved, such a file is "
+        "what lift --preset FILE.toml takes."
+    )
+    parser.add_argument("name", nargs="?", type=preset_or_file, metavar="NAME|FILE.toml", help="a preset")
+    add_set_option(parser)
+    parser.add_argument("--json", action="store_true", help="the table of all options and their values, for programs")
+    parser.set_defaults(run=_presets)
+
+
 def _names(text: str) -> list[str]:
     return text.split(",")
+
+
+def _seeds(text: str) -> list[int]:
+    return [int(seed) for seed in text.split(",")]
 
 
 # The commands' modules load numpy and more; --help and a typing error need none of it.
@@ -226,9 +268,22 @@ def _export(options: argparse.Namespace) -> ExitCode:
 
 
 def _evaluate(options: argparse.Namespace) -> ExitCode:
-    from .evaluate import evaluate
+    from .evaluate import evaluate, evaluate_folders
 
-    return evaluate(options.lift, per_class=options.classes)
+    folders = [options.predictions, options.truth]
+    if (options.lift is None) == (None in folders) or (options.lift is not None and any(folders)):
+        raise JobError("give either LIFT, or --predictions and --truth", "evaluate", "--help tells more.")
+    if options.lift is not None:
+        return evaluate(options.lift, per_class=options.classes)
+    return evaluate_folders(
+        *folders, per_class=options.classes, ids_per_frame=options.ids_per_frame, as_json=options.json
+    )
+
+
+def _presets(options: argparse.Namespace) -> ExitCode:
+    from .presets import presets
+
+    return presets(options.name, options.set, as_json=options.json)
 
 
 def _segment(options: argparse.Namespace) -> int:

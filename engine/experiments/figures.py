@@ -1,4 +1,4 @@
-"""The figures of a finished lift: out of its metrics.json, and its time out of its events."""
+"""The figures of a finished lift: out of its metrics.json, and its time and memory out of its events."""
 
 from __future__ import annotations
 
@@ -8,57 +8,60 @@ from typing import NamedTuple
 
 from ..job import Event, EventReader, LiftFolder, read_manifest
 from ..job.json_file import Json, read_object
-from ..metrics import LIFTED, MACHINE_MASKS, VOXEL_VOTE
-
-METHODS = (MACHINE_MASKS, VOXEL_VOTE, LIFTED)
-"""In the order of the table's rows."""
+from ..metrics import LIFTED
 
 
 class Figures(NamedTuple):
-    """A row of the table: shares in [0, 1], decibels, metres, seconds; None where something was not measured.
+    """What was measured of a row: shares in [0, 1], decibels, metres, seconds; None where something was not.
 
-    ``miou`` and ``pq`` are of the mode ``strict``; ``psnr_fitted`` is PSNR after a fit of the colours.
+    ``miou`` and ``pq`` are of the mode ``strict``; ``pq_frame`` is PQ frame by frame, ``id_changes`` how often an
+    object changes its id over the held-out frames; ``psnr_fitted`` is PSNR after a fit of the colours; ``fps`` panoptic
+    frames a second, drawn and decided at the frames' own size.
     """
 
     miou: float | None = None
     pq: float | None = None
     miou_pl_compat: float | None = None
     pq_pl_compat: float | None = None
+    pq_frame: float | None = None
+    id_changes: float | None = None
     psnr: float | None = None
     psnr_fitted: float | None = None
     ssim: float | None = None
     depth_error_m: float | None = None
     seconds: float | None = None
+    peak_bytes: float | None = None
+    fps: float | None = None
 
 
 @dataclass(frozen=True)
-class SceneResult:
-    """What was measured on one scene. ``rows``: method (METHODS) to its figures; the lifted model has always a row."""
+class Result:
+    """What was measured of one row on one scene; ``steps`` 0 where nothing was trained."""
 
     scene: str
+    row: str
     preset: str
     steps: int
     seed: int
     engine_version: str
-    rows: Mapping[str, Figures]
+    figures: Figures
+
+    @property
+    def key(self) -> tuple[str, str, str, int]:
+        """What it is a result of."""
+        return self.scene, self.row, self.preset, self.seed
 
 
-def read_result(scene: str, lift: LiftFolder) -> SceneResult:
+def read_result(scene: str, row: str, preset: str, lift: LiftFolder) -> Result:
     """The figures of a finished lift. Raises JobError when its files cannot be read."""
     manifest = read_manifest(lift.result_path)
     content = read_object(lift.result_path / "metrics.json", "Delete it: the same command then makes it anew.")
     tables = content.get("tables")
-    seconds = lifting_seconds(EventReader(lift.events_path).poll())
-    rows = scores_by_method([table for table in tables if isinstance(table, dict)] if isinstance(tables, list) else [])
-    rows[LIFTED] = rows.get(LIFTED, Figures())._replace(seconds=seconds)
-    return SceneResult(
-        scene=scene,
-        preset=lift.request.preset,
-        steps=int(number(manifest.settings.get("steps")) or 0),
-        seed=manifest.seed,
-        engine_version=manifest.engine_version,
-        rows={method: rows[method] for method in METHODS if method in rows},
-    )
+    found = scores_by_method([table for table in tables if isinstance(table, dict)] if isinstance(tables, list) else [])
+    events = EventReader(lift.events_path).poll()
+    figures = found.get(LIFTED, Figures())._replace(seconds=lifting_seconds(events), **run_figures(events))
+    steps = int(number(manifest.settings.get("steps")) or 0)
+    return Result(scene, row, preset, steps, manifest.seed, manifest.engine_version, figures)
 
 
 def scores_by_method(tables: Sequence[Mapping[str, Json]]) -> dict[str, Figures]:
@@ -72,9 +75,18 @@ def scores_by_method(tables: Sequence[Mapping[str, Json]]) -> dict[str, Figures]
         if table.get("mode") == "pl_compat":
             figures = figures._replace(miou_pl_compat=labels[0], pq_pl_compat=labels[1])
         else:
-            figures = figures._replace(miou=labels[0], pq=labels[1])
+            followed = {key: number(table.get(key)) for key in ("pq_frame", "id_changes")}
+            figures = figures._replace(miou=labels[0], pq=labels[1], **followed)
         rows[method] = figures._replace(**rendered)
     return rows
+
+
+def run_figures(events: Sequence[Event]) -> dict[str, float | None]:
+    """Memory and frames a second that a lift's last run told of; the most memory of all its runs."""
+    told = [event.data["values"] for event in events if event.kind == "metric" and event.data.get("name") == "run"]
+    values = [each for each in told if isinstance(each, dict)]
+    peaks = [peak for each in values if (peak := number(each.get("peak_bytes"))) is not None]
+    return {"peak_bytes": max(peaks, default=None), "fps": number(values[-1].get("fps")) if values else None}
 
 
 def lifting_seconds(events: Sequence[Event]) -> float | None:

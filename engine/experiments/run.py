@@ -1,82 +1,163 @@
-"""One experiment: every scene lifted in a process of its own, then one table of all figures."""
+"""Experiments: each row of the tables on each scene, a lift in a process of its own, one after the other."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..job import ExitCode, JobError, LiftFolder, LiftRequest, refuse_used, write_atomically
+from .. import __version__
+from ..job import ExitCode, JobError, LiftFolder, LiftRequest, refuse_used
 from ..job.options import request_from
+from ..job.preset_options import shown_options
 from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupts
 from ..scene import open_scene
-from .figures import SceneResult, read_result
-from .results import results_text
+from .figures import Result, read_result
+from .report import write_report
+from .rivals import scores_of_rivals
+from .rows import Row, Rows
 from .scenes import SceneToLift
-from .table import markdown_table
+from .table import Tables
 
-_NO_MATCH = "Compare with results of these scenes and this preset."
+_NO_MATCH = "Compare with results of these scenes, rows and this preset."
+FIRST = "ours"
+"""The row whose lift is the preset itself: its folder has no name of a row."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Lifts of ``scenes`` into ``folder``, all with the same settings. ``earlier``: results to compare with."""
+    """Rows of the tables (``only`` some: of these names or tables) on ``scenes``, into ``folder``. All start from
+    ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value). ``earlier``: results to compare
+    with; ``page``: a Markdown file whose tables are brought up to date."""
 
     scenes: tuple[SceneToLift, ...]
     folder: Path
+    rows: Rows
+    only: tuple[str, ...] = ()
     preset: str = "preview"
     steps: int | None = None
-    seed: int = 0
-    earlier: tuple[SceneResult, ...] = ()
+    sets: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = (0,)
+    earlier: tuple[Result, ...] = ()
+    page: Path | None = None
+
+    @property
+    def preset_name(self) -> str:
+        return Path(self.preset).stem
+
+    def tables(self, results: tuple[Result, ...] = ()) -> Tables:
+        return Tables(self.rows, self.rows.chosen(self.only), results, self.earlier)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One row on one scene with one seed; ``options``: what the command ``lift`` would have been given; ``depth_of``:
+    the folder of the lift whose rendered depth it takes."""
+
+    scene: SceneToLift
+    row: Row
+    seed: int
+    options: argparse.Namespace
+    depth_of: Path | None = None
+
+    @property
+    def name(self) -> str:
+        seed = f", seed {self.seed}" if self.seed else ""
+        return f"{self.scene.name}: {self.row.name}{seed}"
 
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
-    """Lift what is not lifted yet, print the table, and write results.json and results.md; both grow lift by lift.
+    """Lift what is not lifted yet, print the tables, and write the report, which grows lift by lift.
 
     A lift that fails does not keep the others from being tried; the first one's exit code is returned. Raises JobError
     and SceneError before any lift begins, Interrupted on Ctrl-C; the same call goes on then.
     """
-    asked = [lift_options(experiment, scene) for scene in experiment.scenes]
-    refuse_bad_input(experiment, asked)
-    results: list[SceneResult] = []
+    tasks = list(tasks_of(experiment))
+    refuse_bad_input(experiment, tasks)
+    results = list(results_of_rivals(experiment))
     failed: dict[str, ExitCode] = {}
-    for number, (scene, options) in enumerate(zip(experiment.scenes, asked, strict=True), start=1):
-        print(f"{scene.name}, {experiment.preset} ({number} of {len(asked)})", file=sys.stderr)
-        lift, code = lift_in_terminal(options, interrupts, check_scene_folder)
+    for number, task in enumerate(tasks, start=1):
+        print(f"{task.name}, {experiment.preset_name} ({number} of {len(tasks)})", file=sys.stderr)
+        if task.depth_of is not None and not make_depth_maps(task.depth_of, task.options.depth):
+            failed[task.name] = ExitCode.BAD_INPUT
+            continue
+        lift, code = lift_in_terminal(task.options, interrupts, check_scene_folder)
         if code is ExitCode.CANCELLED:
             return code
         if code is not ExitCode.FINISHED:
-            failed[scene.name] = code
+            failed[task.name] = code
             continue
-        results.append(read_result(scene.name, lift))
-        write_results(experiment, results)
+        results.append(read_result(task.scene.name, task.row.name, experiment.preset_name, lift))
+        write_report(experiment.folder, experiment.tables(tuple(results)))
+    tables = experiment.tables(tuple(results))
     if results:
-        print(markdown_table(results, experiment.earlier), end="")
+        sheets = {task.name: task.options.output for task in tasks if task.name not in failed}
+        write_report(experiment.folder, tables, sheets=sheets, page=experiment.page)
+        print(tables.markdown(), end="")
     if failed:
-        print(f"Not lifted: {', '.join(failed)}. The same command tries again.", file=sys.stderr)
+        print(f"Not lifted: {'; '.join(failed)}. The same command tries again.", file=sys.stderr)
     return next(iter(failed.values()), ExitCode.FINISHED)
 
 
-def lift_options(experiment: Experiment, scene: SceneToLift) -> argparse.Namespace:
-    """What ``lift SCENE -o FOLDER/NAME-PRESET --bake none --resume`` would have been given."""
+def tasks_of(experiment: Experiment) -> Iterator[Task]:
+    """The lifts that the chosen rows need, row by row; those whose scene lacks the row's files are left out."""
+    wanted = [experiment.rows.lift_of(row) for row in experiment.rows.chosen(experiment.only)]
+    wanted += [experiment.rows.named(row.depth_from) for row in wanted if row.depth_from]
+    for row in dict.fromkeys(row.name for row in experiment.rows.rows if row in wanted and row.is_lift):
+        for scene in experiment.scenes:
+            for seed in experiment.seeds:
+                own = experiment.rows.named(row)
+                if has_files(own, scene):
+                    source = experiment.rows.named(own.depth_from) if own.depth_from else None
+                    depth_of = None if source is None else lift_folder(experiment, scene, source, seed)
+                    yield Task(scene, own, seed, lift_options(experiment, scene, own, seed), depth_of)
+
+
+def make_depth_maps(lift: Path, maps: Path) -> bool:
+    """The rendered depth of all frames of a lift, written once; False where the lift did not finish."""
+    if not (lift / "result" / "manifest.json").is_file():
+        return False
+    if not (maps / "complete").is_file():
+        from ..export import export
+
+        export(LiftFolder.open(lift), "depth", maps, ["all"])
+        (maps / "complete").touch()
+    return True
+
+
+def has_files(row: Row, scene: SceneToLift) -> bool:
+    """Whether a scene has the files that a row takes in place of the usual ones."""
+    return row.masks is None or (scene.folder / row.masks).exists()
+
+
+def lift_folder(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> Path:
+    """Where a row is lifted into."""
+    parts = [scene.name, experiment.preset_name, "" if row.name == FIRST else row.slug, f"seed{seed}" if seed else ""]
+    return experiment.folder / "-".join(part for part in parts if part)
+
+
+def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> argparse.Namespace:
+    """What ``lift SCENE -o FOLDER/SCENE-PRESET-ROW --bake none --resume`` would have been given."""
+    output = lift_folder(experiment, scene, row, seed)
     return argparse.Namespace(
         scene=scene.folder,
-        output=experiment.folder / f"{scene.name}-{experiment.preset}",
+        output=output,
         preset=experiment.preset,
+        set=[*shown_options(row.options), *experiment.sets],
         steps=experiment.steps,
         size=None,
         frames=None,
         fit=None,
-        seed=experiment.seed,
-        masks=None,
+        seed=seed,
+        masks=scene.folder / row.masks if row.masks else None,
         up=scene.up,
         scene_format=None,
         mask_format=None,
         classes=None,
-        depth=None,
+        depth=output.with_name(f"{output.name}-maps") if row.depth_from else None,
         device=None,
         names_from=None,
         bake="none",
@@ -84,20 +165,33 @@ def lift_options(experiment: Experiment, scene: SceneToLift) -> argparse.Namespa
     )
 
 
-def refuse_bad_input(experiment: Experiment, asked: Sequence[argparse.Namespace]) -> None:
+def results_of_rivals(experiment: Experiment) -> Iterator[Result]:
+    """What needs no lift, where rows ask for it. Raises SceneError when a file is bad."""
+    wanted = [row for row in experiment.rows.chosen(experiment.only) if row.method]
+    for scene in experiment.scenes:
+        for masks in dict.fromkeys(row.masks for row in wanted if has_files(row, scene)):
+            opened = open_scene(scene.folder, scene.folder / masks if masks else None, scene.up)
+            cache = experiment.folder / f"{scene.name}-{Path(masks or 'own').stem}-masks.json"
+            for method, figures in scores_of_rivals(opened, cache).items():
+                name = f"{method}, {masks}" if masks else method
+                yield Result(scene.name, name, "-", 0, 0, __version__, figures)
+
+
+def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
     """Before hours of work: raise JobError or SceneError for the first thing that is wrong."""
     if experiment.earlier:
-        known = {(result.scene, result.preset) for result in experiment.earlier}
-        if not known & {(scene.name, experiment.preset) for scene in experiment.scenes}:
-            held = ", ".join(f"{scene} {preset}" for scene, preset in sorted(known))
-            raise JobError("the earlier results have none of these scenes", held, _NO_MATCH)
-    for options in asked:
-        request = request_from(options)
-        if not (options.output / "request.json").exists():
-            refuse_used(options.output)
-            check_scene_folder(request)
+        known = {result.key[:2] for result in experiment.earlier}
+        if not known & {(task.scene.name, task.row.name) for task in tasks}:
+            held = ", ".join(f"{scene} {row}" for scene, row in sorted(known)[:9])
+            raise JobError("the earlier results have none of these scenes and rows", held, _NO_MATCH)
+    for task in tasks:
+        request = request_from(task.options)
+        output = task.options.output
+        if not (output / "request.json").exists():
+            refuse_used(output)
+            check_scene_folder(replace(request, depth=None) if task.depth_of else request)
             continue
-        lift = LiftFolder.open(options.output)
+        lift = LiftFolder.open(output)
         differing = request.differences(lift.request)  # unlike lift --resume: an option left out asks for the default
         if differing:
             fix = "Give the same options again, or choose another folder with -o."
@@ -111,14 +205,4 @@ def refuse_bad_input(experiment: Experiment, asked: Sequence[argparse.Namespace]
 
 def check_scene_folder(request: LiftRequest) -> None:
     """Raises SceneError when the scene cannot be opened."""
-    open_scene(request.scene, request.masks, request.up)
-
-
-def write_results(experiment: Experiment, results: Sequence[SceneResult]) -> None:
-    """results.json and results.md. Raises JobError when they cannot be written."""
-    try:
-        write_atomically(experiment.folder / "results.json", results_text(results))
-        write_atomically(experiment.folder / "results.md", markdown_table(results, experiment.earlier))
-    except OSError as error:
-        fix = "Make room there, or choose a folder that you may write to with -o."
-        raise JobError(f"the results cannot be written ({error.strerror})", experiment.folder, fix) from error
+    open_scene(request.scene, request.masks, request.up, request.scene_format, request.depth)

@@ -12,6 +12,7 @@ from ..job import JobError, LiftFolder, read_manifest
 from ..passes import PanopticLayers, write_coco
 from ..scene import Frame
 from .boxes import write_boxes
+from .depth_maps import write_depth_maps
 from .label_images import write_label_images, write_scannet
 from .points import write_points
 from .source import FinishedLift
@@ -59,6 +60,10 @@ def _mesh(lift: FinishedLift, output: Path) -> None:
     write_meshes(output, _shown(lift), lift.classes, lift.instances)
 
 
+def _depth(lift: FinishedLift, output: Path) -> None:
+    write_depth_maps(output, _shown(lift))
+
+
 KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
     "coco": _coco,
     "instances": _instances,
@@ -66,6 +71,7 @@ KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
     "points": _points,
     "boxes": _boxes,
     "mesh": _mesh,
+    "depth": _depth,
 }
 
 

@@ -3,7 +3,9 @@ there is no torch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -76,11 +78,17 @@ EFFORTS = {
 
 
 def chosen_effort(
-    name: str, steps: int | None = None, size: tuple[int, int] | None = None, frames: int | None = None
+    name: str,
+    steps: int | None = None,
+    size: tuple[int, int] | None = None,
+    frames: int | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> Effort:
-    """The preset's effort with the user's steps, size and number of frames (0 = all). Raises KeyError for a name that
-    is none."""
-    effort = EFFORTS[name]
+    """The preset's effort with the user's steps, size and number of frames (0 = all), and those of the user's
+    ``options`` that are of it. Raises KeyError for a name that is none."""
+    named = {option.rpartition(".")[2]: value for option, value in (options or {}).items()}
+    known = {field.name for field in fields(Effort)}
+    effort = replace(EFFORTS[name], **{option: value for option, value in named.items() if option in known})
     if steps is not None:
         effort = replace(effort, steps=steps, steps_a_view=0.0)
     if frames is not None:

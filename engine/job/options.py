@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from .errors import JobError
 from .folder import LiftFolder
+from .preset_file import read_preset_file
+from .preset_options import parsed_options, preset_options
 from .request import BAKES, DEVICES, PRESETS, UPS, LiftRequest
 
 _NONE: Mapping[str, str] = {}
-_DEFAULTS = LiftRequest(scene=Path.cwd())
+DEFAULTS = LiftRequest(scene=Path.cwd())
+"""What is lifted where nothing is said; the scene is none."""
 
 
 def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
@@ -21,10 +26,12 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     """
     parser.add_argument(
         "--preset",
-        choices=PRESETS,
+        type=preset_or_file,
+        metavar="NAME|FILE.toml",
         help=f"how much work to spend: preview takes minutes, standard tens of minutes, paper follows the paper's "
-        f"own settings (default: {_DEFAULTS.preset})",
+        f"own settings; or a file of your own, as 'presets NAME' prints one (default: {DEFAULTS.preset})",
     )
+    add_set_option(parser)
     parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
     parser.add_argument(
         "--frames", type=number_of_frames, metavar="N|all",
@@ -35,7 +42,7 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     )
     parser.add_argument("--size", type=picture_size, metavar="WxH", help="train at this picture size, such as 320x240")
     parser.add_argument(
-        "--seed", type=int, metavar="N", help=f"start of all chance: same seed, same result (default: {_DEFAULTS.seed})"
+        "--seed", type=int, metavar="N", help=f"start of all chance: same seed, same result (default: {DEFAULTS.seed})"
     )
     add_scene_options(parser)
     parser.add_argument(
@@ -45,14 +52,31 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     parser.add_argument(
         "--bake",
         choices=(*BAKES, *more_bakes),
-        help=f"which frames to render as passes: the held-out ones, all, or none (default: {_DEFAULTS.bake})"
+        help=f"which frames to render as passes: the held-out ones, all, or none (default: {DEFAULTS.bake})"
         + "".join(f"; {name}: {meaning}" for name, meaning in more_bakes.items()),
     )
     parser.add_argument(
         "--device",
         choices=DEVICES,
-        help=f"where Gaussians are drawn (default: {_DEFAULTS.device}); cuda needs gsplat, and has not run on a GPU",
+        help=f"where Gaussians are drawn (default: {DEFAULTS.device}); cuda needs gsplat, and has not run on a GPU",
     )
+
+
+def add_set_option(parser: argparse.ArgumentParser) -> None:
+    """--set: any choice of the preset."""
+    parser.add_argument(
+        "--set", action="append", metavar="NAME=VALUE",
+        help="change one of the preset's options ('presets NAME' lists them); may be given again and again",
+    )  # fmt: skip
+
+
+def preset_or_file(text: str) -> str:
+    """A preset's name, or the path of a preset file; for argparse, so it raises ArgumentTypeError."""
+    if text in PRESETS or text.endswith(".toml"):
+        return text
+    near = difflib.get_close_matches(text, PRESETS, 1)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    raise argparse.ArgumentTypeError(f"{text!r} is neither one of {', '.join(PRESETS)} nor a FILE.toml{hint}")
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
@@ -80,7 +104,7 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--up",
         choices=UPS,
-        help=f"the axis of the poses that points up (default: what the format says, else {_DEFAULTS.up})",
+        help=f"the axis of the poses that points up (default: what the format says, else {DEFAULTS.up})",
     )
     parser.add_argument(
         "--format",
@@ -128,14 +152,31 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 
     Raises JobError when a value is out of range.
     """
-    asked = ("preset", "steps", "size", "frames", "fit", "seed")
-    names = (*asked, "up", "scene_format", "mask_format", "classes", "bake", "device")
+    names = ("steps", "size", "frames", "fit", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     for name in ("masks", "depth", "names_from"):
         if getattr(options, name) is not None:
             given[name] = getattr(options, name).resolve()
+    if options.preset is not None or options.set:
+        given = {**chosen_options(options.preset, options.set or (), base or DEFAULTS), **given}
     scene = options.scene.resolve()
     return LiftRequest(scene=scene, **given) if base is None else replace(base, scene=scene, **given)
+
+
+def chosen_options(preset: str | None, sets: Sequence[str], base: LiftRequest) -> dict[str, Any]:
+    """``preset``, ``options`` and, where these give them, ``steps`` and ``size`` of a request, from the values of
+    --preset and --set. Without --preset those of --set are added to what ``base`` has. Raises JobError."""
+    name, options = (base.preset, dict(base.options)) if preset is None else (preset, {})
+    if name.endswith(".toml"):
+        name, options = read_preset_file(Path(name), PRESETS)
+    options |= parsed_options(sets)
+    known = preset_options()
+    options = {key: value for key, value in options.items() if value != known[key].values[name]}
+    own = {"steps": "steps", "size_within": "size", "most_frames": "frames"}
+    moved: dict[str, Any] = {place: options.pop(option) for option, place in own.items() if option in options}
+    if "size" in moved:
+        moved["size"] = tuple(moved["size"])
+    return {"preset": name, "options": options, **moved}
 
 
 def resumable(options: argparse.Namespace) -> LiftFolder | None:

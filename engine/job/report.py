@@ -10,7 +10,9 @@ from .folder import LiftFolder
 from .json_file import Json, read_object
 
 _SHARES = (("miou", "mIoU %"), ("pq", "PQ %"), ("sq", "SQ %"), ("rq", "RQ %"))
-_RENDERED = (
+_OTHERS = (
+    ("pq_frame", "frame PQ %", 100.0, 1),
+    ("id_changes", "id changes", 1.0, 2),
     ("psnr", "PSNR dB", 1.0, 2),
     ("psnr_fitted", "fitted", 1.0, 2),
     ("ssim", "SSIM", 1.0, 3),
@@ -24,21 +26,31 @@ _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.jso
 
 
 def metrics_table(lift: LiftFolder) -> str:
-    """metrics.json, a line for each method and mode: shares in per cent, PSNR in dB, the median error of depth in cm,
-    "fitted": after a fit of the colours. Raises JobError.
+    """metrics.json, a line for each method and mode: shares in per cent, how often an object changes its id, PSNR in
+    dB, the median error of depth in cm, "fitted": after a fit of the colours. Raises JobError.
     """
-    rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _RENDERED)]]
-    for table in _tables(lift):
+    return tables_text(_tables(lift))
+
+
+def tables_text(tables: Iterable[Mapping[str, Json]]) -> str:
+    """The tables of a metrics.json, a line each."""
+    rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _OTHERS)]]
+    for table in tables:
         shares = [_number(table.get(key), 100.0, 1) for key, _ in _SHARES]
-        rendered = [_number(table.get(key), factor, digits) for key, _, factor, digits in _RENDERED]
+        rendered = [_number(table.get(key), factor, digits) for key, _, factor, digits in _OTHERS]
         rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *rendered])
     return _aligned(rows, left=2) if len(rows) > 1 else "No metrics: they need held-out frames that have ground truth."
 
 
 def class_tables(lift: LiftFolder) -> str:
     """metrics.json class by class, a table for each method and mode that has one. Raises JobError."""
+    return classes_text(_tables(lift))
+
+
+def classes_text(tables: Iterable[Mapping[str, Json]]) -> str:
+    """The tables of a metrics.json class by class."""
     texts = []
-    for table in _tables(lift):
+    for table in tables:
         entries = [entry for entry in _list(table.get("per_class")) if isinstance(entry, dict)]
         if entries:
             heading = f"{table.get('name')}, {table.get('mode')}"

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 from .. import __version__
 from .errors import JobError
 from .json_file import Json, read_object, to_text
+from .preset_options import checked_options
 
 FORMAT = 1
 Preset = Literal["preview", "standard", "paper"]
@@ -38,7 +39,8 @@ _KEYS = {
     "device",
     "names_from",
 }
-_OVERRIDES = {"steps", "size", "frames", "fit"}
+_OVERRIDES = {"steps", "size", "frames", "fit", "options"}
+_OF_THEIR_OWN = {"steps": "steps", "size_within": "size", "most_frames": "frames"}
 _FIX = "Mend it, or delete the folder and lift again."
 
 
@@ -49,7 +51,8 @@ class LiftRequest:
     ``scene_format`` names how the scene is laid out; None leaves it to the scene's looks. ``depth`` is a folder of
     depth maps that take the place of the scene's own. ``mask_format`` names how the masks are laid out, ``classes`` the
     table of their classes: a table's name, or the absolute path of a .toml file. ``device``: where the Gaussians are
-    drawn. ``names_from`` is the folder of an earlier lift: its objects keep their names and ids.
+    drawn. ``names_from`` is the folder of an earlier lift: its objects keep their names and ids. ``options``: other
+    choices of the preset, by name (see ``preset_options``).
 
     Raises JobError when a value is out of range. Files are not looked at: that is the scene's part.
     """
@@ -70,6 +73,7 @@ class LiftRequest:
     classes: str | None = None
     device: Device = "cpu"
     names_from: Path | None = None
+    options: Mapping[str, Json] = field(default_factory=dict)
     engine_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:
@@ -95,6 +99,10 @@ class LiftRequest:
             raise JobError("is no number of frames", f"frames = {self.frames!r}", "Give a number, or 0 for all.")
         if not isinstance(self.fit, bool):
             raise JobError("is neither true nor false", f"fit = {self.fit!r}", "Leave it out, or write true.")
+        for name, other in _OF_THEIR_OWN.items():
+            if name in self.options:
+                raise JobError(f"the option {name!r} has a place of its own", "options", f"Give it as '{other}'.")
+        object.__setattr__(self, "options", checked_options(self.options))
         if not _is_int(self.seed, 0, 2**32 - 1):
             raise JobError("is no seed", f"seed = {self.seed!r}", "Give a whole number from 0 to 4294967295.")
 
@@ -109,9 +117,11 @@ class LiftRequest:
             "device": None if self.device == "cpu" else self.device,
             "names_from": None if self.names_from is None else str(self.names_from),
         }
-        frames: dict[str, object] = {} if self.frames is None else {"frames": self.frames}
+        chosen: dict[str, object] = {} if self.frames is None else {"frames": self.frames}
         if self.fit:
-            frames["fit"] = True
+            chosen["fit"] = True
+        if self.options:
+            chosen["options"] = self.options
         named = {key: value for key, value in given.items() if value is not None}
         return to_text(
             {
@@ -120,7 +130,7 @@ class LiftRequest:
                 "scene": str(self.scene),
                 "masks": None if self.masks is None else str(self.masks),
                 "preset": self.preset,
-                "overrides": {"steps": self.steps, "size": size} | frames,
+                "overrides": {"steps": self.steps, "size": size, **chosen},
                 "seed": self.seed,
                 "up": self.up,
                 "bake": self.bake,
@@ -148,8 +158,8 @@ class LiftRequest:
     def differences(self, other: LiftRequest) -> list[str]:
         """Names of what differs, the engine's version left out."""
         reading = ("up", "scene_format", "depth", "mask_format", "classes")
-        asked = ("preset", "steps", "size", "frames", "fit", "seed")
-        names = ("scene", "masks", *asked, *reading, "bake", "device", "names_from")
+        training = ("preset", "steps", "size", "frames", "fit", "seed", "options")
+        names = ("scene", "masks", *training, *reading, "bake", "device", "names_from")
         return [name for name in names if getattr(self, name) != getattr(other, name)]
 
 
@@ -176,7 +186,11 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
             raise JobError(f"'{name}' is neither a text nor null", path, _FIX)
     if not (size is None or isinstance(size, list)):
         raise JobError("'size' is neither [width, height] nor null", path, _FIX)
+    options = overrides.get("options") or {}
+    if not isinstance(options, dict):
+        raise JobError("'options' is not a JSON object", path, _FIX)
     return {
+        "options": options,
         "scene": Path(str(content["scene"])),
         "masks": None if masks is None else Path(str(masks)),
         **{name: content.get(name) for name in ("scene_format", "mask_format", "classes")},

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import median
 
 from ..job import EventWriter, LiftFolder, write_atomically
 from ..metrics.report import LIFTED, PredictedView, Report, add_rivals
@@ -85,10 +88,12 @@ def bake_and_evaluate(
     baked_names = {frame.name for frame in wanted}
     frames = wanted or scene.test_frames  # what is wanted has those held out among it, or is nothing
     shown = {scene.test_frames[index].name for index in chosen(len(scene.test_frames))}
-    report, rows = Report(scene.classes), []
+    report, rows, seconds = Report(scene.classes), [], []
     with stages.stage("bake") as progress:
         for done, frame in enumerate(frames, start=1):
+            began = time.monotonic()
             view = baker.render(frame.camera)
+            seconds.append(time.monotonic() - began)
             if frame.name in baked_names:
                 baker.write(folder, frame.name, view, events)
             if frame.held_out:
@@ -104,3 +109,15 @@ def bake_and_evaluate(
     with stages.stage("evaluate") as progress:
         add_rivals(report, scene, progress)
         write_atomically(folder.result_path / "metrics.json", json.dumps(report.to_json(), indent=1) + "\n")
+        fps = 1 / median(seconds) if seconds and median(seconds) > 0 else None
+        events.metric("run", {"fps": fps, "peak_bytes": peak_bytes()})
+
+
+def peak_bytes() -> int | None:
+    """The most memory that this process has held; None where the system does not tell (Windows)."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else 1024 * most

@@ -25,6 +25,7 @@ from ..instances import (
     find_objects,
     limit_instances,
     match_views,
+    member_labels,
     object_classes,
     object_instances,
     regroup_pieces,
@@ -116,6 +117,9 @@ def objects_by_agreement(
     final = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in instances))
     of_point = final.of_points(cloud.class_id, instance_of_point)
     maps = view_labels(views, rows, of_point, len(final), preset.segment_voting.agreement)
+    if preset.vote_from == "masks":
+        object_of = {(item.frame, item.segment_id): one.id for one in instances for item in one.evidence}
+        maps = OnDemand(len(views), lambda number: member_labels(views[number], final, object_of))
     return Matching(cloud, instances, instance_of_point, dropped, stored(maps, scratch), rows)
 
 
@@ -126,6 +130,21 @@ def point_of_pixels(
     ``scratch``."""
     index, reach = cloud.index(), 2 * cloud.spacing
     return stored((index.nearest_of_pixels(view.camera, view.depth, reach) for view in views), scratch)
+
+
+def no_objects(
+    views: Sequence[View],
+    cloud: SemanticPointCloud,
+    classes: ClassTable,
+    preset: Preset,
+    progress: StageProgress,
+    scratch: Path | None = None,
+) -> Matching:
+    """Nothing is matched: what an instance is, the linear assignment decides while training."""
+    return Matching(cloud, [], np.zeros(len(cloud), np.int32), 0)
+
+
+MATCHINGS = {"boxes": instances_by_boxes, "agreement": objects_by_agreement, "none": no_objects}
 
 
 MasksOfClass = tuple[Sequence[MemberMask], int]

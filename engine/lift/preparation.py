@@ -28,7 +28,7 @@ from ..semantics import (
 from ..train.presets import Preset
 from ..train.progress import StageProgress, StageReporter
 from ..train.targets import ViewTargets
-from .objects import instances_by_boxes, objects_by_agreement
+from .objects import MATCHINGS
 from .starting_scene import label_channels, starting_scene
 from .targets_of_views import targets_of
 
@@ -64,8 +64,7 @@ def prepare(
         placed = filled_views(views, scratch) if preset.fill_holes else views
         cloud = semantic_cloud(placed, class_ids, preset, stages.events, progress)
     with stages.stage("match") as progress:
-        match = objects_by_agreement if preset.objects == "agreement" else instances_by_boxes
-        matching = match(placed, cloud, classes, preset, progress, scratch)
+        matching = MATCHINGS[preset.objects](placed, cloud, classes, preset, progress, scratch)
         if matching.dropped:
             found = len(matching.instances) + matching.dropped
             stages.events.warning(f"the {matching.dropped} smallest of {found} instances are left out")
@@ -73,7 +72,7 @@ def prepare(
     viewpoints = np.array([view.camera.centre for view in views])
     scene = starting_scene(matching.cloud, matching.instance_of_point, channels, viewpoints, preset, seed)
     targets = targets_of(views, placed, matching, channels, classes, preset, scratch)
-    class_of_instance = {one.id: one.class_id for one in matching.instances} if preset.one_class_an_object else None
+    class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
     return PreparedLift(
         scene,
         targets,

@@ -37,7 +37,8 @@ from ..scene import (
     read_ahead,
     size_within,
 )
-from ..train.presets import Preset, chosen_preset
+from ..train.option_table import requested_preset
+from ..train.presets import Preset
 from ..train.progress import StageProgress, StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
@@ -74,7 +75,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     Raises SceneError for input that cannot be lifted, Cancelled when stopped; the folder can be resumed then.
     """
     request = folder.request
-    preset = chosen_preset(request.preset, request.steps, request.size, request.frames)
+    preset = requested_preset(request)
     refuse_missing_device(request.device)
     be_repeatable(request.device)
     stages = StageReporter(events, stop, STAGES)

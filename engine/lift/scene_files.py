@@ -84,8 +84,9 @@ def read_model(folder: LiftFolder) -> StructuredScene:
 
 
 def shown_instances(prepared: PreparedLift, names: Mapping[int, str]) -> ShownInstances:
-    """Of a lift that is going on."""
-    return ShownInstances(names, prepared.class_of_instance)
+    """Of a lift that is going on. Slots that only the linear assignment gives a meaning have numbers for names."""
+    free = {one: f"object {one}" for one in prepared.scene.channels.shown_ids if one not in names}
+    return ShownInstances({**names, **free}, prepared.class_of_instance)
 
 
 def read_shown_instances(folder: LiftFolder) -> ShownInstances:
@@ -100,7 +101,8 @@ def read_shown_instances(folder: LiftFolder) -> ShownInstances:
         names = {_id(one["id"]): str(one["name"]) for one in listed}
     except (KeyError, TypeError, ValueError) as error:
         raise JobError(f"cannot be read ({error!r})", path, fix) from error
-    return ShownInstances(names, class_of if settings["one_class_an_object"] else None)
+    one_class = settings["one_class_an_object"] and settings.get("objects") != "none"
+    return ShownInstances(names, class_of if one_class else None)
 
 
 def read_instances(folder: LiftFolder) -> list[dict[str, Any]]:

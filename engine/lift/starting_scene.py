@@ -12,6 +12,7 @@ from ..instances import GlobalInstance
 from ..model.anchors import initial_anchors
 from ..model.decoders import Decoders, DecoderShape
 from ..model.features import seeded_features
+from ..model.plain import PlainDecoders, plain_gaussians, plain_shape
 from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
 from ..scene import VOID
 from ..semantics import SemanticPointCloud, label_anchors, voxelise
@@ -21,7 +22,9 @@ from ..train.warm_start import warm_start
 
 def label_channels(class_ids: tuple[int, ...], instances: Sequence[GlobalInstance], preset: Preset) -> LabelChannels:
     """A channel for every class, and a slot for every instance, for "no object", and spare ones up to the preset's
-    least number of slots."""
+    least number of slots. Where nothing was matched all slots but that for "no object" may be shown."""
+    if preset.objects == "none":
+        return LabelChannels(class_ids, (*range(1, preset.instance_slots + 1), NO_OBJECT))
     ids = [instance.id for instance in instances]
     spare = max(0, preset.instance_slots - len(ids))
     slots = (*ids, NO_OBJECT, *[SPARE] * spare)
@@ -42,8 +45,14 @@ def starting_scene(
     """Anchors on the semantic point cloud; decoders drawn from the seed, then fitted to them if the preset says so."""
     positions = voxelise(cloud.xyz, preset.voxel_size)
     classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
+    if not preset.labelled_start:
+        classes, owners = np.zeros_like(classes), np.zeros_like(owners)
     nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
     rgb = np.where(nearest[:, None] >= 0, cloud.rgb[nearest], 128).astype(np.uint8)
+    if preset.representation == "plain":
+        plain = plain_shape(len(channels.class_ids), len(channels.slot_ids))
+        gaussians = plain_gaussians(positions, classes, rgb, plain)
+        return StructuredScene(gaussians, PlainDecoders(plain), channels, preset.voxel_size)
     feature = np.zeros((len(positions), preset.features), np.float32)
     if preset.seeded_features:
         feature = seeded_features(rgb, classes, owners, features=preset.features, seed=seed)

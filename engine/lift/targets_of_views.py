@@ -28,8 +28,8 @@ def targets_of(
     scratch: Path | None = None,
 ) -> OnDemand[ViewTargets]:
     """What each view is supervised with: the labels its segments were voted, or else the projected cloud's semantic
-    mask and M_match. ``placed`` are the views with the depth that places pixels in space. A view's are made when they
-    are asked for; ``scratch`` is where temporary files go."""
+    mask and M_match; or what else the preset says. ``placed`` are the views with the depth that places pixels in
+    space. A view's are made when they are asked for; ``scratch`` is where temporary files go."""
     weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
     gains = _exposures(views, placed, matching, scratch) if preset.fit_exposure else None
     if matching.label_maps is not None:
@@ -38,12 +38,16 @@ def targets_of(
         masks = _projected_masks(placed, matching, classes, preset, scratch)
 
     def targets(number: int) -> ViewTargets:
+        view = views[number]
         projected, matched = masks(number)
+        if preset.semantic_targets != "projected":
+            projected = view.mask.class_map() if preset.semantic_targets == "masks" else np.zeros_like(projected)
         return view_targets(
-            views[number],
+            view,
             channels,
             projected_class=projected,
-            matched_instance=matched,
+            matched_instance=matched if preset.matched_masks else None,
+            with_segments=preset.weights.segment > 0,
             weight=float(weights[number]),
             gain=None if gains is None else gains[number],
         )

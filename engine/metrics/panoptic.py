@@ -63,14 +63,14 @@ class PanopticScores:
 
 
 class PanopticEvaluation:
-    """Takes view after view and keeps only how many pixels each pair of segments shares."""
+    """Takes view after view and keeps only how many ``pixels`` each pair of segments shares."""
 
     def __init__(self, classes: ClassTable, mode: Mode) -> None:
         if mode not in MODES:
             raise ValueError(f"unknown mode {mode!r}: choose one of {', '.join(MODES)}")
         self.classes = classes
         self.mode: Mode = mode
-        self._pixels: Counter[Pair] = Counter()
+        self.pixels: Counter[Pair] = Counter()
 
     def add(
         self,
@@ -78,8 +78,8 @@ class PanopticEvaluation:
         pred_instance: NDArray[np.integer],
         gt_semantic: NDArray[np.integer],
         gt_instance: NDArray[np.integer],
-    ) -> None:
-        """Count one view: class ids and instance ids, integer [H, W] each; 0 = void, none.
+    ) -> dict[Pair, int]:
+        """Count one view: class ids and instance ids, integer [H, W] each; 0 = void, none. Returns its shared pixels.
 
         Classes that the table does not have count as void. Raises ValueError when shapes differ (in
         ``pl_compat`` prediction and ground truth may have different sizes) or an id is negative.
@@ -92,13 +92,14 @@ class PanopticEvaluation:
             raise ValueError(f"prediction and ground truth differ in size: {shapes}")
         predicted, true = self._segments(maps[0], maps[1]), self._segments(maps[2], maps[3])
         valid = (true >> 32) != VOID
-        for pair, pixels in _shared_pixels(predicted[valid], true[valid]).items():
-            self._pixels[pair] += pixels
+        shared = _shared_pixels(predicted[valid], true[valid])
+        self.pixels.update(shared)
+        return shared
 
     @property
     def is_empty(self) -> bool:
         """Whether no pixel with ground truth was added yet."""
-        return not self._pixels
+        return not self.pixels
 
     def _segments(self, semantic: NDArray[np.integer], instance: NDArray[np.integer]) -> NDArray[np.int64]:
         """Class and instance packed into one int64 a pixel, flat; stuff has no instance."""
@@ -114,10 +115,10 @@ class PanopticEvaluation:
         if self.is_empty:
             raise ValueError("nothing to score: no pixel has ground truth")
         ids = (VOID, *self.classes.ids)
-        areas = _ClassAreas.of(self._pixels)
+        areas = _ClassAreas.of(self.pixels)
         in_miou = {c for c in ids if areas.is_kept_for_miou(c, self.mode)}
         in_pq = {c for c in ids if areas.is_kept_for_pq(c, self.mode)}
-        matches = _match(self._pixels, in_pq, excuse_void=self.mode == "pl_compat")
+        matches = _match(self.pixels, in_pq, excuse_void=self.mode == "pl_compat")
         rows = tuple(
             matches.score(
                 class_id=c,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..scene import ClassTable, Frame, GroundTruth, PanopticMask, Scene, load_view
 from .depths import DepthErrors
+from .frame_quality import FrameQuality, IdChanges
 from .images import PictureScores, score_picture
 from .panoptic import MODES, PanopticEvaluation, PanopticScores
 from .voxel_vote import VoxelMap, VoxelVote
@@ -27,7 +28,11 @@ VOTING_WIDTH = 320
 MOST_VOTERS = 500
 """Of more training views so many vote, evenly spread: every voxel has had its votes by then."""
 
-_NO_LABEL_SCORES: dict[str, object] = {"mode": None, "miou": None, "pq": None, "sq": None, "rq": None, "per_class": []}
+_FOLLOWED = ("pq_frame", "id_changes")
+_NO_LABEL_SCORES: dict[str, object] = {
+    "per_class": [],
+    **dict.fromkeys(("mode", "miou", "pq", "sq", "rq", *_FOLLOWED)),
+}
 
 Progress = Callable[[int, int], None]
 """Called with (done, total) after each view; may raise to stop."""
@@ -49,12 +54,29 @@ class PredictedView:
     alpha: NDArray[np.float32] | None = None
 
 
+class _Labels:
+    """What is kept of a method's labels: the two modes, PQ frame by frame, and how often objects change their ids."""
+
+    def __init__(self, classes: ClassTable) -> None:
+        self.modes = {mode: PanopticEvaluation(classes, mode) for mode in MODES}
+        self.frames, self.ids = FrameQuality(classes), IdChanges(classes)
+
+    def add(self, view: PredictedView, truth: GroundTruth) -> None:
+        maps = (view.semantic, view.instance, truth.semantic, truth.instance)
+        shared = {mode: evaluation.add(*maps) for mode, evaluation in self.modes.items()}
+        self.frames.add(shared["strict"])
+        self.ids.add(shared["strict"])
+
+    def followed(self) -> dict[str, float | None]:
+        return dict(zip(_FOLLOWED, (self.frames.pq, self.ids.per_object), strict=True))
+
+
 class Report:
     """Collects scores, view after view and method after method, and writes them as tables."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
-        self._labels: dict[str, list[PanopticEvaluation]] = {}
+        self._labels: dict[str, _Labels] = {}
         self._pictures: dict[str, list[PictureScores]] = {}
         self._depths: dict[str, DepthErrors] = {}
         self._frames: list[str] = []
@@ -74,13 +96,15 @@ class Report:
             errors = self._depths.setdefault(method, DepthErrors())
             errors.add(view.depth, view.alpha, frame.depth(frame.size))
         if frame.read_ground_truth is not None:
-            self._add_labels(method, view, frame.read_ground_truth(frame.size))
+            self.add_labels(method, frame.name, view, frame.read_ground_truth(frame.size))
 
-    def _add_labels(self, method: str, view: PredictedView, truth: GroundTruth) -> None:
+    def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
+        """Score the labels of one view. Raises ValueError when the view has not the size of its ground truth."""
+        if frame not in self._frames:
+            self._frames.append(frame)
         if method not in self._labels:
-            self._labels[method] = [PanopticEvaluation(self.classes, mode) for mode in MODES]
-        for evaluation in self._labels[method]:
-            evaluation.add(view.semantic, view.instance, truth.semantic, truth.instance)
+            self._labels[method] = _Labels(self.classes)
+        self._labels[method].add(view, truth)
 
     def to_json(self) -> dict[str, object]:
         """metrics.json: shares in [0, 1] (percent nowhere), decibels, metres, null where something was not measured."""
@@ -94,9 +118,12 @@ class Report:
     def _tables(self, method: str) -> Iterator[dict[str, object]]:
         """One table a mode; just one, without a mode, when no labels could be scored."""
         rendered = {**self._picture_scores(method), **self._depth_scores(method)}
-        scores = [evaluation.result() for evaluation in self._labels.get(method, []) if not evaluation.is_empty]
+        labels = self._labels.get(method)
+        scores = [] if labels is None else [one.result() for one in labels.modes.values() if not one.is_empty]
         for score in scores:
-            yield {"name": method, **_label_scores(score), **rendered}
+            assert labels is not None
+            followed = labels.followed() if score.mode == "strict" else dict.fromkeys(_FOLLOWED)
+            yield {"name": method, **_label_scores(score), **followed, **rendered}
         if not scores and any(value is not None for value in rendered.values()):
             yield {"name": method, **_NO_LABEL_SCORES, **rendered}
 

@@ -18,6 +18,7 @@ class DecoderShape:
 
     ``distance_input`` feeds the distance to the camera beside the direction, as the paper's formula has it;
     ``label_view_input`` feeds both to the label decoders too. Off, an object's label cannot depend on who looks at it.
+    ``plain``: there are no decoders, see ``engine/model/plain.py``.
     """
 
     features: int
@@ -26,6 +27,7 @@ class DecoderShape:
     instance_slots: int
     distance_input: bool
     label_view_input: bool
+    plain: bool = False
 
     @property
     def view_inputs(self) -> int:

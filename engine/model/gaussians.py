@@ -16,6 +16,7 @@ from .anchors import Anchors
 from .decoders import Decoders
 from .decoding.native import decode_natively
 from .neural_gaussians import NeuralGaussians
+from .plain import decode_plain
 from .torch_decoding import decode_in_torch
 
 VARIABLE = "PLGS_DECODER_KERNELS"
@@ -76,7 +77,10 @@ def decode(
     The rest is as for ``decode_rows``.
     """
     centre = torch.from_numpy(camera.centre.copy()).to(anchors.position)
-    visible = visible_anchors(anchors, camera)
+    if decoders.shape.plain:  # they have moved away from where they began
+        visible = torch.arange(len(anchors))
+    else:
+        visible = visible_anchors(anchors, camera)
     return decode_rows(anchors, decoders, visible, centre, channels=channels, known_labels=known_labels)
 
 
@@ -95,6 +99,8 @@ def decode_rows(
     ``known_labels`` float32 [M * k, L]: what every Gaussian shows, decoded before (see ``SceneLabels``); then labels
     are rows of it and have no gradient, and there is no cluster loss.
     """
+    if decoders.shape.plain:
+        return decode_plain(anchors, decoders, visible, channels, known_labels)
     decode_with = decode_natively if _wants_kernels() and _kernels_fit(anchors.feature) else decode_in_torch
     return decode_with(anchors, decoders, visible, centre, channels, known_labels)
 

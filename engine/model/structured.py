@@ -9,6 +9,7 @@ import torch
 from .anchors import Anchors
 from .checking import check_model
 from .decoders import Decoders, DecoderShape
+from .plain import PlainDecoders
 
 FORMAT = 2
 """Of model.safetensors; 1 had no slot for "no object"."""
@@ -88,7 +89,8 @@ def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredSce
         raise ValueError(f"model format {facts.get('format')!r} is not known to this version; lift again or update")
     check_model(tensors, facts)
     anchors = Anchors(**{name: tensors[f"anchors.{name}"].clone() for name in (*Anchors.LEARNT, *Anchors.FIXED)})
-    decoders = Decoders(DecoderShape(**facts["decoders"]), seed=0)
+    shape = DecoderShape(**facts["decoders"])
+    decoders = PlainDecoders(shape) if shape.plain else Decoders(shape, seed=0)
     weights = {name: tensor for name, tensor in tensors.items() if name.startswith("decoders.")}
     decoders.load_state_dict({name.removeprefix("decoders."): tensor for name, tensor in weights.items()})
     meaning = (tuple(facts[name]) for name in ("class_ids", "slot_ids", "class_of_slot"))

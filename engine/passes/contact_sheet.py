@@ -146,3 +146,20 @@ def _text_width(text: str) -> int:
 
     (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
     return int(width)
+
+
+def first_row(sheet: Path, caption: str) -> Picture:
+    """The first frame's row of a sheet that was written, uint8 [H, W, 3], under a caption. Raises OSError."""
+    import cv2
+
+    stored = cv2.imread(str(sheet))
+    if stored is None:
+        raise OSError(f"{sheet} is no picture")
+    picture = np.asarray(stored, np.uint8)[..., ::-1]
+    top = MARGIN + HEADING
+    tiles = picture[top:, MARGIN : MARGIN + TILE_WIDTH]
+    gap = (tiles == np.array(BACKGROUND, np.uint8)).all(axis=(1, 2))
+    height = int(gap.argmax()) if gap.any() else len(tiles)
+    band = _blank(HEADING, picture.shape[1])
+    _write(band, caption, (MARGIN + 2, HEADING - 12), TEXT)
+    return np.concatenate([band, picture[top : top + height]])

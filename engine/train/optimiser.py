@@ -47,8 +47,10 @@ class Optimiser:
     def _groups(self) -> Iterator[tuple[str, list[torch.Tensor]]]:
         for name in Anchors.LEARNT:
             yield name, [getattr(self.anchors, name).requires_grad_()]
+        networks = dict(self.decoders.named_children())  # none of plain Gaussians
         for name in DECODERS:
-            yield name, list(getattr(self.decoders, name).parameters())
+            if name in networks:
+                yield name, list(networks[name].parameters())
 
     def _named(self) -> Iterator[tuple[str, torch.Tensor]]:
         for name in Anchors.LEARNT:

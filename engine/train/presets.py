@@ -15,6 +15,7 @@ from ..instances.segment_votes import SegmentVoting
 from ..job.effort import EFFORTS, Effort
 from ..model.growing import GrowthRules
 from ..model.label_voting import VotingOptions
+from ..model.plain import PlainRules
 
 
 @dataclass(frozen=True)
@@ -50,13 +51,16 @@ class LearningRates:
 @dataclass(frozen=True)
 class LossWeights:
     """lambda_ssim, lambda_vol, lambda_sem, lambda_ins of the paper's section "Implementation Details"; ``depth`` is
-    ours (see ``depth_loss``)."""
+    ours (see ``depth_loss``). Within L_sem, ``cluster`` weighs L_cluster, and ``segment`` the consistency of segments,
+    which is Panoptic Lifting's (see ``segment_targets``)."""
 
     ssim: float = 0.2
     volume: float = 0.001
     semantic: float = 0.2
     instance: float = 0.2
     depth: float = 0.5
+    cluster: float = 1.0
+    segment: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,8 @@ class Preset:
     points vote (see CloudOptions). ``objects``: how segments of all views become
     instances, "boxes" (Algorithm 1, by ``matching``) or "agreement" (ours, with a vote of the views on each object's
     class).
-    ``most_instances`` caps them. ``one_class_an_object``: what is shown of an instance has the instance's class.
+    ``most_instances`` caps them. With "none" nothing is matched in space: the ``instance_slots`` mean what the linear
+    assignment makes of them. ``one_class_an_object``: what is shown of an instance has the instance's class.
     ``most_points`` caps the semantic point cloud. ``seeded_features``: start features from colour and label of the
     anchors instead of zero; ``warm_start`` fits the decoders to them.
 
@@ -93,6 +98,12 @@ class Preset:
     what the label decoders say, or what the views vote on its Gaussians ("votes", masks read within
     ``vote_size_within``), in ``vote_rounds``; votes need objects
     by agreement, of one class each, else decoders serve. Labels are trained in every ``label_every``-th step.
+
+    What rivals and ablations need: ``representation`` "plain" is 3DGS with labels on each Gaussian, grown by ``plain``.
+    ``semantic_targets``: classes are learnt from the projected cloud, or the votes, from the machine's "masks", or by
+    L_cluster alone ("none"). ``matched_masks``: whether M_match, or the votes' objects, supervise instances. Without
+    ``labelled_start`` anchors and decoders begin with the cloud's colours alone. ``vote_from``: the labels that are
+    voted onto Gaussians come from the voted objects, or straight from the masks.
     """
 
     name: str
@@ -109,7 +120,7 @@ class Preset:
     agreement: float = 1.0
     vote_by: Literal["views", "pixels"] = "views"
     majority: float = 0.0
-    objects: Literal["boxes", "agreement"] = "agreement"
+    objects: Literal["boxes", "agreement", "none"] = "agreement"
     most_instances: int = 1000
     one_class_an_object: bool = True
     most_points: int = Effort.most_points
@@ -133,6 +144,12 @@ class Preset:
     vote_rounds: int = 2
     label_every: int = 4
     voting: VotingOptions = VotingOptions()
+    representation: Literal["structured", "plain"] = "structured"
+    plain: PlainRules = PlainRules()
+    semantic_targets: Literal["projected", "masks", "none"] = "projected"
+    matched_masks: bool = True
+    labelled_start: bool = True
+    vote_from: Literal["objects", "masks"] = "objects"
 
     def __post_init__(self) -> None:
         if self.vote_rounds < 1 or self.label_every < 1:

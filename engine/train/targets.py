@@ -60,7 +60,7 @@ class ViewTargets:
 
     ``depth`` float32 [H, W] is the sensor's, metres (0 = none); ``border`` bool [H, W], or None, where the photo shows
     nothing but a black border; ``weight`` how much the photo counts beside sharper ones; ``gain`` float32 [3], or None,
-    its exposure against the room's.
+    its exposure against the room's. ``segments``: all of the machine's, where their consistency counts.
     """
 
     name: str
@@ -73,6 +73,7 @@ class ViewTargets:
     border: torch.Tensor | None = None
     weight: float = 1.0
     gain: torch.Tensor | None = None
+    segments: ThingSegments | None = None
     pseudo: torch.Tensor | None = None
     pseudo_slot: torch.Tensor | None = None
 
@@ -119,12 +120,16 @@ def view_targets(
     channels: LabelChannels,
     *,
     projected_class: NDArray[np.int32],
-    matched_instance: NDArray[np.int32],
+    matched_instance: NDArray[np.int32] | None,
+    with_segments: bool = False,
     weight: float = 1.0,
     gain: NDArray[np.float64] | None = None,
 ) -> ViewTargets:
     """Targets of ``view`` from class ids and instance ids, int32 [H, W] each. Where a class is known (not 0), instance
-    0 is no object."""
+    0 is no object; without instance ids nothing is known of objects."""
+    matched = torch.full(projected_class.shape, -1, dtype=torch.int16)
+    if matched_instance is not None:
+        matched = slots_of(matched_instance, projected_class != 0, channels)
     things = {segment.id for segment in view.mask.segments if segment.is_thing}
     is_thing = np.isin(view.mask.ids, sorted(things))
     return ViewTargets(
@@ -132,10 +137,11 @@ def view_targets(
         camera=view.camera,
         photo=PhotoMoments.of(torch.from_numpy(view.colour.astype(np.float32) / 255.0)),
         projected=torch.from_numpy(_places(projected_class, channels.class_ids, np.dtype(np.int16))),
-        matched=slots_of(matched_instance, projected_class != 0, channels),
+        matched=matched,
         things=ThingSegments.of(np.where(is_thing, view.mask.ids, 0)),
         depth=torch.from_numpy(view.depth if view.border is None else np.where(view.border, np.float32(0), view.depth)),
         border=None if view.border is None else torch.from_numpy(view.border),
         weight=weight,
+        segments=ThingSegments.of(view.mask.ids) if with_segments else None,
         gain=None if gain is None else torch.from_numpy(gain).float(),
     )

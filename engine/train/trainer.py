@@ -13,8 +13,9 @@ import torch
 from ..instances import UNKNOWN_LABEL, PanopticLabels, segment_labels
 from ..model.baking import decided_labels
 from ..model.gaussians import decode
-from ..model.growing import GrowthStatistics, grow_and_prune
+from ..model.growing import GrowthRound, GrowthStatistics, grow_and_prune
 from ..model.neural_gaussians import NeuralGaussians
+from ..model.plain import clone_split_prune, reset_opacities
 from ..model.render import render_view
 from ..model.rendering import PanopticRendering
 from ..model.scene_labels import scene_labels
@@ -28,6 +29,7 @@ from .label_losses import label_losses
 from .losses import reconstruction_loss
 from .optimiser import Optimiser
 from .presets import Preset
+from .segment_loss import segment_targets
 from .step_clock import StepClock
 from .targets import PseudoLabels, ViewTargets, columns_of, slots_of
 
@@ -138,16 +140,17 @@ class Trainer:
         """What the view's camera sees, and with labels L_cluster of it."""
         anchors, decoders = self.scene.anchors, self.scene.decoders
         if with_labels:
-            return decode(anchors, decoders, target.camera, channels=self.initial_channels)
+            channels = self.initial_channels if self.preset.weights.cluster else None
+            return decode(anchors, decoders, target.camera, channels=channels)
         unlabelled = torch.zeros(len(anchors) * anchors.gaussians_per_anchor, 1)
         return decode(anchors, decoders, target.camera, known_labels=unlabelled)
 
     def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
         """The label channels that the view is compared in, ascending int64: all, where segments are assigned to slots
-        by what is drawn; else those of its targets, as the losses look at no others."""
+        by what is drawn, or segments to classes; else those of its targets, as the losses look at no others."""
         channels = self.scene.channels
         classes, slots = len(channels.class_ids), len(channels.slot_ids)
-        if self.preset.linear_assignment:
+        if self.preset.linear_assignment or target.segments is not None:
             return torch.arange(classes + slots)
         used = torch.zeros(classes + slots + 1, dtype=torch.bool)  # the last is that of no target
         used[target.semantic.long()] = True
@@ -243,7 +246,14 @@ class Trainer:
             assigned = torch.full_like(slot, -1)
         by_class, by_slot = label_losses(rendering.labels, rendering.alpha, classes, semantic, (assigned, slot))
         self.clock.lap("label losses")
-        return by_class + gaussians.cluster_loss, by_slot
+        weights = self.preset.weights
+        if target.segments is not None:
+            wanted = segment_targets(rendering.labels, rendering.alpha, classes, target.segments)
+            nothing = torch.full_like(wanted, -1)
+            consistency, _ = label_losses(rendering.labels, rendering.alpha, classes, wanted, (nothing, nothing))
+            by_class = by_class + weights.segment * consistency
+            self.clock.lap("segment consistency")
+        return by_class + weights.cluster * gaussians.cluster_loss, by_slot
 
     def _gather_statistics(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float
@@ -259,17 +269,10 @@ class Trainer:
         growing = schedule.grow_from * steps < self.step_number < schedule.grow_until * steps
         if growing and self.step_number % self.growth_steps == 0:
             self._grow()
+        self._reset_if_due()
 
     def _grow(self) -> None:
-        round_ = grow_and_prune(
-            self.scene.anchors,
-            self.statistics,
-            self.preset.growth,
-            voxel_size=self.scene.voxel_size,
-            steps_between=self.growth_steps,
-            random=np.random.default_rng([self.seed, 2, self.step_number]),
-            most_anchors=self.preset.most_anchors,
-        )
+        round_ = self._growth_round(np.random.default_rng([self.seed, 2, self.step_number]))
         statistics = {name: tensor[round_.keep] for name, tensor in self.statistics.tensors().items()}
         fresh = GrowthStatistics.empty(round_.grown).tensors()
         self.statistics = GrowthStatistics(**{name: torch.cat([statistics[name], fresh[name]]) for name in fresh})
@@ -277,6 +280,35 @@ class Trainer:
         self.scene.anchors.log_scale.clamp_(max=math.log(LARGEST_SCALE))
         self.optimiser.replace_anchors(self.scene.anchors, round_.keep)
         self.follow_anchors()
+
+    def _growth_round(self, random: np.random.Generator) -> GrowthRound:
+        preset = self.preset
+        if self.scene.decoders.shape.plain:
+            return clone_split_prune(
+                self.scene.anchors,
+                self.statistics,
+                preset.plain,
+                extent=self.optimiser.extent,
+                random=random,
+                most=preset.most_anchors,
+            )
+        return grow_and_prune(
+            self.scene.anchors,
+            self.statistics,
+            preset.growth,
+            voxel_size=self.scene.voxel_size,
+            steps_between=self.growth_steps,
+            random=random,
+            most_anchors=preset.most_anchors,
+        )
+
+    def _reset_if_due(self) -> None:
+        """Opacities of plain Gaussians, as long as they grow."""
+        schedule, rules, steps = self.preset.schedule, self.preset.plain, self.preset.steps
+        every = round(rules.reset_share * steps)
+        if self.scene.decoders.shape.plain and every >= rules.reset_steps:
+            if self.step_number < schedule.grow_until * steps and self.step_number % every == 0:
+                reset_opacities(self.scene.anchors, rules)
 
     def refresh_pseudo_labels(self, check: Callable[[], None] = lambda: None) -> None:
         """Self-training: give each region of the machine's masks the label most of its pixels are rendered with.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...engine.job.effort import chosen_effort
 from ...engine.job.prediction import USUAL_CLASSES, Prediction, predict
 from ..scene_survey import survey_of
-from ..settings import PLGS_PG_settings, place_of, size_of
+from ..settings import PLGS_PG_settings, chosen_options, place_of, size_of, why_no_options
 from . import machine_pace
 
 
@@ -17,7 +17,8 @@ def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
     survey = survey_of(place_of(settings)) if settings.scene_folder else None
     if survey is None or survey.error is not None or not survey.sizes:
         return None
-    effort = chosen_effort(settings.preset, settings.steps or None, size_of(settings))
+    options = {} if why_no_options(settings) else chosen_options(settings)
+    effort = chosen_effort(settings.preset, settings.steps or None, size_of(settings), options)
     (size, _), *_ = survey.sizes
     return predict(
         survey.train_frames,

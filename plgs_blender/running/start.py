@@ -17,7 +17,7 @@ from ..owned import text_of
 from ..paths import absolute, free_lift_folder
 from ..possibilities import why_not_liftable
 from ..scene_survey import survey_of
-from ..settings import PLGS_PG_settings, adopt, chosen_lift, place_of, request_of
+from ..settings import PLGS_PG_settings, adopt, chosen_lift, place_of, request_of, why_no_options
 from ..shots import shot_of, write_shot
 from . import exports, lifts
 from .lifts import Watch
@@ -49,7 +49,7 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     if followed is not None and followed.is_running:
         return "This lift is running already"
     survey = survey_of(place_of(settings)) if settings.scene_folder else None
-    return why_no_scene(settings) or (None if survey is None else why_not_liftable(survey))
+    return why_no_options(settings) or why_no_scene(settings) or (None if survey is None else why_not_liftable(survey))
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:

@@ -25,7 +25,7 @@ def code_of(*arguments: str | Path) -> int:
         return error.code
 
 
-COMMANDS = ("lift", "evaluate", "inspect", "frames", "experiments", "warm-up", "bench")
+COMMANDS = ("lift", "evaluate", "inspect", "frames", "experiments", "presets", "warm-up", "bench")
 
 
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
@@ -51,6 +51,17 @@ def test_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
         assert "usage:" in capsys.readouterr().err
 
 
+def test_a_preset_is_printed_as_a_file_that_is_read(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert code_of("presets") == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[:3]] == ["preview", "standard", "paper"]
+    assert code_of("presets", "standard", "--set", "weights.depth=0", "--set", "steps=7") == 0
+    printed = capsys.readouterr().out
+    assert "steps = 7" in printed and "depth = 0.0" in printed
+    (tmp_path / "mine.toml").write_text(printed)
+    assert code_of("presets", tmp_path / "mine.toml") == 0
+    assert capsys.readouterr().out == printed
+
+
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     for arguments, told in (
@@ -58,6 +69,10 @@ def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Pat
         (["lift", tmp_path / "none"], "is no folder"),
         (["lift", tmp_path], "request.json"),
         (["lift", lift.path, "--seed", "3"], "--seed"),
+        (["lift", lift.path, "--set", "objects=boxes"], "--set"),
+        (["lift", tmp_path, "-o", tmp_path / "new", "--set", "objects=boxs"], "Did you mean boxes"),
+        (["lift", tmp_path, "-o", tmp_path / "new", "--preset", tmp_path / "no.toml"], "no.toml"),
+        (["presets", "preview", "--set", "weights.dept=0"], "Did you mean weights.depth"),
         (["evaluate", tmp_path], "request.json"),
         (["evaluate", lift.path], "not finished"),
     ):
@@ -109,6 +124,7 @@ METRICS = """{"format": 1, "test_frames": ["0000"], "tables": [
  {"name": "machine masks", "mode": "strict", "miou": 0.5, "pq": 0.25, "sq": 0.75, "rq": 0.3, "psnr": null, "ssim": null,
   "per_class": []},
  {"name": "lifted", "mode": "strict", "miou": 0.625, "pq": 0.5, "sq": 0.8, "rq": 0.6, "psnr": 21.5, "ssim": 0.75,
+  "pq_frame": 0.7, "id_changes": 0.25,
   "psnr_fitted": 23.25, "ssim_fitted": 0.8, "depth_error_m": 0.0234, "depth_within_5cm": 0.875,
   "per_class": [{"name": "chair", "iou": 0.5, "pq": 1, "sq": 1, "rq": 1, "tp": 3, "fp": 0, "fn": 1}]}]}"""
 
@@ -119,9 +135,12 @@ def test_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     write_manifest(lift.result_path, versions={}, seed=0, settings={}, timings={})
     assert code_of("evaluate", lift.path, "--classes") == 0
     assert capsys.readouterr().out.splitlines() == [
-        "               mode    mIoU %  PQ %  SQ %  RQ %  PSNR dB  fitted   SSIM  fitted  depth cm  in 5 cm %",
-        "machine masks  strict    50.0  25.0  75.0  30.0        -       -      -       -         -          -",
-        "lifted         strict    62.5  50.0  80.0  60.0    21.50   23.25  0.750   0.800       2.3       87.5",
+        "               mode    mIoU %  PQ %  SQ %  RQ %  frame PQ %  id changes  PSNR dB  fitted   SSIM  fitted"
+        "  depth cm  in 5 cm %",
+        "machine masks  strict    50.0  25.0  75.0  30.0           -           -        -       -      -       -"
+        "         -          -",
+        "lifted         strict    62.5  50.0  80.0  60.0        70.0        0.25    21.50   23.25  0.750   0.800"
+        "       2.3       87.5",
         "",
         "lifted, strict  IoU %   PQ %   SQ %   RQ %  TP  FP  FN",
         "chair            50.0  100.0  100.0  100.0   3   0   1",

@@ -1,27 +1,28 @@
-"""Results that tests of the tables share."""
+"""Rows and results that tests of the tables share."""
 
 from __future__ import annotations
 
-from engine.experiments.figures import Figures, SceneResult
-from engine.metrics import LIFTED, MACHINE_MASKS, VOXEL_VOTE
+from engine.experiments import Figures, Result, Row, Rows
+from engine.experiments.rows import Cited
 
-OFFICE = SceneResult(
-    scene="office",
-    preset="preview",
-    steps=500,
-    seed=0,
-    engine_version="0.1.0",
-    rows={
-        MACHINE_MASKS: Figures(miou=0.5, pq=0.25, miou_pl_compat=0.51, pq_pl_compat=0.26),
-        VOXEL_VOTE: Figures(miou=0.75, pq=0.5, miou_pl_compat=0.76, pq_pl_compat=0.51),
-        LIFTED: Figures(0.8, 0.7, 0.81, 0.71, 27.0, 28.5, 0.875, 0.0234, 161.6),
-    },
+ROWS = Rows(
+    (
+        Row("ours", "systems"),
+        Row("machine masks", "systems", method="machine masks"),
+        Row("theirs", "systems", {"objects": "boxes"}, paper=Cited("Replica", 71.2, 57.8, 36.6)),
+        Row("elsewhere", "systems", paper=Cited("ScanNet", pq=62.3), is_cited=True),
+        Row("all of it", "parts", same_as="theirs", paper=Cited("Replica", note="failed")),
+        Row("without depth", "parts", {"weights.depth": 0.0}),
+        Row("other masks", "parts", masks="other.json"),
+        Row("no sensor", "depths", depth_from="without depth"),
+    ),
+    {"systems": "Systems", "parts": "Its parts", "depths": "Depths"},
 )
-KITCHEN = SceneResult(
-    scene="kitchen",
-    preset="preview",
-    steps=500,
-    seed=0,
-    engine_version="0.1.0",
-    rows={LIFTED: Figures(psnr=17.0, psnr_fitted=21.0, ssim=0.6, depth_error_m=0.05, seconds=99.5)},
-)
+OFFICE = (
+    Result("office", "ours", "preview", 500, 0, "0.1.0", Figures(
+        0.8, 0.7, 0.81, 0.71, 0.75, 0.125, 27.0, 28.5, 0.875, 0.0234, 161.6, 1.26e9, 3.25
+    )),
+    Result("office", "machine masks", "-", 0, 0, "0.1.0", Figures(0.5, 0.25, 0.51, 0.26, 0.4, 3.5)),
+    Result("office", "theirs", "preview", 500, 0, "0.1.0", Figures(0.6, 0.5)),
+)  # fmt: skip
+KITCHEN = Result("kitchen", "ours", "preview", 500, 0, "0.1.0", Figures(psnr=17.0, psnr_fitted=21.0, seconds=99.5))

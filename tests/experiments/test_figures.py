@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from engine.experiments.figures import Figures, lifting_seconds, read_result, scores_by_method
+from engine.experiments.figures import Figures, lifting_seconds, read_result, run_figures, scores_by_method
 from engine.job import Event, LiftFolder, LiftRequest, write_atomically, write_manifest
 from engine.metrics import LIFTED, MACHINE_MASKS
 
@@ -14,21 +14,21 @@ RENDERED = {"psnr": 20.0, "psnr_fitted": 22.0, "ssim": 0.5, "ssim_fitted": 0.6, 
 def test_both_modes_make_one_row() -> None:
     rows = scores_by_method(
         [
-            {"name": MACHINE_MASKS, "mode": "strict", "miou": 0.1, "pq": 0.2, "psnr": None},
+            {"name": MACHINE_MASKS, "mode": "strict", "miou": 0.1, "pq": 0.2, "pq_frame": 0.25, "id_changes": 3},
             {"name": MACHINE_MASKS, "mode": "pl_compat", "miou": 0.3, "pq": 0.4, "psnr": None},
             {"name": LIFTED, "mode": "strict", "miou": 0.5, "pq": 0.6, **RENDERED},
             {"name": LIFTED, "mode": "pl_compat", "miou": 0.7, "pq": 0.8, **RENDERED},
         ]
     )
     assert rows == {
-        MACHINE_MASKS: Figures(0.1, 0.2, 0.3, 0.4),
-        LIFTED: Figures(0.5, 0.6, 0.7, 0.8, 20.0, 22.0, 0.5, 0.02),
+        MACHINE_MASKS: Figures(0.1, 0.2, 0.3, 0.4, 0.25, 3.0),
+        LIFTED: Figures(0.5, 0.6, 0.7, 0.8, None, None, 20.0, 22.0, 0.5, 0.02),
     }
 
 
 def test_without_ground_truth_there_are_no_shares() -> None:
     rows = scores_by_method([{"name": LIFTED, "mode": None, "miou": None, "pq": None, **RENDERED}])
-    assert rows == {LIFTED: Figures(None, None, None, None, 20.0, 22.0, 0.5, 0.02)}
+    assert rows == {LIFTED: Figures(psnr=20.0, psnr_fitted=22.0, ssim=0.5, depth_error_m=0.02)}
 
 
 def _events(*told: tuple[float, str, dict[str, str]]) -> list[Event]:
@@ -57,6 +57,13 @@ def test_a_lift_on_disk(tmp_path: Path) -> None:
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path, preset="standard", seed=4))
     write_atomically(lift.result_path / "metrics.json", '{"format": 1, "test_frames": [], "tables": []}')
     write_manifest(lift.result_path, versions={}, seed=4, settings={"steps": 70}, timings={})
-    result = read_result("room", lift)
-    assert (result.scene, result.preset, result.steps, result.seed) == ("room", "standard", 70, 4)
-    assert result.rows == {LIFTED: Figures()}
+    result = read_result("room", "ours", "mine", lift)
+    assert (result.key, result.steps) == (("room", "ours", "mine", 4), 70)
+    assert result.figures == Figures()
+
+
+def test_memory_and_frames_a_second() -> None:
+    first, last = ({"name": "run", "values": values} for values in ({"peak_bytes": 3e9}, {"peak_bytes": 1e9, "fps": 2}))
+    events = [Event(1, 0.0, "metric", first), Event(2, 1.0, "metric", {"name": "loss", "values": {}})]
+    assert run_figures([*events, Event(3, 2.0, "metric", last)]) == {"peak_bytes": 3e9, "fps": 2.0}
+    assert run_figures([]) == {"peak_bytes": None, "fps": None}

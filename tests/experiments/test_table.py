@@ -1,62 +1,72 @@
-"""The table in Markdown, alone and against earlier results."""
+"""The tables in Markdown: rows beside the paper's figures, over seeds, and against earlier results."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
-from engine.experiments.figures import Figures, SceneResult
-from engine.experiments.table import markdown_table
-from engine.metrics import LIFTED
-from tests.experiments.made_up import KITCHEN, OFFICE
+import pytest
+
+from engine.experiments import Result, Tables
+from tests.experiments.made_up import KITCHEN, OFFICE, ROWS
 
 
 def cells(table: str) -> list[list[str]]:
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:1] == "|"]
 
 
-def lifted(result: SceneResult, **figures: float | None) -> SceneResult:
-    return replace(result, rows={**result.rows, LIFTED: result.rows[LIFTED]._replace(**figures)})
+def of_table(name: str, results: Sequence[Result], earlier: Sequence[Result] = ()) -> list[list[str]]:
+    rows = [row for row in ROWS.rows if row.table == name]
+    return cells("\n".join(Tables(ROWS, ROWS.rows, tuple(results), tuple(earlier)).lines(results[0].scene, rows)))
 
 
-def test_all_scenes_in_one_table() -> None:
-    heading, rule, *rows = cells(markdown_table([OFFICE, KITCHEN]))
+def test_a_table_beside_the_papers_figures() -> None:
+    heading, rule, *rows = of_table("systems", OFFICE)
     assert heading == [
-        "scene", "method", "mIoU % `strict`", "PQ % `strict`", "mIoU % `pl_compat`", "PQ % `pl_compat`", "PSNR dB",
-        "PSNR dB, colours fitted", "SSIM", "depth error cm", "lift s",
+        "", "mIoU %", "PQ-scene %", "mIoU % `pl_compat`", "PQ-scene % `pl_compat`", "PQ a frame %",
+        "id changes an object", "PSNR dB", "PSNR dB, colours fitted", "SSIM", "depth error cm", "lift s", "peak GB",
+        "panoptic frames/s", "in the paper",
     ]  # fmt: skip
     assert all(set(cell) <= set("-:") for cell in rule)
-    nothing = [""] * 5
+    nothing = [""] * 7
     assert rows == [
-        ["office", "machine masks", "50.0", "25.0", "51.0", "26.0", *nothing],
-        ["", "voxel vote (with test depth)", "75.0", "50.0", "76.0", "51.0", *nothing],
-        ["", "lifted, `preview`", "80.0", "70.0", "81.0", "71.0", "27.00", "28.50", "0.875", "2.3", "162"],
-        ["kitchen", "lifted, `preview`", "", "", "", "", "17.00", "21.00", "0.600", "5.0", "100"],
-    ]
-
-
-def test_lines_are_as_long_as_one_another() -> None:
-    assert len({len(line) for line in markdown_table([OFFICE, KITCHEN], [OFFICE]).splitlines()}) == 1
-
-
-def test_before_and_after_of_the_lifted_model_only() -> None:
-    before = lifted(OFFICE, miou=0.6, seconds=200.0, psnr_fitted=None)
-    _, _, masks, vote, row, kitchen = cells(markdown_table([lifted(OFFICE, ssim=None), KITCHEN], [before]))
-    assert masks[2] == "50.0" and vote[2] == "75.0"
-    assert row[2:] == [
-        "60.0 -> 80.0", "70.0 -> 70.0", "81.0 -> 81.0", "71.0 -> 71.0", "27.00 -> 27.00", "- -> 28.50", "0.875 -> -",
-        "2.3 -> 2.3", "200 -> 162",
+        ["ours", "80.0", "70.0", "81.0", "71.0", "75.0", "0.12", "27.00", "28.50", "0.875", "2.3", "162", "1.3", "3.2",
+         ""],
+        ["machine masks", "50.0", "25.0", "51.0", "26.0", "40.0", "3.50", *nothing, ""],
+        ["theirs", "60.0", "50.0", *[""] * 11, "71.2 / 57.8 / 36.6 dB (Replica)"],
+        ["elsewhere", *[""] * 13, "- / 62.3 (ScanNet)"],
     ]  # fmt: skip
-    assert kitchen[6] == "17.00"
 
 
-def test_figures_that_neither_has_stay_empty() -> None:
-    _, _, row = cells(markdown_table([KITCHEN], [KITCHEN]))
-    assert row[2:6] == [""] * 4 and row[6] == "17.00 -> 17.00"
+def test_a_row_may_be_the_lift_of_another() -> None:
+    heading, _, *rows = of_table("parts", OFFICE)
+    assert heading == ["", "mIoU %", "PQ-scene %", "in the paper"], "columns without a figure are left out"
+    assert rows == [["all of it", "60.0", "50.0", "failed (Replica)"]], "and so are rows that are not measured"
 
 
-def test_another_preset_is_another_lift() -> None:
-    _, _, row = cells(markdown_table([KITCHEN], [replace(KITCHEN, preset="standard")]))
-    assert row[6] == "17.00"
-    earlier = [replace(KITCHEN, preset="standard", rows={LIFTED: Figures(psnr=1.0)}), KITCHEN]
-    _, _, row = cells(markdown_table([KITCHEN], earlier))
-    assert row[6] == "17.00 -> 17.00"
+def test_several_seeds_have_a_spread() -> None:
+    seeds = ((0, 0.5), (1, 0.6))
+    results = [replace(OFFICE[2], seed=seed, figures=OFFICE[2].figures._replace(pq=pq)) for seed, pq in seeds]
+    assert of_table("parts", results)[2][:3] == ["all of it", "60.0 ± 0.0", "55.0 ± 7.1"]
+
+
+def test_before_and_after() -> None:
+    before = replace(OFFICE[0], figures=OFFICE[0].figures._replace(miou=0.6, ssim=None))
+    _, _, ours, masks, theirs, _ = of_table("systems", OFFICE, [before])
+    assert ours[1] == "60.0 -> 80.0" and ours[9] == "- -> 0.875"
+    assert masks[1] == "50.0" and theirs[1] == "60.0"
+
+
+@pytest.mark.parametrize("earlier", [(), OFFICE])
+def test_a_section_a_scene(earlier: Sequence[Result]) -> None:
+    text = Tables(ROWS, ROWS.rows, (*OFFICE, KITCHEN), tuple(earlier)).markdown()
+    assert [line for line in text.splitlines() if line[:1] in ("#", "*")] == [
+        "### office", "**Systems**", "**Its parts**", "### kitchen", "**Systems**",
+    ]  # fmt: skip
+    office = text.split("###")[1].split("**Its parts**")[0]
+    assert len({len(line) for line in office.splitlines() if line[:1] == "|"}) == 1
+
+
+def test_some_rows_alone() -> None:
+    text = Tables(ROWS, ROWS.chosen(["theirs"]), OFFICE).markdown()
+    assert [row[0] for row in cells(text)[2:]] == ["theirs"]

@@ -131,6 +131,14 @@ def test_boxes(lift: LiftFolder, tmp_path: Path) -> None:
         assert [float(row[f"centre_{axis}"]) for axis in "xyz"] == record["centre"]
 
 
+def test_depth_maps(lift: LiftFolder, tmp_path: Path) -> None:
+    run(lift, "depth", tmp_path)
+    for path in sorted(tmp_path.glob("*.npy")):
+        depth = np.load(path)
+        assert depth.dtype == np.float32 and (depth > 0).any() and np.isfinite(depth).all()
+    assert len(list(tmp_path.glob("*.npy"))) > 1
+
+
 def test_meshes(lift: LiftFolder, tmp_path: Path) -> None:
     open3d = pytest.importorskip("open3d")
     run(lift, "mesh", tmp_path)

@@ -48,6 +48,19 @@ def test_a_script_waits_for_the_lift(behaves: Behaves, room: Path, tmp_path: Pat
     assert (settings.preset, settings.steps, settings.seed) == ("standard", 7, 3), "the panel shows what is lifted"
 
 
+def test_options_of_the_preset(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+    behaves("short")
+    settings = bpy.context.scene.plgs
+    settings.place_when_done = False
+    bpy.ops.plgs.lift_scene(
+        scene_folder=str(room), lift_folder=str(tmp_path / "lift"), preset_options="objects=boxes weights.depth=0"
+    )
+    assert LiftFolder.open(tmp_path / "lift").request.options == {"objects": "boxes", "weights.depth": 0.0}
+    with pytest.raises(RuntimeError, match=r"Did you mean weights\.depth"):
+        bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / "other"), preset_options="weights.dept=0")
+    assert not (tmp_path / "other").exists()
+
+
 def test_without_a_lift_folder_one_is_made_beside_the_scene(behaves: Behaves, room: Path, tmp_path: Path) -> None:
     behaves("short")
     own = shutil.copytree(room, tmp_path / "room")

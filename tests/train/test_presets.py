@@ -89,3 +89,10 @@ def test_what_a_user_chooses() -> None:
     assert chosen.voxel_size == PRESETS["standard"].voxel_size
     with pytest.raises(KeyError):
         chosen_preset("hasty")
+
+
+def test_options_that_cost_time_are_predicted() -> None:
+    options = {"voxel_size": 0.1, "gaussians_per_anchor": 2, "schedule.self_training_every": 0.5, "objects": "boxes"}
+    effort = chosen_effort("preview", options=options)
+    assert (effort.voxel_size, effort.gaussians_per_anchor, effort.self_training_every) == (0.1, 2, 0.5)
+    assert effort.steps == EFFORTS["preview"].steps

@@ -10,6 +10,7 @@ import plgs
 import pytest
 from plgs.engine.job import JobError, LiftFolder, LiftRequest
 from plgs.plgs_blender.running import lifts, start
+from plgs.plgs_blender.settings import shown_preset, why_no_options
 
 
 @pytest.fixture(autouse=True)
@@ -32,3 +33,14 @@ def test_what_to_do_about_a_lift_that_is_running(tmp_path: Path) -> None:
     with pytest.raises(JobError, match="not finished") as refused:
         start.show_lift(scene, str(lift.path))
     assert "Resume" in refused.value.fix
+
+
+def test_all_options_of_the_preset() -> None:
+    settings = bpy.context.scene.plgs
+    settings.preset_options = "weights.depth=0  objects=boxes"
+    assert why_no_options(settings) is None
+    changed = [(name, value) for name, value, is_changed in shown_preset(settings) if is_changed]
+    assert changed == [("objects", "boxes"), ("weights.depth", "0.0")]
+    settings.preset_options = "weights.dept=0"
+    assert "Did you mean weights.depth" in str(start.why_no_lift(settings))
+    assert not any(is_changed for _, _, is_changed in shown_preset(settings))

@@ -1,0 +1,33 @@
+"""``presets``: what there is to choose."""
+
+from __future__ import annotations
+
+from ..job import PRESETS, ExitCode
+from ..job.options import DEFAULTS, chosen_options
+from ..job.preset_file import preset_text
+from ..job.preset_options import preset_options
+
+
+def presets(name: str | None, sets: list[str] | None, *, as_json: bool) -> ExitCode:
+    """Print the names of all presets, or one (a name or a file), with some options changed, as a file that --preset
+    takes; with ``as_json`` the table that ``preset_options.json`` is. Raises JobError."""
+    if as_json:
+        from ..train.option_table import table_text
+
+        print(table_text(), end="")
+    elif name is None and not sets:
+        print(*(_line(preset) for preset in PRESETS), "", "'presets NAME' prints all options of one.", sep="\n")
+    else:
+        chosen = chosen_options(name, sets or [], DEFAULTS)
+        own = {option: chosen[key] for key, option in (("steps", "steps"), ("size", "size_within")) if key in chosen}
+        print(preset_text(chosen["preset"], {**chosen["options"], **own}), end="")
+    return ExitCode.FINISHED
+
+
+def _line(preset: str) -> str:
+    """Such as "preview   500 steps, pictures within 200x200, objects by agreement, labels by votes"."""
+    values = {name: option.values[preset] for name, option in preset_options().items()}
+    size = values["size_within"]
+    assert isinstance(size, list)
+    told = f"{values['steps']} steps, pictures within {size[0]}x{size[1]}, anchors every {values['voxel_size']} m"
+    return f"{preset:<9} {told}, objects by {values['objects']}, labels by {values['labels']}"

@@ -1,0 +1,53 @@
+"""What an experiment leaves: results.json and .csv, tables in Markdown, plots, contact sheets, a page brought up to
+date."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..job import JobError, write_atomically
+from .plots import write_plots
+from .results import csv_text, results_text
+from .sheets import write_sheet
+from .table import Tables
+
+BEGIN, END = "<!-- tables: made by `python -m engine experiments` -->", "<!-- end of the tables -->"
+_SKELETON = """# Experiments
+
+The paper's tables on open data, rivals included; `python -m engine experiments --report docs/experiments.md` brings the
+tables up to date. Figures in per cent unless said otherwise, on held-out frames; in the last column what the paper
+reports as mIoU / PQ-scene, on other scenes, with other masks and many more steps. LPIPS is not measured: it needs the
+weights of a network.
+"""
+
+
+def write_report(
+    folder: Path, tables: Tables, *, sheets: Mapping[str, Path] | None = None, page: Path | None = None
+) -> None:
+    """results.json, results.csv and results.md; with ``sheets`` (caption to the lift's folder), at the end, also the
+    plots and sheet.png, and the tables of ``page``. Raises JobError when they cannot be written."""
+    try:
+        write_atomically(folder / "results.json", results_text(tables.results))
+        write_atomically(folder / "results.csv", csv_text(tables.results))
+        write_atomically(folder / "results.md", tables.markdown())
+        if sheets is None:
+            return
+        write_sheet(folder / "sheet.png", sheets)
+        if not write_plots(folder / "plots", tables):
+            print("No plots: matplotlib is not installed (requirements/report.txt).", file=sys.stderr)
+        if page is not None:
+            write_atomically(page, with_tables(page.read_text("utf-8") if page.exists() else "", tables.markdown()))
+    except OSError as error:
+        fix = "Make room there, or choose a folder that you may write to with -o."
+        raise JobError(f"the results cannot be written ({error.strerror})", folder, fix) from error
+
+
+def with_tables(page: str, tables: str) -> str:
+    """The page with these tables in place of those between its marks; at its end where it has no marks."""
+    block = f"{BEGIN}\n\n{tables}\n{END}"
+    if BEGIN in page and END in page:
+        before, _, rest = page.partition(BEGIN)
+        return before + block + rest.partition(END)[2]
+    return f"{page or _SKELETON}\n{block}\n"

@@ -1,0 +1,127 @@
+"""Folders of label images, of whichever program: classes and instances of a frame, to be compared with others."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .classes import Category, ClassTable, distinct_colour
+from .coco_masks import open_coco_masks
+from .frame import GroundTruth, PanopticMask, SceneError
+from .layout import files_by_stem, require_all
+from .panoptic_lifting_masks import REDUCED_CLASSES, check_label_header
+from .pixels import decode_single_channel
+
+PAIRS = (
+    ("class", "instance"),
+    ("semantic", "instance"),
+    ("gt/semantic", "gt/instance"),
+    ("rs_semantics", "rs_instance"),
+    ("m2f_semantics", "m2f_instance"),
+    ("label-filt", "instance-filt"),
+)
+"""Folders of classes and of instances, in the order in which they are looked for."""
+_FIX = (
+    "Give a folder with panoptic.json and panoptic/ (COCO), or with PNGs of class ids and of instance ids in "
+    f"{', '.join(' and '.join(pair) for pair in PAIRS)}."
+)
+_TABLE_FIX = "Put COCO's panoptic.json, or a labels.json with its \"classes\", into one of the two folders."
+
+
+@dataclass(frozen=True, eq=False)
+class LabelFolder:
+    """``readers``: by frame, what reads its labels at their own size; ``classes``: None where nothing tells them."""
+
+    folder: Path
+    classes: ClassTable | None
+    readers: Mapping[str, Callable[[], GroundTruth]]
+
+
+@dataclass(frozen=True)
+class _PairReader:
+    semantic: Path
+    instance: Path
+
+    def __call__(self) -> GroundTruth:
+        """Raises SceneError when a file is bad."""
+        semantic, instance = decode_single_channel(self.semantic), decode_single_channel(self.instance)
+        if semantic.shape != instance.shape:
+            raise SceneError("classes and instances differ in size", self.instance, "Make both of one size.")
+        return GroundTruth(semantic, instance)
+
+
+@dataclass(frozen=True)
+class _MaskReader:
+    read: Callable[[None], PanopticMask]
+
+    def __call__(self) -> GroundTruth:
+        """A thing's instance is its segment; stuff has none."""
+        mask = self.read(None)
+        things = [segment.id for segment in mask.segments if segment.is_thing]
+        return GroundTruth(mask.class_map(), np.where(np.isin(mask.ids, things), mask.ids, 0).astype(np.int32))
+
+
+def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
+    """Find the labels in a folder; headers only. A scene's folder may hold both: ``is_truth`` says which are meant.
+
+    Raises SceneError when there are none, or a file is bad.
+    """
+    if not folder.is_dir():
+        raise SceneError("is no folder", folder, _FIX)
+    table = folder / "panoptic.json"
+    pairs = [(folder / one, folder / other) for one, other in PAIRS if (folder / one).is_dir()]
+    if table.is_file() and not (is_truth and pairs):
+        return _coco(folder, table)
+    if not pairs:
+        raise SceneError("there are no labels here", folder, _FIX)
+    semantics, instances = (files_by_stem(each, {".png"}, _FIX) for each in pairs[0])
+    require_all(list(semantics), instances, "instance image", pairs[0][1], "Call it as the class image is called.")
+    for path in (*semantics.values(), *(instances[name] for name in semantics)):
+        check_label_header(path)
+    readers = {name: _PairReader(path, instances[name]) for name, path in semantics.items()}
+    return LabelFolder(folder, _classes(folder, pairs[0][0]), readers)
+
+
+def _coco(folder: Path, table: Path) -> LabelFolder:
+    names = list(files_by_stem(table.with_suffix(""), {".png"}, _FIX))
+    masks = open_coco_masks(table, names)
+    return LabelFolder(folder, masks.classes, {name: _MaskReader(read) for name, read in masks.readers.items()})
+
+
+def _classes(folder: Path, semantics: Path) -> ClassTable | None:
+    if (folder / "panoptic.json").is_file():
+        return open_coco_masks(folder / "panoptic.json", []).classes
+    if (folder / "labels.json").is_file():
+        return _classes_of_export(folder / "labels.json")
+    return REDUCED_CLASSES if semantics.name in ("rs_semantics", "m2f_semantics") else None
+
+
+def _classes_of_export(path: Path) -> ClassTable:
+    """Of the labels.json that ``export --to instances`` writes."""
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))["classes"]
+        found = [Category(int(e["id"]), str(e["name"]), bool(e["is_thing"]), distinct_colour(e["id"])) for e in entries]
+        return ClassTable(tuple(sorted(found, key=lambda category: category.id)))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        fix = 'It needs "classes": [{"id": 1, "name": "wall", "is_thing": false}, ...].'
+        raise SceneError(f"the classes cannot be read ({error!r})", path, fix) from error
+
+
+def common_classes(predictions: LabelFolder, truth: LabelFolder) -> ClassTable:
+    """The class table of both: what one tells goes for the other, whose ids mean the same. Raises SceneError when
+    neither tells, or when an id has two names."""
+    tables = [each.classes for each in (truth, predictions) if each.classes is not None]
+    if not tables:
+        raise SceneError("nothing tells which classes there are, and which are things", truth.folder, _TABLE_FIX)
+    merged: dict[int, Category] = {}
+    for table in tables:
+        for category in table.categories:
+            known = merged.setdefault(category.id, category)
+            if (known.name, known.is_thing) != (category.name, category.is_thing):
+                what = f"class {category.id} is {category.name!r} here and {known.name!r} in the ground truth"
+                raise SceneError(what, predictions.folder, "Bring both to one class table.")
+    return ClassTable(tuple(merged[class_id] for class_id in sorted(merged)))

@@ -1,0 +1,73 @@
+"""The rows as data: those there are can be run, and what is asked for is found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from engine.experiments import read_rows
+from engine.job import JobError, LiftRequest
+from engine.metrics import MACHINE_MASKS, VOXEL_VOTE
+from engine.train.option_table import requested_preset
+from tests.experiments.made_up import ROWS
+
+FOUND = read_rows()
+LETTER = "PLGS from zero features and random decoders"
+
+
+@pytest.mark.parametrize("row", [row for row in FOUND.rows if row.is_lift], ids=lambda row: row.slug)
+def test_each_row_is_a_lift(row) -> None:
+    request = LiftRequest(scene=Path("/room"), options=row.options)
+    is_as_the_preset = requested_preset(request) == requested_preset(LiftRequest(scene=Path("/room")))
+    assert is_as_the_preset == (row.name == "ours" or row.masks is not None or row.depth_from is not None)
+
+
+def test_no_two_rows_are_one_lift() -> None:
+    lifts = [(tuple(row.options.items()), row.masks, row.depth_from) for row in FOUND.rows if row.is_lift]
+    assert len(set(map(repr, lifts))) == len(lifts), "the later one is same_as the other"
+
+
+def test_methods_are_measured() -> None:
+    from engine.experiments.rivals import RIVALS
+
+    assert {MACHINE_MASKS, VOXEL_VOTE} < set(RIVALS)
+    assert {row.method for row in FOUND.rows if row.method} <= set(RIVALS)
+
+
+def test_the_papers_ablations_are_there() -> None:
+    assert {"designs", "cost", "semantics", "instances", "tau", "neighbours", "departures"} <= set(FOUND.tables)
+    plgs = FOUND.named("PLGS").options
+    paper = requested_preset(LiftRequest(scene=Path("/room"), preset="paper"))
+    mine = requested_preset(LiftRequest(scene=Path("/room"), options=plgs))
+    letter = requested_preset(LiftRequest(scene=Path("/room"), options=FOUND.named(LETTER).options))
+    assert letter.warm_start is paper.warm_start is None and letter.seeded_features is paper.seeded_features
+    for name in ("objects", "linear_assignment", "weights", "neighbours", "growth", "labels", "matching"):
+        assert getattr(mine, name) == getattr(paper, name), name
+
+
+def test_rows_and_tables_by_name() -> None:
+    assert [row.name for row in ROWS.chosen(["parts"])] == ["all of it", "without depth", "other masks"]
+    assert [row.name for row in ROWS.chosen(["Ours", "without depth"])] == ["ours", "without depth"]
+    assert ROWS.chosen([]) == ROWS.rows
+    assert ROWS.lift_of(ROWS.named("all of it")).name == "theirs"
+    with pytest.raises(JobError, match="Did you mean 'without depth'"):
+        ROWS.chosen(["without deph"])
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("", "tables"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "b"', "x"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nsame_as = "y"', "no rows"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nway = "y"', "ways"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\n[[row]]\nname = "X"\ntable = "a"', "one name"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nset = { neighbors = 3 }', "Did you mean neighbours"),
+    ],
+)
+def test_rows_that_are_none(content: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "rows.toml"
+    path.write_text(content)
+    with pytest.raises(JobError, match=told):
+        read_rows(path)

@@ -1,0 +1,95 @@
+"""Options of a preset by name: what is read, what is refused, and with which advice."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from engine.job import PRESETS, JobError, LiftRequest
+from engine.job.options import add_lift_options, request_from
+from engine.job.preset_file import preset_text, read_preset_file
+from engine.job.preset_options import parsed_options, preset_options, shown_options
+
+
+def request_of(*arguments: str) -> LiftRequest:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scene", type=Path)
+    add_lift_options(parser)
+    return request_from(parser.parse_args(["/room", *arguments]))
+
+
+def test_texts_become_values() -> None:
+    texts = ["objects=boxes", "weights.depth=0", "warm_start=none", "rates.feature=0.1,0.01", "fill_holes=no"]
+    assert parsed_options([*texts, "neighbours=3", "neighbours=4"]) == {
+        "objects": "boxes",
+        "weights.depth": 0.0,
+        "warm_start": None,
+        "rates.feature": [0.1, 0.01],
+        "fill_holes": False,
+        "neighbours": 4,
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("neighbors=4", "Did you mean neighbours?"),
+        ("depth=0", "Did you mean weights.depth?"),
+        ("objects=bokses", "Did you mean boxes?"),
+        ("neighbours=2.5", "a whole number from 0 to 64"),
+        ("neighbours=-1", "a whole number from 0 to 64"),
+        ("matching.tau_new=nan", "a number from -2 to 0"),
+        ("fill_holes=2", "true or false"),
+        ("voxel_size=none", "a number from 0.001"),
+        ("rates.feature=1", "2 numbers"),
+        ("size_within=320x", "2 whole numbers"),
+        ("weights.depth", "name=value"),
+        ("", "name=value"),
+    ],
+)
+def test_what_is_none_is_refused_with_the_nearest(text: str, told: str) -> None:
+    with pytest.raises(JobError) as caught:
+        parsed_options([text])
+    assert told in str(caught.value)
+
+
+@pytest.mark.parametrize("base", PRESETS)
+def test_a_printed_preset_is_read_back(base: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(preset_text(base, {"weights.depth": 0.25}))
+    read, options = read_preset_file(path, PRESETS)
+    values = {name: option.values[base] for name, option in preset_options().items()}
+    assert read == base
+    assert {name for name, value in options.items() if value != values[name]} == {"weights.depth"}
+    assert parsed_options(shown_options(options)) == options
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("steps = ", "TOML"),
+        ("steps = 3", "preview, standard, paper"),
+        ('preset = "preview"\n[weights]\ndept = 1', "weights.depth"),
+        ('preset = "preview"\nobjects = "box"', "boxes"),
+        ('preset = "preview"\nsteps = 2026-11-22', "whole number"),
+    ],
+)
+def test_a_bad_file_is_named(content: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(content)
+    with pytest.raises(JobError) as caught:
+        read_preset_file(path, PRESETS)
+    assert told in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_a_request_of_a_file_and_of_options(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('preset = "standard"\nsteps = 9\nsize_within = [64, 48]\nobjects = "boxes"\nneighbours = 2')
+    request = request_of("--preset", str(path), "--set", "neighbours=4", "--set", "fill_holes=true")
+    assert (request.preset, request.steps, request.size) == ("standard", 9, (64, 48))
+    assert request.options == {"neighbours": 4, "objects": "boxes"}, "what is as in the preset is left out"
+    assert request_of("--preset", str(path), "--steps", "7").steps == 7
+    assert request_of("--set", "weights.depth=0").options == {"weights.depth": 0.0}
+    assert request_of("--set", "steps=7").steps == 7

@@ -1,0 +1,119 @@
+"""Rivals and ablations train: each by its options, on the tiny room."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.scene import ClassTable, View
+from engine.train.presets import Preset
+from engine.train.state import restore, trainer_state
+from tests.train.tiny_lift import STEPS, TINY, colour_error, prepared_for, trainer_of, views_of
+
+Input = tuple[list[View], ClassTable]
+ALONE = replace(
+    TINY,
+    objects="none",
+    one_class_an_object=False,
+    linear_assignment=True,
+    semantic_targets="masks",
+    label_every=1,
+    weights=replace(TINY.weights, cluster=0.0, depth=0.0),
+)
+PLAIN = replace(
+    ALONE,
+    representation="plain",
+    warm_start=None,
+    rates=replace(TINY.rates, feature=(0.0025, 0.0025), offset=(1.6e-4, 1.6e-6)),
+    plain=replace(TINY.plain, gradient=1e-6),
+)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Input:
+    return views_of(tmp_path_factory.mktemp("tiny") / "scene", noise=0.1)
+
+
+def test_plain_gaussians_learn_and_grow(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, replace(PLAIN, steps=30), tmp_path)
+    before, began_with = colour_error(tiny[0], trainer), len(trainer.scene.anchors)
+    reports = []
+    while not trainer.finished:
+        reports.append(trainer.step())
+    assert colour_error(tiny[0], trainer) < before and len(trainer.scene.anchors) > began_with
+    epoch = len(tiny[0])
+    assert sum(one.semantic for one in reports[-epoch:]) < 0.8 * sum(one.semantic for one in reports[:epoch])
+
+
+def test_a_restored_trainer_of_plain_gaussians_goes_on_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
+    whole, resumed = (trainer_of(*tiny, PLAIN, tmp_path) for _ in range(2))
+    for _ in range(5):
+        whole.step()
+    tensors, facts = trainer_state(whole)
+    restore(resumed, {name: tensor.clone() for name, tensor in tensors.items()}, facts)
+    assert [resumed.step().loss for _ in range(5, STEPS)] == [whole.step().loss for _ in range(5, STEPS)]
+
+
+def test_slots_that_mean_what_the_assignment_makes_of_them(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, ALONE, tmp_path)
+    assert trainer.scene.channels.slot_ids == (1, 2, 3, 4, 0) and not trainer.scene.channels.class_of_slot
+    report = trainer.step()
+    assert report.instance > 0
+
+
+def targets_with(tiny: Input, folder: Path, **changed: object) -> list[np.ndarray]:
+    trainer = trainer_of(*tiny, replace(ALONE, **changed), folder)  # type: ignore[arg-type]
+    return [target.projected.numpy() for target in trainer.targets]
+
+
+def test_where_semantic_targets_come_from(tiny: Input, tmp_path: Path) -> None:
+    views, _ = tiny
+    masks = targets_with(tiny, tmp_path)
+    assert all(np.array_equal(shown >= 0, view.mask.class_map() > 0) for shown, view in zip(masks, views, strict=True))
+    assert all((shown == -1).all() for shown in targets_with(tiny, tmp_path, semantic_targets="none"))
+    projected = targets_with(tiny, tmp_path, semantic_targets="projected", objects="boxes")
+    assert any(not np.array_equal(one, other) for one, other in zip(projected, masks, strict=True))
+
+
+def loss_of(tiny: Input, folder: Path, preset: Preset) -> tuple[float, float]:
+    report = trainer_of(*tiny, preset, folder).step()
+    return report.semantic, report.instance
+
+
+def test_the_parts_of_the_label_losses(tiny: Input, tmp_path: Path) -> None:
+    boxes = replace(TINY, objects="boxes", one_class_an_object=False, linear_assignment=True, label_every=1)
+    semantic, instance = loss_of(tiny, tmp_path, boxes)
+    without = replace(boxes, weights=replace(boxes.weights, cluster=0.0))
+    assert loss_of(tiny, tmp_path, without)[0] < semantic
+    consistent = replace(boxes, weights=replace(boxes.weights, segment=1.2))
+    assert loss_of(tiny, tmp_path, consistent)[0] > semantic
+    assert loss_of(tiny, tmp_path, replace(boxes, matched_masks=False))[1] < instance
+    neither = replace(boxes, matched_masks=False, linear_assignment=False)
+    assert loss_of(tiny, tmp_path, neither)[1] == 0
+
+
+def test_labels_straight_from_the_masks(tmp_path: Path) -> None:
+    views, classes = views_of(tmp_path / "scene", noise=0.3)
+    alone = replace(TINY, consensus=replace(TINY.consensus, support=2.0))  # no mask is another's object
+    voted, masks = (
+        prepared_for(views, classes, replace(alone, vote_from=source), tmp_path).label_maps  # type: ignore[arg-type]
+        for source in ("objects", "masks")
+    )
+    assert voted is not None and masks is not None
+    for view, shown in zip(views, masks, strict=True):
+        assert ((shown >= 0) == (view.mask.class_map() > 0)).all()
+        for segment in np.unique(view.mask.ids[view.mask.ids > 0]):
+            assert len(np.unique(shown[view.mask.ids == segment])) == 1
+    assert any(not np.array_equal(one, other) for one, other in zip(voted, masks, strict=True))
+
+
+def test_a_start_without_labels(tiny: Input, tmp_path: Path) -> None:
+    labelled, bare = (
+        prepared_for(*tiny, replace(TINY, labelled_start=known), tmp_path).scene for known in (True, False)
+    )
+    assert (labelled.anchors.initial_class > 0).any() and not (bare.anchors.initial_class > 0).any()
+    assert bare.anchors.feature[:, :3].any() and not bare.anchors.feature[:, 3:].any(), "colours, no labels"
+    assert labelled.anchors.feature[:, 3:].any()
