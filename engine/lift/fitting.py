@@ -24,7 +24,7 @@ def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | Non
 
     Raises JobError, which names the options that would make it fit; SceneError when a mask is bad.
     """
-    effort = chosen_effort(request.preset, request.steps, request.size, request.frames)
+    effort = chosen_effort(request.preset, request.steps, request.size, request.frames, request.options)
     if memory is None:
         return effort.most_frames
     masks = masks_a_frame(scene)

@@ -71,9 +71,10 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
         network = Mask2FormerForUniversalSegmentation.from_pretrained(name, use_safetensors=True, **place)
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
         raise _not_loaded(name, download, error) from error
+    names: dict[Any, Any] = network.config.id2label or {}
     labels = tuple(
         ClassLabel(int(number), str(word), is_thing_by_name(str(word)) is not False)
-        for number, word in sorted((network.config.id2label or {}).items())
+        for number, word in sorted(names.items())
     )
     return Mask2Former(name, labels, network.eval(), processor)
 

@@ -18,7 +18,7 @@ def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
     if survey is None or survey.error is not None or not survey.sizes:
         return None
     options = {} if why_no_options(settings) else chosen_options(settings)
-    effort = chosen_effort(settings.preset, settings.steps or None, size_of(settings), options)
+    effort = chosen_effort(settings.preset, settings.steps or None, size_of(settings), options=options)
     (size, _), *_ = survey.sizes
     return predict(
         survey.train_frames,
