@@ -7,6 +7,9 @@ from ..job.options import DEFAULTS, chosen_options
 from ..job.preset_file import preset_text
 from ..job.preset_options import preset_options
 
+OWN = (("steps", "steps"), ("size", "size_within"), ("frames", "most_frames"))
+"""What a request has in a place of its own, and the option that it is."""
+
 
 def presets(name: str | None, sets: list[str] | None, *, as_json: bool) -> ExitCode:
     """Print the names of all presets, or one (a name or a file), with some options changed, as a file that --preset
@@ -19,7 +22,7 @@ def presets(name: str | None, sets: list[str] | None, *, as_json: bool) -> ExitC
         print(*(_line(preset) for preset in PRESETS), "", "'presets NAME' prints all options of one.", sep="\n")
     else:
         chosen = chosen_options(name, sets or [], DEFAULTS)
-        own = {option: chosen[key] for key, option in (("steps", "steps"), ("size", "size_within")) if key in chosen}
+        own = {option: chosen[key] for key, option in OWN if key in chosen}
         print(preset_text(chosen["preset"], {**chosen["options"], **own}), end="")
     return ExitCode.FINISHED
 

@@ -10,6 +10,7 @@ import torch
 
 from ..scene.classes import LARGEST_ID
 from .decoders import HIDDEN, DecoderShape
+from .plain import LABELS, LARGEST_LEVEL
 
 MOST_ANCHORS = 20_000_000
 MOST_LABELS = 64
@@ -20,7 +21,7 @@ LARGEST_LOG = 50.0
 """Of a scale in metres: its exponential is still a number of 32 bits."""
 LARGEST_WEIGHT = 1e6
 _SIZES = {"features": 512, "gaussians_per_anchor": 64, "classes": LARGEST_ID, "instance_slots": LARGEST_ID}
-_FLAGS = ("distance_input", "label_view_input")
+_FLAGS = ("distance_input", "label_view_input", "plain")
 
 
 class Wanted(NamedTuple):
@@ -67,7 +68,7 @@ def wanted_of_model(facts: Mapping[str, Any], anchors: int, labels: int | None) 
         "anchors.feature": Wanted((anchors, shape.features), least=-LARGEST_WEIGHT, most=LARGEST_WEIGHT),
         "anchors.offset": Wanted((anchors, k, 3), least=-LARGEST_WEIGHT, most=LARGEST_WEIGHT),
         "anchors.log_scale": Wanted((anchors, 6), least=-LARGEST_LOG, most=LARGEST_LOG),
-        "anchors.level": Wanted((anchors,), torch.int64, 0, 63),
+        "anchors.level": Wanted((anchors,), torch.int64, 0, LARGEST_LEVEL),
         "anchors.initial_class": Wanted((anchors,), torch.int64, 0, LARGEST_ID),
         **_wanted_of_decoders(shape),
     }
@@ -93,6 +94,8 @@ def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -
 
 
 def _wanted_of_decoders(shape: DecoderShape) -> dict[str, Wanted]:
+    if shape.plain:
+        return {}
     k, seen = shape.gaussians_per_anchor, shape.features + shape.view_inputs
     labelled = seen if shape.label_view_input else shape.features
     sides = {
@@ -116,9 +119,15 @@ def _wanted_of_decoders(shape: DecoderShape) -> dict[str, Wanted]:
 
 
 def _shape(facts: Mapping[str, Any], classes: int, slots: int) -> DecoderShape:
+    facts = {"plain": False, **facts}  # models of before have none
     if set(facts) != {*_SIZES, *_FLAGS}:
         raise ValueError("the decoders' shape is not known")
+    is_plain = facts["plain"] is True
+    if is_plain and (facts["gaussians_per_anchor"], facts["features"]) != (1, LABELS + classes + slots):
+        raise ValueError("the columns of plain Gaussians do not fit their labels")
     for name, most in _SIZES.items():
+        if name == "features" and is_plain:
+            continue
         if type(facts[name]) is not int or not 1 <= facts[name] <= most:
             raise ValueError(f"{name} of the decoders is no number from 1 to {most}")
     if not all(type(facts[name]) is bool for name in _FLAGS):

@@ -28,6 +28,8 @@ OPACITY_RATE, SCALE_RATE, QUAT_RATE, COLOUR_RATE = 20.0, 2.0, 0.4, 1.0
 """How much faster than a colour each is learnt: 3DGS's rates 0.05, 0.005, 0.001 over its 0.0025."""
 LABEL_RATE = 20.0
 """3DGS has no labels; logits start at 0 and have hundreds of steps."""
+LARGEST_LEVEL = 63
+"""Of an anchor: how often its forebears were cloned or split, as far as that is counted."""
 HARMONIC = 0.28209479177387814
 """The spherical harmonic of degree 0."""
 
@@ -152,7 +154,7 @@ def clone_split_prune(
     clones = anchors.select(moved & ~is_large)
     splits = _split(anchors, (moved & is_large).nonzero().squeeze(1), random)
     grown = clones.extended(splits)
-    grown.level.add_(1)
+    grown.level.add_(1).clamp_(max=LARGEST_LEVEL)
     grown.initial_class.fill_(UNKNOWN_CLASS)
     if len(grown) > room:
         grown = grown.select(torch.from_numpy(np.sort(random.choice(len(grown), room, replace=False))))

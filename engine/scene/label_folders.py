@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from .class_map import class_map
+from .class_tables import REDUCED, known_table
 from .classes import Category, ClassTable, distinct_colour
-from .coco_masks import open_coco_masks
 from .frame import GroundTruth, PanopticMask, SceneError
+from .label_image import check_label_header
 from .layout import files_by_stem, require_all
-from .panoptic_lifting_masks import REDUCED_CLASSES, check_label_header
+from .masks import open_masks
 from .pixels import decode_single_channel
 
 PAIRS = (
@@ -75,7 +77,7 @@ def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
     table = folder / "panoptic.json"
     pairs = [(folder / one, folder / other) for one, other in PAIRS if (folder / one).is_dir()]
     if table.is_file() and not (is_truth and pairs):
-        return _coco(folder, table)
+        return _coco(folder)
     if not pairs:
         raise SceneError("there are no labels here", folder, _FIX)
     semantics, instances = (files_by_stem(each, {".png"}, _FIX) for each in pairs[0])
@@ -86,18 +88,19 @@ def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
     return LabelFolder(folder, _classes(folder, pairs[0][0]), readers)
 
 
-def _coco(folder: Path, table: Path) -> LabelFolder:
-    names = list(files_by_stem(table.with_suffix(""), {".png"}, _FIX))
-    masks = open_coco_masks(table, names)
+def _coco(folder: Path) -> LabelFolder:
+    masks = open_masks(folder, list(files_by_stem(folder / "panoptic", {".png"}, _FIX)), "coco")
     return LabelFolder(folder, masks.classes, {name: _MaskReader(read) for name, read in masks.readers.items()})
 
 
 def _classes(folder: Path, semantics: Path) -> ClassTable | None:
     if (folder / "panoptic.json").is_file():
-        return open_coco_masks(folder / "panoptic.json", []).classes
+        return open_masks(folder, [], "coco").classes
     if (folder / "labels.json").is_file():
         return _classes_of_export(folder / "labels.json")
-    return REDUCED_CLASSES if semantics.name in ("rs_semantics", "m2f_semantics") else None
+    if semantics.name not in ("rs_semantics", "m2f_semantics"):
+        return None
+    return class_map(known_table(REDUCED).labels, None, folder, False).classes
 
 
 def _classes_of_export(path: Path) -> ClassTable:

@@ -24,6 +24,7 @@ LEVELS = 3
 RANGES: dict[str, tuple[float, float | None]] = {
     "steps": (1, 10_000_000),
     "size_within": SIDES,
+    "most_frames": (0, 1_000_000),
     "voxel_size": (0.001, 10.0),
     "gaussians_per_anchor": (1, 32),
     "features": (5, 128),
@@ -81,7 +82,7 @@ def table_text() -> str:
 
 
 def requested_preset(request: LiftRequest) -> Preset:
-    """The preset that a lift was asked for, with the steps, the size and the options of the request."""
+    """The preset that a lift was asked for, with the steps, size, frames and options of the request."""
     return with_options(chosen_preset(request.preset, request.steps, request.size, request.frames), request.options)
 
 
