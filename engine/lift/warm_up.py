@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import torch
 
 from ..job import EventWriter, StopSignal
+from ..model.gaussians import decode
 from ..model.label_voting import LabelVotes, contributors, pixel_labels
 from ..model.render import render_bands
+from ..model.rendering import PanopticRendering
+from ..model.structured import LabelChannels
 from ..passes import ShownInstances, bake_view
+from ..raster import rasterize
+from ..raster.workload import room_workload
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
+from ..train.losses import reconstruction_loss
 from ..train.presets import PRESETS, Schedule, WarmStart
 from ..train.progress import StageReporter
 from ..train.trainer import Trainer
@@ -24,7 +33,30 @@ WALL, PICTURE = 1, 2
 
 
 def warm_up() -> None:
-    """Take every compiled path of a lift once: consistency, matching, projection, rendering and gradients, baking."""
+    """Take every compiled path of a lift once: consistency, matching, projection, rendering and gradients, baking.
+
+    Numba compiles one function at a time. A second process compiles the rasteriser meanwhile, which is half of it, and
+    leaves it in the cache.
+    """
+    rasteriser = get_context("spawn").Process(target=compile_rasteriser)
+    rasteriser.start()
+    try:
+        _lift_a_wall(rasteriser.join)
+    finally:
+        rasteriser.join()
+
+
+def compile_rasteriser() -> None:
+    """Draw with labels and without, and take the gradients."""
+    work = room_workload(200, 64, 48)
+    values = (work.means, work.scales, work.quats, work.opacities, work.colours)
+    shapes = [torch.from_numpy(array).requires_grad_() for array in values]
+    for labels in (torch.from_numpy(work.labels).requires_grad_(), None):
+        drawn = rasterize(*shapes, labels, work.camera_to_world, work.intrinsics, 64, 48, top_k=1)
+        drawn.image.sum().backward()
+
+
+def _lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
     classes = ClassTable(
         (Category(WALL, "wall", False, (200, 200, 200)), Category(PICTURE, "picture", True, (200, 0, 0)))
     )
@@ -36,15 +68,38 @@ def warm_up() -> None:
         stages = StageReporter(events, StopSignal(Path(folder) / "cancel"), STAGES)
         prepared = prepare(views, classes, preset, 0, stages)
         trainer = Trainer(prepared.scene, prepared.targets, views, preset, 0)
+        camera, shown = views[0].camera, ShownInstances({}, prepared.class_of_instance)
+        gaussians = decode(trainer.scene.anchors, trainer.scene.decoders, camera, channels=trainer.initial_channels)
+        image = torch.zeros(camera.height, camera.width, 3, requires_grad=True)
+        loss = reconstruction_loss(
+            image, trainer.targets[0].photo, gaussians.scales, photo_weight=1.0, ssim_weight=0.2, volume_weight=0.001
+        )
+        loss.backward()
+        bake_view([_nothing_rendered(camera, prepared.scene.channels)], camera, classes, shown)
+        wait_for_rasteriser()
         while not trainer.finished:
             trainer.step()
-        camera, shown = views[0].camera, ShownInstances({}, prepared.class_of_instance)
         bake_view(render_bands(trainer.scene, camera), camera, classes, shown)
         votes = LabelVotes(trainer.scene, preset.voting)
         seen = contributors(trainer.scene, views[0].camera, preset.voting.contributors)
         votes.add(seen, np.zeros(views[0].depth.shape, np.int16), views[0].depth)
         pixel_labels(trainer.scene, votes.result(), seen)
         events.close()
+
+
+def _nothing_rendered(camera: Camera, channels: LabelChannels) -> PanopticRendering:
+    size, labels = (camera.height, camera.width), len(channels.class_ids)
+    coverage = np.zeros((*size, labels + len(channels.shown_ids)), np.float32)
+    return PanopticRendering(
+        camera,
+        image=np.zeros((*size, 3), np.float32),
+        alpha=np.zeros(size, np.float32),
+        depth=np.zeros(size, np.float32),
+        class_coverage=coverage[..., :labels],
+        instance_coverage=coverage[..., labels:],
+        class_ids=channels.class_ids,
+        instance_ids=channels.shown_ids,
+    )
 
 
 def _view_of_a_wall(number: int) -> View:
