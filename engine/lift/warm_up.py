@@ -49,10 +49,12 @@ def warm_up() -> None:
 def compile_rasteriser() -> None:
     """Draw with labels and without, and take the gradients."""
     work = room_workload(200, 64, 48)
-    values = (work.means, work.scales, work.quats, work.opacities, work.colours)
-    shapes = [torch.from_numpy(array).requires_grad_() for array in values]
-    for labels in (torch.from_numpy(work.labels).requires_grad_(), None):
-        drawn = rasterize(*shapes, labels, work.camera_to_world, work.intrinsics, 64, 48, top_k=1)
+    values = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
+    means, scales, quats, opacities, colours, labels = (torch.from_numpy(array).requires_grad_() for array in values)
+    for shown in (labels, None):
+        drawn = rasterize(
+            means, scales, quats, opacities, colours, shown, work.camera_to_world, work.intrinsics, 64, 48, top_k=1
+        )
         drawn.image.sum().backward()
 
 
