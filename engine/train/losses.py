@@ -1,6 +1,6 @@
 """The losses of the paper's section "Loss Functions" but for those of label pictures (``label_losses``).
 
-Their weights are ``LossWeights`` (``presets``); ``Trainer.step`` multiplies and adds.
+Their weights are ``LossWeights`` (``presets``); ``Trainer._losses`` multiplies and adds.
 """
 
 from __future__ import annotations

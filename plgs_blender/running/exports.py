@@ -22,6 +22,7 @@ FORMS = {
     "points": ("Labelled points", "PLY of the semantic points, and of the Gaussians"),
     "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
+    "depth": ("Depth maps", "The lifted surface's depth as 16-bit PNGs in millimetres"),
 }
 """What the engine exports to: a label and what it is."""
 _PROGRESS = re.compile(r"(\d+) of (\d+) frames")

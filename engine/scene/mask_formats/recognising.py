@@ -27,6 +27,7 @@ class MaskFormat:
     """A format: the ``name`` that users give, what is looked for, whether a place has it, and its reader.
 
     ``read`` gets the frames' names and raises SceneError. ``in_scene``: looked for in the scene's own folder as well.
+    ``own_names``: its files have names of their own, so it comes before formats that look like others as well.
     """
 
     name: str
@@ -34,19 +35,25 @@ class MaskFormat:
     recognises: Callable[[Path], bool]
     read: Callable[[Path, Sequence[str]], MaskSource]
     in_scene: bool = False
+    own_names: bool = False
 
 
 MASK_FORMATS: tuple[MaskFormat, ...] = (
-    MaskFormat("coco", coco.LOOKS_FOR, coco.recognises, coco.read, in_scene=True),
+    MaskFormat("coco", coco.LOOKS_FOR, coco.recognises, coco.read, in_scene=True, own_names=True),
     MaskFormat(
         "panoptic-lifting",
         panoptic_lifting.LOOKS_FOR,
         panoptic_lifting.recognises,
         panoptic_lifting.read,
         in_scene=True,
+        own_names=True,
     ),
-    MaskFormat("grounded-sam2", grounded_sam2.LOOKS_FOR, grounded_sam2.recognises, grounded_sam2.read),
-    MaskFormat("pairs", label_pairs.LOOKS_FOR_PAIRS, label_pairs.recognises_pairs, label_pairs.read_pairs),
+    MaskFormat(
+        "grounded-sam2", grounded_sam2.LOOKS_FOR, grounded_sam2.recognises, grounded_sam2.read, own_names=True
+    ),
+    MaskFormat(
+        "pairs", label_pairs.LOOKS_FOR_PAIRS, label_pairs.recognises_pairs, label_pairs.read_pairs, own_names=True
+    ),
     MaskFormat(
         "transformers",
         segment_maps.LOOKS_FOR_TRANSFORMERS,
@@ -68,8 +75,6 @@ MASK_FORMATS: tuple[MaskFormat, ...] = (
     MaskFormat("object-index", exr_masks.LOOKS_FOR_INDEX, exr_masks.recognises_index, exr_masks.read_index),
     MaskFormat("arrays", class_arrays.LOOKS_FOR, class_arrays.recognises, class_arrays.read),
 )
-_FIRST = 4
-"""So many formats have file names of their own, and come before those that look like others as well."""
 _PICKLES = {".pkl", ".pickle", ".pt", ".pth", ".ptz", ".joblib"}
 
 
@@ -86,8 +91,8 @@ def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
     if not place.exists():
         raise SceneError("there are no masks", place, "Name a folder of masks.")
     try:
-        first = [each for each in MASK_FORMATS[:_FIRST] if each.recognises(place)]
-        found = first[:1] or [each for each in MASK_FORMATS[_FIRST:] if each.recognises(place)]
+        seen = [each for each in MASK_FORMATS if each.recognises(place)]
+        found = [each for each in seen if each.own_names][:1] or seen
     except OSError as error:
         raise SceneError(f"the folder cannot be read ({error.strerror})", place, "Check its permissions.") from error
     if len(found) > 1:
