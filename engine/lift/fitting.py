@@ -38,7 +38,7 @@ def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | Non
         events.warning(f"memory is short: at most {fewer} frames are trained on")
         return fewer
     what = f"the lift needs about {_gb(needed)} of memory, and this machine has {_gb(memory.total)}"
-    raise JobError(what, scene.folder, _advice(scene, effort, masks, memory.total, fewer))
+    raise JobError(what, scene.folder, _advice(scene, request, effort, masks, memory.total, fewer))
 
 
 def masks_a_frame(scene: Scene) -> float:
@@ -67,15 +67,21 @@ def _fewer_frames(scene: Scene, effort: Effort, masks: float, most: int) -> int 
     return None
 
 
-def _advice(scene: Scene, effort: Effort, masks: float, most: int, fewer: int | None) -> str:
-    """The options with which it would fit."""
+def _advice(
+    scene: Scene, request: LiftRequest, effort: Effort, masks: float, most: int, fewer: int | None
+) -> str:
+    """The options with which it would fit, beside those of the request."""
     found = [] if fewer is None else [f"--frames {fewer} (--fit finds such a number)"]
     sides = [(width, width * 3 // 4) for width in (640, 320, 200) if width < effort.size_within[0]]
     size = next((size for size in sides if _peak(scene, replace(effort, size_within=size), masks) <= most), None)
     if size is not None:
         found.append(f"--size {size[0]}x{size[1]}")
-    names = [name for name in EFFORTS if EFFORTS[name].steps < EFFORTS[effort.name].steps]
-    name = next((name for name in reversed(names) if _peak(scene, EFFORTS[name], masks) <= most), None)
+    lesser = [
+        chosen_effort(name, request.steps, request.size, request.frames, request.options)
+        for name in reversed(EFFORTS)
+        if EFFORTS[name].steps < EFFORTS[effort.name].steps
+    ]
+    name = next((each.name for each in lesser if _peak(scene, each, masks) <= most), None)
     if name is not None:
         found.append(f"--preset {name}")
     if not found:
