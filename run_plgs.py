@@ -82,7 +82,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="run_plgs.py", description="Lift a scene and put the result into a .blend.")
     parser.add_argument(
         "scene", type=Path, nargs="?", metavar="SCENE",
-        help="folder with color/, depth/, pose/, intrinsic/ and the masks; needed but to bake a camera",
+        help="folder or file of a capture, in one of the layouts of --format; needed but to bake a camera",
     )  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="OUT", help="the lift folder to make; all results go there"

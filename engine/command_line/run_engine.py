@@ -102,6 +102,7 @@ def run_bake(
     task = Task(work, False, BAKE, left, "bake again", "Bake again after closing other programs.")
     folder.refuse_foreign()
     if events_path is not None:
+        _refuse_strange_events(folder, events_path)
         _refuse_unfinished(folder)
         return _bake_beside(folder, task, events_path, parent_pipe)
     try:
@@ -134,6 +135,13 @@ def _bake_beside(
     if code is ExitCode.FINISHED:
         log_path.unlink(missing_ok=True)
     return code
+
+
+def _refuse_strange_events(folder: LiftFolder, path: Path) -> None:
+    """Raises JobError unless it is a file that bakers have: events are added to it, and a log beside it goes."""
+    if path.suffix != ".jsonl" or path.resolve().parent != folder.path.resolve() / "bake":
+        fix = f"Name a file of {folder.path / 'bake'} that ends in .jsonl, or leave --events out."
+        raise JobError("a bake's events cannot go there", path, fix)
 
 
 def _refuse_unfinished(folder: LiftFolder) -> None:

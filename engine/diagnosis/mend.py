@@ -30,6 +30,8 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> None:
     """
     if out.exists():
         raise SceneError("the folder for the mended scene exists", out, "Name one that does not.")
+    if out.resolve().is_relative_to(scene.folder.resolve()):
+        raise SceneError("the mended scene would lie inside the scene itself", out, "Name a folder outside of it.")
     frames = [frame for frame in scene.frames if frame.name not in diagnosis.mending.dropped]
     if not any(not frame.held_out for frame in frames):
         raise SceneError("no frame to train on would be left", scene.folder, "Give more frames.")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 from typing import Any
 
-from ..job.atomic import write_atomically
+from ..job.atomic import PART, write_atomically
 from ..scene import SceneError
 from .finding import Diagnosis, Finding
 
@@ -15,8 +16,13 @@ FINDINGS = "findings.json"
 
 
 def write_findings(diagnosis: Diagnosis, folder: Path) -> None:
-    """Write findings.json and the pictures that it names into a folder, made when missing. Raises SceneError."""
+    """Write findings.json and the pictures that it names into a folder: a new or empty one, or one of earlier findings.
+
+    Raises SceneError.
+    """
     try:
+        if folder.exists() and any(folder.iterdir()) and not _is_of_findings(folder):
+            raise SceneError("the folder for the findings holds other files", folder, "Name a new or an empty folder.")
         folder.mkdir(parents=True, exist_ok=True)
         entries = []
         for number, finding in enumerate(diagnosis.findings, start=1):
@@ -29,6 +35,12 @@ def write_findings(diagnosis: Diagnosis, folder: Path) -> None:
     except OSError as error:
         what = f"the findings cannot be written ({error.strerror or error})"
         raise SceneError(what, os.fspath(error.filename or folder), "Choose another folder.") from error
+
+
+def _is_of_findings(folder: Path) -> bool:
+    """Whether all that is there are findings and their pictures ("1-depth-unit.png"), or what a kill left of them."""
+    names = [path.name.removeprefix(PART) for path in folder.iterdir()]
+    return all(name == FINDINGS or re.fullmatch(r"\d+-[a-z-]+\.png", name) for name in names)
 
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:

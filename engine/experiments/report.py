@@ -38,10 +38,18 @@ def write_report(
         if not write_plots(folder / "plots", tables):
             print("No plots: matplotlib is not installed (requirements/report.txt).", file=sys.stderr)
         if page is not None:
-            write_atomically(page, with_tables(page.read_text("utf-8") if page.exists() else "", tables.markdown()))
+            write_atomically(page, with_tables(text_of(page), tables.markdown()))
     except OSError as error:
         fix = "Make room there, or choose a folder that you may write to with -o."
         raise JobError(f"the results cannot be written ({error.strerror})", folder, fix) from error
+
+
+def text_of(page: Path) -> str:
+    """The text of a page, none of one that is not there. Raises JobError for a file that is no text."""
+    try:
+        return page.read_text("utf-8") if page.exists() else ""
+    except (OSError, UnicodeDecodeError) as error:
+        raise JobError("the report's page is no text", page, "Name a Markdown file, or a new one.") from error
 
 
 def with_tables(page: str, tables: str) -> str:

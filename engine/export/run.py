@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ..job import JobError, LiftFolder, read_manifest
+from ..job import JobError, LiftFolder, read_manifest, write_atomically
 from ..passes import PanopticLayers, write_coco
 from ..scene import Frame
 from .boxes import write_boxes
@@ -17,17 +19,35 @@ from .label_images import write_label_images, write_scannet
 from .points import write_points
 from .source import FinishedLift
 
+NOTE = "export.json"
+"""What an export's folder is of: form, lift and frames."""
+
 
 def export(folder: LiftFolder, kind: str, output: Path, frames: Sequence[str], *, count_frames: bool = False) -> None:
     """Write a finished lift as ``kind`` (of KINDS) into the folder ``output``, of ``frames`` ("test", "all", names).
     ``count_frames``: print a line after each.
 
-    Raises JobError for a lift that is not finished or an output that is no folder, SceneError, OSError.
+    The folder is new or empty, or holds this very export, cut off or whole: nobody's files are written over. What lies
+    in the lift's own folder ``exports`` is made anew.
+
+    Raises JobError for a lift that is not finished or an output of another kind, SceneError, OSError.
     """
     read_manifest(folder.result_path)
+    lift = FinishedLift(folder, frames, count_frames)
+    make_room(folder, output, {"form": kind, "lift": str(folder.path), "frames": [frame.name for frame in lift.frames]})
+    KINDS[kind](lift, output)
+
+
+def make_room(folder: LiftFolder, output: Path, export: Mapping[str, object]) -> None:
+    """A folder for ``export``, whose note says what is in it. Raises JobError where other files are, OSError."""
     if output.exists() and not output.is_dir():
         raise JobError("the export needs a folder, this is a file", output, "Name another one.")
-    KINDS[kind](FinishedLift(folder, frames, count_frames), output)
+    text, note = json.dumps(export, indent=1) + "\n", output / NOTE
+    if output.resolve().is_relative_to(folder.path.resolve() / "exports"):
+        shutil.rmtree(output, ignore_errors=True)
+    elif output.exists() and any(output.iterdir()) and not (note.is_file() and note.read_bytes() == text.encode()):
+        raise JobError("the folder for the export holds other files", output, "Name a new or an empty folder.")
+    write_atomically(note, text)
 
 
 def _coco(lift: FinishedLift, output: Path) -> None:

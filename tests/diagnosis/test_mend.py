@@ -80,6 +80,9 @@ def test_the_command_says_shows_and_mends(tmp_path: Path, capsys: pytest.Capture
         np.savetxt(path, np.linalg.inv(np.loadtxt(path)))
     out, shown = tmp_path / "out", tmp_path / "shown"
     assert main(["inspect", str(folder), "-o", str(shown), "--fix", str(out)]) == 0
+    assert main(["inspect", str(folder), "-o", str(folder)]) == 2  # it holds other files
+    assert main(["inspect", str(folder), "--fix", str(folder / "depth" / "mended")]) == 2
+    assert not (folder / "findings.json").exists() and not (folder / "depth" / "mended").exists()
     told = capsys.readouterr().out
     assert "wrong: inverted poses: " in told and "mended    inverted poses" in told
     (finding,) = json.loads((shown / "findings.json").read_text())["findings"]

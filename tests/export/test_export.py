@@ -171,3 +171,17 @@ def test_refusals(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["export", str(lift.path), "--to", "coco", "-o", str(tmp_path), "--frames", "9"]) == 2
     told = capsys.readouterr().err
     assert "needs a folder" in told and "no frame 9" in told
+
+
+def test_nobodys_files_are_written_over(
+    lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    masks = lift.request.scene / "panoptic.json"
+    before = masks.read_bytes()
+    assert main(["export", str(lift.path), "--to", "coco", "-o", str(lift.request.scene)]) == 2
+    assert masks.read_bytes() == before
+    assert main(["export", str(lift.path), "--to", "points", "-o", str(lift.result_path)]) == 2
+    run(lift, "boxes", tmp_path / "out")
+    run(lift, "boxes", tmp_path / "out")  # the same again
+    assert main(["export", str(lift.path), "--to", "coco", "-o", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("holds other files") == 3
