@@ -179,6 +179,9 @@ def results_of_rivals(experiment: Experiment) -> Iterator[Result]:
 
 def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
     """Before hours of work: raise JobError or SceneError for the first thing that is wrong."""
+    if experiment.page and experiment.only:
+        fix = "Leave out --report or --only; results.md has the tables of some rows."
+        raise JobError("--report with --only would take the page's other tables away", experiment.page, fix)
     if experiment.earlier:
         known = {result.key[:2] for result in experiment.earlier}
         if not known & {(task.scene.name, task.row.name) for task in tasks}:

@@ -7,22 +7,25 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..gates import read_plain
 from .errors import JobError
 from .json_file import Json
 from .preset_options import PresetOption, checked_value, from_text, known_option, preset_options
 
 BASE = "preset"
 """The key that names the preset which the file changes."""
+MOST_BYTES = 1 << 20
+"""Of a file; a whole preset is some thousands."""
 _FIX = "'python -m engine presets preview' prints one that can be changed."
 
 
 def read_preset_file(path: Path, known: tuple[str, ...]) -> tuple[str, dict[str, Json]]:
     """The preset that a file changes, and the options it gives. Raises JobError that names the file and the option."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(read_plain(path, MOST_BYTES).decode("utf-8"))
     except OSError as error:
         raise JobError(f"cannot be read ({error.strerror})", path, _FIX) from error
-    except ValueError as error:  # broken TOML and broken UTF-8
+    except (ValueError, RecursionError) as error:  # broken TOML, broken UTF-8, nested too deeply
         raise JobError(f"is not TOML ({error})", path, _FIX) from error
     base = content.pop(BASE, None)
     if base not in known:

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from safetensors.torch import save_file
 
-from ..job import Cancelled, Checkpoint, EventWriter, JobError, LiftFolder, StopSignal, write_manifest
+from ..job import Cancelled, Checkpoint, EventWriter, JobError, LiftFolder, LiftRequest, StopSignal, write_manifest
 from ..job.main_memory import main_memory
 from ..job.prediction import learn_slowness
 from ..machine.log_compilation import log_compilation
@@ -65,6 +65,10 @@ STAGES = {
 }
 CHECKPOINT_EVERY_S = 20.0
 """A kill loses at most this much work. Checkpoints do not change what is computed."""
+NO_VOTES = (
+    "the finished scene shows the label decoders, not the views' votes: "
+    'votes need objects = "agreement" and one_class_an_object = true'
+)
 LEAST_STEPS = 100
 """Fewer say more about the first compilation than about the machine."""
 
@@ -77,6 +81,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     request = folder.request
     preset = requested_preset(request)
     refuse_missing_device(request.device)
+    refuse_names_of_no_objects(request, preset)
     be_repeatable(request.device)
     stages = StageReporter(events, stop, STAGES)
     with drawing_on(request.device):
@@ -88,6 +93,8 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     request, events = folder.request, stages.events
 
     with stages.stage("check") as progress:
+        if preset.labels == "votes" and not shows_votes(preset):
+            events.warning(NO_VOTES)
         whole = open_scene_to_lift(
             request.scene, request.masks, request.up, request.scene_format, request.depth,
             request.mask_format, request.classes,
@@ -115,8 +122,9 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     paces = train(trainer, folder, stages, previews)
 
     with stages.stage("result") as progress:
-        if preset.labels == "votes" and prepared.label_maps is not None and preset.one_class_an_object:
+        if shows_votes(preset):
             maps = prepared.label_maps
+            assert maps is not None  # objects by agreement come with them
             trainer.scene.voted = vote_labels(trainer.scene, frames, maps, preset, progress, folder.path)
         if earlier is not None:
             prepared, lasting = keep_names(earlier, prepared, trainer.scene, scene.classes)
@@ -134,6 +142,18 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
         timings=stages.timings,
     )
     remember_pace(paces, trainer)
+
+
+def shows_votes(preset: Preset) -> bool:
+    """Whether the finished scene shows what the views vote, which needs objects by agreement, of one class each."""
+    return preset.labels == "votes" and preset.objects == "agreement" and preset.one_class_an_object
+
+
+def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
+    """Raise JobError where an earlier lift's names are asked for, and there are no objects to keep them."""
+    if request.names_from is not None and preset.objects == "none":
+        fix = "Leave out --names-from, or take objects by agreement or boxes."
+        raise JobError('there are no objects to keep names with objects = "none"', request.names_from, fix)
 
 
 def take_up(trainer: Trainer, checkpoint: Checkpoint) -> None:

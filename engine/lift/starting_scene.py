@@ -73,5 +73,6 @@ def starting_scene(
     )
     scene = StructuredScene(anchors, Decoders(shape, seed), channels, preset.voxel_size)
     if preset.warm_start is not None:
-        warm_start(scene, rgb, owners, viewpoints, preset.warm_start, seed)
+        objects = owners if preset.objects != "none" else None
+        warm_start(scene, rgb, objects, viewpoints, preset.warm_start, seed)
     return scene

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..instances import PanopticLabels, restrict_to_things
 from ..model.structured import LabelChannels
-from ..scene import ClassTable, OnDemand, View, stored
+from ..scene import VOID, ClassTable, OnDemand, View, stored
 from ..semantics import LabelledPoints, project_labels
 from ..train.photos import exposure_gains, sharpness_weights
 from ..train.presets import Preset
@@ -37,16 +37,20 @@ def targets_of(
     else:
         masks = _projected_masks(placed, matching, classes, preset, scratch)
 
+    with_objects = preset.matched_masks and preset.objects != "none"  # nothing matched says nothing of objects
+
     def targets(number: int) -> ViewTargets:
         view = views[number]
         projected, matched = masks(number)
+        known = projected != VOID
         if preset.semantic_targets != "projected":
             projected = view.mask.class_map() if preset.semantic_targets == "masks" else np.zeros_like(projected)
         return view_targets(
             view,
             channels,
             projected_class=projected,
-            matched_instance=matched if preset.matched_masks else None,
+            matched_instance=matched if with_objects else None,
+            known=known,
             with_segments=preset.weights.segment > 0,
             weight=float(weights[number]),
             gain=None if gains is None else gains[number],

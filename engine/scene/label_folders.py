@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,20 +10,20 @@ import numpy as np
 
 from .class_map import class_map
 from .class_tables import REDUCED, known_table
-from .classes import Category, ClassTable, distinct_colour
+from .classes import VOID, Category, ClassTable, distinct_colour
 from .frame import GroundTruth, PanopticMask, SceneError
+from .json_file import read_json_object, take_flag, take_objects, take_text, take_whole_number
 from .label_image import check_label_header
 from .layout import files_by_stem, require_all
+from .mask_formats import label_pairs
 from .masks import open_masks
 from .pixels import decode_single_channel
 
 PAIRS = (
-    ("class", "instance"),
-    ("semantic", "instance"),
     ("gt/semantic", "gt/instance"),
     ("rs_semantics", "rs_instance"),
     ("m2f_semantics", "m2f_instance"),
-    ("label-filt", "instance-filt"),
+    *label_pairs.PAIRS,
 )
 """Folders of classes and of instances, in the order in which they are looked for."""
 _FIX = (
@@ -104,14 +103,16 @@ def _classes(folder: Path, semantics: Path) -> ClassTable | None:
 
 
 def _classes_of_export(path: Path) -> ClassTable:
-    """Of the labels.json that ``export --to instances`` writes."""
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))["classes"]
-        found = [Category(int(e["id"]), str(e["name"]), bool(e["is_thing"]), distinct_colour(e["id"])) for e in entries]
-        return ClassTable(tuple(sorted(found, key=lambda category: category.id)))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        fix = 'It needs "classes": [{"id": 1, "name": "wall", "is_thing": false}, ...].'
-        raise SceneError(f"the classes cannot be read ({error!r})", path, fix) from error
+    """Of the labels.json that ``export --to instances`` writes. Raises SceneError."""
+    found: dict[int, Category] = {}
+    for number, entry in enumerate(take_objects(read_json_object(path), "classes", "the table", path)):
+        whose = f"class {number}"
+        class_id = take_whole_number(entry, "id", whose, path)
+        if class_id <= VOID or class_id in found:
+            raise SceneError(f"{whose} has the id {class_id}", path, "Give each class an id of its own, from 1.")
+        name, is_thing = take_text(entry, "name", whose, path), take_flag(entry, "is_thing", whose, path)
+        found[class_id] = Category(class_id, name, is_thing, distinct_colour(class_id))
+    return ClassTable(tuple(found[class_id] for class_id in sorted(found)))
 
 
 def common_classes(predictions: LabelFolder, truth: LabelFolder) -> ClassTable:

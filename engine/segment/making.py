@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import JobError, write_atomically
-from ..job.json_file import read_object
+from ..job.json_file import read_object, read_value
 from ..scene import ClassLabel, Scene, distinct_colour
 from .merging import MadeSegment
 
@@ -101,13 +101,11 @@ def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -
 
 def read_list(path: Path) -> list[object]:
     """The segments of a frame that was made before. Raises JobError when the file is damaged."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise JobError("this frame's segments cannot be read", path, "Delete this file, then start again.") from error
+    fix = "Delete this file, then start again."
+    content = read_value(path, fix)
     if not isinstance(content, list):
-        raise JobError("this frame's segments are no list", path, "Delete this file, then start again.")
-    return content
+        raise JobError("this frame's segments are no list", path, fix)
+    return list(content)
 
 
 def _segments(ids: NDArray[np.int32], found: list[MadeSegment]) -> list[dict[str, object]]:

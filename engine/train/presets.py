@@ -101,7 +101,8 @@ class Preset:
 
     What rivals and ablations need: ``representation`` "plain" is 3DGS with labels on each Gaussian, grown by ``plain``.
     ``semantic_targets``: classes are learnt from the projected cloud, or the votes, from the machine's "masks", or by
-    L_cluster alone ("none"). ``matched_masks``: whether M_match, or the votes' objects, supervise instances. Without
+    L_cluster alone ("none"). ``matched_masks``: whether M_match, or the votes' objects, supervise instances, if
+    anything was matched. Without
     ``labelled_start`` anchors and decoders begin with the cloud's colours alone. ``vote_from``: the labels that are
     voted onto Gaussians come from the voted objects, or straight from the masks.
     """

@@ -121,15 +121,16 @@ def view_targets(
     *,
     projected_class: NDArray[np.int32],
     matched_instance: NDArray[np.int32] | None,
+    known: NDArray[np.bool_] | None = None,
     with_segments: bool = False,
     weight: float = 1.0,
     gain: NDArray[np.float64] | None = None,
 ) -> ViewTargets:
-    """Targets of ``view`` from class ids and instance ids, int32 [H, W] each. Where a class is known (not 0), instance
-    0 is no object; without instance ids nothing is known of objects."""
+    """Targets of ``view`` from class ids and instance ids, int32 [H, W] each. Where ``known`` bool [H, W] (by
+    default where there is a class), instance 0 is no object; without instance ids nothing is known of objects."""
     matched = torch.full(projected_class.shape, -1, dtype=torch.int16)
     if matched_instance is not None:
-        matched = slots_of(matched_instance, projected_class != 0, channels)
+        matched = slots_of(matched_instance, projected_class != 0 if known is None else known, channels)
     things = {segment.id for segment in view.mask.segments if segment.is_thing}
     is_thing = np.isin(view.mask.ids, sorted(things))
     return ViewTargets(

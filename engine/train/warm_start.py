@@ -20,21 +20,24 @@ from .targets import columns_of, slots_of
 def warm_start(
     scene: StructuredScene,
     colour: np.ndarray,
-    instance_id: np.ndarray,
+    instance_id: np.ndarray | None,
     viewpoints: np.ndarray,
     settings: WarmStart,
     seed: int,
 ) -> None:
     """Fit colour, semantic and instance decoder in place to the initial anchors; lift the opacities a little.
 
-    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) of the anchors, ``viewpoints`` float64 [N, 3]
-    metres: the camera centres, which colours are asked from. Deterministic for a seed.
+    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) of the anchors, or None where nothing is
+    known of objects; ``viewpoints`` float64 [N, 3] metres: the camera centres, which colours are asked from.
+    Deterministic for a seed.
     """
     anchors, decoders = scene.anchors, scene.decoders
     random = np.random.default_rng([seed, 3])
     initial = anchors.initial_class.numpy()
     classes = columns_of(initial, scene.channels.class_ids)
-    slots = slots_of(instance_id, initial != UNKNOWN_CLASS, scene.channels).long()
+    slots = torch.full_like(classes, -1)
+    if instance_id is not None:
+        slots = slots_of(instance_id, initial != UNKNOWN_CLASS, scene.channels).long()
     target_colour = torch.from_numpy(colour.astype(np.float32) / 255.0)
     centres = torch.from_numpy(viewpoints.astype(np.float32))
     k = anchors.gaussians_per_anchor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections.abc import Callable
@@ -13,12 +14,12 @@ import numpy as np
 import pytest
 
 from engine.command_line.main import main
-from engine.experiments import Experiment, SceneToLift, read_results, run_experiment
+from engine.experiments import Experiment, Rows, SceneToLift, read_results, rivals, run_experiment
 from engine.experiments.rivals import RIVALS, VOXELS_ALONE
 from engine.job import EventReader, ExitCode, JobError, LiftFolder, LiftRequest
 from engine.job.terminal import Interrupts
-from engine.metrics import MACHINE_MASKS, VOXEL_VOTE
-from engine.scene import SceneError
+from engine.metrics import MACHINE_MASKS, VOXEL_VOTE, Report
+from engine.scene import Scene, SceneError, open_scene
 from tests.experiments.made_up import KITCHEN, ROWS
 from tests.tiny_scene import write_tiny_scene
 
@@ -93,6 +94,30 @@ def test_rows_one_after_the_other(experiment: Experiment, behave: Behave) -> Non
         "office-preview", "office-preview-theirs", "office-preview-without-depth") for seed in ("", "-seed2"))
 
 
+def test_rivals_are_measured_anew_when_the_scene_or_the_engine_is_another(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured: list[Path] = []
+    real = rivals.add_rivals
+
+    def counted(report: Report, scene: Scene) -> None:
+        measured.append(scene.folder)
+        real(report, scene)
+
+    monkeypatch.setattr(rivals, "add_rivals", counted)
+    place = experiment.scenes[0].folder
+    cache = place / "lifts" / "office.json"
+    first = rivals.scores_of_rivals(open_scene(place, None, "z"), cache)
+    assert set(first) == set(RIVALS)
+    (cache.parent / "another.txt").touch()
+    assert rivals.scores_of_rivals(open_scene(place, None, "z"), cache) == first and len(measured) == 1
+    os.utime(place / "panoptic.json", (1, 1))
+    assert rivals.scores_of_rivals(open_scene(place, None, "z"), cache) == first and len(measured) == 2
+    monkeypatch.setattr(rivals, "__version__", "another")
+    for _ in range(2):
+        assert rivals.scores_of_rivals(open_scene(place, None, "z"), cache) == first and len(measured) == 3
+
+
 def test_other_masks_are_lifted_where_there_are_some(experiment: Experiment, behave: Behave) -> None:
     office = experiment.scenes[0]
     shutil.copyfile(office.folder / "panoptic.json", office.folder / "other.json")
@@ -149,6 +174,8 @@ def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behav
         run(replace(experiment, only=("hours",)))
     with pytest.raises(JobError, match="weights.depth"):
         run(replace(experiment, sets=("weights.dept=0",)))
+    with pytest.raises(JobError, match="other tables"):
+        run(replace(experiment, page=experiment.folder / "page.md"))
     assert not experiment.folder.exists()
 
 
@@ -194,7 +221,8 @@ def test_a_comparison(experiment: Experiment, behave: Behave, capsys: pytest.Cap
 
 def test_a_page_keeps_its_words(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    with_page = replace(experiment, page=page)
+    rows = Rows(tuple(row for row in ROWS.rows if row.name == "ours"), ROWS.tables)
+    with_page = replace(experiment, rows=rows, only=(), page=page)
     assert run(with_page) is ExitCode.FINISHED
     text = page.read_text()
     assert text.count("### office") == 1 and "LPIPS" in text

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.job import Cancelled, EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.job import Cancelled, EventReader, EventWriter, JobError, LiftFolder, LiftRequest, StopSignal, last_run
 from engine.lift import run
 from engine.scene import PanopticMask, SceneError, Segment, load_view, open_scene
+from engine.train.presets import PRESETS
 from engine.train.progress import StageReporter
 from engine.train.trainer import StepReport
 from tests.tiny_scene import write_tiny_scene
@@ -87,3 +88,28 @@ def test_the_same_progress_is_told_once(stages: StageReporter, tmp_path: Path) -
             progress(done, 3)
     told = [event.data["step"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "progress"]
     assert told == [3]
+
+
+def test_names_are_not_kept_where_no_objects_are_looked_for(tmp_path: Path) -> None:
+    request = LiftRequest(scene=tmp_path, names_from=tmp_path / "first", options={"objects": "none"})
+    folder = LiftFolder.create(tmp_path / "lift", request)
+    events = EventWriter(folder.events_path)
+    with pytest.raises(JobError, match="no objects to keep names"):
+        run.run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
+    events.close()
+
+
+@pytest.mark.parametrize(
+    ("changed", "shown"), [({}, True), ({"objects": "boxes"}, False), ({"one_class_an_object": False}, False)]
+)
+def test_votes_need_objects_by_agreement_of_one_class(
+    changed: dict[str, object], shown: bool, stages: StageReporter, tmp_path: Path
+) -> None:
+    preset = replace(PRESETS["preview"], **changed)  # type: ignore[arg-type]
+    assert run.shows_votes(preset) == shown
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "none"))
+    with pytest.raises(SceneError):
+        run.do_stages(folder, preset, stages, resume=False)
+    events = EventReader(tmp_path / "events.jsonl").poll()
+    told = [event.data["message"] for event in events if event.kind == "warning"]
+    assert told == ([] if shown else [run.NO_VOTES])

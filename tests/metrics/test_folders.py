@@ -45,7 +45,8 @@ def strict(predictions: Path, truth: Path, **options: bool) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(
-    "pair", [("class", "instance"), ("gt/semantic", "gt/instance"), ("label-filt", "instance-filt")]
+    "pair",
+    [("class", "instance"), ("gt/semantic", "gt/instance"), ("label-filt", "instance-filt"), ("classes", "instances")],
 )
 def test_masks_against_pngs(pair: tuple[str, str], tmp_path: Path) -> None:
     predictions, truth = write_masks(tmp_path / "masks"), write_pngs(tmp_path / "truth", *pair, scale=2)
@@ -74,7 +75,11 @@ def test_the_classes_of_an_export(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="'chair' here and 'sofa'"):
         strict(predictions, truth)
     (truth / "labels.json").write_text("{}")
-    with pytest.raises(SceneError, match="cannot be read"):
+    with pytest.raises(SceneError, match='no "classes"'):
+        strict(predictions, truth)
+    one = {"id": 5, "name": "chair", "is_thing": True}
+    (truth / "labels.json").write_text(json.dumps({"classes": [one, one]}))
+    with pytest.raises(SceneError, match="has the id 5"):
         strict(predictions, truth)
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from engine.model.structured import NO_OBJECT
 from engine.scene import ClassTable, View
 from engine.train.presets import Preset
 from engine.train.state import restore, trainer_state
@@ -76,6 +78,36 @@ def test_where_semantic_targets_come_from(tiny: Input, tmp_path: Path) -> None:
     assert all((shown == -1).all() for shown in targets_with(tiny, tmp_path, semantic_targets="none"))
     projected = targets_with(tiny, tmp_path, semantic_targets="projected", objects="boxes")
     assert any(not np.array_equal(one, other) for one, other in zip(projected, masks, strict=True))
+
+
+def test_where_nothing_is_matched_no_thing_is_taught_to_be_no_object(tiny: Input, tmp_path: Path) -> None:
+    views, _ = tiny
+    for labelled in (True, False):
+        trainer = trainer_of(*tiny, replace(ALONE, labelled_start=labelled, semantic_targets="projected"), tmp_path)
+        no_object = trainer.scene.channels.slot_ids.index(NO_OBJECT)
+        for view, target in zip(views, trainer.targets, strict=True):
+            things = [one.id for one in view.mask.segments if one.is_thing]
+            assert things and not (target.slot.numpy()[np.isin(view.mask.ids, things)] == no_object).any()
+
+
+def test_the_warm_start_leaves_unmatched_things_their_slots(tiny: Input, tmp_path: Path) -> None:
+    scene = prepared_for(*tiny, ALONE, tmp_path).scene
+    no_object = scene.channels.slot_ids.index(NO_OBJECT)
+    seen = scene.decoders.view_input(scene.anchors.feature, scene.anchors.position, torch.zeros(1, 3))
+    _, slots = scene.decoders.label_logits(scene.anchors.feature, seen)
+    share = torch.softmax(slots.reshape(-1, len(scene.channels.slot_ids)), 1)[:, no_object].mean()
+    assert share < 0.5, "of five slots"
+
+
+def test_semantic_targets_do_not_change_what_is_no_object(tiny: Input, tmp_path: Path) -> None:
+    boxes = replace(ALONE, objects="boxes")
+    slots = [
+        [one.matched.numpy() for one in trainer_of(*tiny, replace(boxes, semantic_targets=source), tmp_path).targets]
+        for source in ("projected", "masks", "none")  # type: ignore[arg-type]
+    ]
+    assert any((one >= 0).any() for one in slots[0])
+    for view in zip(*slots, strict=True):
+        assert np.array_equal(view[0], view[1]) and np.array_equal(view[0], view[2])
 
 
 def loss_of(tiny: Input, folder: Path, preset: Preset) -> tuple[float, float]:
