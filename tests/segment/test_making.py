@@ -98,7 +98,7 @@ def test_a_damaged_frame_is_named(folder: Path) -> None:
     (folder / "panoptic.json").unlink()
     for name in ("0000", "0001", "0002", "0003"):
         (folder / "panoptic" / f"{name}.json").write_text("[" if name == "0002" else "[]")
-    with pytest.raises(JobError, match=r"cannot be read: .*0002.json. Delete this file"):
+    with pytest.raises(JobError, match=r"is not JSON .*: .*0002.json. Delete this file"):
         make_masks(open_scene(folder), job, Halves(), silent)
 
 
