@@ -22,7 +22,9 @@ def presets(name: str | None, sets: list[str] | None, *, as_json: bool) -> ExitC
         print(*(_line(preset) for preset in PRESETS), "", "'presets NAME' prints all options of one.", sep="\n")
     else:
         chosen = chosen_options(name, sets or [], DEFAULTS)
-        own = {option: chosen[key] for key, option in OWN if key in chosen}
+        own = {option: chosen[key] for key, option in OWN if chosen.get(key) is not None}
+        if "steps" in own:  # so many and no more, unless the options say otherwise
+            own["steps_a_view"] = chosen["options"].get("steps_a_view", 0.0)
         print(preset_text(chosen["preset"], {**chosen["options"], **own}), end="")
     return ExitCode.FINISHED
 

@@ -77,6 +77,10 @@ EFFORTS = {
 }
 
 
+_IN_GROUPS = {"schedule.self_training_every": "self_training_every"}
+"""Fields of Effort whose option is in a group; the others have their option's name."""
+
+
 def chosen_effort(
     name: str,
     steps: int | None = None,
@@ -85,12 +89,13 @@ def chosen_effort(
     options: Mapping[str, Any] | None = None,
 ) -> Effort:
     """The preset's effort with the user's steps, size and number of frames (0 = all), and those of the user's
-    ``options`` that are of it. Raises KeyError for a name that is none."""
-    named = {option.rpartition(".")[2]: value for option, value in (options or {}).items()}
-    known = {field.name for field in fields(Effort)}
-    effort = replace(EFFORTS[name], **{option: value for option, value in named.items() if option in known})
+    ``options`` that are of it, which win. Raises KeyError for a name that is none."""
+    effort = EFFORTS[name]
     if steps is not None:
         effort = replace(effort, steps=steps, steps_a_view=0.0)
     if frames is not None:
         effort = replace(effort, most_frames=frames)
-    return effort if size is None else replace(effort, size_within=size)
+    if size is not None:
+        effort = replace(effort, size_within=size)
+    known = {field.name: field.name for field in fields(Effort)} | _IN_GROUPS
+    return replace(effort, **{known[option]: value for option, value in (options or {}).items() if option in known})

@@ -18,6 +18,9 @@ from .request import BAKES, DEVICES, PRESETS, UPS, LiftRequest
 _NONE: Mapping[str, str] = {}
 DEFAULTS = LiftRequest(scene=Path.cwd())
 """What is lifted where nothing is said; the scene is none."""
+_STEPS = ("steps", "steps_a_view")
+_PLACES = {"steps": "steps", "size_within": "size", "most_frames": "frames"}
+"""Options of a preset that have a place of their own in the request."""
 
 
 def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
@@ -158,25 +161,40 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
         if getattr(options, name) is not None:
             given[name] = getattr(options, name).resolve()
     if options.preset is not None or options.set:
-        given = {**chosen_options(options.preset, options.set or (), base or DEFAULTS), **given}
+        given = {**chosen_options(options.preset, options.set or (), base or DEFAULTS, options.steps), **given}
     scene = options.scene.resolve()
     return LiftRequest(scene=scene, **given) if base is None else replace(base, scene=scene, **given)
 
 
-def chosen_options(preset: str | None, sets: Sequence[str], base: LiftRequest) -> dict[str, Any]:
-    """``preset``, ``options`` and, where these give them, ``steps`` and ``size`` of a request, from the values of
-    --preset and --set. Without --preset those of --set are added to what ``base`` has. Raises JobError."""
+def chosen_options(
+    preset: str | None, sets: Sequence[str], base: LiftRequest, steps: int | None = None
+) -> dict[str, Any]:
+    """``preset``, ``options`` and, where these give them, ``steps``, ``size`` and ``frames`` of a request, from the
+    values of --preset and --set. Without --preset those of --set are added to what ``base`` has. ``steps``: those of
+    --steps, which win. None leaves a place to the preset. Raises JobError."""
     name, options = (base.preset, dict(base.options)) if preset is None else (preset, {})
     if name.endswith(".toml"):
         name, options = read_preset_file(Path(name), PRESETS)
-    options |= parsed_options(sets)
-    known = preset_options()
-    options = {key: value for key, value in options.items() if value != known[key].values[name]}
-    own = {"steps": "steps", "size_within": "size", "most_frames": "frames"}
-    moved: dict[str, Any] = {place: options.pop(option) for option, place in own.items() if option in options}
-    if "size" in moved:
-        moved["size"] = tuple(moved["size"])
+    given = parsed_options(sets)
+    if steps is not None or "steps" in given:  # so many and no more, whatever a file says of many views
+        options.pop("steps_a_view", None)
+    options |= given
+    values = {key: option.values[name] for key, option in preset_options().items()}
+    if all(key in options and options[key] == values[key] for key in _STEPS):
+        options["steps"] = None
+    moved = {place: _moved(key, options.pop(key), values[key]) for key, place in _PLACES.items() if key in options}
+    if (moved.get("steps", base.steps) if steps is None else steps) is not None:
+        values["steps_a_view"] = 0.0  # what it is beside steps, where it is not given
+    options = {key: value for key, value in options.items() if value != values[key]}
     return {"preset": name, "options": options, **moved}
+
+
+def _moved(option: str, value: Any, of_preset: Any) -> Any:
+    """An option's value where it has a place of its own in the request. The preset's is None there, but for steps:
+    with those given, many views ask for no more."""
+    if option != "steps" and value == of_preset:
+        return None
+    return tuple(value) if isinstance(value, list) else value
 
 
 def resumable(options: argparse.Namespace) -> LiftFolder | None:

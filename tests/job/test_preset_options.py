@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from engine.job import PRESETS, JobError, LiftRequest
-from engine.job.options import add_lift_options, request_from
+from engine.job.options import add_lift_options, chosen_options, request_from
 from engine.job.preset_file import preset_text, read_preset_file
 from engine.job.preset_options import parsed_options, preset_options, shown_options
 
@@ -93,3 +93,27 @@ def test_a_request_of_a_file_and_of_options(tmp_path: Path) -> None:
     assert request_of("--preset", str(path), "--steps", "7").steps == 7
     assert request_of("--set", "weights.depth=0").options == {"weights.depth": 0.0}
     assert request_of("--set", "steps=7").steps == 7
+
+
+def test_steps_for_each_view_are_kept_beside_steps(tmp_path: Path) -> None:
+    both = request_of("--set", "steps=600", "--set", "steps_a_view=5")
+    assert (both.steps, both.options) == (600, {"steps_a_view": 5.0})
+    path = tmp_path / "mine.toml"
+    path.write_text(preset_text("preview", {"steps": 600}))
+    assert request_of("--preset", str(path)) == both
+    exactly = request_of("--preset", str(path), "--steps", "700")
+    assert (exactly.steps, exactly.options) == (700, {}), "what a command line says wins over a file"
+    path.write_text(preset_text("preview", {}))
+    assert request_of("--preset", str(path)) == request_of()
+
+
+def test_steps_are_the_same_wherever_they_are_given() -> None:
+    assert request_of("--set", "steps=500") == request_of("--steps", "500")
+    assert request_of("--set", "steps=500").steps == 500
+
+
+def test_a_value_of_the_preset_undoes_an_earlier_one() -> None:
+    earlier = LiftRequest(Path("/scene"), steps=600, size=(100, 100), frames=7, options={"voxel_size": 0.1})
+    texts = ["steps=500", "steps_a_view=5", "size_within=200,200", "most_frames=400", "voxel_size=0.06"]
+    chosen = chosen_options(None, texts, earlier)
+    assert chosen == {"preset": "preview", "options": {}, "steps": None, "size": None, "frames": None}

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 
 import pytest
 
+from engine.job import LiftRequest
 from engine.job.effort import EFFORTS, chosen_effort
 from engine.job.request import PRESETS as OFFERED
+from engine.train.option_table import requested_preset
 from engine.train.presets import PRESETS, Preset, chosen_preset
 
 
@@ -96,3 +99,10 @@ def test_options_that_cost_time_are_predicted() -> None:
     effort = chosen_effort("preview", options=options)
     assert (effort.voxel_size, effort.gaussians_per_anchor, effort.self_training_every) == (0.1, 2, 0.5)
     assert effort.steps == EFFORTS["preview"].steps
+
+
+def test_options_of_groups_are_not_taken_for_the_presets_own() -> None:
+    assert chosen_effort("preview", options={"warm_start.steps": 7}) == EFFORTS["preview"]
+    both = chosen_effort("preview", steps=600, options={"steps_a_view": 5.0})
+    request = LiftRequest(Path("/scene"), steps=600, options={"steps_a_view": 5.0})
+    assert both.steps_for(200) == requested_preset(request).for_views(200).steps == 1000
