@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from ..engine.job import JobError, LiftRequest
-from ..engine.job.json_file import Json
+from ..engine.job.options import DEFAULTS, chosen_options
 from ..engine.job.preset_options import parsed_options, preset_options, shown_options, shown_value
 from ..engine.job.request import LARGEST_SIDE, SMALLEST_SIDE
 from .paths import absolute
@@ -51,7 +52,7 @@ def _look_at_lift(settings: LiftOptions, context: bpy.types.Context) -> None:
 class LiftOptions:
     """What a lift is asked for: properties of the settings and of the operator that starts one.
 
-    Zero for steps, width and height leaves them to the preset.
+    Zero for steps, width, height and frames leaves them to the preset.
     """
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
@@ -88,6 +89,13 @@ class LiftOptions:
         options=_OPTION, name="Height", min=0, max=LARGEST_SIDE, subtype="PIXEL",
         description=f"Frames are brought within this height, at least {SMALLEST_SIDE}; 0 takes the preset's",
     )  # fmt: skip
+    frames: IntProperty(  # type: ignore[valid-type]
+        options=_OPTION, name="Frames", min=-1, max=1_000_000,
+        description="Train on at most so many frames, the sharpest of each stretch; 0 takes the preset's, -1 all",
+    )  # fmt: skip
+    fit: BoolProperty(  # type: ignore[valid-type]
+        options=_OPTION, name="Fit memory", description="Train on fewer frames where memory would not do otherwise"
+    )
     seed: IntProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Seed", min=0, max=2**31 - 1, description="Start of all chance: same seed, same result"
     )
@@ -141,15 +149,18 @@ def size_of(settings: PLGS_PG_settings) -> tuple[int, int] | None:
     return settings.width or LARGEST_SIDE, settings.height or LARGEST_SIDE
 
 
+def frames_of(settings: PLGS_PG_settings) -> int | None:
+    """How many frames are trained on at most, as a request has it: 0 is all, None leaves it to the preset."""
+    return max(settings.frames, 0) if settings.frames else None
+
+
 def request_of(settings: PLGS_PG_settings) -> LiftRequest:
     """What the settings ask for. Raises JobError when a value is out of range."""
     return LiftRequest(
-        options=chosen_options(settings),
+        **asked_of_preset(settings),
+        fit=settings.fit,
         scene=absolute(settings.scene_folder),
         masks=absolute(settings.masks) if settings.masks else None,
-        preset=settings.preset,
-        steps=settings.steps or None,
-        size=size_of(settings),
         seed=settings.seed,
         up=settings.up,
         bake=settings.bake,
@@ -158,15 +169,19 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
     )
 
 
-def chosen_options(settings: PLGS_PG_settings) -> dict[str, Json]:
-    """The preset's options that the settings change. Raises JobError for a name or a value that is none."""
-    return parsed_options(settings.preset_options.split())
+def asked_of_preset(settings: PLGS_PG_settings) -> dict[str, Any]:
+    """``preset``, ``options`` and, where the settings change these, ``steps``, ``size`` and ``frames`` of a request.
+    Fields win over the same among all options. Raises JobError for a name or a value that is none."""
+    steps = settings.steps or None
+    fields = {"steps": steps, "size": size_of(settings), "frames": frames_of(settings)}
+    chosen = chosen_options(settings.preset, settings.preset_options.split(), DEFAULTS, steps)
+    return chosen | {name: value for name, value in fields.items() if value is not None}
 
 
 def why_no_options(settings: PLGS_PG_settings) -> str | None:
     """What is wrong with the options that the settings change; None when they can be."""
     try:
-        chosen_options(settings)
+        asked_of_preset(settings)
     except JobError as error:
         return str(error)
     return None
@@ -175,7 +190,7 @@ def why_no_options(settings: PLGS_PG_settings) -> str | None:
 def shown_preset(settings: PLGS_PG_settings) -> list[tuple[str, str, bool]]:
     """Name and value of every option of the chosen preset, and whether the settings change it."""
     try:
-        changed = chosen_options(settings)
+        changed = parsed_options(settings.preset_options.split())
     except JobError:
         changed = {}
     values = {name: option.values[settings.preset] for name, option in preset_options().items()}
@@ -196,6 +211,8 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "steps": request.steps or 0,
         "width": width,
         "height": height,
+        "frames": 0 if request.frames is None else request.frames or -1,
+        "fit": request.fit,
         "seed": min(request.seed, 2**31 - 1),
         "bake": request.bake,
         "preset_options": " ".join(shown_options(request.options)),

@@ -56,8 +56,9 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(settings, "lift_folder")
         column = layout.column(align=True)
-        for name in ("steps", "width", "height", "seed"):
+        for name in ("steps", "width", "height", "frames", "seed"):
             column.prop(settings, name)
+        layout.prop(settings, "fit")
         layout.prop(settings, "bake")
         layout.prop(settings, "keep_names")
         column = layout.column(heading="While it lifts")

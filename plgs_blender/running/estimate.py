@@ -5,20 +5,24 @@ from __future__ import annotations
 from ...engine.job.effort import chosen_effort
 from ...engine.job.prediction import USUAL_CLASSES, Prediction, predict
 from ..scene_survey import survey_of
-from ..settings import PLGS_PG_settings, chosen_options, place_of, size_of, why_no_options
+from ..settings import PLGS_PG_settings, asked_of_preset, place_of, why_no_options
 from . import machine_pace
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
-    """Time and memory of the lift that the settings ask for, None while the scene is not known, or is bad.
+    """Time and memory of the lift that the settings ask for, None while the scene is not known, or something in them is
+    wrong.
 
     Looks at no disk: panels call it.
     """
     survey = survey_of(place_of(settings)) if settings.scene_folder else None
     if survey is None or survey.error is not None or not survey.sizes:
         return None
-    options = {} if why_no_options(settings) else chosen_options(settings)
-    effort = chosen_effort(settings.preset, settings.steps or None, size_of(settings), options=options)
+    if why_no_options(settings):
+        return None
+    asked = asked_of_preset(settings)
+    places = (asked.get(name) for name in ("steps", "size", "frames"))
+    effort = chosen_effort(asked["preset"], *places, options=asked["options"])
     (size, _), *_ = survey.sizes
     return predict(
         survey.train_frames,

@@ -10,7 +10,7 @@ import plgs
 import pytest
 from plgs.engine.job import JobError, LiftFolder, LiftRequest
 from plgs.plgs_blender.running import lifts, start
-from plgs.plgs_blender.settings import shown_preset, why_no_options
+from plgs.plgs_blender.settings import adopt, request_of, shown_preset, why_no_options
 
 
 @pytest.fixture(autouse=True)
@@ -44,3 +44,21 @@ def test_all_options_of_the_preset() -> None:
     settings.preset_options = "weights.dept=0"
     assert "Did you mean weights.depth" in str(start.why_no_lift(settings))
     assert not any(is_changed for _, _, is_changed in shown_preset(settings))
+
+
+def test_options_with_a_place_of_their_own_are_taken(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder = str(tmp_path)
+    settings.preset_options = "steps=600 size_within=100,80 most_frames=9 weights.depth=0"
+    asked = request_of(settings)
+    assert (asked.steps, asked.size, asked.frames, asked.options) == (600, (100, 80), 9, {"weights.depth": 0.0})
+    settings.steps, settings.frames = 7, -1
+    assert (request_of(settings).steps, request_of(settings).frames) == (7, 0), "fields win"
+
+
+def test_a_lift_is_asked_for_again_as_it_was(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    for frames in (None, 0, 12):
+        asked = LiftRequest(tmp_path, steps=600, frames=frames, fit=True, options={"steps_a_view": 5.0})
+        adopt(settings, asked, tmp_path / "lift")
+        assert request_of(settings) == asked
