@@ -13,7 +13,7 @@ from ..plgs_blender.dropping import lift_or_scene, scene_at
 from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import frame_making, poll_timer, start
 from ..plgs_blender.running.importing import begin_import, imported, what_is_missing
-from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES, FORMAT_ITEMS, chosen_format
+from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES, FORMAT_ITEMS, MASK_FORMAT_ITEMS, chosen_format
 from ..plgs_blender.settings import UPS, place_of
 from ..plgs_blender.viewport import show_lift_colours_at_first
 from .answers import CANCELLED, FINISHED, RUNNING, panel_of, reporting, reporting_events
@@ -30,6 +30,13 @@ class SceneOptions:
         name="Masks", subtype="FILE_PATH", options={"SKIP_SAVE"},
         description="Panoptic masks that lie elsewhere than in the scene's folder",
     )  # fmt: skip
+    mask_format: EnumProperty(  # type: ignore[valid-type]
+        name="Mask format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, options={"SKIP_SAVE"},
+        description="How the masks are laid out, where their looks do not tell",
+    )  # fmt: skip
+    classes_table: StringProperty(  # type: ignore[valid-type]
+        name="Classes", options={"SKIP_SAVE"}, description="The masks' classes: a .toml file, or a table's name"
+    )
     depth: StringProperty(  # type: ignore[valid-type]
         name="Depth maps", subtype="DIR_PATH", options={"SKIP_SAVE"},
         description="Folder of a network's depth maps, one a frame",
@@ -47,7 +54,7 @@ class SceneOptions:
 
     def into_settings(self, settings: Any) -> None:
         """Let the panel say what was given."""
-        for name in ("format", "masks", "depth", "up"):
+        for name in ("format", "masks", "mask_format", "classes_table", "depth", "up"):
             if self.properties.is_property_set(name):
                 setattr(settings, name, getattr(self, name))
 

@@ -49,10 +49,16 @@ def place_of_root(root: bpy.types.Collection) -> Place:
     """Where the frames of an import or a lift come from. Raises JobError when its lift folder is gone."""
     if root.get(FOLDER):
         request = LiftFolder.open(absolute(root[FOLDER])).request
-        return Place(request.scene, request.masks, request.up, request.scene_format, request.depth)
+        return Place(
+            request.scene, request.masks, request.up, request.scene_format, request.depth, request.mask_format,
+            request.classes,
+        )  # fmt: skip
     asked = root.get(PLACE, {})
     masks, up = asked.get("masks", ""), asked.get("up", "z")
-    return Place.of(root[SCENE], masks, up, asked.get("format", AUTOMATIC), asked.get("depth", ""))
+    return Place.of(
+        root[SCENE], masks, up, asked.get("format", AUTOMATIC), asked.get("depth", ""),
+        asked.get("mask_format", AUTOMATIC), asked.get("classes", ""),
+    )  # fmt: skip
 
 
 def frame_of(opened: Scene, ob: bpy.types.Object) -> Frame:

@@ -103,4 +103,6 @@ def _as_texts(place: Place) -> dict[str, str]:
         "up": place.up,
         "format": place.scene_format or AUTOMATIC,
         "depth": "" if place.depth is None else str(place.depth),
+        "mask_format": place.mask_format or AUTOMATIC,
+        "classes": place.classes or "",
     }

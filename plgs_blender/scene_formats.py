@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..engine.scene import FORMATS
+from ..engine.scene.mask_formats import MASK_FORMATS
 
 AUTOMATIC = "auto"
 """What the user chooses to leave the format to the scene's looks."""
@@ -31,6 +32,11 @@ FORMAT_ITEMS = [
     *((each.name, _LABELS.get(each.name, each.name), each.looks_for) for each in FORMATS),
 ]
 """For an EnumProperty."""
+MASK_FORMAT_ITEMS = [
+    (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
+    *((each.name, each.name, each.looks_for) for each in MASK_FORMATS),
+]
+"""For an EnumProperty, too."""
 
 FILE_SUFFIXES = (".json", ".txt", ".jsonl", ".sens", ".r3d", ".log", ".bin", ".csv")
 """Files by which people name a scene, in file browsers and by dropping them."""
@@ -42,5 +48,5 @@ def label_of(name: str) -> str:
 
 
 def chosen_format(choice: str) -> str | None:
-    """The format that a choice of FORMAT_ITEMS names; None leaves it to the scene's looks."""
+    """The format that a choice of FORMAT_ITEMS or MASK_FORMAT_ITEMS names; None leaves it to its looks."""
     return None if choice in ("", AUTOMATIC) else choice

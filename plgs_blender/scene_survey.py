@@ -13,6 +13,7 @@ from typing import Any
 
 from ..engine.job import ExitCode, JobError
 from ..engine.job.made_frames import SceneSource
+from ..engine.job.options import class_table
 from ..engine.job.process import EngineProcess, engine_call
 from ..engine.scene import Scene, SceneError, Size, UpAxis, open_scene
 from .paths import absolute
@@ -22,7 +23,8 @@ from .scene_formats import AUTOMATIC, chosen_format
 @dataclass(frozen=True)
 class Place:
     """Which scene: its folder or file, its masks where they lie elsewhere, the axis that points up, its format where
-    it is named, and a folder of depth maps.
+    it is named, a folder of depth maps, and the masks' format and classes (a table's name, or the absolute path of a
+    .toml file).
     """
 
     folder: Path
@@ -30,23 +32,34 @@ class Place:
     up: UpAxis = "z"
     scene_format: str | None = None
     depth: Path | None = None
+    mask_format: str | None = None
+    classes: str | None = None
 
     @classmethod
-    def of(cls, folder: str, masks: str, up: UpAxis, scene_format: str = AUTOMATIC, depth: str = "") -> Place:
-        """From paths as users type them; no masks and no depth maps are empty texts."""
+    def of(
+        cls, folder: str, masks: str, up: UpAxis, scene_format: str = AUTOMATIC, depth: str = "",
+        mask_format: str = AUTOMATIC, classes: str = "",
+    ) -> Place:  # fmt: skip
+        """From paths as users type them; no masks, no depth maps and no classes are empty texts."""
         masks_path, depth_path = (absolute(path) if path else None for path in (masks, depth))
-        return cls(absolute(folder), masks_path, up, chosen_format(scene_format), depth_path)
+        return cls(
+            absolute(folder), masks_path, up, chosen_format(scene_format), depth_path, chosen_format(mask_format),
+            classes_of(classes),
+        )  # fmt: skip
 
     @property
     def source(self) -> SceneSource:
         """The same, as the engine writes it beside what it makes of the scene."""
         masks, depth = (None if path is None else path.resolve() for path in (self.masks, self.depth))
-        return SceneSource(self.folder.resolve(), masks, self.up, self.scene_format, depth)
+        classes = None if self.classes is None else class_table(self.classes)
+        return SceneSource(self.folder.resolve(), masks, self.up, self.scene_format, depth, self.mask_format, classes)
 
     def open(self) -> Scene:
         """Open it, headers only. Raises SceneError."""
         try:
-            return open_scene(self.folder, self.masks, self.up, self.scene_format, self.depth)
+            return open_scene(
+                self.folder, self.masks, self.up, self.scene_format, self.depth, self.mask_format, self.classes
+            )
         except ImportError as error:
             fix = "Set the engine up, which can, and import again."
             raise SceneError("Blender's Python alone cannot look into this video", self.folder, fix) from error
@@ -54,9 +67,16 @@ class Place:
     def arguments(self) -> list[str | Path]:
         """How the engine's commands are told it."""
         told: list[str | Path] = [self.folder, f"--up={self.up}"]
-        for option, value in (("--masks", self.masks), ("--format", self.scene_format), ("--depth", self.depth)):
+        given = {"--masks": self.masks, "--format": self.scene_format, "--depth": self.depth}
+        named = {"--mask-format": self.mask_format, "--classes": self.classes}
+        for option, value in (given | named).items():
             told += [] if value is None else [option, value]
         return told
+
+
+def classes_of(text: str) -> str | None:
+    """The table of classes that a user names: the absolute path of a .toml file, or a table's name; None for none."""
+    return str(absolute(text)) if text.endswith(".toml") else text or None
 
 
 def lacks_package(error: SceneError) -> bool:

@@ -14,8 +14,8 @@ from ..engine.job.preset_options import parsed_options, preset_options, shown_op
 from ..engine.job.request import LARGEST_SIDE, SMALLEST_SIDE
 from .paths import absolute
 from .running import poll_timer
-from .scene_formats import AUTOMATIC, FORMAT_ITEMS, chosen_format
-from .scene_survey import Place
+from .scene_formats import AUTOMATIC, FORMAT_ITEMS, MASK_FORMAT_ITEMS, chosen_format
+from .scene_survey import Place, classes_of
 
 _PRESETS = [
     ("preview", "Preview", "Minutes: to see whether frames, poses and masks fit together"),
@@ -34,6 +34,7 @@ _BAKES = [
 ]
 
 _FORMATS = {name for name, *_ in FORMAT_ITEMS}
+_MASK_FORMATS = {name for name, *_ in MASK_FORMAT_ITEMS}
 _PATHS = ("lift_folder", "scene_folder", "masks", "depth")
 _OPTION = {"SKIP_SAVE"}
 """So that an operator does not remember what a script once gave it."""
@@ -66,6 +67,15 @@ class LiftOptions:
     masks: StringProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Masks", subtype="FILE_PATH", update=_look_at_scene,
         description="Panoptic masks that lie elsewhere than in the scene's folder",
+    )  # fmt: skip
+    mask_format: EnumProperty(  # type: ignore[valid-type]
+        options=_OPTION, name="Mask format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, update=_look_at_scene,
+        description="How the masks are laid out, where their looks do not tell",
+    )  # fmt: skip
+    classes_table: StringProperty(  # type: ignore[valid-type]
+        options=_OPTION, name="Classes", update=_look_at_scene,
+        description="The masks' classes: a .toml file, or one of coco, ade20k, nyu40, replica, reduced; "
+        "empty: classes.toml beside them",
     )  # fmt: skip
     depth: StringProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Depth maps", subtype="DIR_PATH", update=_look_at_scene,
@@ -134,7 +144,10 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
 
 def place_of(settings: PLGS_PG_settings) -> Place:
     """Which scene the settings name."""
-    return Place.of(settings.scene_folder, settings.masks, settings.up, settings.format, settings.depth)
+    return Place.of(
+        settings.scene_folder, settings.masks, settings.up, settings.format, settings.depth, settings.mask_format,
+        settings.classes_table,
+    )  # fmt: skip
 
 
 def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
@@ -166,6 +179,8 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
         bake=settings.bake,
         scene_format=chosen_format(settings.format),
         depth=absolute(settings.depth) if settings.depth else None,
+        mask_format=chosen_format(settings.mask_format),
+        classes=classes_of(settings.classes_table),
     )
 
 
@@ -207,6 +222,8 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "up": request.up,
         "format": request.scene_format if request.scene_format in _FORMATS else AUTOMATIC,
         "depth": "" if request.depth is None else str(request.depth),
+        "mask_format": request.mask_format if request.mask_format in _MASK_FORMATS else AUTOMATIC,
+        "classes_table": request.classes or "",
         "preset": request.preset,
         "steps": request.steps or 0,
         "width": width,

@@ -6,7 +6,7 @@ import bpy
 
 from ..plgs_blender.engine_environment import status
 from ..plgs_blender.possibilities import possibilities
-from ..plgs_blender.scene_formats import label_of
+from ..plgs_blender.scene_formats import AUTOMATIC, label_of
 from ..plgs_blender.scene_survey import Survey, survey_of
 from ..plgs_blender.settings import place_of
 from .sidebar import Sidebar, Step, from_panel, tell
@@ -43,6 +43,10 @@ class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
         layout.prop(settings, "format")
         layout.prop(settings, "masks")
         survey = survey_of(place_of(settings)) if settings.scene_folder else None
+        given = settings.masks or settings.classes_table or settings.mask_format != AUTOMATIC
+        if given or (survey is not None and survey.has_masks):
+            layout.prop(settings, "mask_format")
+            layout.prop(settings, "classes_table")
         if settings.depth or (survey is not None and survey.error is None and not survey.has_depth):
             layout.prop(settings, "depth")
         layout.prop(settings, "up")

@@ -23,7 +23,10 @@ def write_frames(options: argparse.Namespace) -> ExitCode:
         options.mask_format, options.classes,
     )  # fmt: skip
     masks, depth = (None if path is None else path.resolve() for path in (options.masks, options.depth))
-    source = SceneSource(options.scene.resolve(), masks, options.up or "z", options.scene_format, depth)
+    source = SceneSource(
+        options.scene.resolve(), masks, options.up or "z", options.scene_format, depth,
+        options.mask_format, options.classes,
+    )  # fmt: skip
     try:
         made = make_frames(scene, source, options.output.resolve(), options.make, options.frames, _tell)
     except KeyboardInterrupt:

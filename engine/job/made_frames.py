@@ -28,14 +28,18 @@ class SceneSource:
     up: str = "z"
     scene_format: str | None = None
     depth: Path | None = None
+    mask_format: str | None = None
+    classes: str | None = None
 
     def to_json(self) -> dict[str, Json]:
+        named = {"mask_format": self.mask_format, "classes": self.classes}
         return {
             "scene": str(self.scene),
             "masks": None if self.masks is None else str(self.masks),
             "up": self.up,
             "scene_format": self.scene_format,
             "depth": None if self.depth is None else str(self.depth),
+            **{name: value for name, value in named.items() if value is not None},
         }
 
 
@@ -93,8 +97,9 @@ class MadeFrames:
         try:
             given = content["source"]
             source = SceneSource(
-                Path(given["scene"]), _path(given["masks"]), given["up"], given["scene_format"], _path(given["depth"])
-            )
+                Path(given["scene"]), _path(given["masks"]), given["up"], given["scene_format"], _path(given["depth"]),
+                given.get("mask_format"), given.get("classes"),
+            )  # fmt: skip
             frames = {str(name): _from_json(each, folder) for name, each in content["frames"].items()}
             cloud = content["cloud"]
             return cls(folder, source, frames, None if cloud is None else folder / cloud, int(content["total"]))

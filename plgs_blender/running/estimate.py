@@ -10,7 +10,7 @@ from . import machine_pace
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
-    """Time and memory of the lift that the settings ask for, None while the scene is not known, or something in them is
+    """Time and memory of the lift that the settings ask for, None while the scene is not known, or something is
     wrong.
 
     Looks at no disk: panels call it.
@@ -21,8 +21,8 @@ def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
     if why_no_options(settings):
         return None
     asked = asked_of_preset(settings)
-    places = (asked.get(name) for name in ("steps", "size", "frames"))
-    effort = chosen_effort(asked["preset"], *places, options=asked["options"])
+    steps, size, frames = (asked.get(name) for name in ("steps", "size", "frames"))
+    effort = chosen_effort(asked["preset"], steps, size, frames, asked["options"])
     (size, _), *_ = survey.sizes
     return predict(
         survey.train_frames,

@@ -9,8 +9,9 @@ import bpy
 import plgs
 import pytest
 from plgs.engine.job import JobError, LiftFolder, LiftRequest
+from plgs.engine.job.made_frames import MadeFrames
 from plgs.plgs_blender.running import lifts, start
-from plgs.plgs_blender.settings import adopt, request_of, shown_preset, why_no_options
+from plgs.plgs_blender.settings import adopt, place_of, request_of, shown_preset, why_no_options
 
 
 @pytest.fixture(autouse=True)
@@ -59,6 +60,28 @@ def test_options_with_a_place_of_their_own_are_taken(tmp_path: Path) -> None:
 def test_a_lift_is_asked_for_again_as_it_was(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     for frames in (None, 0, 12):
-        asked = LiftRequest(tmp_path, steps=600, frames=frames, fit=True, options={"steps_a_view": 5.0})
+        asked = LiftRequest(
+            tmp_path,
+            steps=600,
+            frames=frames,
+            fit=True,
+            mask_format="sam2",
+            classes="coco",
+            options={"steps_a_view": 5.0},
+        )
         adopt(settings, asked, tmp_path / "lift")
         assert request_of(settings) == asked
+
+
+def test_masks_are_read_alike_by_the_survey_and_the_lift(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder, settings.mask_format = str(tmp_path), "coco"
+    settings.classes_table = str(tmp_path / "mine.toml")
+    place, asked = place_of(settings), request_of(settings)
+    table = str(tmp_path / "mine.toml")
+    assert (place.mask_format, place.classes) == (asked.mask_format, asked.classes) == ("coco", table)
+    told = [str(each) for each in place.arguments()]
+    assert told[-4:] == ["--mask-format", "coco", "--classes", table]
+    made = MadeFrames(tmp_path, place.source)
+    made.write()
+    assert MadeFrames.read(tmp_path).source == place.source
