@@ -81,7 +81,7 @@ class PLGS_OT_fix_scene(bpy.types.Operator):
 class PLGS_OT_show_finding(bpy.types.Operator):
     """Show the picture of a finding in an image editor"""
 
-    bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL"}
+    bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
 
     number: IntProperty(name="Number", min=0, options={"SKIP_SAVE"}, description="Of the finding, from 0")  # type: ignore[valid-type]
 
@@ -97,8 +97,10 @@ class PLGS_OT_show_finding(bpy.types.Operator):
         if picture is None:
             self.report({"WARNING"}, "This finding has no picture")
             return CANCELLED
-        image = finding_picture.show(picture, [window.screen for window in context.window_manager.windows])
-        self.report({"INFO"}, f"{image.name} is in the image editor")
+        screens = [window.screen for window in context.window_manager.windows]
+        image, is_shown = finding_picture.show(picture, screens)
+        where = "is in the image editor" if is_shown else "is loaded: open an image editor to see it"
+        self.report({"INFO"}, f"{image.name} {where}")
         return FINISHED
 
 

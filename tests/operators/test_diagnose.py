@@ -31,6 +31,8 @@ def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
     assert known.can_be_mended and known.findings[0].is_mended and "%" in known.findings[0].text
     assert bpy.ops.plgs.show_finding(number=0) == {"FINISHED"}
     assert any(image.name.startswith("PLGS finding") and image.packed_file for image in bpy.data.images)
+    count = len(bpy.data.images)
+    assert bpy.ops.plgs.show_finding(number=0) == {"FINISHED"} and len(bpy.data.images) == count
     assert bpy.ops.plgs.fix_scene() == {"FINISHED"}
     assert Path(settings.scene_folder) == inverted.with_name("scene_mended")
     assert bpy.ops.plgs.diagnose() == {"FINISHED"}
