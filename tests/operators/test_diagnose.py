@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
+from plgs.plgs_blender import scene_diagnosis
 from plgs.plgs_blender.scene_diagnosis import diagnosis_of
 from plgs.plgs_blender.settings import place_of
 from tiny_scene import write_tiny_scene
@@ -39,6 +41,14 @@ def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
     again = diagnosis_of(place_of(settings))
     assert again is not None and again.findings == () and again.error is None
     assert not bpy.ops.plgs.fix_scene.poll()
+
+
+def test_a_measurement_can_be_cancelled(inverted: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(inverted)
+    assert not bpy.ops.plgs.cancel_diagnosis.poll()
+    scene_diagnosis.begin(place_of(bpy.context.scene.plgs), Path(sys.executable))
+    assert bpy.ops.plgs.cancel_diagnosis() == {"FINISHED"}
+    assert not scene_diagnosis.is_running() and bpy.ops.plgs.diagnose.poll()
 
 
 def test_a_folder_without_a_scene_is_an_error(tmp_path: Path) -> None:
