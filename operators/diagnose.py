@@ -10,7 +10,7 @@ from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import diagnosing, start
 from ..plgs_blender.scene_diagnosis import diagnosis_of
 from ..plgs_blender.settings import place_of
-from .answers import CANCELLED, FINISHED, panel_of, reporting
+from .answers import CANCELLED, FINISHED, panel_of, reporting, reporting_events
 
 
 def _why_not(context: bpy.types.Context) -> str | None:
@@ -26,6 +26,7 @@ class PLGS_OT_diagnose(bpy.types.Operator):
     """Measure what is wrong with the scene: axes, poses, depth, intrinsics, order, drift, pictures and labels"""
 
     bl_idname, bl_label, bl_options = "plgs.diagnose", "Diagnose", {"INTERNAL"}
+    waits = True
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -34,9 +35,14 @@ class PLGS_OT_diagnose(bpy.types.Operator):
             cls.poll_message_set(reason)
         return reason is None
 
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.waits = False
+        return self.execute(context)
+
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        diagnosis = diagnosing.diagnose(context.scene.plgs)
+        diagnosis = diagnosing.diagnose(context.scene.plgs, waits=self.waits)
         if diagnosis.error is not None and not diagnosis.findings:
             self.report({"ERROR"}, diagnosis.error)
             return CANCELLED
@@ -49,6 +55,7 @@ class PLGS_OT_fix_scene(bpy.types.Operator):
     """Write the scene with what is safe mended into a new folder, and take that; your files stay as they are"""
 
     bl_idname, bl_label, bl_options = "plgs.fix_scene", "Fix", {"INTERNAL"}
+    waits = True
 
     folder: StringProperty(  # type: ignore[valid-type]
         name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"},
@@ -66,22 +73,27 @@ class PLGS_OT_fix_scene(bpy.types.Operator):
             cls.poll_message_set(reason)
         return reason is None
 
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.waits = False
+        return self.execute(context)
+
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.plgs
         folder = absolute(self.folder) if self.folder else diagnosing.free_mended_folder(place_of(settings).folder)
-        diagnosis = diagnosing.diagnose(settings, folder)
+        diagnosis = diagnosing.diagnose(settings, folder, waits=self.waits)
         if not diagnosis.is_running and diagnosis.mended is None:
             self.report({"ERROR"}, diagnosis.error or "Nothing was found that can be mended without a doubt")
             return CANCELLED
-        self.report({"INFO"}, f"PLGS: {folder}")
+        self.report({"INFO"}, f"An engine writes {folder}" if diagnosis.is_running else f"PLGS: {folder}")
         return FINISHED
 
 
 class PLGS_OT_show_finding(bpy.types.Operator):
     """Show the picture of a finding in an image editor"""
 
-    bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL"}
+    bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
 
     number: IntProperty(name="Number", min=0, options={"SKIP_SAVE"}, description="Of the finding, from 0")  # type: ignore[valid-type]
 
@@ -97,9 +109,26 @@ class PLGS_OT_show_finding(bpy.types.Operator):
         if picture is None:
             self.report({"WARNING"}, "This finding has no picture")
             return CANCELLED
-        image = finding_picture.show(picture, [window.screen for window in context.window_manager.windows])
-        self.report({"INFO"}, f"{image.name} is in the image editor")
+        screens = [window.screen for window in context.window_manager.windows]
+        image, is_shown = finding_picture.show(picture, screens)
+        where = "is in the image editor" if is_shown else "is loaded: open an image editor to see it"
+        self.report({"INFO"}, f"{image.name} {where}")
         return FINISHED
 
 
-CLASSES = (PLGS_OT_diagnose, PLGS_OT_fix_scene, PLGS_OT_show_finding)
+class PLGS_OT_cancel_diagnosis(bpy.types.Operator):
+    """Stop measuring; your files stay as they are"""
+
+    bl_idname, bl_label, bl_options = "plgs.cancel_diagnosis", "Cancel", {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        cls.poll_message_set("Nothing is being measured")
+        return scene_diagnosis.is_running()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        scene_diagnosis.forget()
+        return FINISHED
+
+
+CLASSES = (PLGS_OT_diagnose, PLGS_OT_fix_scene, PLGS_OT_show_finding, PLGS_OT_cancel_diagnosis)

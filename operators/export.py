@@ -136,6 +136,11 @@ class PLGS_OT_cancel_export(bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.cancel_export", "Cancel"
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        cls.poll_message_set("No export is running")
+        return exports.is_running()
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         export = exports.latest()
         if export is not None and not export.ended:

@@ -44,6 +44,8 @@ class PLGS_OT_make_masks(bpy.types.Operator):
 
     def _begin(self, context: bpy.types.Context) -> None:
         model = self.model or context.scene.plgs_masks.model
+        if context.scene.plgs.masks:
+            self.report({"WARNING"}, "The panel names other masks: the new ones count when Masks is empty")
         # Blender's own setting is the user's consent to downloads.
         mask_making.begin(place_of(context.scene.plgs), usable_python(), model, download=bpy.app.online_access)
 
@@ -55,6 +57,7 @@ class PLGS_OT_cancel_masks(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        cls.poll_message_set("No masks are being made")
         return mask_making.is_making()
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -65,12 +68,17 @@ class PLGS_OT_cancel_masks(bpy.types.Operator):
 class PLGS_OT_read_classes(bpy.types.Operator):
     """List the classes of the scene's masks, to name and merge them"""
 
-    bl_idname, bl_label = "plgs.read_classes", "Read Classes"
+    bl_idname, bl_label, bl_options = "plgs.read_classes", "Read Classes", {"UNDO"}
 
     table: EnumProperty(  # type: ignore[valid-type]
         name="Table", options={"SKIP_SAVE"}, default=OWN_TABLE, items=TABLE_ITEMS,
         description="Begin with a public table, for masks whose files do not tell their classes",
     )  # fmt: skip
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        cls.poll_message_set("Choose the scene's folder first")
+        return bool(context.scene.plgs.scene_folder)
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -83,9 +91,14 @@ class PLGS_OT_write_classes(bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.write_classes", "Write Classes"
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        cls.poll_message_set("Read the classes first")
+        return bool(context.scene.plgs.scene_folder) and len(context.scene.plgs_masks.classes) > 0
+
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        path = write_classes(context.scene.plgs_masks)
+        path = write_classes(context.scene.plgs_masks, place_of(context.scene.plgs))
         poll_timer.look_at_scene(place_of(context.scene.plgs))
         self.report({"INFO"}, f"PLGS: {path}")
         return FINISHED

@@ -84,6 +84,12 @@ class SceneOptions:
         return FINISHED
 
 
+def _forget_other_scene(settings: Any) -> None:
+    """Before a scene is chosen: what the panel says of masks, depth, up and format is the earlier one's."""
+    settings.scene_folder = ""  # so that the earlier one is not looked at with each change
+    settings.masks, settings.depth, settings.up, settings.format = "", "", "z", AUTOMATIC
+
+
 class PLGS_OT_import_scene(SceneOptions, bpy.types.Operator):
     """Put a camera with its picture into the scene for each frame, and coloured points; nothing is lifted"""
 
@@ -139,9 +145,7 @@ class PLGS_OT_browse_scene(SceneOptions, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.plgs
         place = scene_at(Path(absolute(self.filepath)), chosen_format(self.format))
-        for name, default in (("format", AUTOMATIC), ("masks", ""), ("depth", ""), ("up", "z")):
-            if not self.properties.is_property_set(name):  # what the panel says is another scene's
-                setattr(settings, name, default)
+        _forget_other_scene(settings)
         self.into_settings(settings)
         settings.scene_folder = str(place)
         return self.import_it(context)
@@ -179,6 +183,8 @@ class PLGS_OT_open_dropped(bpy.types.Operator):
         if lift is not None:
             settings.lift_folder = str(lift)
         else:
+            if not settings.scene_folder or absolute(settings.scene_folder) != scene:
+                _forget_other_scene(settings)
             settings.scene_folder = str(scene)
         self.report({"INFO"}, f"PLGS: {lift or scene}")
         return FINISHED

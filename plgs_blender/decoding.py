@@ -37,7 +37,7 @@ def decode_in_blender(path: Path, as_colour: bool) -> NDArray[Any]:
     image = bpy.data.images.load(str(path), check_existing=False)
     try:
         # As data: neither converted to linear light nor multiplied by alpha.
-        image.colorspace_settings.name, image.alpha_mode = "Non-Color", "CHANNEL_PACKED"
+        image.colorspace_settings.is_data, image.alpha_mode = True, "CHANNEL_PACKED"
         width, height = image.size
         if (width, height) != header.size:
             raise SceneError("the image cannot be decoded", path, "Write this file again.")

@@ -8,7 +8,7 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
 
 from ..engine.job import JobError, write_atomically
-from ..engine.scene import TABLES, NamedClass, class_list_text, list_classes
+from ..engine.scene import TABLES, NamedClass, class_list_path, class_list_text, list_classes
 from .paths import absolute
 from .scene_survey import Place
 
@@ -55,16 +55,29 @@ def fill_classes(masks: PLGS_PG_masks, place: Place, table: str = OWN_TABLE) -> 
         row.into = "" if each.into == each.name else each.into
 
 
-def write_classes(masks: PLGS_PG_masks) -> Path:
-    """Write the rows into the classes.toml beside the masks. Raises JobError, OSError."""
+def write_classes(masks: PLGS_PG_masks, place: Place) -> Path:
+    """Write the rows into the classes.toml beside the masks of ``place``. Raises JobError, SceneError, OSError.
+
+    A .blend may come from somebody else, and name any file: where the list goes is worked out anew.
+    """
     if not len(masks.classes):
         raise JobError("there are no classes to write", "Classes", "Read them from the masks first.")
     rows = [NamedClass(row.label, row.name, row.into or row.name, row.is_thing) for row in masks.classes]
     if not all(row.name.isprintable() and row.name and row.into.isprintable() for row in rows):
         raise JobError("a class has no name", "Classes", "Give each a name of one line.")
-    path = absolute(masks.path)
-    write_atomically(path, class_list_text(rows, frozenset(map(int, masks.void.split()))))
+    path = class_list_path(place.folder, place.masks)
+    if absolute(masks.path) != path:
+        raise JobError("the list is of another scene", path, "Read the classes again.")
+    write_atomically(path, class_list_text(rows, _void(masks)))
     return path
+
+
+def _void(masks: PLGS_PG_masks) -> frozenset[int]:
+    """The numbers that mean nothing. Raises JobError."""
+    try:
+        return frozenset(map(int, masks.void.split()))
+    except ValueError as error:
+        raise JobError("the numbers that mean nothing are none", masks.void, "Read the classes again.") from error
 
 
 CLASSES = (PLGS_PG_mask_class, PLGS_PG_masks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -71,3 +72,15 @@ def test_the_root_imports_without_blender(root: Path) -> None:
         "module = importlib.util.module_from_spec(spec); spec.loader.exec_module(module); print(module.__doc__)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+
+
+def test_the_readme_names_every_operator(plgs: ModuleType, root: Path) -> None:
+    text = (root / "README.md").read_text(encoding="utf-8")
+    rows = text.split("| operator `plgs.` |", 1)[1].split("\n\n", 1)[0].splitlines()[2:]
+    named = [name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+    plgs.register()
+    try:
+        registered = dir(bpy.ops.plgs)
+    finally:
+        plgs.unregister()
+    assert sorted(named) == sorted(registered)

@@ -22,7 +22,9 @@ class PLGS_PT_diagnosis(Sidebar, bpy.types.Panel):
         if known is None:
             tell(layout, context, "Measures whether poses, depth and lens fit together", "INFO")
         elif known.is_running:
-            layout.label(text="Measuring ...", icon="SORTTIME")
+            row = layout.row()
+            row.label(text="Measuring ...", icon="SORTTIME")
+            row.operator("plgs.cancel_diagnosis", text="", icon="X")
         else:
             _draw_findings(layout, context, known)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .camera import Camera
 from .checks import check_scene
-from .class_listing import ClassList, class_list_text, list_classes
+from .class_listing import ClassList, class_list_path, class_list_text, list_classes
 from .class_map import NamedClass
 from .class_tables import TABLES, is_thing_by_name
 from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
@@ -49,6 +49,7 @@ __all__ = [
     "UpAxis",
     "View",
     "check_scene",
+    "class_list_path",
     "class_list_text",
     "choose_frames",
     "describe",

@@ -32,17 +32,36 @@ def list_classes(
     a table (see ``TABLES``), for masks whose files do not tell. Opens the scene; raises SceneError.
     """
     scene = open_scene(folder, masks, "z", scene_format, classes=table)
-    place = mask_place(folder if folder.is_dir() else folder.with_suffix(""), masks)
-    if place is None:
-        raise SceneError("there are no masks", folder, READ_FIX)
-    beside = place if place.is_dir() else place.parent
+    place = _place_of_masks(folder, masks)
+    path = class_list_path(folder, masks)
+    beside = path.parent
     if table is not None:
-        return ClassList(beside / FILE_NAME, tuple(named_classes(known_table(table).labels, None)))
+        return ClassList(path, tuple(named_classes(known_table(table).labels, None)))
     choice = find_class_choice(None, beside)
     labels = open_mask_source(place, [frame.name for frame in scene.frames]).labels or ()
     void = frozenset[int]() if choice is None else choice.void
     has_any = labels or (choice is not None and (choice.rows or choice.labels))
-    return ClassList(beside / FILE_NAME, tuple(named_classes(labels, choice)) if has_any else (), void)
+    return ClassList(path, tuple(named_classes(labels, choice)) if has_any else (), void)
+
+
+def class_list_path(folder: Path, masks: Path | None = None) -> Path:
+    """The classes.toml beside a scene's masks, which may not be there yet. Raises SceneError where there are no masks,
+    and where something lies there that is no list of classes.
+    """
+    place = _place_of_masks(folder, masks)
+    beside = place if place.is_dir() else place.parent
+    path = beside / FILE_NAME
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise SceneError("this is not a file of its own", path, "Move it away.")
+    find_class_choice(None, beside)
+    return path
+
+
+def _place_of_masks(folder: Path, masks: Path | None) -> Path:
+    place = mask_place(folder if folder.is_dir() else folder.with_suffix(""), masks)
+    if place is None:
+        raise SceneError("there are no masks", folder, READ_FIX)
+    return place
 
 
 def class_list_text(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) -> str:

@@ -13,23 +13,28 @@ from ..redrawing import redraw_panels
 from ..scene_diagnosis import SceneDiagnosis
 from ..scene_formats import AUTOMATIC
 from ..settings import PLGS_PG_settings, place_of
+from . import poll_timer
 
 _TICK_S = 0.2
 
 
-def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> SceneDiagnosis:
+def diagnose(settings: PLGS_PG_settings, mended: Path | None = None, *, waits: bool = True) -> SceneDiagnosis:
     """Let an engine measure the panel's scene, and with ``mended`` write it there, mended.
 
-    In a window it returns at once and the panel shows what comes; without one it returns the answer. Raises JobError
-    when there is no engine.
+    Where it ``waits`` it returns the answer, and else at once: the panel shows what comes. Without a window it always
+    waits. Raises JobError when there is no engine.
     """
     diagnosis = scene_diagnosis.begin(place_of(settings), usable_python(), mended)
-    if not bpy.app.background:
+    if not waits and not bpy.app.background:
         if not bpy.app.timers.is_registered(_tick):
             bpy.app.timers.register(_tick, first_interval=_TICK_S, persistent=True)
         return diagnosis
-    while (answer := scene_diagnosis.poll()) is None:
-        time.sleep(0.02)
+    try:
+        while (answer := scene_diagnosis.poll()) is None:
+            time.sleep(0.02)
+    except KeyboardInterrupt:
+        scene_diagnosis.forget()
+        raise
     _take(answer)
     return answer
 
@@ -57,8 +62,17 @@ def _take(answer: SceneDiagnosis) -> None:
         return
     for scene in bpy.data.scenes:
         if scene.plgs.scene_folder and place_of(scene.plgs) == answer.place:
-            scene.plgs.masks, scene.plgs.depth, scene.plgs.up, scene.plgs.format = "", "", "z", AUTOMATIC
-            scene.plgs.scene_folder = str(answer.mended)
+            _point_at(scene.plgs, answer.mended)
+    if not bpy.app.background:
+        poll_timer.remember_step("PLGS Fix")
+
+
+def _point_at(settings: PLGS_PG_settings, mended: Path) -> None:
+    """Each assignment lets the folder be looked at: so only what differs is assigned, and the folder last."""
+    values = {"masks": "", "depth": "", "up": "z", "format": AUTOMATIC, "scene_folder": str(mended)}
+    for name, value in values.items():
+        if getattr(settings, name) != value:
+            setattr(settings, name, value)
 
 
 def unregister() -> None:

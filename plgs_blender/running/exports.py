@@ -120,10 +120,15 @@ def poll() -> bool:
 
 
 def wait_for(export: Export) -> None:
-    """Block until it has ended."""
-    while not export.ended:
+    """Block until it has ended; Ctrl-C ends it."""
+    try:
+        while not export.ended:
+            export.poll()
+            time.sleep(_POLL_S)
+    except KeyboardInterrupt:
+        export.cancel()
         export.poll()
-        time.sleep(_POLL_S)
+        raise
 
 
 def let_go() -> None:

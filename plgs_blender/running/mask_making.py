@@ -10,8 +10,10 @@ import bpy
 
 from ...engine.job import ExitCode, JobError
 from ...engine.job.process import EngineProcess, engine_call
+from ..paths import absolute
 from ..redrawing import redraw_panels
 from ..scene_survey import Place
+from ..settings import place_of
 from . import poll_timer
 
 _TICK_S = 0.25
@@ -35,12 +37,14 @@ def begin(place: Place, python: Path, model: str, *, download: bool) -> None:
     global _now, _error, _line
     if _now is not None:
         raise JobError("an engine makes masks already", _now.place.folder, "Wait until it is done, or cancel it.")
+    if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
+        model = str(absolute(model))
     command = [*engine_call(python), "segment", place.folder, f"--up={place.up}"]
     command += [] if place.scene_format is None else ["--format", place.scene_format]
     command += ["--stay-with-parent", *(["--model", model] if model else []), *(["--download"] if download else [])]
     _error, _line = None, "Making masks"
     _now = _Making(place, EngineProcess(command))
-    if not bpy.app.background:
+    if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick, first_interval=_TICK_S, persistent=True)
 
 
@@ -70,7 +74,9 @@ def poll() -> bool:
         return True
     stop()
     if code == ExitCode.FINISHED:
-        poll_timer.look_at_scene(place)
+        settings = bpy.context.scene.plgs
+        if settings.scene_folder and place_of(settings) == place:  # another scene's survey stays
+            poll_timer.look_at_scene(place)
     else:
         _error = _line.removeprefix("error: ") or f"the engine ended with exit code {code}"
     return False

@@ -38,14 +38,14 @@ def tick() -> float | None:
     is_looking = scene_survey.poll()
     was_making, frames_are_made = frame_making.is_making(), frame_making.poll()
     if frames_are_made:
-        _remember_step("PLGS Frames")
+        remember_step("PLGS Frames")
     if exports.poll() or with_news or was_looking != is_looking or was_making:
         redraw_panels(views_too=any(shown_anew) or frames_are_made)
     goes_on = lifts.running() or is_looking or frame_making.is_making() or exports.is_running()
     return TICK_S if goes_on else None
 
 
-def _remember_step(name: str) -> None:
+def remember_step(name: str) -> None:
     """Let undo take back what the timer put into the scene, and nothing before it."""
     window = next(iter(bpy.context.window_manager.windows), None)
     if window is not None:

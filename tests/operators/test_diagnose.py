@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
+from plgs.plgs_blender import scene_diagnosis
 from plgs.plgs_blender.scene_diagnosis import diagnosis_of
 from plgs.plgs_blender.settings import place_of
 from tiny_scene import write_tiny_scene
@@ -31,12 +33,22 @@ def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
     assert known.can_be_mended and known.findings[0].is_mended and "%" in known.findings[0].text
     assert bpy.ops.plgs.show_finding(number=0) == {"FINISHED"}
     assert any(image.name.startswith("PLGS finding") and image.packed_file for image in bpy.data.images)
+    count = len(bpy.data.images)
+    assert bpy.ops.plgs.show_finding(number=0) == {"FINISHED"} and len(bpy.data.images) == count
     assert bpy.ops.plgs.fix_scene() == {"FINISHED"}
     assert Path(settings.scene_folder) == inverted.with_name("scene_mended")
     assert bpy.ops.plgs.diagnose() == {"FINISHED"}
     again = diagnosis_of(place_of(settings))
     assert again is not None and again.findings == () and again.error is None
     assert not bpy.ops.plgs.fix_scene.poll()
+
+
+def test_a_measurement_can_be_cancelled(inverted: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(inverted)
+    assert not bpy.ops.plgs.cancel_diagnosis.poll()
+    scene_diagnosis.begin(place_of(bpy.context.scene.plgs), Path(sys.executable))
+    assert bpy.ops.plgs.cancel_diagnosis() == {"FINISHED"}
+    assert not scene_diagnosis.is_running() and bpy.ops.plgs.diagnose.poll()
 
 
 def test_a_folder_without_a_scene_is_an_error(tmp_path: Path) -> None:

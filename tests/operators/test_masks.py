@@ -54,9 +54,40 @@ def test_a_table_is_begun_with(folder: Path) -> None:
 
 
 def test_nothing_to_write_is_said(folder: Path) -> None:
-    with pytest.raises(RuntimeError, match="no classes to write.*Read them"):
-        bpy.ops.plgs.write_classes()
+    bpy.context.scene.plgs_masks.classes.clear()
+    assert not bpy.ops.plgs.write_classes.poll()
+    bpy.context.scene.plgs.scene_folder = ""
+    assert not bpy.ops.plgs.read_classes.poll() and not bpy.ops.plgs.cancel_masks.poll()
     assert not (folder / "classes.toml").exists()
+
+
+def test_a_file_that_the_blend_names_is_not_overwritten(folder: Path, tmp_path: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(folder)
+    bpy.ops.plgs.read_classes()
+    other = tmp_path / "of_the_user.txt"
+    other.write_text("mine")
+    bpy.context.scene.plgs_masks.path = str(other)
+    with pytest.raises(RuntimeError, match=r"the list is of another scene.*Read the classes again"):
+        bpy.ops.plgs.write_classes()
+    assert other.read_text() == "mine"
+
+
+def test_what_is_no_list_of_classes_is_not_replaced(folder: Path, tmp_path: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(folder)
+    bpy.ops.plgs.read_classes()
+    target = Path(bpy.context.scene.plgs_masks.path)
+    target.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(RuntimeError, match="not a file of its own"):
+        bpy.ops.plgs.write_classes()
+    assert target.is_symlink()
+
+
+def test_void_numbers_that_are_none_are_said(folder: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(folder)
+    bpy.ops.plgs.read_classes()
+    bpy.context.scene.plgs_masks.void = "1 x"
+    with pytest.raises(RuntimeError, match="numbers that mean nothing are none: 1 x"):
+        bpy.ops.plgs.write_classes()
 
 
 def test_a_model_that_is_nowhere_is_said(bare: Path) -> None:

@@ -130,6 +130,16 @@ def test_a_dropped_file_opens_its_scene_or_its_lift(room: Path, lift: Path) -> N
     assert Path(settings.lift_folder) == lift
 
 
+def test_a_dropped_scene_does_not_take_the_masks_of_the_earlier_one(room: Path, tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder, settings.masks, settings.depth, settings.up = str(tmp_path), "masks", "depth", "y"
+    bpy.ops.plgs.open_dropped(filepath=str(room))
+    assert (Path(settings.scene_folder), settings.masks, settings.depth, settings.up) == (room, "", "", "z")
+    settings.masks = "own"
+    bpy.ops.plgs.open_dropped(filepath=str(room))
+    assert settings.masks == "own", "the same scene keeps what was chosen for it"
+
+
 @pytest.mark.parametrize(
     ("file", "scene"),
     [
