@@ -10,7 +10,7 @@ from bpy.props import EnumProperty, StringProperty
 
 from ..plgs_blender.inspecting.lookup import active_lift
 from ..plgs_blender.lift_collection import FOLDER
-from ..plgs_blender.meshes import place_meshes_anew
+from ..plgs_blender.meshes import place_meshes_anew, root_of_placed
 from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import exports, poll_timer, start
 from ..plgs_blender.settings import chosen_lift
@@ -120,13 +120,19 @@ class PLGS_OT_make_meshes(Exporting, bpy.types.Operator):
 
     def _begin(self, context: bpy.types.Context) -> None:
         self._lift = start.lift_at(context.scene.plgs, self.lift_of(context)).path
+        root_of_placed(self._lift, context.scene)  # hours may pass before the meshes come
+        self._scene = context.scene.name
         self._export = start.export_lift(context.scene.plgs, "mesh", "", self.frames, str(self._lift))
 
     def _end(self, context: bpy.types.Context) -> set[str]:
         if self._export.error or self._export.cancelled:
             self.report({"ERROR" if self._export.error else "INFO"}, self._export.message)
             return CANCELLED
-        placed = place_meshes_anew(self._lift, context.scene)
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None:
+            self.report({"ERROR"}, f"the scene is gone: {self._scene}. Make the meshes again.")
+            return CANCELLED
+        placed = place_meshes_anew(self._lift, scene)
         self.report({"INFO"}, f"{len(placed)} meshes are in the scene")
         return FINISHED
 

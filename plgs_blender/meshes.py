@@ -51,9 +51,16 @@ def place_meshes_anew(lift: Path, scene: bpy.types.Scene) -> list[bpy.types.Obje
     """After meshes were made: put them beside the lift that is placed in `scene`. Raises JobError, SceneError."""
     result = read_result(lift)
     scene = scene_to_fill(scene)
-    for root in lifts_in(scene):
-        if is_same_place(root.get(FOLDER, ""), result.folder):
-            return place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
+    root = root_of_placed(lift, scene)
+    return place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
+
+
+def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
+    """The collection of the lift that is placed in `scene`. Raises JobError, SceneError."""
+    folder = read_result(lift).folder
+    for root in lifts_in(scene_to_fill(scene)):
+        if is_same_place(root.get(FOLDER, ""), folder):
+            return root
     raise JobError("is not in this scene", lift, "Show the lift's result first.")
 
 
