@@ -22,11 +22,22 @@ def _why_not(context: bpy.types.Context) -> str | None:
     return None if panel_of(context) is None else start.why_no_engine()
 
 
-class PLGS_OT_diagnose(bpy.types.Operator):
+class _Measuring:
+    """An engine measures the panel's scene: a script waits for it, a button does not."""
+
+    waits = True
+
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.waits = False
+        answer: set[str] = self.execute(context)  # type: ignore[attr-defined]
+        return answer
+
+
+class PLGS_OT_diagnose(_Measuring, bpy.types.Operator):
     """Measure what is wrong with the scene: axes, poses, depth, intrinsics, order, drift, pictures and labels"""
 
     bl_idname, bl_label, bl_options = "plgs.diagnose", "Diagnose", {"INTERNAL"}
-    waits = True
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -34,11 +45,6 @@ class PLGS_OT_diagnose(bpy.types.Operator):
         if reason is not None:
             cls.poll_message_set(reason)
         return reason is None
-
-    @reporting_events
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.waits = False
-        return self.execute(context)
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -51,11 +57,10 @@ class PLGS_OT_diagnose(bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_fix_scene(bpy.types.Operator):
+class PLGS_OT_fix_scene(_Measuring, bpy.types.Operator):
     """Write the scene with what is safe mended into a new folder, and take that; your files stay as they are"""
 
     bl_idname, bl_label, bl_options = "plgs.fix_scene", "Fix", {"INTERNAL"}
-    waits = True
 
     folder: StringProperty(  # type: ignore[valid-type]
         name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"},
@@ -72,11 +77,6 @@ class PLGS_OT_fix_scene(bpy.types.Operator):
         if reason is not None:
             cls.poll_message_set(reason)
         return reason is None
-
-    @reporting_events
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.waits = False
-        return self.execute(context)
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
