@@ -30,6 +30,7 @@ def experiments(options: argparse.Namespace) -> int:
         seeds=tuple(options.seeds),
         earlier=read_results(options.against) if options.against else (),
         page=options.report,
+        only_finished=options.finished,
     )
     try:
         with Interrupts() as interrupts:

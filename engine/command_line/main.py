@@ -223,6 +223,7 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
         help="where lifts, results.json, .csv and .md, plots and sheets go (default: lifts/experiments)",
     )  # fmt: skip
     parser.add_argument("--report", type=Path, metavar="FILE.md", help="a page whose tables are brought up to date")
+    parser.add_argument("--finished", action="store_true", help="lift nothing more: the tables of what is finished")
     parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier results.json: before -> after")
     parser.set_defaults(run=_experiments)
 

@@ -31,7 +31,7 @@ FIRST = "ours"
 class Experiment:
     """Rows of the tables (``only`` some: of these names or tables) on ``scenes``, into ``folder``. All start from
     ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value). ``earlier``: results to compare
-    with; ``page``: a Markdown file whose tables are brought up to date."""
+    with; ``page``: a Markdown file whose tables are brought up to date; ``only_finished``: nothing more is lifted."""
 
     scenes: tuple[SceneToLift, ...]
     folder: Path
@@ -43,6 +43,7 @@ class Experiment:
     seeds: tuple[int, ...] = (0,)
     earlier: tuple[Result, ...] = ()
     page: Path | None = None
+    only_finished: bool = False
 
     @property
     def preset_name(self) -> str:
@@ -77,6 +78,8 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
     """
     tasks = list(tasks_of(experiment))
     refuse_bad_input(experiment, tasks)
+    if experiment.only_finished:
+        tasks = [task for task in tasks if (task.options.output / "result" / "manifest.json").is_file()]
     results = list(results_of_rivals(experiment))
     failed: dict[str, ExitCode] = {}
     for number, task in enumerate(tasks, start=1):

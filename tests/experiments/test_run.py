@@ -94,6 +94,14 @@ def test_rows_one_after_the_other(experiment: Experiment, behave: Behave) -> Non
         "office-preview", "office-preview-theirs", "office-preview-without-depth") for seed in ("", "-seed2"))
 
 
+def test_tables_of_what_is_finished_lift_nothing(experiment: Experiment, behave: Behave) -> None:
+    assert run(replace(experiment, scenes=experiment.scenes[:1])) is ExitCode.FINISHED
+    whole = replace(experiment, only=("ours", "parts"), only_finished=True)
+    assert run(whole) is ExitCode.FINISHED
+    assert measured(whole) == [("office", "ours")]
+    assert sorted(path.parent.name for path in whole.folder.glob("*/request.json")) == ["office-preview"]
+
+
 def test_rivals_are_measured_anew_when_the_scene_or_the_engine_is_another(
     experiment: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
