@@ -33,6 +33,24 @@ def load_package(root: Path, name: str) -> ModuleType:
 
 sys.path.insert(0, str(ROOT))
 
+_exit_codes: list[int] = []
+
+
+def pytest_sessionfinish(exitstatus: int) -> None:
+    _exit_codes.append(int(exitstatus))
+
+
+@atexit.register  # first, so it runs last: the folders below are gone by then
+def _end_the_process() -> None:
+    """End here, without C++'s destructors. Blender's sound waits in one of them for ever when a reference to bpy is left
+    over, for then Blender was not closed before."""
+    if HAS_BLENDER and _exit_codes:
+        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(_exit_codes[-1])
+
+
 # As the engine's command has it: threads that wait do not spin. Read when torch is first imported.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
