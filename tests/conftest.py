@@ -42,8 +42,8 @@ def pytest_sessionfinish(exitstatus: int) -> None:
 
 @atexit.register  # first, so it runs last: the folders below are gone by then
 def _end_the_process() -> None:
-    """End here, without C++'s destructors. Blender's sound waits in one of them for ever when a reference to bpy is left
-    over, for then Blender was not closed before."""
+    """End here, without C++'s destructors. Blender's sound waits in one of them for ever when a reference to bpy is
+    left over, for then Blender was not closed before."""
     if HAS_BLENDER and _exit_codes:
         shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
         sys.stdout.flush()
