@@ -1,4 +1,4 @@
-"""Make machine-like panoptic masks: ``python sample/machine_masks.py SCENE [--seed N] [--out FOLDER]``.
+"""Make machine-like panoptic masks: ``python sample/machine_masks.py SCENE [--seed N] [--out FOLDER] [--name NAME]``.
 
 SCENE holds ``gt/semantic``, ``gt/instance``, ``gt/classes.json``, ``depth``, ``pose`` and ``intrinsic``. Written are
 ``panoptic.json`` (COCO panoptic, own categories, a score for each segment) and ``panoptic/*.png`` (segment id =
@@ -27,23 +27,24 @@ def main() -> None:
     parser.add_argument("scene", type=Path, help="scene folder with gt/")
     parser.add_argument("--seed", type=int, default=0, help="other seeds, other faults (default 0)")
     parser.add_argument("--out", type=Path, help="where panoptic.json and panoptic/ go (default: the scene folder)")
+    parser.add_argument("--name", default="panoptic", help="NAME.json and NAME/ are written (default panoptic)")
     options = parser.parse_args()
-    write_masks(options.scene, options.out or options.scene, options.seed)
+    write_masks(options.scene, options.out or options.scene, options.seed, name=options.name)
 
 
-def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise | None = None) -> None:
+def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise | None = None, name: str = "panoptic") -> None:
     categories = json.loads((scene / "gt/classes.json").read_text())["categories"]
-    (out / "panoptic").mkdir(parents=True, exist_ok=True)
+    (out / name).mkdir(parents=True, exist_ok=True)
     images, annotations = [], []
     for path in sorted((scene / "gt/semantic").glob("*.png")):
         ids, segments = mask_of_frame(scene, path.stem, categories, seed, noise or MaskNoise())
         colour = np.stack([ids >> 16, (ids >> 8) & 255, ids & 255], -1).astype(np.uint8)  # OpenCV writes B, G, R
-        cv2.imwrite(str(out / f"panoptic/{path.stem}.png"), colour, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        cv2.imwrite(str(out / f"{name}/{path.stem}.png"), colour, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         height, width = ids.shape
         images.append({"id": path.stem, "file_name": f"{path.stem}.jpg", "width": width, "height": height})
         annotations.append({"image_id": path.stem, "file_name": f"{path.stem}.png", "segments_info": segments})
     table = {"images": images, "annotations": annotations, "categories": categories}
-    (out / "panoptic.json").write_text(readable(table))
+    (out / f"{name}.json").write_text(readable(table))
 
 
 def mask_of_frame(
