@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
 from ..experiments import Experiment, Rows, read_results, read_rows, run_experiment, scenes_from
 from ..job import ExitCode, JobError
@@ -36,6 +37,7 @@ def experiments(options: argparse.Namespace) -> int:
         with Interrupts() as interrupts:
             return run_experiment(experiment, interrupts)
     except Interrupted as error:
+        print("Stopped. The same command goes on.", file=sys.stderr)
         return error.exit_code
 
 

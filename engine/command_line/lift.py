@@ -52,6 +52,7 @@ def lift_scene(options: argparse.Namespace) -> int:
         with Interrupts() as interrupts:
             lift, code = lift_in_terminal(options, interrupts, _check)
     except Interrupted as error:
+        print(f"Stopped. Give the same command with --resume to go on: {options.output}", file=sys.stderr)
         return error.exit_code
     if code is ExitCode.FINISHED:
         print(metrics_table(lift), "", *made_files(lift), sep="\n")

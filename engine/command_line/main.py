@@ -39,6 +39,9 @@ def main(arguments: Sequence[str]) -> int:
     except errors as error:
         print(f"error: {error}", file=sys.stderr)
         return ExitCode.BAD_INPUT
+    except KeyboardInterrupt:  # of commands that have nothing to go on with
+        print("Stopped.", file=sys.stderr)
+        return ExitCode.INTERRUPTED
     except OSError as error:
         what = f"this cannot be used ({error.strerror}): {error.filename or 'the disk'}"
         print(printable(f"error: {what}. See to it, then try again."), file=sys.stderr)

@@ -40,7 +40,7 @@ class Task:
     work: Callable[[EventWriter, StopSignal], object]
     resumed: bool
     name: str | None = None  # None: a lift
-    when_stopped: str = "The lift can be resumed"
+    when_stopped: str = "Give the same command with --resume to go on"
     again: str = "resume"
     with_less_memory: str = "Resume after closing other programs, or lift anew with a smaller --size."
 

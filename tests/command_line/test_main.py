@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -89,6 +90,30 @@ def test_a_bad_scene_leaves_no_folder(
     assert code_of("lift", tmp_path / "scene", "-o", tmp_path / "out") == 2
     assert capsys.readouterr().err.startswith("error: ")
     assert os.listdir(tmp_path) == ["scene"]
+
+
+INTERRUPTED = (
+    ("lift_in_terminal", "lift", ["lift", "SCENE", "-o", "OUT"], "Give the same command with --resume to go on: OUT"),
+    ("run_experiment", "experiments", ["experiments", "SCENE"], "The same command goes on."),
+    ("open_scene", "inspect_scene", ["inspect", "SCENE"], ""),
+)
+
+
+@pytest.mark.parametrize(("what", "module", "arguments", "told"), INTERRUPTED)
+def test_the_last_words_of_ctrl_c(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    what: str, module: str, arguments: list[str], told: str,
+) -> None:  # fmt: skip
+    def stopped(*_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where pytest runs in the background
+    try:
+        monkeypatch.setattr(f"engine.command_line.{module}.{what}", stopped)
+        assert code_of(*arguments) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err.splitlines() == [f"Stopped. {told}".strip()]
 
 
 @pytest.mark.parametrize("form", [["--up", "-y"], ["--up=-y"]])
