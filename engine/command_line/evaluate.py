@@ -8,13 +8,17 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..job import ExitCode, LiftFolder, verify
-from ..job.report import class_tables, classes_text, metrics_table, tables_text
+from ..job.report import class_tables, classes_text, metrics_table, read_metrics, tables_text
 
 
-def evaluate(path: Path, *, per_class: bool) -> ExitCode:
-    """Check the files against the manifest, then print the tables. Raises JobError when the lift is not whole."""
+def evaluate(path: Path, *, per_class: bool, as_json: bool) -> ExitCode:
+    """Check the files against the manifest, then print the tables, or metrics.json in one line. Raises JobError when
+    the lift is not whole."""
     lift = LiftFolder.open(path)
     verify(lift.result_path)
+    if as_json:
+        print(json.dumps(read_metrics(lift)))
+        return ExitCode.FINISHED
     print(metrics_table(lift))
     if per_class:
         print("", class_tables(lift), sep="\n")

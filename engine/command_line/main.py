@@ -147,7 +147,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
         "--ids-per-frame", action="store_true", help="instance ids of the predictions mean nothing across frames"
     )
     parser.add_argument("--classes", action="store_true", help="also class by class")
-    parser.add_argument("--json", action="store_true", help="of folders: one line of JSON, for programs")
+    parser.add_argument("--json", action="store_true", help="one line of JSON, class by class, for programs")
     parser.set_defaults(run=_evaluate)
 
 
@@ -278,7 +278,7 @@ def _evaluate(options: argparse.Namespace) -> ExitCode:
     if (options.lift is None) == (None in folders) or (options.lift is not None and any(folders)):
         raise JobError("give either LIFT, or --predictions and --truth", "evaluate", "--help tells more.")
     if options.lift is not None:
-        return evaluate(options.lift, per_class=options.classes)
+        return evaluate(options.lift, per_class=options.classes, as_json=options.json)
     return evaluate_folders(
         *folders, per_class=options.classes, ids_per_frame=options.ids_per_frame, as_json=options.json
     )

@@ -65,9 +65,13 @@ def made_files(lift: LiftFolder) -> list[Path]:
     return [path for path in (lift.result_path / name for name in _SHOWN) if path.exists()]
 
 
+def read_metrics(lift: LiftFolder) -> dict[str, Json]:
+    """What metrics.json holds. Raises JobError."""
+    return read_object(lift.result_path / "metrics.json", "Resume the lift: it makes the result anew.")
+
+
 def _tables(lift: LiftFolder) -> Iterable[Mapping[str, Json]]:
-    content = read_object(lift.result_path / "metrics.json", "Resume the lift: it makes the result anew.")
-    return (table for table in _list(content.get("tables")) if isinstance(table, dict))
+    return (table for table in _list(read_metrics(lift).get("tables")) if isinstance(table, dict))
 
 
 def _class_row(entry: Mapping[str, Json]) -> list[str]:

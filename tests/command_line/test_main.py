@@ -170,9 +170,13 @@ def test_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         "lifted, strict  IoU %   PQ %   SQ %   RQ %  TP  FP  FN",
         "chair            50.0  100.0  100.0  100.0   3   0   1",
     ]
+    assert code_of("evaluate", lift.path, "--json") == 0
+    line = capsys.readouterr().out
+    assert line.count("\n") == 1 and json.loads(line) == json.loads(METRICS)
     (lift.result_path / "metrics.json").write_text(METRICS.replace("0.625", "0.925"))
-    assert code_of("evaluate", lift.path) == 2
-    assert "was changed" in capsys.readouterr().err
+    for form in ([], ["--json"]):
+        assert code_of("evaluate", lift.path, *form) == 2
+        assert "was changed" in capsys.readouterr().err
 
 
 def test_bench_measures_the_rasteriser(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
