@@ -46,6 +46,16 @@ def test_runs_as_a_module(root: Path) -> None:
     assert said.returncode == 0 and said.stdout.strip()
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a broken pipe is another error there")
+@pytest.mark.parametrize("arguments", [["presets"], ["presets", "--json"]])
+def test_a_reader_that_wants_no_more_is_no_error(root: Path, arguments: list[str]) -> None:
+    reads, writes = os.pipe()
+    os.close(reads)
+    with os.fdopen(writes, "wb") as nobody:
+        said = subprocess.run([sys.executable, "-m", "engine", *arguments], cwd=root, stdout=nobody, stderr=-1)
+    assert (said.returncode, said.stderr) == (141, b"")
+
+
 def test_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for arguments in ([], ["dance"], ["lift"], ["lift", tmp_path, "--size", "big"], ["inspect", tmp_path, "--up", "x"]):
         assert code_of(*arguments) == 2
