@@ -3,6 +3,7 @@ date."""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -37,11 +38,27 @@ def write_report(
         write_sheet(folder / "sheet.png", sheets)
         if not write_plots(folder / "plots", tables):
             print("No plots: matplotlib is not installed (requirements/report.txt).", file=sys.stderr)
-        if page is not None:
-            write_atomically(page, with_tables(text_of(page), tables.markdown()))
     except OSError as error:
         fix = "Make room there, or choose a folder that you may write to with -o."
         raise JobError(f"the results cannot be written ({error.strerror})", folder, fix) from error
+    if page is not None:
+        _bring_up_to_date(page, tables)
+
+
+def _bring_up_to_date(page: Path, tables: Tables) -> None:
+    try:
+        write_atomically(page, with_tables(text_of(page), tables.markdown()))
+    except OSError as error:
+        fix = "Make room there, or name another page with --report."
+        raise JobError(f"the report's page cannot be written ({error.strerror})", page, fix) from error
+
+
+def refuse_unwritable(page: Path) -> None:
+    """Before hours of work: raise JobError when the tables of ``page`` could not be brought up to date at the end."""
+    text_of(page)
+    folder = next(each for each in page.absolute().parents if each.exists())  # what is missing below it is made
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise JobError("the report's page cannot be written", page, "Name a file in a folder of yours.")
 
 
 def text_of(page: Path) -> str:

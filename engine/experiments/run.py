@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupts
 from ..scene import open_scene
 from .figures import Result, read_result
-from .report import write_report
+from .report import refuse_unwritable, write_report
 from .rivals import scores_of_rivals
 from .rows import Row, Rows
 from .scenes import SceneToLift
@@ -185,6 +186,8 @@ def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
     if experiment.page and experiment.only:
         fix = "Leave out --report or --only; results.md has the tables of some rows."
         raise JobError("--report with --only would take the page's other tables away", experiment.page, fix)
+    if experiment.page:
+        refuse_unwritable(experiment.page)
     if experiment.earlier:
         known = {result.key[:2] for result in experiment.earlier}
         if not known & {(task.scene.name, task.row.name) for task in tasks}:
@@ -207,6 +210,8 @@ def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
     except OSError as error:
         fix = "Choose a folder that you may write to."
         raise JobError(f"cannot be made ({error.strerror})", experiment.folder, fix) from error
+    if not os.access(experiment.folder, os.W_OK):
+        raise JobError("cannot be written", experiment.folder, "Choose a folder that you may write to with -o.")
 
 
 def check_scene_folder(request: LiftRequest) -> None:

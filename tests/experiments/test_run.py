@@ -170,7 +170,7 @@ def test_a_lift_that_failed_is_resumed_and_keeps_nobody_waiting(
     assert measured(experiment) == [("office", "ours"), ("kitchen", "ours")]
 
 
-def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behave) -> None:
+def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
     missing = SceneToLift("none", experiment.folder / "none")
     with pytest.raises(SceneError, match="none"):
         run(replace(experiment, scenes=(*experiment.scenes, missing)))
@@ -184,6 +184,10 @@ def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behav
         run(replace(experiment, sets=("weights.dept=0",)))
     with pytest.raises(JobError, match="other tables"):
         run(replace(experiment, page=experiment.folder / "page.md"))
+    (file := tmp_path / "file").write_bytes(b"\xff")
+    for page, told in ((tmp_path, "no text"), (file, "no text"), (file / "page.md", "cannot be written")):
+        with pytest.raises(JobError, match=told):
+            run(replace(experiment, only=(), page=page))
     assert not experiment.folder.exists()
 
 
