@@ -253,7 +253,7 @@ def _add_presets(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("name", nargs="?", type=preset_or_file, metavar="NAME|FILE.toml", help="a preset")
     add_set_option(parser)
-    parser.add_argument("--json", action="store_true", help="the table of all options and their values, for programs")
+    parser.add_argument("--json", action="store_true", help="for programs: the table of all options, or NAME's values")
     parser.set_defaults(run=_presets)
 
 
@@ -262,7 +262,10 @@ def _names(text: str) -> list[str]:
 
 
 def _seeds(text: str) -> list[int]:
-    return [int(seed) for seed in text.split(",")]
+    seeds = text.split(",")
+    if not all(seed.isdecimal() for seed in seeds):
+        raise argparse.ArgumentTypeError(f"{text!r} are no whole numbers with commas between, such as 0,1,2")
+    return list(dict.fromkeys(map(int, seeds)))
 
 
 # The commands' modules load numpy and more; --help and a typing error need none of it.

@@ -46,10 +46,14 @@ def _options(content: Mapping[str, Any], before: str = "") -> Iterator[tuple[str
         yield name, checked_value(option, from_text(option, value) if isinstance(value, str) else value)
 
 
+def preset_values(base: str, options: Mapping[str, Json]) -> dict[str, Json]:
+    """All options of a preset by name, with some changed."""
+    return {name: options.get(name, option.values[base]) for name, option in preset_options().items()}
+
+
 def preset_text(base: str, options: Mapping[str, Json]) -> str:
     """A preset with some options changed, as a file that ``read_preset_file`` reads."""
-    every = preset_options()
-    values = {name: options.get(name, option.values[base]) for name, option in every.items()}
+    every, values = preset_options(), preset_values(base, options)
     lines = [f'{BASE} = "{base}"']
     table = ""
     for option in sorted(every.values(), key=lambda one: _table_of(one.name) != ""):

@@ -60,6 +60,8 @@ def test_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
     for arguments in ([], ["dance"], ["lift"], ["lift", tmp_path, "--size", "big"], ["inspect", tmp_path, "--up", "x"]):
         assert code_of(*arguments) == 2
         assert "usage:" in capsys.readouterr().err
+    assert code_of("experiments", "--seeds", "0,one") == 2
+    assert "'0,one' are no whole numbers with commas between, such as 0,1,2" in capsys.readouterr().err
 
 
 def test_a_preset_is_printed_as_a_file_that_is_read(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -71,6 +73,10 @@ def test_a_preset_is_printed_as_a_file_that_is_read(capsys: pytest.CaptureFixtur
     (tmp_path / "mine.toml").write_text(printed)
     assert code_of("presets", tmp_path / "mine.toml") == 0
     assert capsys.readouterr().out == printed
+    assert code_of("presets", tmp_path / "mine.toml", "--json", "--set", "voxel_size=0.5") == 0
+    values = json.loads(capsys.readouterr().out)
+    assert (values["weights.depth"], values["steps"], values["voxel_size"]) == (0.0, 7, 0.5) and values["objects"]
+
 
 
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
