@@ -13,6 +13,8 @@ from ..gates import printable
 from ..job import PRESETS, UPS, ExitCode, JobError
 from ..job.options import (
     add_capture_options,
+    add_format_option,
+    add_label_options,
     add_lift_options,
     add_scene_options,
     add_set_option,
@@ -234,6 +236,8 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
         help="as for lift (default: preview)",
     )  # fmt: skip
     add_set_option(parser)
+    add_label_options(parser)
+    add_format_option(parser)
     parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
     parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="starts of chance (default: 0)")
     parser.add_argument(

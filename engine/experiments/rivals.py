@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import __version__
 from ..job import write_atomically
+from ..job.atomic import sha256
 from ..job.json_file import Json, read_object
 from ..metrics import MACHINE_MASKS, VOXEL_VOTE, PredictedView, Report, add_rivals
 from ..scene import GroundTruth, Scene, SceneError
@@ -50,9 +51,11 @@ def files_fingerprint(scene: Scene, results: Path) -> str:
     return digest.hexdigest()
 
 
-def scores_of_rivals(scene: Scene, cache: Path) -> dict[str, Figures]:
-    """Figures by method (RIVALS), measured once and kept in ``cache``, and measured anew when the engine or a file of
-    the scene is another. Empty without ground truth.
+def scores_of_rivals(
+    scene: Scene, cache: Path, mask_format: str | None = None, classes: str | None = None
+) -> dict[str, Figures]:
+    """Figures by method (RIVALS), measured once and kept in ``cache``, and measured anew when the engine, a file of the
+    scene, or the format or classes that its masks were read by are others. Empty without ground truth.
 
     Raises SceneError when a file is bad, JobError when the cache is.
     """
@@ -60,6 +63,8 @@ def scores_of_rivals(scene: Scene, cache: Path) -> dict[str, Figures]:
         "format": FORMAT,
         "engine_version": __version__,
         "files": files_fingerprint(scene, cache.parent),
+        "mask_format": mask_format,
+        "classes": sha256(Path(classes)) if classes and classes.endswith(".toml") else classes,
     }
     content = read_object(cache, "Delete it: the same command then makes it anew.") if cache.is_file() else {}
     if any(content.get(key) != value for key, value in made_of.items()):

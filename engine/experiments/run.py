@@ -15,7 +15,7 @@ from ..job.options import request_from
 from ..job.preset_options import shown_options
 from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupts
-from ..scene import open_scene
+from ..scene import open_scene, open_scene_to_lift
 from .figures import Result, read_result
 from .report import refuse_unwritable, write_report
 from .rivals import scores_of_rivals
@@ -31,8 +31,9 @@ FIRST = "ours"
 @dataclass(frozen=True)
 class Experiment:
     """Rows of the tables (``only`` some: of these names or tables) on ``scenes``, into ``folder``. All start from
-    ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value). ``earlier``: results to compare
-    with; ``page``: a Markdown file whose tables are brought up to date; ``only_finished``: nothing more is lifted."""
+    ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all scenes are read by
+    ``scene_format``, ``mask_format`` and ``classes``, as a LiftRequest has them. ``earlier``: results to compare with;
+    ``page``: a Markdown file whose tables are brought up to date; ``only_finished``: nothing more is lifted."""
 
     scenes: tuple[SceneToLift, ...]
     folder: Path
@@ -41,6 +42,9 @@ class Experiment:
     preset: str = "preview"
     steps: int | None = None
     sets: tuple[str, ...] = ()
+    scene_format: str | None = None
+    mask_format: str | None = None
+    classes: str | None = None
     seeds: tuple[int, ...] = (0,)
     earlier: tuple[Result, ...] = ()
     page: Path | None = None
@@ -158,9 +162,9 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
         seed=seed,
         masks=scene.folder / row.masks if row.masks else None,
         up=scene.up,
-        scene_format=None,
-        mask_format=None,
-        classes=None,
+        scene_format=experiment.scene_format,
+        mask_format=experiment.mask_format,
+        classes=experiment.classes,
         depth=output.with_name(f"{output.name}-maps") if row.depth_from else None,
         device=None,
         names_from=None,
@@ -172,11 +176,15 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
 def results_of_rivals(experiment: Experiment) -> Iterator[Result]:
     """What needs no lift, where rows ask for it. Raises SceneError when a file is bad."""
     wanted = [row for row in experiment.rows.chosen(experiment.only) if row.method]
+    read_as = experiment.mask_format, experiment.classes
     for scene in experiment.scenes:
         for masks in dict.fromkeys(row.masks for row in wanted if has_files(row, scene)):
-            opened = open_scene(scene.folder, scene.folder / masks if masks else None, scene.up)
+            opened = open_scene(
+                scene.folder, scene.folder / masks if masks else None, scene.up, experiment.scene_format, None,
+                experiment.mask_format, experiment.classes,
+            )  # fmt: skip
             cache = experiment.folder / f"{scene.name}-{Path(masks or 'own').stem}-masks.json"
-            for method, figures in scores_of_rivals(opened, cache).items():
+            for method, figures in scores_of_rivals(opened, cache, *read_as).items():
                 name = f"{method}, {masks}" if masks else method
                 yield Result(scene.name, name, "-", 0, 0, __version__, figures)
 
@@ -215,5 +223,8 @@ def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
 
 
 def check_scene_folder(request: LiftRequest) -> None:
-    """Raises SceneError when the scene cannot be opened."""
-    open_scene(request.scene, request.masks, request.up, request.scene_format, request.depth)
+    """Raises SceneError when the scene cannot be lifted."""
+    open_scene_to_lift(
+        request.scene, request.masks, request.up, request.scene_format, request.depth,
+        request.mask_format, request.classes,
+    )  # fmt: skip

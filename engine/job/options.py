@@ -85,6 +85,15 @@ def preset_or_file(text: str) -> str:
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """How to read the scene's folder."""
     parser.add_argument("--masks", type=Path, metavar="PATH", help="panoptic masks, where not in SCENE itself")
+    add_label_options(parser)
+    parser.add_argument(
+        "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, fitted to the scene's sparse points"
+    )
+    add_capture_options(parser)
+
+
+def add_label_options(parser: argparse.ArgumentParser) -> None:
+    """How to read masks."""
     parser.add_argument(
         "--mask-format",
         metavar="NAME",
@@ -96,10 +105,6 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.toml",
         help="the masks' classes, or one of coco, ade20k, nyu40, replica, reduced (default: classes.toml beside them)",
     )
-    parser.add_argument(
-        "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, fitted to the scene's sparse points"
-    )
-    add_capture_options(parser)
 
 
 def add_capture_options(parser: argparse.ArgumentParser) -> None:
@@ -109,6 +114,11 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
         choices=UPS,
         help=f"the axis of the poses that points up (default: what the format says, else {DEFAULTS.up})",
     )
+    add_format_option(parser)
+
+
+def add_format_option(parser: argparse.ArgumentParser) -> None:
+    """How a scene is laid out."""
     parser.add_argument(
         "--format",
         dest="scene_format",

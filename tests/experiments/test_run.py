@@ -136,6 +136,23 @@ def test_other_masks_are_lifted_where_there_are_some(experiment: Experiment, beh
     assert request.masks == office.folder / "other.json"
 
 
+def test_scenes_are_read_as_the_options_say(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+    classes = tmp_path / "mine.toml"
+    classes.write_text('[[class]]\nname = "cabinet"\ninto = "wall"\n')
+    arguments = [str(experiment.scenes[0].folder), "-o", str(experiment.folder), "--only", "ours", "machine masks"]
+    reading = ["--format", "scannet", "--mask-format", "coco", "--classes"]
+    assert main(["experiments", *arguments, *reading, str(classes)]) == 0
+    request = LiftRequest.read(experiment.folder / "office-preview" / "request.json")
+    assert (request.scene_format, request.mask_format, request.classes) == ("scannet", "coco", str(classes))
+    scores = experiment.folder / "office-own-masks.json"
+    assert "cabinet" not in scores.read_text() and "chair" in scores.read_text()
+    classes.write_text('[[class]]\nname = "chair"\ninto = "wall"\n')
+    assert main(["experiments", *arguments, *reading, str(classes)]) == 0
+    assert "cabinet" in scores.read_text() and "chair" not in scores.read_text(), "measured anew"
+    with pytest.raises(JobError, match="mask_format"):
+        run(experiment)
+
+
 def test_depth_that_another_row_renders(
     experiment: Experiment, behave: Behave, monkeypatch: pytest.MonkeyPatch
 ) -> None:
