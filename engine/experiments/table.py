@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import mean, stdev
 
+from .. import __version__
 from .figures import Figures, Result
 from .rows import Cited, Row, Rows
 
@@ -36,16 +37,19 @@ COLUMNS = (
     Column("fps", "panoptic frames/s", 1.0, 1),
 )
 
+MARK = "†"
+
 
 @dataclass(frozen=True)
 class Tables:
     """Everything that tables are made of: the ``chosen`` rows of ``rows``, what was measured so far, and earlier
-    results to compare with, "before -> after"."""
+    results to compare with, "before -> after". ``version`` of the engine: what another one lifted is marked."""
 
     rows: Rows
     chosen: tuple[Row, ...]
     results: tuple[Result, ...]
     earlier: tuple[Result, ...] = ()
+    version: str = __version__
 
     def markdown(self) -> str:
         """A section a scene, in it a table each; rows that are not measured yet are left out."""
@@ -70,17 +74,28 @@ class Tables:
         shown = [column for column in COLUMNS if any(cells[row.name][column.figure] for row in rows)]
         with_paper = any(row.paper for row in rows)
         heading = ["", *(column.heading for column in shown), *(["in the paper"] if with_paper else [])]
-        body = [[row.name, *(cells[row.name][column.figure] for column in shown)] for row in rows]
+        others = {row.name: self._other_versions(scene, row) for row in rows}
+        names = {name: f"{name} {MARK}" if versions else name for name, versions in others.items()}
+        body = [[names[row.name], *(cells[row.name][column.figure] for column in shown)] for row in rows]
         if with_paper:
             body = [[*line, _cited(row.paper)] for line, row in zip(body, rows, strict=True)]
         yield from _aligned([heading, *body])
+        if marked := sorted(set().union(*others.values())):
+            yield f"\n{MARK} Lifted by the engine {', '.join(marked)}, not by this one, {self.version}."
 
     def figures(self, scene: str, row: Row) -> list[Figures]:
         """What was measured of a row, seed by seed."""
-        return _figures_of(self.results, scene, self.measured_as(row))
+        return [result.figures for result in _results_of(self.results, scene, self.measured_as(row))]
+
+    def _other_versions(self, scene: str, row: Row) -> set[str]:
+        """Of the engines that measured a row, those that are not this one."""
+        return {result.engine_version for result in self._results(scene, row)} - {self.version}
+
+    def _results(self, scene: str, row: Row) -> list[Result]:
+        return _results_of(self.results, scene, self.measured_as(row))
 
     def _before(self, scene: str, row: Row) -> list[Figures]:
-        return _figures_of(self.earlier, scene, self.measured_as(row))
+        return [result.figures for result in _results_of(self.earlier, scene, self.measured_as(row))]
 
     def measured_as(self, row: Row) -> str:
         """What a row's results are called."""
@@ -89,8 +104,8 @@ class Tables:
         return self.rows.lift_of(row).name
 
 
-def _figures_of(results: Sequence[Result], scene: str, name: str) -> list[Figures]:
-    return [result.figures for result in results if (result.scene, result.row) == (scene, name)]
+def _results_of(results: Sequence[Result], scene: str, name: str) -> list[Result]:
+    return [result for result in results if (result.scene, result.row) == (scene, name)]
 
 
 def _cells(now: Sequence[Figures], before: Sequence[Figures]) -> Iterator[tuple[str, str]]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from engine import __version__
 from engine.experiments import Result, Tables
 from tests.experiments.made_up import KITCHEN, OFFICE, ROWS
 
@@ -65,6 +66,17 @@ def test_a_section_a_scene(earlier: Sequence[Result]) -> None:
     ]  # fmt: skip
     office = text.split("###")[1].split("**Its parts**")[0]
     assert len({len(line) for line in office.splitlines() if line[:1] == "|"}) == 1
+
+
+def test_a_row_that_another_engine_lifted_is_marked() -> None:
+    results = (OFFICE[0], OFFICE[1], replace(OFFICE[2], engine_version="0.0.9"))
+    text = Tables(ROWS, ROWS.rows, results).markdown()
+    systems, parts = text.split("**Its parts**")
+    assert [row[0] for row in cells(systems)[2:]] == ["ours", "machine masks", "theirs †", "elsewhere"]
+    assert [row[0] for row in cells(parts)[2:]] == ["all of it †"]
+    for table in (systems, parts):
+        assert table.rstrip().splitlines()[-1] == f"† Lifted by the engine 0.0.9, not by this one, {__version__}."
+    assert "†" not in Tables(ROWS, ROWS.rows, OFFICE, earlier=results).markdown()
 
 
 def test_some_rows_alone() -> None:
