@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 
 from ..plgs_blender.errors import EXPECTED
+from ..plgs_blender.panel_words import in_panel_words
 
 FINISHED, CANCELLED = {"FINISHED"}, {"CANCELLED"}
 RUNNING, PASSED_ON = {"RUNNING_MODAL"}, {"PASS_THROUGH"}
@@ -30,7 +31,7 @@ def reporting(execute: Execute) -> Execute:
         try:
             return execute(operator, context)
         except EXPECTED as error:
-            operator.report({"ERROR"}, str(error))
+            operator.report({"ERROR"}, in_panel_words(str(error)))
             return CANCELLED
 
     return answer

@@ -6,6 +6,7 @@ import bpy
 from bpy.props import IntProperty, StringProperty
 
 from ..plgs_blender import finding_picture, scene_diagnosis
+from ..plgs_blender.panel_words import in_panel_words
 from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import diagnosing, start
 from ..plgs_blender.scene_diagnosis import diagnosis_of
@@ -50,7 +51,7 @@ class PLGS_OT_diagnose(_Measuring, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         diagnosis = diagnosing.diagnose(context.scene.plgs, waits=self.waits)
         if diagnosis.error is not None and not diagnosis.findings:
-            self.report({"ERROR"}, diagnosis.error)
+            self.report({"ERROR"}, in_panel_words(diagnosis.error))
             return CANCELLED
         for finding in diagnosis.findings:
             self.report({"WARNING" if finding.is_wrong else "INFO"}, f"{finding.cause}: {finding.text}")
@@ -84,7 +85,8 @@ class PLGS_OT_fix_scene(_Measuring, bpy.types.Operator):
         folder = absolute(self.folder) if self.folder else diagnosing.free_mended_folder(place_of(settings).folder)
         diagnosis = diagnosing.diagnose(settings, folder, waits=self.waits)
         if not diagnosis.is_running and diagnosis.mended is None:
-            self.report({"ERROR"}, diagnosis.error or "Nothing was found that can be mended without a doubt")
+            why = diagnosis.error or "Nothing was found that can be mended without a doubt"
+            self.report({"ERROR"}, in_panel_words(why))
             return CANCELLED
         self.report({"INFO"}, f"An engine writes {folder}" if diagnosis.is_running else f"PLGS: {folder}")
         return FINISHED

@@ -32,6 +32,10 @@ _BAKES = [
     ("all", "All frames", "Bake the passes of every frame"),
     ("none", "None", "Bake no passes; they can be baked later"),
 ]
+_DEVICES = [
+    ("cpu", "CPU", "Draw the Gaussians on the processor"),
+    ("cuda", "CUDA", "Draw them on an NVIDIA GPU; the engine's Python needs gsplat, and this has not run on a GPU yet"),
+]
 
 _FORMATS = {name for name, *_ in FORMAT_ITEMS}
 _MASK_FORMATS = {name for name, *_ in MASK_FORMAT_ITEMS}
@@ -112,6 +116,9 @@ class LiftOptions:
     bake: EnumProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Bake", items=_BAKES, default="test", description="Which frames become compositor passes"
     )
+    device: EnumProperty(  # type: ignore[valid-type]
+        options=_OPTION, name="Device", items=_DEVICES, default="cpu", description="Where the Gaussians are drawn"
+    )
     preset_options: StringProperty(  # type: ignore[valid-type]
         options=_OPTION, name="Changed",
         description="Any options of the preset, such as: weights.depth=0 objects=boxes; empty takes the preset's",
@@ -177,6 +184,7 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
         seed=settings.seed,
         up=settings.up,
         bake=settings.bake,
+        device=settings.device,
         scene_format=chosen_format(settings.format),
         depth=absolute(settings.depth) if settings.depth else None,
         mask_format=chosen_format(settings.mask_format),
@@ -232,6 +240,7 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "fit": request.fit,
         "seed": min(request.seed, 2**31 - 1),
         "bake": request.bake,
+        "device": request.device,
         "preset_options": " ".join(shown_options(request.options)),
     }
     for name, value in asked.items():

@@ -72,6 +72,7 @@ class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
+        layout.prop(settings, "device")
         layout.prop(settings, "preset_options")
         refusal = why_no_options(settings)
         if refusal is not None:

@@ -6,6 +6,8 @@ import textwrap
 
 import bpy
 
+from ..plgs_blender.panel_words import in_panel_words
+
 _PIXELS_A_LETTER = 7.0
 """Of the interface's font at scale 1, on average."""
 
@@ -30,11 +32,12 @@ class Step(Sidebar):
 
 
 def tell(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
-    """A text of any length, wrapped to the sidebar's width: Blender's own labels are cut off."""
+    """A text of any length, wrapped to the sidebar's width: Blender's own labels are cut off. What the engine advises
+    is told in the panel's words."""
     scale = context.preferences.system.ui_scale
     letters = max(20, int(context.region.width / (_PIXELS_A_LETTER * scale)) - 5)
     column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(text, letters) or [""]):
+    for number, line in enumerate(textwrap.wrap(in_panel_words(text), letters) or [""]):
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 

@@ -15,6 +15,7 @@ from ...engine.job import ExitCode, JobError, LiftFolder, LiftState
 from ...engine.job.folder import BAKE
 from ...engine.job.follower import LiftFollower, LiftStatus, Outcome
 from ...engine.job.process import engine_command
+from ..panel_words import in_panel_words
 
 _POLL_S = 0.05
 
@@ -189,7 +190,7 @@ def message_for(watch: Watch) -> str:
     if outcome is None:
         return watch.status.label
     if outcome.error is not None:
-        return outcome.error
+        return in_panel_words(outcome.error)
     if watch.is_baking:
         return "The passes are baked" if outcome.code is ExitCode.FINISHED else "Baking was cancelled"
     if watch.is_finished:

@@ -14,6 +14,7 @@ from ..lift_collection import lift_of_scene
 from ..lift_scene import place_lift
 from ..meshes import mesh_folder
 from ..owned import text_of
+from ..panel_words import in_panel_words
 from ..paths import absolute, free_lift_folder
 from ..possibilities import why_not_liftable
 from ..scene_survey import survey_of
@@ -40,7 +41,7 @@ def why_no_scene(settings: PLGS_PG_settings) -> str | None:
     if not settings.scene_folder:
         return "Choose the scene's folder first"
     survey = survey_of(place_of(settings))
-    return None if survey is None or survey.error is None else f"{survey.error}. {survey.fix}"
+    return None if survey is None or survey.error is None else in_panel_words(f"{survey.error}. {survey.fix}")
 
 
 def why_no_lift(settings: PLGS_PG_settings) -> str | None:

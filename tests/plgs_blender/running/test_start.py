@@ -8,7 +8,8 @@ from pathlib import Path
 import bpy
 import plgs
 import pytest
-from plgs.engine.job import JobError, LiftFolder, LiftRequest
+from plgs.engine.job import ExitCode, JobError, LiftFolder, LiftRequest
+from plgs.engine.job.follower import Outcome
 from plgs.engine.job.made_frames import MadeFrames
 from plgs.plgs_blender.running import lifts, start
 from plgs.plgs_blender.settings import adopt, place_of, request_of, shown_preset, why_no_options
@@ -34,6 +35,23 @@ def test_what_to_do_about_a_lift_that_is_running(tmp_path: Path) -> None:
     with pytest.raises(JobError, match="not finished") as refused:
         start.show_lift(scene, str(lift.path))
     assert "Resume" in refused.value.fix
+
+
+def test_advice_names_the_panels_fields(tmp_path: Path) -> None:
+    lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "room"))
+    watch = lifts.attach(lift.path)
+    watch.follower.outcome = Outcome(ExitCode.BAD_INPUT, "it does not fit. Lift with --frames 40")
+    assert lifts.message_for(watch) == "it does not fit. Lift with Frames 40"
+
+
+def test_the_panel_chooses_the_device(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder, settings.device = str(tmp_path), "cuda"
+    request = request_of(settings)
+    assert request.device == "cuda"
+    settings.device = "cpu"
+    adopt(settings, request, tmp_path / "lift")
+    assert settings.device == "cuda"
 
 
 def test_all_options_of_the_preset() -> None:
