@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender.running import mask_making
+from ..plgs_blender.settings import place_of
 from .sidebar import Sidebar, from_panel, tell
 
 
@@ -31,8 +32,10 @@ class PLGS_PT_scene_masks(Sidebar, bpy.types.Panel):
             tell(layout, context, mask_making.progress(), "SORTTIME")
             layout.operator("plgs.cancel_masks", icon="X")
         else:
-            if mask_making.error() is not None:
-                tell(layout, context, mask_making.error() or "", "ERROR")
+            settings = context.scene.plgs
+            problem = mask_making.error_for(place_of(settings)) if settings.scene_folder else None
+            if problem is not None:
+                tell(layout, context, problem, "ERROR")
             layout.prop(masks, "model")
             from_panel(layout.row(), context).operator("plgs.make_masks", icon="MOD_MASK")
         row = layout.row(align=True)

@@ -6,7 +6,9 @@ import bpy
 
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
 from ..plgs_blender.frames import PHOTO, SHOWN
+from ..plgs_blender.owned import LIFT
 from ..plgs_blender.running import frame_making
+from ..plgs_blender.settings import place_of
 from .sidebar import Sidebar, tell
 
 _BUTTONS = ((PHOTO, "Photo", "IMAGE_DATA"), (DEPTH, "Depth", "EMPTY_SINGLE_ARROW"), (MASKS, "Masks", "COLOR"))
@@ -18,7 +20,7 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         is_ours = why_no_picture(context.scene) is None
-        return is_ours or frame_making.is_making() or frame_making.error() is not None
+        return is_ours or frame_making.is_making() or _problem(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, ob = self.layout, context.scene.camera
@@ -28,7 +30,7 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
             text = f"Frames {done} of {total}" if total else "Engine starts ..."
             row.progress(factor=done / total if total else 0.0, text=text)
             row.operator("plgs.cancel_frames", text="", icon="X")
-        problem = frame_making.error()
+        problem = _problem(context)
         if problem is not None:
             tell(layout, context, problem, "ERROR")
         if why_no_picture(context.scene) is not None:
@@ -42,6 +44,13 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
         span = range_shown(ob)
         if span is not None:
             layout.label(text=f"{span[0]:.2f} m (light) to {span[1]:.2f} m (dark)", icon="BLANK1")
+
+
+def _problem(context: bpy.types.Context) -> str | None:
+    """Why the engine failed, for the panel's scene or that of the active camera."""
+    settings, ob = context.scene.plgs, context.scene.camera
+    place = place_of(settings) if settings.scene_folder else None
+    return frame_making.error_for(place, "" if ob is None else ob.get(LIFT, ""))
 
 
 CLASSES = (PLGS_PT_frames,)

@@ -52,6 +52,7 @@ class _Making:
 _now: _Making | None = None
 _progress: tuple[int, int] | None = None
 _error: str | None = None
+_failed: Order | None = None
 
 
 def begin(order: Order, python: Path) -> None:
@@ -84,9 +85,16 @@ def error() -> str | None:
     return _error
 
 
+def error_for(place: Place | None, lift: str) -> str | None:
+    """`error`, where it is of this scene, or of the lift or import of this key."""
+    if _failed is None or (_failed.place != place and (not lift or _failed.lift != lift)):
+        return None
+    return _error
+
+
 def poll() -> bool:
     """Show what was made when it is done; whether something ended."""
-    global _error, _progress
+    global _error, _failed, _progress
     if _now is None:
         return False
     code, output = _now.process.exit_code(), _now.process.output_tail()
@@ -94,6 +102,7 @@ def poll() -> bool:
         _progress = _progress_in(output)
         return False
     making = _now
+    _failed = making.order
     stop()
     if code != ExitCode.FINISHED:
         last = output.splitlines()[-1] if output else f"the engine ended with {code}"

@@ -27,6 +27,7 @@ class _Making:
 
 _now: _Making | None = None
 _error: str | None = None
+_failed: Place | None = None
 _line = ""
 
 
@@ -63,9 +64,14 @@ def error() -> str | None:
     return _error
 
 
+def error_for(place: Place) -> str | None:
+    """`error`, where it is of this scene."""
+    return _error if place == _failed else None
+
+
 def poll() -> bool:
     """Learn how far it is; whether it goes on."""
-    global _error, _line
+    global _error, _failed, _line
     if _now is None:
         return False
     code, output, place = _now.process.exit_code(), _now.process.output_tail(), _now.place
@@ -78,7 +84,7 @@ def poll() -> bool:
         if settings.scene_folder and place_of(settings) == place:  # another scene's survey stays
             poll_timer.look_at_scene(place)
     else:
-        _error = _line.removeprefix("error: ") or f"the engine ended with exit code {code}"
+        _error, _failed = _line.removeprefix("error: ") or f"the engine ended with exit code {code}", place
     return False
 
 

@@ -17,6 +17,7 @@ from plgs.engine.scene import open_scene
 from plgs.plgs_blender.running import frame_making
 from plgs.plgs_blender.running.frame_making import Order
 from plgs.plgs_blender.scene_survey import Place
+from plgs.plgs_blender.settings import place_of
 
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_hypersim import USUAL, write_hypersim
@@ -189,6 +190,11 @@ def test_what_an_engine_cannot_make_is_told(own: Path, capfd: pytest.CaptureFixt
     assert all(ob.data.background_images for ob in frames().values()) and not clouds()
     assert "one.sens" in (frame_making.error() or "") and "Warning" in capfd.readouterr().out
     assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == "cloud" and not frame_making.is_making()
+    settings, key = bpy.context.scene.plgs, frames()["5"]["plgs_lift"]
+    told = [frame_making.error_for(place_of(settings), ""), frame_making.error_for(None, key)]
+    assert told == [frame_making.error()] * 2
+    settings.scene_folder = str(own / "scans" / "two.sens")
+    assert frame_making.error_for(place_of(settings), "") is None, "another scene has no such error"
     bpy.context.scene.camera = frames()["5"]
     with pytest.raises(RuntimeError, match=r"one\.sens"):
         bpy.ops.plgs.show_picture(what="DEPTH")

@@ -9,6 +9,7 @@ from pathlib import Path
 import bpy
 import pytest
 from plgs.plgs_blender.running import mask_making
+from plgs.plgs_blender.settings import place_of
 
 from engine.scene import open_scene
 from tests.tiny_scene import write_tiny_scene
@@ -95,6 +96,10 @@ def test_a_model_that_is_nowhere_is_said(bare: Path) -> None:
     with pytest.raises(RuntimeError, match="no such folder or model: nowhere"):
         bpy.ops.plgs.make_masks(model="nowhere")
     assert not mask_making.is_making() and mask_making.error() is not None
+    settings = bpy.context.scene.plgs
+    assert mask_making.error_for(place_of(settings)) == mask_making.error()
+    settings.scene_folder = str(bare.parent)
+    assert mask_making.error_for(place_of(settings)) is None, "another scene has no such error"
     assert not (bare / "panoptic").exists()
 
 
