@@ -68,7 +68,7 @@ def begin(place: Place, python: Path, mended: Path | None = None) -> SceneDiagno
     global _latest, _engine, _folder
     forget()
     _folder = Path(tempfile.mkdtemp(prefix="plgs-findings-"))
-    command = [*engine_call(python), "inspect", *place.arguments(), "--json", "-o", _folder]
+    command = [*engine_call(python), "inspect", *place.arguments(), "--json", "--stay-with-parent", "-o", _folder]
     command += [] if mended is None else ["--fix", mended]
     try:
         _engine = EngineProcess(command)

@@ -173,7 +173,7 @@ def stop_looking() -> None:
 def _begin_inspection(place: Place, python: Path) -> bool:
     """Whether an engine could be started."""
     global _latest, _inspector
-    command = [*engine_call(python), "inspect", *place.arguments(), "--json"]
+    command = [*engine_call(python), "inspect", *place.arguments(), "--json", "--stay-with-parent"]
     try:
         _inspector = EngineProcess(command)
     except JobError:  # what is wrong with that Python, its own status says

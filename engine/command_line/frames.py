@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-import threading
 
 from ..frames import make_frames
 from ..job import ExitCode, JobError
@@ -15,9 +13,6 @@ from ..scene import open_scene
 
 def write_frames(options: argparse.Namespace) -> ExitCode:
     """Write them, a line for each frame that is done. Raises JobError, SceneError."""
-    if options.stay_with_parent:
-        # All files are put in place by rename, so that the end may come at any time.
-        threading.Thread(target=_end_with_parent, daemon=True).start()
     scene = open_scene(
         options.scene, options.masks, options.up or "z", options.scene_format, options.depth,
         options.mask_format, options.classes,
@@ -41,9 +36,3 @@ def write_frames(options: argparse.Namespace) -> ExitCode:
 
 def _tell(done: int, total: int) -> None:
     print(f"frames {done}/{total}", flush=True)
-
-
-def _end_with_parent() -> None:
-    while os.read(sys.stdin.fileno(), 4096):
-        pass
-    os._exit(ExitCode.CANCELLED)

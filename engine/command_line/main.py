@@ -21,6 +21,7 @@ from ..job.options import (
     preset_or_file,
     readable,
 )
+from ..job.stop import end_with_parent
 
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
 SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
@@ -142,6 +143,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
         "--frames", nargs="+", default=["all"], metavar="FRAME", help="names of frames, test (those held out), or all"
     )
     parser.add_argument("--progress", action="store_true", help="print a line after each frame, for programs")
+    _add_stay_with_parent(parser)
     parser.set_defaults(run=_export)
 
 
@@ -179,6 +181,7 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preset", choices=PRESETS, help="also predict what a lift with this preset would take")
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="write findings and their pictures there")
     parser.add_argument("--fix", type=Path, metavar="OUT", help="write the scene to a new folder, mended where safe")
+    _add_stay_with_parent(parser)
     parser.set_defaults(run=_inspect)
 
 
@@ -287,7 +290,14 @@ def _bake(options: argparse.Namespace) -> ExitCode:
     return lift.bake_in_folder(options)
 
 
+def _stay_with_parent(options: argparse.Namespace) -> None:
+    """Of the commands that may end at any time; the others have a ``Watchdog``."""
+    if options.stay_with_parent:
+        end_with_parent(sys.stdin.fileno())
+
+
 def _export(options: argparse.Namespace) -> ExitCode:
+    _stay_with_parent(options)
     from .export import export_lift
 
     return export_lift(options)
@@ -345,6 +355,7 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 
 
 def _inspect(options: argparse.Namespace) -> ExitCode:
+    _stay_with_parent(options)
     from .inspect_scene import inspect_scene
 
     return inspect_scene(
@@ -363,6 +374,7 @@ def _inspect(options: argparse.Namespace) -> ExitCode:
 
 
 def _frames(options: argparse.Namespace) -> ExitCode:
+    _stay_with_parent(options)
     from .frames import write_frames
 
     return write_frames(options)

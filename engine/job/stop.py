@@ -90,8 +90,7 @@ class Watchdog:
 
     def _await_parent(self) -> None:
         assert self._parent_pipe is not None
-        while os.read(self._parent_pipe, 4096):
-            pass
+        _await_end(self._parent_pipe)
         self._stop.ask("the process that started the engine is gone")
         self._asked.set()
 
@@ -104,3 +103,20 @@ class Watchdog:
             with suppress(OSError):  # a full disk does not keep the engine alive
                 self._events.done("cancelled")
             self._end_process(self._stop.exit_code)
+
+
+def end_with_parent(parent_pipe: int, end_process: Callable[[int], object] = os._exit) -> None:
+    """End this process when the pipe ends, as ``Watchdog`` does, but at once: for work that may end at any time, as
+    all its files are put in place by rename, or made anew.
+    """
+
+    def end() -> None:
+        _await_end(parent_pipe)
+        end_process(ExitCode.CANCELLED)
+
+    threading.Thread(target=end, name="plgs-parent", daemon=True).start()
+
+
+def _await_end(pipe: int) -> None:
+    while os.read(pipe, 4096):
+        pass

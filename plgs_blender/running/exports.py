@@ -6,14 +6,13 @@ Like `lifts` they live in the module and are polled; only one runs at a time.
 from __future__ import annotations
 
 import re
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ...engine.job import JobError
-from ...engine.job.process import ROOT, ChildProcess, clean_environment, engine_call
+from ...engine.job.process import EngineProcess, engine_call
 
 FORMS = {
     "coco": ("COCO panoptic", "panoptic.json and PNGs of segments"),
@@ -27,8 +26,6 @@ FORMS = {
 """What the engine exports to: a label and what it is."""
 _PROGRESS = re.compile(r"(\d+) of (\d+) frames")
 _POLL_S = 0.05
-_TAIL = 16_000
-"""Bytes of what the engine said that are read."""
 
 
 @dataclass
@@ -37,8 +34,7 @@ class Export:
 
     form: str
     output: Path
-    process: ChildProcess
-    log: Path
+    process: EngineProcess
     done: int = 0
     total: int = 0
     ended: bool = False
@@ -60,7 +56,7 @@ class Export:
         if self.ended:
             return False
         code, before = self.process.exit_code(), self.done
-        lines = self._lines()
+        lines = [line for line in self.process.output_tail().splitlines() if line.strip()]
         counted = [found for line in lines if (found := _PROGRESS.search(line))]
         if counted:
             self.done, self.total = int(counted[-1][1]), int(counted[-1][2])
@@ -69,18 +65,13 @@ class Export:
             if code != 0 and not self.cancelled:
                 said = lines[-1].removeprefix("error: ") if lines else ""
                 self.error = said or f"the export ended without a message (exit code {code})"
-            self.log.unlink(missing_ok=True)
+            self.process.close()
         return self.ended or self.done != before
 
     def cancel(self) -> None:
         """End it; what was written so far stays."""
         self.cancelled = True
         self.process.kill()
-
-    def _lines(self) -> list[str]:
-        with self.log.open("rb") as file:
-            file.seek(max(0, self.log.stat().st_size - _TAIL))
-            return [line for line in file.read().decode(errors="replace").splitlines() if line.strip()]
 
 
 _latest: list[Export] = []
@@ -99,19 +90,14 @@ def start(lift: Path, form: str, output: Path, python: Path, frames: Sequence[st
     """Start an export of a finished lift into the folder ``output``. Raises JobError, OSError."""
     if is_running():
         raise JobError("another export is running", _latest[-1].output, "Wait for it, or cancel it first.")
-    command = export_command(python, lift, form, output, frames)
-    descriptor, name = tempfile.mkstemp(prefix="plgs-export-", suffix=".log")
-    with open(descriptor, "wb") as log:
-        environment = clean_environment(ROOT)
-        process = ChildProcess(command, cwd=ROOT, environment=environment, output=log)
-    _latest[:] = [Export(form, output, process, Path(name))]
+    _latest[:] = [Export(form, output, EngineProcess(export_command(python, lift, form, output, frames)))]
     return _latest[0]
 
 
 def export_command(python: Path, lift: Path, form: str, output: Path, frames: Sequence[str]) -> list[str | Path]:
     """The command that exports a lift and counts the frames."""
     what: list[str | Path] = [lift, "--to", form, "-o", output, "--frames", *frames]
-    return [*engine_call(python), "export", *what, "--progress"]
+    return [*engine_call(python), "export", *what, "--progress", "--stay-with-parent"]
 
 
 def poll() -> bool:

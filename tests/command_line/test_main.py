@@ -237,8 +237,9 @@ def test_frames_of_a_scene_are_written(tmp_path: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().err.startswith("error: ")
 
 
-def test_frames_end_with_the_parent_that_asked_for_them(root: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", [["frames"], ["inspect"], ["export", "--to", "mesh"]])
+def test_what_a_parent_asked_for_ends_with_it(root: Path, tmp_path: Path, command: list[str]) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=30)
-    command = [sys.executable, "-m", "engine", "frames", room, "-o", tmp_path / "out", "--stay-with-parent"]
-    asked = subprocess.run(command, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-    assert asked.returncode == 3 and not (tmp_path / "out" / "frames.json").exists()
+    asked = [sys.executable, "-m", "engine", *command, room, "-o", tmp_path / "out", "--stay-with-parent"]
+    ended = subprocess.run(asked, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    assert ended.returncode == 3 and not ended.stdout and not (tmp_path / "out").exists()
