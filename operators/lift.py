@@ -42,26 +42,36 @@ class Following:
     """Each such operator's own: start or join; raises what `reporting` reports."""
     bl_label: str
     report: Callable[[set[str], str], None]
-    _folder: Path
+    _folder: Path | None = None
     _timer: bpy.types.Timer | None = None
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self._folder = self.begin(context).folder.path
+        return self.follow(context)
+
+    def follow(self, context: bpy.types.Context) -> set[str]:
+        """Begin, and wait for the end without keeping Blender."""
+        folder = self.begin(context).folder.path
         poll_timer.begin()
-        if self._folder in _waited_for:  # by another operator, which will tell how it ends
+        if folder in _waited_for:  # by another operator, which will tell how it ends
             return FINISHED
-        _waited_for.add(self._folder)
+        self._folder = folder
+        _waited_for.add(folder)
         # Now, not when the lift ends: undoing what the user does meanwhile shall not take the lift out of the panel.
         bpy.ops.ed.undo_push(message=self.bl_label)
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(_GLANCE_S, window=context.window or manager.windows[0])
-        manager.modal_handler_add(self)
+        self.glance(context)
         return RUNNING
+
+    def glance(self, context: bpy.types.Context) -> None:
+        """Be called now and then from here on."""
+        if self._timer is None:
+            manager = context.window_manager
+            self._timer = manager.event_timer_add(_GLANCE_S, window=context.window or manager.windows[0])
+            manager.modal_handler_add(self)
 
     @reporting_events
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        followed = lifts.watch_of(self._folder)
+        followed = None if self._folder is None else lifts.watch_of(self._folder)
         if event.type != "TIMER" or (followed is not None and followed.is_running):
             poll_timer.begin()  # in case an error of ours has stopped the timer
             return PASSED_ON
@@ -70,7 +80,8 @@ class Following:
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Another file was opened, or it is over. The lift itself goes on, followed by the module."""
-        _waited_for.discard(self._folder)
+        if self._folder is not None:
+            _waited_for.discard(self._folder)
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,8 @@ from bpy.props import EnumProperty, IntProperty, StringProperty
 from ..plgs_blender import passes_view
 from ..plgs_blender.running import start
 from ..plgs_blender.running.lifts import Watch
-from .answers import FINISHED, panel_of, reporting
+from ..plgs_blender.shots import ShotReader
+from .answers import CANCELLED, FINISHED, PASSED_ON, RUNNING, panel_of, reporting, reporting_events
 from .lift import Following, OnLiftFolder
 
 _FRAMES = [
@@ -19,6 +21,8 @@ _FRAMES = [
     ("test", "Held-out frames", "Bake the frames that were held out of training"),
     ("active", "Active camera", "Bake the frame whose camera is the scene's active one"),
 ]
+_READ_S = 0.15
+"""So long at a time a camera is read while Blender waits."""
 
 
 class OnFinishedLift(OnLiftFolder):
@@ -68,10 +72,61 @@ class PLGS_OT_bake_camera(OnFinishedLift, Following, bpy.types.Operator):
         name="Step", options={"SKIP_SAVE"}, min=1, default=1, description="Not given: the scene's"
     )
 
+    _shot: ShotReader | None = None
+
     def begin(self, context: bpy.types.Context) -> Watch:
+        shot = self._shot or self._begin_reading(context)
+        shot.read_for(math.inf)  # all at once for a script
+        self._shot = None
+        return start.bake_shot(context.scene, shot, self.lift_folder)
+
+    def _begin_reading(self, context: bpy.types.Context) -> ShotReader:
         names = ("frame_start", "frame_end", "frame_step")
         first, last, step = (getattr(self, name) if self.properties.is_property_set(name) else None for name in names)
-        return start.bake_camera(context.scene, self.camera, (first, last, step), self.lift_folder)
+        return start.read_camera(context.scene, self.camera, (first, last, step), self.lift_folder)
+
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self._shot = self._begin_reading(context)
+        if self._shot.read_for(_READ_S):
+            return self.follow(context)
+        self.glance(context)
+        return RUNNING
+
+    @reporting_events
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self._shot is None:  # it is read, and an engine bakes
+            answer: set[str] = super().modal(context, event)
+            return answer
+        answer = CANCELLED
+        try:
+            answer = self._read_on(context, event, self._shot)
+        finally:
+            if answer not in (RUNNING, PASSED_ON):
+                self.cancel(context)
+        return answer
+
+    def _read_on(self, context: bpy.types.Context, event: bpy.types.Event, shot: ShotReader) -> set[str]:
+        if event.type == "ESC" and event.value == "PRESS":
+            self.report({"INFO"}, "The camera is not read any further, and nothing is baked")
+            return CANCELLED
+        if event.type != "TIMER":
+            return PASSED_ON
+        if shot.read_for(_READ_S):
+            _show_progress(context, None)
+            return self.follow(context)
+        _show_progress(context, "Reading the camera: {} of {} frames. Esc stops".format(*shot.progress))
+        return RUNNING
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        _show_progress(context, None)
+        super().cancel(context)
+
+
+def _show_progress(context: bpy.types.Context, text: str | None) -> None:
+    """In the status bar; None: what Blender shows there."""
+    if context.workspace is not None:
+        context.workspace.status_text_set(text)
 
 
 class PLGS_OT_show_passes(bpy.types.Operator):

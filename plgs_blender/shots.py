@@ -5,6 +5,8 @@ The lift's world is Blender's: a camera sees the lifted scene from where it stan
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -56,25 +58,59 @@ def shot_of(
     return shot
 
 
-def cameras_of(scene: bpy.types.Scene, shot: Shot) -> list[BakeCamera]:
-    """What the shot's camera sees at each frame, as it is animated, in pictures of the scene's size: its lens, shift,
-    sensor, clip, and the scene's size, percentage and pixel aspect.
-
-    A camera that stands still is one camera, at the first frame. Raises JobError for one that is no pinhole camera.
-    """
-    stem = safe_name(shot.camera.name)
-    with frame_kept(scene):
-        cameras = [_camera_at(scene, shot.camera, frame, f"{stem}.{frame:0{DIGITS}d}") for frame in shot.frames]
-    stands_still = len({camera.fingerprint for camera in cameras}) == 1
-    return cameras[:1] if stands_still else cameras
-
-
 def write_shot(lift: Path, scene: bpy.types.Scene, shot: Shot) -> Path:
     """The file of cameras that an engine bakes the shot from, in the lift's folder. Raises JobError, OSError."""
-    cameras = cameras_of(scene, shot)
-    file = lift / "bake" / f"{safe_name(shot.camera.name)}.{shot.first}-{shot.last}.json"
-    write_cameras(file, cameras)
-    return file
+    reader = ShotReader(scene, shot)
+    reader.read_for(math.inf)
+    return reader.write(lift)
+
+
+class ShotReader:
+    """Reads what a shot's camera sees at each frame, as it is animated, in pictures of the scene's size: its lens,
+    shift, sensor, clip, and the scene's size, percentage and pixel aspect.
+
+    Some frames at a time: Blender evaluates the scene at each, and a long range would keep its window from answering.
+    Between two calls the scene stands where it stood. It and the camera are found again by their names: an undo
+    meanwhile makes other objects of them.
+    """
+
+    def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
+        self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames
+        self._read: list[BakeCamera] = []
+        self._file = f"{safe_name(shot.camera.name)}.{shot.first}-{shot.last}.json"
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Frames that are read, and their number."""
+        return len(self._read), len(self._frames)
+
+    @property
+    def cameras(self) -> list[BakeCamera]:
+        """A camera that stands still is one camera, at the first frame."""
+        stands_still = len({camera.fingerprint for camera in self._read}) == 1
+        return self._read[:1] if stands_still else self._read
+
+    def read_for(self, seconds: float) -> bool:
+        """Read on for so long, a frame at least; whether all are read. Raises JobError for a camera that is no pinhole
+        camera, or is gone."""
+        end = time.monotonic() + seconds
+        scene = bpy.data.scenes.get(self._scene)
+        ob = None if scene is None else scene.objects.get(self._camera)
+        if ob is None:
+            raise JobError("is gone", f"{self._scene}: {self._camera}", "Bake it again.")
+        with frame_kept(scene):
+            for frame in self._frames[len(self._read) :]:
+                name = f"{safe_name(self._camera)}.{frame:0{DIGITS}d}"
+                self._read.append(_camera_at(scene, ob, frame, name))
+                if time.monotonic() >= end:
+                    break
+        return len(self._read) == len(self._frames)
+
+    def write(self, lift: Path) -> Path:
+        """As `write_shot`, once all are read."""
+        file = lift / "bake" / self._file
+        write_cameras(file, self.cameras)
+        return file
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from ..paths import absolute, free_lift_folder
 from ..possibilities import why_not_liftable
 from ..scene_survey import survey_of
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, place_of, request_of, why_no_options
-from ..shots import shot_of, write_shot
+from ..shots import ShotReader, shot_of
 from . import exports, lifts
 from .lifts import Watch
 
@@ -152,18 +152,23 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Watch:
     return lifts.bake(lift, python, names, keep_running=scene.plgs.keep_running)
 
 
-def bake_camera(
-    scene: bpy.types.Scene,
-    camera: str = "",
-    frames: tuple[int | None, int | None, int | None] = (None, None, None),
-    folder: str = "",
-) -> Watch:
-    """Let an engine bake passes of a finished lift from a camera, the scene's active one unless named, over ``frames``
-    (first, last, step), the scene's where None. Views that were baked from the same camera are kept. Raises JobError.
+def read_camera(
+    scene: bpy.types.Scene, camera: str, frames: tuple[int | None, int | None, int | None], folder: str
+) -> ShotReader:
+    """Begin to read a camera, the scene's active one unless named, over ``frames`` (first, last, step), the scene's
+    where None. Raises JobError, also where there is no lift or engine to bake it.
+    """
+    lift_at(scene.plgs, folder)
+    engine_environment.usable_python()
+    return ShotReader(scene, shot_of(scene, camera, *frames))
+
+
+def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "") -> Watch:
+    """Let an engine bake passes of a finished lift from a camera that is read. Views that were baked from the same
+    camera are kept. Raises JobError.
     """
     lift = lift_at(scene.plgs, folder)
-    python = engine_environment.usable_python()
-    cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames))
+    cameras, python = shot.write(lift.path), engine_environment.usable_python()
     return lifts.bake(lift, python, cameras=cameras, keep_running=scene.plgs.keep_running)
 
 

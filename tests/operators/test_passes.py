@@ -7,12 +7,15 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
 from plgs.engine.job import BakeCamera, follower, read_cameras
+from plgs.operators import passes
 from plgs.plgs_blender import engine_environment
 from plgs.plgs_blender.running import lifts
+from plgs.plgs_blender.shots import ShotReader, shot_of
 
 PRETENCE = """
 import sys
@@ -110,6 +113,27 @@ def test_the_active_camera_is_baked_over_the_frame_range(lift: Path, baked: Aske
     baked.cameras.clear()
     assert bpy.ops.plgs.bake_camera(camera="dolly", frame_start=8, frame_end=12, frame_step=4) == {"FINISHED"}
     assert [each.name for each in baked.cameras] == ["dolly.0008", "dolly.0012"]
+
+
+def test_a_long_range_is_read_while_blender_answers(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(passes, "_READ_S", 0.0)
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    told: list[str | None] = []
+    context = SimpleNamespace(workspace=SimpleNamespace(status_text_set=told.append))
+    pressed = SimpleNamespace(report=lambda *_: None, follow=lambda _: {"RUNNING_MODAL"})
+    shot = ShotReader(bpy.context.scene, shot_of(bpy.context.scene, "", 1, 3))
+
+    def answer(kind: str) -> set[str]:
+        event = SimpleNamespace(type=kind, value="PRESS")
+        return passes.PLGS_OT_bake_camera._read_on(pressed, context, event, shot)  # type: ignore[arg-type]
+
+    assert [answer("TIMER"), answer("MOUSEMOVE"), answer("TIMER")] == [
+        {"RUNNING_MODAL"}, {"PASS_THROUGH"}, {"RUNNING_MODAL"}
+    ]  # fmt: skip
+    assert told == [f"Reading the camera: {done} of 3 frames. Esc stops" for done in (1, 2)]
+    assert answer("ESC") == {"CANCELLED"} and shot.progress == (2, 3)
+    answer("TIMER")
+    assert shot.progress == (3, 3) and told[-1] is None
 
 
 def test_a_camera_that_no_engine_can_draw_is_refused(lift: Path, baked: Asked) -> None:

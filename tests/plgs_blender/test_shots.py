@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import bpy
@@ -9,7 +10,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from plgs.engine.job import BakeCamera, JobError, read_cameras
-from plgs.plgs_blender.shots import Shot, cameras_of, shot_of, write_shot
+from plgs.plgs_blender.shots import Shot, ShotReader, shot_of, write_shot
 
 
 @pytest.fixture
@@ -31,6 +32,12 @@ def scene() -> bpy.types.Scene:
     render = scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = 192, 144, 50
     return scene
+
+
+def cameras_of(scene: bpy.types.Scene, shot: Shot) -> list[BakeCamera]:
+    reader = ShotReader(scene, shot)
+    assert reader.read_for(math.inf)
+    return reader.cameras
 
 
 def rendered_positions(scene: bpy.types.Scene, frame: int, folder: Path) -> np.ndarray:
@@ -98,6 +105,18 @@ def test_the_scene_is_left_as_it_was(scene: bpy.types.Scene) -> None:
     cameras = cameras_of(scene, Shot(bpy.data.objects["dolly"], 1, 4, 2))
     assert [camera.name for camera in cameras] == ["dolly.0001", "dolly.0003"]
     assert scene.frame_current == 3 and scene.camera == shown
+
+
+def test_a_long_range_is_read_some_frames_at_a_time(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    scene.frame_set(2)
+    reader = ShotReader(scene, shot_of(scene))
+    for done in range(1, 5):
+        assert reader.read_for(0.0) == (done == 4), "a frame at a time, as there is no time"
+        assert reader.progress == (done, 4) and scene.frame_current == 2
+    assert read_cameras(reader.write(tmp_path)) == read_cameras(write_shot(tmp_path, scene, shot_of(scene)))
+    bpy.data.objects.remove(scene.camera)
+    with pytest.raises(JobError, match="is gone"):
+        reader.read_for(0.0)
 
 
 def test_clip_and_the_range_that_is_asked_for(scene: bpy.types.Scene) -> None:
