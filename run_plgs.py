@@ -200,10 +200,7 @@ def check_scene_folder(request: LiftRequest) -> None:
     """The quick look, before any folder is made. Raises SceneError."""
     from plgs.engine.scene import open_scene_to_lift
 
-    open_scene_to_lift(
-        request.scene, request.masks, request.up, request.scene_format, request.depth,
-        request.mask_format, request.classes,
-    )  # fmt: skip
+    open_scene_to_lift(request)
 
 
 def blend_path(options: argparse.Namespace) -> Path:

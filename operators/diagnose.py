@@ -82,7 +82,7 @@ class PLGS_OT_fix_scene(_Measuring, bpy.types.Operator):
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.plgs
-        folder = absolute(self.folder) if self.folder else diagnosing.free_mended_folder(place_of(settings).folder)
+        folder = absolute(self.folder) if self.folder else diagnosing.free_mended_folder(place_of(settings).scene)
         diagnosis = diagnosing.diagnose(settings, folder, waits=self.waits)
         if not diagnosis.is_running and diagnosis.mended is None:
             why = diagnosis.error or "Nothing was found that can be mended without a doubt"

@@ -34,7 +34,7 @@ def place_scene(place: Place, scene: bpy.types.Scene, *, cloud: bool = True) -> 
     """
     opened, made = _open(place)
     scene = scene_to_fill(scene)
-    root = root_collection(place.folder, None, scene)
+    root = root_collection(place.scene, None, scene)
     root[PLACE] = _as_texts(place)
     owned = OwnedDataBlocks(root[LIFT], scene)
     pictures = photos(made, opened.frames)
@@ -57,11 +57,11 @@ def _open(place: Place) -> tuple[Scene, MadeFrames | None]:
     try:
         opened = place.open()
     except SceneError as error:
-        made = made_before(place.source) if lacks_package(error) else None
+        made = made_before(place.resolved) if lacks_package(error) else None
         if made is None or not made.is_complete:
             raise
         return scene_of(made), made
-    return opened, made_before(place.source)
+    return opened, made_before(place.resolved)
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.job import JobError
-from ..engine.job.made_frames import MadeFrame, MadeFrames, SceneSource, is_newer, made_of
+from ..engine.job.made_frames import MadeFrame, MadeFrames, is_newer, made_of
+from ..engine.job.scene_source import SceneSource
 from ..engine.job.user_cache import notes_folder
 from ..engine.scene import Camera, ClassTable, Frame, Scene, SceneError, Size
 from ..engine.scene.array_file import read_npz

@@ -45,7 +45,7 @@ class PLGS_PG_masks(bpy.types.PropertyGroup):
 
 def fill_classes(masks: PLGS_PG_masks, place: Place, table: str = OWN_TABLE) -> None:
     """Read the classes of the scene's masks into the rows. Raises SceneError."""
-    listed = list_classes(place.folder, place.masks, place.scene_format, table=None if table == OWN_TABLE else table)
+    listed = list_classes(place.scene, place.masks, place.scene_format, table=None if table == OWN_TABLE else table)
     masks.classes.clear()
     masks.path, masks.active = str(listed.path), 0
     masks.void = " ".join(map(str, sorted(listed.void)))
@@ -65,7 +65,7 @@ def write_classes(masks: PLGS_PG_masks, place: Place) -> Path:
     rows = [NamedClass(row.label, row.name, row.into or row.name, row.is_thing) for row in masks.classes]
     if not all(row.name.isprintable() and row.name and row.into.isprintable() for row in rows):
         raise JobError("a class has no name", "Classes", "Give each a name of one line.")
-    path = class_list_path(place.folder, place.masks)
+    path = class_list_path(place.scene, place.masks)
     if absolute(masks.path) != path:
         raise JobError("the list is of another scene", path, "Read the classes again.")
     write_atomically(path, class_list_text(rows, _void(masks)))

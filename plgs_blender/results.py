@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..engine.job import JobError, LiftFolder, ResultFile, check_sizes
 from ..engine.job.json_file import read_object
 from ..engine.job.manifest import verify_files
-from ..engine.scene import Category, ClassTable, Scene, SceneError, open_scene
+from ..engine.scene import Category, ClassTable, Scene, SceneError, open_asked
 from ..engine.scene.array_file import read_npz
 from ..engine.scene.classes import LARGEST_ID
 
@@ -129,10 +129,7 @@ def read_result(folder: Path) -> LiftResult:
     lift.refuse_foreign()
     listed = {str(file.path): file for file in check_sizes(lift.result_path).files}
     asked = lift.request
-    scene = open_scene(
-        asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth,
-        asked.mask_format, asked.classes,
-    )  # fmt: skip
+    scene = open_asked(asked)
     exrs = _listed_passes(lift, listed)
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
     classes, instances = _read_instances(lift.result_path / "instances.json")

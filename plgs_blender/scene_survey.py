@@ -12,28 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from ..engine.job import ExitCode, JobError
-from ..engine.job.made_frames import SceneSource
-from ..engine.job.options import class_table
 from ..engine.job.process import EngineProcess, engine_call
-from ..engine.scene import Scene, SceneError, Size, UpAxis, open_scene
+from ..engine.job.scene_source import SceneSource
+from ..engine.scene import Scene, SceneError, Size, UpAxis, open_asked
 from .paths import absolute
 from .scene_formats import AUTOMATIC, chosen_format
 
 
 @dataclass(frozen=True)
-class Place:
-    """Which scene: its folder or file, its masks where they lie elsewhere, the axis that points up, its format where
-    it is named, a folder of depth maps, and the masks' format and classes (a table's name, or the absolute path of a
-    .toml file).
-    """
-
-    folder: Path
-    masks: Path | None = None
-    up: UpAxis = "z"
-    scene_format: str | None = None
-    depth: Path | None = None
-    mask_format: str | None = None
-    classes: str | None = None
+class Place(SceneSource):
+    """Which scene, by absolute paths as the user typed them."""
 
     @classmethod
     def of(
@@ -47,26 +35,17 @@ class Place:
             classes_of(classes),
         )  # fmt: skip
 
-    @property
-    def source(self) -> SceneSource:
-        """The same, as the engine writes it beside what it makes of the scene."""
-        masks, depth = (None if path is None else path.resolve() for path in (self.masks, self.depth))
-        classes = None if self.classes is None else class_table(self.classes)
-        return SceneSource(self.folder.resolve(), masks, self.up, self.scene_format, depth, self.mask_format, classes)
-
     def open(self) -> Scene:
         """Open it, headers only. Raises SceneError."""
         try:
-            return open_scene(
-                self.folder, self.masks, self.up, self.scene_format, self.depth, self.mask_format, self.classes
-            )
+            return open_asked(self)
         except ImportError as error:
             fix = "Set the engine up, which can, and import again."
-            raise SceneError("Blender's Python alone cannot look into this video", self.folder, fix) from error
+            raise SceneError("Blender's Python alone cannot look into this video", self.scene, fix) from error
 
     def arguments(self) -> list[str | Path]:
         """How the engine's commands are told it."""
-        told: list[str | Path] = [self.folder, f"--up={self.up}"]
+        told: list[str | Path] = [self.scene, f"--up={self.up}"]
         given = {"--masks": self.masks, "--format": self.scene_format, "--depth": self.depth}
         named = {"--mask-format": self.mask_format, "--classes": self.classes}
         for option, value in (given | named).items():

@@ -7,23 +7,16 @@ import sys
 
 from ..frames import make_frames
 from ..job import ExitCode, JobError
-from ..job.made_frames import SceneSource
-from ..scene import open_scene
+from ..job.options import source_of
+from ..scene import open_asked
 
 
 def write_frames(options: argparse.Namespace) -> ExitCode:
     """Write them, a line for each frame that is done. Raises JobError, SceneError."""
-    scene = open_scene(
-        options.scene, options.masks, options.up or "z", options.scene_format, options.depth,
-        options.mask_format, options.classes,
-    )  # fmt: skip
-    masks, depth = (None if path is None else path.resolve() for path in (options.masks, options.depth))
-    source = SceneSource(
-        options.scene.resolve(), masks, options.up or "z", options.scene_format, depth,
-        options.mask_format, options.classes,
-    )  # fmt: skip
+    source = source_of(options)
+    scene = open_asked(source)
     try:
-        made = make_frames(scene, source, options.output.resolve(), options.make, options.frames, _tell)
+        made = make_frames(scene, source.resolved, options.output.resolve(), options.make, options.frames, _tell)
     except KeyboardInterrupt:
         print("Stopped. What is made already is kept: the same command goes on.", file=sys.stderr)
         return ExitCode.INTERRUPTED

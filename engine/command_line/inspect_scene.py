@@ -12,18 +12,12 @@ from ..diagnosis.written import as_json as diagnosis_as_json
 from ..job import ExitCode
 from ..job.effort import chosen_effort
 from ..job.prediction import USUAL_CLASSES, USUAL_MASKS, machine_slowness, predict
-from ..scene import Scene, SceneError, SceneReport, Size, UpAxis, describe, open_scene
+from ..scene import AskedScene, Scene, SceneError, SceneReport, Size, describe, open_asked
 
 
 def inspect_scene(
-    folder: Path,
-    masks: Path | None,
-    up: UpAxis,
+    asked: AskedScene,
     *,
-    scene_format: str | None = None,
-    depth: Path | None = None,
-    mask_format: str | None = None,
-    classes: str | None = None,
     as_json: bool = False,
     preset: str | None = None,
     findings: Path | None = None,
@@ -37,7 +31,7 @@ def inspect_scene(
     """
     if fix is not None and fix.exists():
         raise SceneError("the folder for the mended scene exists", fix, "Name one that does not.")
-    scene = open_scene(folder, masks, up, scene_format, depth, mask_format, classes)
+    scene = open_asked(asked)
     try:
         report = describe(scene)
     except SceneError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from ..job import ExitCode, JobError, LiftFolder, LiftRequest, read_cameras
+from ..job import ExitCode, JobError, LiftFolder, read_cameras
 from ..job.report import made_files, metrics_table
 from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupted, Interrupts
@@ -50,17 +50,10 @@ def lift_scene(options: argparse.Namespace) -> int:
     """``lift SCENE -o OUT``: a second process is the engine, this one shows it. Raises JobError, SceneError."""
     try:
         with Interrupts() as interrupts:
-            lift, code = lift_in_terminal(options, interrupts, _check)
+            lift, code = lift_in_terminal(options, interrupts, open_scene_to_lift)
     except Interrupted as error:
         print(f"Stopped. Give the same command with --resume to go on: {options.output}", file=sys.stderr)
         return error.exit_code
     if code is ExitCode.FINISHED:
         print(metrics_table(lift), "", *made_files(lift), sep="\n")
     return code
-
-
-def _check(request: LiftRequest) -> None:
-    open_scene_to_lift(
-        request.scene, request.masks, request.up, request.scene_format, request.depth,
-        request.mask_format, request.classes,
-    )  # fmt: skip

@@ -20,6 +20,7 @@ from ..job.options import (
     add_set_option,
     preset_or_file,
     readable,
+    source_of,
 )
 from ..job.stop import end_with_parent
 
@@ -359,13 +360,7 @@ def _inspect(options: argparse.Namespace) -> ExitCode:
     from .inspect_scene import inspect_scene
 
     return inspect_scene(
-        options.scene,
-        options.masks,
-        options.up or "z",
-        scene_format=options.scene_format,
-        depth=options.depth,
-        mask_format=options.mask_format,
-        classes=options.classes,
+        source_of(options),
         as_json=options.json,
         preset=options.preset,
         findings=options.output,

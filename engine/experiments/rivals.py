@@ -13,8 +13,9 @@ from .. import __version__
 from ..job import write_atomically
 from ..job.atomic import sha256
 from ..job.json_file import Json, read_object
+from ..job.scene_source import SceneSource
 from ..metrics import MACHINE_MASKS, VOXEL_VOTE, PredictedView, Report, add_rivals
-from ..scene import GroundTruth, Scene, SceneError
+from ..scene import GroundTruth, Scene, SceneError, open_asked
 from .figures import Figures, scores_by_method
 
 VOXELS_ALONE = "voxel vote without objects"
@@ -51,19 +52,18 @@ def files_fingerprint(scene: Scene, results: Path) -> str:
     return digest.hexdigest()
 
 
-def scores_of_rivals(
-    scene: Scene, cache: Path, mask_format: str | None = None, classes: str | None = None
-) -> dict[str, Figures]:
+def scores_of_rivals(source: SceneSource, cache: Path) -> dict[str, Figures]:
     """Figures by method (RIVALS), measured once and kept in ``cache``, and measured anew when the engine, a file of the
     scene, or the format or classes that its masks were read by are others. Empty without ground truth.
 
     Raises SceneError when a file is bad, JobError when the cache is.
     """
+    scene, classes = open_asked(source), source.classes
     made_of: dict[str, Json] = {
         "format": FORMAT,
         "engine_version": __version__,
         "files": files_fingerprint(scene, cache.parent),
-        "mask_format": mask_format,
+        "mask_format": source.mask_format,
         "classes": sha256(Path(classes)) if classes and classes.endswith(".toml") else classes,
     }
     content = read_object(cache, "Delete it: the same command then makes it anew.") if cache.is_file() else {}

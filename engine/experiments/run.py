@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .. import __version__
-from ..job import ExitCode, JobError, LiftFolder, LiftRequest, refuse_used
+from ..job import ExitCode, JobError, LiftFolder, refuse_used
 from ..job.options import request_from
 from ..job.preset_options import shown_options
+from ..job.scene_source import SceneSource
 from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupts
-from ..scene import open_scene, open_scene_to_lift
+from ..scene import open_scene_to_lift
 from .figures import Result, read_result
 from .report import refuse_unwritable, write_report
 from .rivals import scores_of_rivals
@@ -92,7 +93,7 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
         if task.depth_of is not None and not make_depth_maps(task.depth_of, task.options.depth):
             failed[task.name] = ExitCode.BAD_INPUT
             continue
-        lift, code = lift_in_terminal(task.options, interrupts, check_scene_folder)
+        lift, code = lift_in_terminal(task.options, interrupts, open_scene_to_lift)
         if code is ExitCode.CANCELLED:
             return code
         if code is not ExitCode.FINISHED:
@@ -176,15 +177,14 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
 def results_of_rivals(experiment: Experiment) -> Iterator[Result]:
     """What needs no lift, where rows ask for it. Raises SceneError when a file is bad."""
     wanted = [row for row in experiment.rows.chosen(experiment.only) if row.method]
-    read_as = experiment.mask_format, experiment.classes
     for scene in experiment.scenes:
         for masks in dict.fromkeys(row.masks for row in wanted if has_files(row, scene)):
-            opened = open_scene(
-                scene.folder, scene.folder / masks if masks else None, scene.up, experiment.scene_format, None,
-                experiment.mask_format, experiment.classes,
+            source = SceneSource(
+                scene.folder, scene.folder / masks if masks else None, scene.up, experiment.scene_format,
+                mask_format=experiment.mask_format, classes=experiment.classes,
             )  # fmt: skip
             cache = experiment.folder / f"{scene.name}-{Path(masks or 'own').stem}-masks.json"
-            for method, figures in scores_of_rivals(opened, cache, *read_as).items():
+            for method, figures in scores_of_rivals(source, cache).items():
                 name = f"{method}, {masks}" if masks else method
                 yield Result(scene.name, name, "-", 0, 0, __version__, figures)
 
@@ -206,7 +206,7 @@ def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
         output = task.options.output
         if not (output / "request.json").exists():
             refuse_used(output)
-            check_scene_folder(replace(request, depth=None) if task.depth_of else request)
+            open_scene_to_lift(replace(request, depth=None) if task.depth_of else request)
             continue
         lift = LiftFolder.open(output)
         differing = request.differences(lift.request)  # unlike lift --resume: an option left out asks for the default
@@ -220,11 +220,3 @@ def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
         raise JobError(f"cannot be made ({error.strerror})", experiment.folder, fix) from error
     if not os.access(experiment.folder, os.W_OK):
         raise JobError("cannot be written", experiment.folder, "Choose a folder that you may write to with -o.")
-
-
-def check_scene_folder(request: LiftRequest) -> None:
-    """Raises SceneError when the scene cannot be lifted."""
-    open_scene_to_lift(
-        request.scene, request.masks, request.up, request.scene_format, request.depth,
-        request.mask_format, request.classes,
-    )  # fmt: skip

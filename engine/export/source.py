@@ -13,7 +13,7 @@ from ..lift.bake_more import frames_named
 from ..lift.baking import FrameBaker, baked_files
 from ..lift.scene_files import read_instances, read_model, read_shown_instances
 from ..passes import PanopticLayers, ShownInstances, read_exr
-from ..scene import ClassTable, Frame, Scene, open_scene
+from ..scene import ClassTable, Frame, Scene, open_asked
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +27,7 @@ class FinishedLift:
     @cached_property
     def scene(self) -> Scene:
         request = self.folder.request
-        return open_scene(
-            request.scene, request.masks, request.up, request.scene_format, request.depth,
-            request.mask_format, request.classes,
-        )  # fmt: skip
+        return open_asked(request)
 
     @property
     def classes(self) -> ClassTable:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import JobError, write_atomically
-from ..job.made_frames import MadeFrame, MadeFrames, SceneSource, is_newer, made_of
+from ..job.made_frames import MadeFrame, MadeFrames, is_newer, made_of
+from ..job.scene_source import SceneSource
 from ..scene import Frame, Scene, SceneError
 from ..scene.frame_colours import depth_colours, mask_colours
 from .cloud import CloudBuilder

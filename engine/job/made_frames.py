@@ -13,34 +13,11 @@ from typing import Any
 from .atomic import write_atomically
 from .errors import JobError
 from .json_file import Json, read_object, to_text
+from .scene_source import SceneSource
 
 FORMAT = 1
 FILE = "frames.json"
 _FIX = "Delete the folder: it is made anew."
-
-
-@dataclass(frozen=True)
-class SceneSource:
-    """Which scene, and how it is read; paths are absolute."""
-
-    scene: Path
-    masks: Path | None = None
-    up: str = "z"
-    scene_format: str | None = None
-    depth: Path | None = None
-    mask_format: str | None = None
-    classes: str | None = None
-
-    def to_json(self) -> dict[str, Json]:
-        named = {"mask_format": self.mask_format, "classes": self.classes}
-        return {
-            "scene": str(self.scene),
-            "masks": None if self.masks is None else str(self.masks),
-            "up": self.up,
-            "scene_format": self.scene_format,
-            "depth": None if self.depth is None else str(self.depth),
-            **{name: value for name, value in named.items() if value is not None},
-        }
 
 
 @dataclass(frozen=True)
@@ -95,11 +72,7 @@ class MadeFrames:
         if content.get("format") != FORMAT:
             raise JobError(f"has format {content.get('format')!r}, this version reads {FORMAT}", path, _FIX)
         try:
-            given = content["source"]
-            source = SceneSource(
-                Path(given["scene"]), _path(given["masks"]), given["up"], given["scene_format"], _path(given["depth"]),
-                given.get("mask_format"), given.get("classes"),
-            )  # fmt: skip
+            source = SceneSource.from_json(content["source"])
             frames = {str(name): _from_json(each, folder) for name, each in content["frames"].items()}
             cloud = content["cloud"]
             return cls(folder, source, frames, None if cloud is None else folder / cloud, int(content["total"]))

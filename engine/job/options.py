@@ -14,6 +14,7 @@ from .folder import LiftFolder
 from .preset_file import read_preset_file
 from .preset_options import parsed_options, preset_options
 from .request import BAKES, DEVICES, PRESETS, UPS, LiftRequest
+from .scene_source import SceneSource, class_table
 
 _NONE: Mapping[str, str] = {}
 DEFAULTS = LiftRequest(scene=Path.cwd())
@@ -127,9 +128,11 @@ def add_format_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def class_table(text: str) -> str:
-    """The name of a table of classes as it is, the path of a file as an absolute one."""
-    return str(Path(text).resolve()) if text.endswith(".toml") else text
+def source_of(options: argparse.Namespace) -> SceneSource:
+    """What ``scene`` and the options of `add_scene_options` name."""
+    up = options.up or DEFAULTS.up
+    named = options.mask_format, options.classes
+    return SceneSource(options.scene, options.masks, up, options.scene_format, options.depth, *named)
 
 
 def readable(arguments: Sequence[str]) -> list[str]:

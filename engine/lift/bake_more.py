@@ -26,7 +26,7 @@ from ..job import (
 from ..job.cameras import refuse_equal_names
 from ..model.rendering import ClipRange
 from ..passes import read_note
-from ..scene import Camera, Frame, Scene, open_scene
+from ..scene import Camera, Frame, Scene, open_asked
 from ..train.progress import StageReporter
 from .baking import FrameBaker, baked_files
 from .scene_files import read_model, read_shown_instances
@@ -97,10 +97,7 @@ def _bake(
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
         asked = folder.request
-        scene = open_scene(
-            asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth,
-            asked.mask_format, asked.classes,
-        )  # fmt: skip
+        scene = open_asked(asked)
         wanted = [view for view in views_in(scene) if not is_baked(folder, view)]
         baker = FrameBaker(scene.classes, read_model(folder), read_shown_instances(folder))
     new = _NewViews(folder, locks)

@@ -95,10 +95,7 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     with stages.stage("check") as progress:
         if preset.labels == "votes" and not shows_votes(preset):
             events.warning(NO_VOTES)
-        whole = open_scene_to_lift(
-            request.scene, request.masks, request.up, request.scene_format, request.depth,
-            request.mask_format, request.classes,
-        )  # fmt: skip
+        whole = open_scene_to_lift(request)
         earlier = None if request.names_from is None else read_earlier(request.names_from)
         most = frames_that_fit(whole, request, main_memory(), events)
         scene = frames_to_lift(whole, most, progress, events)

@@ -14,7 +14,7 @@ from .frame_choice import choose_frames
 from .liftable import open_scene_to_lift, require_liftable
 from .matrices import UpAxis
 from .on_demand import OnDemand, StoredArrays, stored
-from .opening import open_scene
+from .opening import AskedScene, open_asked, open_scene
 from .pixels import distinct_ids
 from .reading_ahead import read_ahead
 from .report import ClassReport, SceneReport, describe
@@ -27,6 +27,7 @@ __all__ = [
     "FORMATS",
     "TABLES",
     "VOID",
+    "AskedScene",
     "Camera",
     "Category",
     "ClassLabel",
@@ -59,6 +60,7 @@ __all__ = [
     "list_classes",
     "distinct_ids",
     "load_view",
+    "open_asked",
     "open_scene",
     "open_scene_to_lift",
     "read_ahead",

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from .frame import Scene, SceneError
 from .mask_set import READ_FIX
-from .matrices import UpAxis
-from .opening import open_scene
+from .opening import AskedScene, open_asked
 
 _DEPTH_FIX = "Give depth images in the scene, or a folder of depth maps with --depth."
 
@@ -20,16 +17,8 @@ def require_liftable(scene: Scene) -> None:
         raise SceneError("there are no masks", scene.folder, READ_FIX)
 
 
-def open_scene_to_lift(
-    folder: Path,
-    masks: Path | None = None,
-    up: UpAxis = "z",
-    scene_format: str | None = None,
-    depth: Path | None = None,
-    mask_format: str | None = None,
-    classes: str | None = None,
-) -> Scene:
-    """``open_scene`` for a lift. Raises SceneError also when masks or depth are missing."""
-    scene = open_scene(folder, masks, up, scene_format, depth, mask_format, classes)
+def open_scene_to_lift(asked: AskedScene) -> Scene:
+    """``open_asked`` for a lift. Raises SceneError also when masks or depth are missing."""
+    scene = open_asked(asked)
     require_liftable(scene)
     return scene

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,32 @@ _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
 _READABLE = "Check that it exists, and its permissions."
 _UNKNOWN_UP = "the format does not say which way is up: the world is turned so that the cameras stand upright"
+
+
+class AskedScene(Protocol):
+    """Who knows which scene is meant and how it is read, as ``open_scene`` has it: a lift's request, a SceneSource."""
+
+    @property
+    def scene(self) -> Path: ...
+    @property
+    def masks(self) -> Path | None: ...
+    @property
+    def up(self) -> UpAxis: ...
+    @property
+    def scene_format(self) -> str | None: ...
+    @property
+    def depth(self) -> Path | None: ...
+    @property
+    def mask_format(self) -> str | None: ...
+    @property
+    def classes(self) -> str | None: ...
+
+
+def open_asked(asked: AskedScene) -> Scene:
+    """``open_scene`` of the scene that is asked for."""
+    return open_scene(
+        asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth, asked.mask_format, asked.classes
+    )
 
 
 def open_scene(

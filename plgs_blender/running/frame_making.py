@@ -60,8 +60,8 @@ def begin(order: Order, python: Path) -> None:
     global _now, _error
     if _now is not None:
         fix = "Wait until it is done, or cancel it."
-        raise JobError("an engine makes frames already", _now.order.place.folder, fix)
-    folder = frames_folder(order.place.source)
+        raise JobError("an engine makes frames already", _now.order.place.scene, fix)
+    folder = frames_folder(order.place.resolved)
     command = [*engine_call(python), "frames", *order.place.arguments(), "-o", folder]
     command += ["--stay-with-parent", "--make", *order.kinds]
     if order.frame:
@@ -153,7 +153,7 @@ def _progress_in(output: str) -> tuple[int, int] | None:
 
 def _show(making: _Making) -> None:
     """Into every scene that has the import. Raises JobError or SceneError."""
-    made, order = made_of(making.folder, making.order.place.source), making.order
+    made, order = made_of(making.folder, making.order.place.resolved), making.order
     if made is None:
         return
     if not order.lift:

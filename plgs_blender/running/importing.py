@@ -48,7 +48,7 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> None:
 
 def imported(scene: bpy.types.Scene) -> bpy.types.Collection | None:
     """The collection of the scene that the panel is set to; None where it is not imported."""
-    folder = place_of(scene.plgs).folder
+    folder = place_of(scene.plgs).scene
     return next((root for root in lifts_in(scene) if is_same_place(root.get(SCENE, ""), folder)), None)
 
 
@@ -70,7 +70,7 @@ def show_picture(scene: bpy.types.Scene, what: str) -> bool:
     ob = scene.camera
     root = root_of(scene, ob)
     place = place_of_root(root)
-    made = made_before(place.source)
+    made = made_before(place.resolved)
     drawn = None if made is None else made.frames.get(ob["frame"])
     python = engine_environment.engine_python()
     try:

@@ -37,10 +37,10 @@ def begin(place: Place, python: Path, model: str, *, download: bool) -> None:
     """
     global _now, _error, _line
     if _now is not None:
-        raise JobError("an engine makes masks already", _now.place.folder, "Wait until it is done, or cancel it.")
+        raise JobError("an engine makes masks already", _now.place.scene, "Wait until it is done, or cancel it.")
     if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
         model = str(absolute(model))
-    command = [*engine_call(python), "segment", place.folder, f"--up={place.up}"]
+    command = [*engine_call(python), "segment", place.scene, f"--up={place.up}"]
     command += [] if place.scene_format is None else ["--format", place.scene_format]
     command += ["--stay-with-parent", *(["--model", model] if model else []), *(["--download"] if download else [])]
     _error, _line = None, "Making masks"
@@ -98,7 +98,7 @@ def wait() -> None:
         stop()
         raise
     if _error is not None and place is not None:
-        raise JobError(f"masks could not be made ({_error})", place.folder, "Mend it, then make them again.")
+        raise JobError(f"masks could not be made ({_error})", place.scene, "Mend it, then make them again.")
 
 
 def stop() -> None:

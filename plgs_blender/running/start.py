@@ -76,10 +76,7 @@ def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, name
     known = survey_of(place_of(settings))
     # Else the panel looks, or has looked, and a button answers at once.
     if known is None or known.error is not None or why_not_liftable(known) is not None:
-        open_scene_to_lift(
-            request.scene, request.masks, request.up, request.scene_format, request.depth,
-            request.mask_format, request.classes,
-        )  # fmt: skip
+        open_scene_to_lift(request)
     folder = chosen_lift(settings)
     if folder is None or (not in_that_folder and (folder / "request.json").exists()):
         folder = free_lift_folder(request.scene)

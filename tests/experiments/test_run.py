@@ -17,9 +17,10 @@ from engine.command_line.main import main
 from engine.experiments import Experiment, Rows, SceneToLift, read_results, rivals, run_experiment
 from engine.experiments.rivals import RIVALS, VOXELS_ALONE
 from engine.job import EventReader, ExitCode, JobError, LiftFolder, LiftRequest
+from engine.job.scene_source import SceneSource
 from engine.job.terminal import Interrupts
 from engine.metrics import MACHINE_MASKS, VOXEL_VOTE, Report
-from engine.scene import Scene, SceneError, open_scene
+from engine.scene import Scene, SceneError
 from tests.experiments.made_up import KITCHEN, ROWS
 from tests.tiny_scene import write_tiny_scene
 
@@ -115,15 +116,15 @@ def test_rivals_are_measured_anew_when_the_scene_or_the_engine_is_another(
     monkeypatch.setattr(rivals, "add_rivals", counted)
     place = experiment.scenes[0].folder
     cache = place / "lifts" / "office.json"
-    first = rivals.scores_of_rivals(open_scene(place, None, "z"), cache)
+    first = rivals.scores_of_rivals(SceneSource(place), cache)
     assert set(first) == set(RIVALS)
     (cache.parent / "another.txt").touch()
-    assert rivals.scores_of_rivals(open_scene(place, None, "z"), cache) == first and len(measured) == 1
+    assert rivals.scores_of_rivals(SceneSource(place), cache) == first and len(measured) == 1
     os.utime(place / "panoptic.json", (1, 1))
-    assert rivals.scores_of_rivals(open_scene(place, None, "z"), cache) == first and len(measured) == 2
+    assert rivals.scores_of_rivals(SceneSource(place), cache) == first and len(measured) == 2
     monkeypatch.setattr(rivals, "__version__", "another")
     for _ in range(2):
-        assert rivals.scores_of_rivals(open_scene(place, None, "z"), cache) == first and len(measured) == 3
+        assert rivals.scores_of_rivals(SceneSource(place), cache) == first and len(measured) == 3
 
 
 def test_other_masks_are_lifted_where_there_are_some(experiment: Experiment, behave: Behave) -> None:

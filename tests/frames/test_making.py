@@ -13,7 +13,8 @@ import pytest
 from engine.frames import make_frames
 from engine.frames.cloud import CloudBuilder
 from engine.job import JobError
-from engine.job.made_frames import MadeFrames, SceneSource
+from engine.job.made_frames import MadeFrames
+from engine.job.scene_source import SceneSource
 from engine.scene import Camera, SceneError, open_scene
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_nerfstudio import write_scene

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.job.scene_source import SceneSource
 from engine.scene import SceneError, open_scene, open_scene_to_lift
 from engine.scene.estimated_depth import fit_depth
 from tests.scene.formats.room import Lens, elsewhere, look, quaternion, views
@@ -74,7 +75,7 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
         else:
             write_grey(tmp_path / "maps" / f"{i}.png", in_steps(look(view, LENS).depth, 900 + 100 * i) + 50)
     with pytest.raises(SceneError, match="has no depth.*--depth"):
-        open_scene_to_lift(tmp_path / "scene")
+        open_scene_to_lift(SceneSource(tmp_path / "scene"))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     assert scene.has_depth and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5"]
     assert "1 frames see fewer than 12 points and are left out: 0" in scene.warnings

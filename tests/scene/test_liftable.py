@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from engine.command_line.main import main
+from engine.job.scene_source import SceneSource
 from engine.scene import SceneError, check_scene, describe, load_view, open_scene, open_scene_to_lift
 from tests.tiny_scene import write_tiny_scene
 
@@ -31,7 +32,7 @@ def test_opens_without_and_does_not_lift(folder: Path, without: str, told: str) 
         with pytest.raises(SceneError):
             refuses(scene)
     with pytest.raises(SceneError, match=told):
-        open_scene_to_lift(folder)
+        open_scene_to_lift(SceneSource(folder))
 
 
 def test_the_command_line_tells(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

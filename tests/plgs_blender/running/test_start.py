@@ -100,6 +100,6 @@ def test_masks_are_read_alike_by_the_survey_and_the_lift(tmp_path: Path) -> None
     assert (place.mask_format, place.classes) == (asked.mask_format, asked.classes) == ("coco", table)
     told = [str(each) for each in place.arguments()]
     assert told[-4:] == ["--mask-format", "coco", "--classes", table]
-    made = MadeFrames(tmp_path, place.source)
+    made = MadeFrames(tmp_path, place.resolved)
     made.write()
-    assert MadeFrames.read(tmp_path).source == place.source
+    assert MadeFrames.read(tmp_path).source == place.resolved

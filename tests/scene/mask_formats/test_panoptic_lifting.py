@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from engine.job.scene_source import SceneSource
 from engine.scene import Scene, SceneError, check_scene, open_scene, open_scene_to_lift
 from tests.tiny_scene import write_tiny_scene
 
@@ -101,7 +102,7 @@ def test_masks_may_lie_elsewhere(folder: Path, tmp_path: Path) -> None:
         (tmp_path / "masks").mkdir(exist_ok=True)
         (folder / f"m2f_{kind}").rename(tmp_path / "masks" / f"m2f_{kind}")
     with pytest.raises(SceneError, match="no masks"):
-        open_scene_to_lift(folder)
+        open_scene_to_lift(SceneSource(folder))
     assert len(open_scene(folder, masks=tmp_path / "masks").frames) == 6
     with pytest.raises(SceneError, match="no masks"):
         open_scene(folder, masks=tmp_path / "nowhere")
