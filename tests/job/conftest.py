@@ -1,0 +1,34 @@
+"""A lift folder, and an engine that pretends to lift in it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from engine.job import LiftFolder
+from engine.job.follower import LiftFollower
+from tests.job.following import FAKE, Start
+from tests.job.lift_folders import new_lift
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> LiftFolder:
+    return new_lift(tmp_path)
+
+
+@pytest.fixture
+def start(folder: LiftFolder) -> Iterator[Start]:
+    followers = []
+
+    def start_one(behaviour: str, resume: bool = False) -> LiftFollower:
+        command = [sys.executable, FAKE, behaviour, folder.path, *(["--resume"] if resume else [])]
+        followers.append(LiftFollower.start(folder, resume=resume, command=command))
+        return followers[-1]
+
+    yield start_one
+    for follower in followers:
+        follower.kill()
+        follower.close()

@@ -1,0 +1,102 @@
+"""What a follower makes of the events that it reads: many at once, bad ones, and none for a moment."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from engine.job import EventWriter, ExitCode, LiftFolder, LiftState
+from engine.job.events import MOST_BYTES, TAIL_BYTES
+from engine.job.follower import LiftFollower
+from engine.job.lock import FileLock
+from tests.job.bytes_read import bytes_read
+from tests.job.following import Start, code_of, follow
+from tests.job.lift_folders import new_lift
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+
+
+def test_a_poll_takes_little_however_much_was_told(folder: LiftFolder) -> None:
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=False)
+    events.stage("train", 1, 1, "Training")
+    events.close()
+    line = '{"seq": 3, "time": 1.5, "event": "%s", "stage": "train", "step": %d, "steps": 90000, "message": ""}\n'
+    with folder.events_path.open("a") as file:
+        file.writelines(line % ("warning" if step % 25 == 0 else "progress", step) for step in range(60000))
+    with folder.lock():
+        watcher = LiftFollower(folder)
+        while watcher.status.step < 59999:
+            before, step = bytes_read(), watcher.status.step
+            events_of_one_poll = watcher.poll()
+            assert bytes_read() - before < 2 * MOST_BYTES
+            assert watcher.outcome is None and watcher.status.step > step
+            assert len(events_of_one_poll) < 0.1 * MOST_BYTES / len(line), "outdated progress is left out"
+        before = bytes_read()
+        folder.state()
+        assert bytes_read() - before < 3 * TAIL_BYTES
+    watcher.poll()
+    assert watcher.outcome is not None and watcher.status.label == "Training"
+
+
+@pytest.mark.parametrize(
+    ("state", "code"),
+    [("finished", ExitCode.FINISHED), ("cancelled", ExitCode.CANCELLED), (None, ExitCode.INTERNAL_ERROR)],
+)
+def test_how_a_bake_ended_is_not_how_the_lift_is(
+    folder: LiftFolder, start: Start, state: str | None, code: ExitCode
+) -> None:
+    follow(start("short"))
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=False, task="bake")
+    events.stage("bake", 1, 1, "Baking")
+    if state is not None:
+        events.done(state)
+    events.close()
+    watcher = LiftFollower(folder)
+    follow(watcher)
+    assert watcher.status.task == "bake" and code_of(watcher) is code
+    assert folder.state() is LiftState.FINISHED
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400, '"x"', "null"])
+def test_numbers_that_are_none_are_passed_over(folder: LiftFolder, number: str) -> None:
+    line = f'{{"seq": 1, "time": 0, "event": "progress", "step": {number}, "steps": 9, "loss": 1, "eta_s": {number}}}'
+    folder.events_path.write_text(line + "\n")
+    watcher = LiftFollower(folder)
+    watcher.poll()
+    status = watcher.status
+    assert (status.step, status.steps, status.loss, status.eta_s) == (0, 9, 1.0, None)
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
+def test_a_disk_that_does_not_answer_for_a_moment_ends_no_lift(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    folder, now = new_lift(tmp_path), [0.0]
+    writer = EventWriter(folder.events_path)
+    writer.hello(threads=1, resumed=False)
+    watcher = LiftFollower(folder, clock=lambda: now[0])
+
+    def no_answer(*_: object, **__: object) -> object:
+        raise OSError(number, os.strerror(number))
+
+    with FileLock(folder.events_path):
+        watcher.poll()
+        writer.warning("goes on")
+        for module in ("engine.job.lock", "engine.job.events"):
+            with monkeypatch.context() as patch:
+                patch.setattr(f"{module}.open_plain", no_answer)
+                now[0] += 4.0
+                assert watcher.poll() == [] and watcher.outcome is None
+        now[0] += 100.0
+        assert [event.kind for event in watcher.poll()] == ["warning"] and watcher.outcome is None
+        monkeypatch.setattr("engine.job.events.open_plain", no_answer)
+        assert watcher.poll() == []
+        now[0] += 100.0
+        with pytest.raises(OSError):
+            watcher.poll()
