@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ..frame import SceneError, Size
 from ..layout import files_by_stem, require_all
-from .array_file import array_headers, read_array
 from .label_map import whole_numbers
+from .mask_arrays import array_headers, read_array
 from .painting import segments_of_labels, segments_of_pairs
 from .source import IGNORED, FoundMask, FoundSegment, MaskSource
 

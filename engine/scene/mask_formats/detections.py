@@ -22,8 +22,8 @@ from ..class_tables import is_thing_by_name
 from ..classes import LARGEST_CLASS_ID, ClassLabel
 from ..frame import SceneError, Size
 from ..layout import files_by_stem, natural_order, require_all, shown, shown_size
-from .array_file import array_headers, read_array
 from .label_map import label_header, read_indices
+from .mask_arrays import array_headers, read_array
 from .painting import paint
 from .source import FoundMask, FoundSegment, MaskSource
 

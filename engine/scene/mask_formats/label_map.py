@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..frame import SceneError, Size
 from ..image_header import ImageHeader, check_image_file, read_image_header
 from ..pixels import decode_bytes
-from .array_file import array_headers, read_array
+from .mask_arrays import array_headers, read_array
 
 SUFFIXES = {".png", ".npy", ".npz"}
 LARGEST_PIXELS = 2**27

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from engine.scene import SceneError, check_scene, open_scene
-from engine.scene.mask_formats.array_file import array_headers
+from engine.scene.mask_formats.mask_arrays import array_headers
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
 from tests.scene.mask_formats.test_tracks import palette_png
 

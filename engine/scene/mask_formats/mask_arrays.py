@@ -1,4 +1,4 @@
-"""Arrays of numbers out of .npy and .npz files. Headers come first: what is too large or pickled is not read."""
+"""Masks as arrays, of .npy and .npz files. Headers come first: what is too large or pickled is not read."""
 
 from __future__ import annotations
 
