@@ -2,36 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import bpy
 
 from ..colour import object_colour
 from .lookup import boxes_of, clouds_of
+from .once_for_many import OnceForMany
 
 BY_INSTANCE, BY_CLASS = "INSTANCE", "CLASS"
 
 
-_waiting: list[str] = []
-"""Names of the collections whose rows are being coloured `at_once`."""
-
-
-@contextmanager
-def at_once(root: bpy.types.Collection) -> Iterator[None]:
-    """Colour many rows, and the objects once, afterwards."""
-    _waiting.append(root.name)
-    try:
-        yield
-    finally:
-        _waiting.pop()
-    apply_colours(root)
-
-
+@OnceForMany
 def apply_colours(root: bpy.types.Collection) -> None:
     """Colour the clouds by their classes and the boxes as the lift's `box_colours` says."""
-    if root.name in _waiting:
-        return
     lists = root.plgs
     of_class = {row.class_id: _linear(row.colour) for row in lists.classes}
     for cloud in clouds_of(root):

@@ -11,14 +11,15 @@ import numpy as np
 from ...engine.scene import VOID, ClassTable
 from ..colour import UNKNOWN
 from ..results import Instance, LiftResult, Mask
-from . import colouring, visibility
+from .colouring import apply_colours
 from .labels import let_boxes_show_names
 from .records import NO_AGREEMENT, NO_COST, registered
+from .visibility import apply_visibility
 
 
 def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
     """Let the lift's collection list the instances, with their masks, and the classes. All of them are shown then."""
-    with registered(), colouring.at_once(root), visibility.at_once(root):
+    with registered(), apply_colours.at_once(root), apply_visibility.at_once(root):
         lists = root.plgs
         lists.instances.clear()
         lists.classes.clear()

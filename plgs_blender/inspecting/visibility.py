@@ -7,8 +7,6 @@ leaves them out, in the view and in renders.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import bpy
@@ -18,19 +16,16 @@ from numpy.typing import NDArray
 from ...engine.scene import VOID
 from ..owned import LIFT, key_of, tag
 from .lookup import boxes_of, clouds_of, row_of
+from .once_for_many import OnceForMany
 
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
 _GROUP = "hidden instances"
 
-_waiting: list[str] = []
-"""Lifts whose eyes are being set, one after the other: nothing is brought in line meanwhile."""
 
-
+@OnceForMany
 def apply_visibility(root: bpy.types.Collection) -> None:
     """Bring boxes and points in line with the lift's lists."""
-    if _waiting:
-        return
     lists = root.plgs
     boxes = boxes_of(root)
     class_of = {row.instance_id: row.class_id for row in lists.instances}
@@ -52,21 +47,10 @@ def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
 
 def show_all(root: bpy.types.Collection) -> None:
     """Open all eyes of the lift's lists."""
-    with at_once(root):
+    with apply_visibility.at_once(root):
         for row in (*root.plgs.instances, *root.plgs.classes):
             row.visible = True
         root.plgs.isolated = 0
-
-
-@contextmanager
-def at_once(root: bpy.types.Collection) -> Iterator[None]:
-    """Set many eyes, and bring the objects in line once, afterwards."""
-    _waiting.append(root.name)
-    try:
-        yield
-    finally:
-        _waiting.pop()
-    apply_visibility(root)
 
 
 def _left_out(lists: bpy.types.PropertyGroup, instance_id: NDArray[np.int32], class_id: NDArray[np.int32]) -> Any:
