@@ -201,3 +201,19 @@ def threshold_pixels(raw: Tensor, margin: float = 1e-5) -> Tensor:
         return ((values / threshold - 1.0).abs() < factor * margin).any(0)
 
     return close(raw, ALPHA_MIN) | close(raw, ALPHA_MAX) | close(after, TRANSMITTANCE_END, 100.0)
+
+
+def assert_same_bits_with_any_threads(scene: Scene, backend: str) -> None:
+    before = torch.get_num_threads()
+    results = []
+    try:
+        for threads in (1, 2, 3, 1):
+            torch.set_num_threads(threads)
+            results.append(render(scene, backend))
+    finally:
+        torch.set_num_threads(before)
+    for out, gradients in results[1:]:
+        for layer in LAYERS:
+            assert torch.equal(getattr(out, layer), getattr(results[0][0], layer)), layer
+        for group in GROUPS:
+            assert torch.equal(gradients[group], results[0][1][group]), group

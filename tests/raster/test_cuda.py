@@ -8,7 +8,17 @@ from importlib import metadata
 
 import pytest
 import torch
-from scenes import GROUPS, LAYERS, Scene, hard_scenes, missed_share, random_scene, render, steady_pixels
+from scenes import (
+    GROUPS,
+    LAYERS,
+    Scene,
+    assert_same_bits_with_any_threads,
+    hard_scenes,
+    missed_share,
+    random_scene,
+    render,
+    steady_pixels,
+)
 from torch import Tensor
 
 from engine.raster import cuda, interface, rasterize
@@ -64,19 +74,7 @@ def test_the_same_bits_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(interface, "_pick", lambda backend, means: backend)
     monkeypatch.setattr(cuda, "list_by_gsplat", list_tiles_plainly)
     scene = random_scene(5, 500, 20, 70, 50)
-    before = torch.get_num_threads()
-    results = []
-    try:
-        for threads in (1, 2, 3, 1):
-            torch.set_num_threads(threads)
-            results.append(render(scene, "gsplat"))
-    finally:
-        torch.set_num_threads(before)
-    for out, gradients in results[1:]:
-        for layer in LAYERS:
-            assert torch.equal(getattr(out, layer), getattr(results[0][0], layer))
-        for group in GROUPS:
-            assert torch.equal(gradients[group], results[0][1][group]), group
+    assert_same_bits_with_any_threads(scene, "gsplat")
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")

@@ -10,6 +10,7 @@ from scenes import (
     GROUPS,
     LAYERS,
     Scene,
+    assert_same_bits_with_any_threads,
     hard_scenes,
     missed_elements,
     random_scene,
@@ -100,19 +101,7 @@ def test_nothing_to_see(backend: str, count: int) -> None:
 def test_the_same_bits_with_any_number_of_threads(kernels: str, channels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
     scene = random_scene(5, 1100, channels, 70, 50)
-    before = torch.get_num_threads()
-    results = []
-    try:
-        for threads in (1, 2, 3, 1):
-            torch.set_num_threads(threads)
-            results.append(render(scene, "numba"))
-    finally:
-        torch.set_num_threads(before)
-    for out, gradients in results[1:]:
-        for layer in LAYERS:
-            assert torch.equal(getattr(out, layer), getattr(results[0][0], layer))
-        for group in GROUPS:
-            assert torch.equal(gradients[group], results[0][1][group]), group
+    assert_same_bits_with_any_threads(scene, "numba")
 
 
 def test_the_same_bits_on_a_room() -> None:
