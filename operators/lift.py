@@ -62,11 +62,11 @@ class Following:
         self.glance(context)
         return RUNNING
 
-    def glance(self, context: bpy.types.Context) -> None:
+    def glance(self, context: bpy.types.Context, every_s: float = _GLANCE_S) -> None:
         """Be called now and then from here on."""
         if self._timer is None:
             manager = context.window_manager
-            self._timer = manager.event_timer_add(_GLANCE_S, window=context.window or manager.windows[0])
+            self._timer = manager.event_timer_add(every_s, window=context.window or manager.windows[0])
             manager.modal_handler_add(self)
 
     @reporting_events

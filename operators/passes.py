@@ -21,8 +21,8 @@ _FRAMES = [
     ("test", "Held-out frames", "Bake the frames that were held out of training"),
     ("active", "Active camera", "Bake the frame whose camera is the scene's active one"),
 ]
-_READ_S = 0.15
-"""So long at a time a camera is read while Blender waits."""
+_READ_S, _READ_EVERY_S = 0.04, 0.06
+"""So long at a time a camera is read while Blender waits, and how often."""
 
 
 class OnFinishedLift(OnLiftFolder):
@@ -90,7 +90,7 @@ class PLGS_OT_bake_camera(OnFinishedLift, Following, bpy.types.Operator):
         self._shot = self._begin_reading(context)
         if self._shot.read_for(_READ_S):
             return self.follow(context)
-        self.glance(context)
+        self.glance(context, _READ_EVERY_S)
         return RUNNING
 
     @reporting_events

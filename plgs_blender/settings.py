@@ -12,6 +12,7 @@ from ..engine.job import JobError, LiftRequest
 from ..engine.job.options import DEFAULTS, chosen_options
 from ..engine.job.preset_options import parsed_options, preset_options, shown_options, shown_value
 from ..engine.job.request import LARGEST_SIDE, SMALLEST_SIDE
+from .panel_words import in_panel_words
 from .paths import absolute
 from .running import poll_timer
 from .scene_formats import AUTOMATIC, FORMAT_ITEMS, MASK_FORMAT_ITEMS, chosen_format
@@ -206,7 +207,7 @@ def why_no_options(settings: PLGS_PG_settings) -> str | None:
     try:
         asked_of_preset(settings)
     except JobError as error:
-        return str(error)
+        return in_panel_words(str(error))
     return None
 
 

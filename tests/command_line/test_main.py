@@ -111,7 +111,7 @@ def test_a_bad_scene_leaves_no_folder(
 INTERRUPTED = (
     ("lift_in_terminal", "lift", ["lift", "SCENE", "-o", "OUT"], "Give the same command with --resume to go on: OUT"),
     ("run_experiment", "experiments", ["experiments", "SCENE"], "The same command goes on."),
-    ("open_scene", "inspect_scene", ["inspect", "SCENE"], ""),
+    ("open_asked", "inspect_scene", ["inspect", "SCENE"], ""),
 )
 
 

@@ -1,0 +1,42 @@
+"""Baking a camera of the user's over a long range."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from blender import Window
+from tree import wait_until
+
+for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+
+import tiny_lift  # noqa: E402  (beside the tests of plgs_blender)
+
+STATUS_BAR = 20
+"""Its height in pixels."""
+READING = "'PLGS_OT_bake_camera' in [each.bl_idname for each in bpy.context.window_manager.windows[0].modal_operators]"
+PRESS = """
+with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
+    bpy.ops.plgs.bake_camera('INVOKE_DEFAULT', lift_folder={lift!r})
+"""
+
+
+def test_a_long_range_is_read_while_the_window_answers_and_esc_stops(window: Window, work_folder: Path) -> None:
+    lift = tiny_lift.write_tiny_lift(work_folder / "long range" / "lift")
+    window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift.path)!r})")
+    window.run("scene = bpy.context.scene; scene.frame_start, scene.frame_end = 1, 300000; scene.frame_set(7)")
+    window.settle()
+    status_bar = window.picture()[-STATUS_BAR:]
+    window.run("watch.begin()")
+    window.run(PRESS.format(lift=str(lift.path)))
+    window.wait_for(READING)
+    wait_until(lambda: (window.picture()[-STATUS_BAR:] != status_bar).any(), "frames counted in the status bar", 30)
+    window.screenshot("reading-a-camera")
+    assert window.ask(f"{READING} and scene.frame_current == 7")
+    window.key("Escape")
+    window.wait_for(f"not {READING}")
+    waits = {call: wait for call, wait in window.waits().items() if call.startswith("answers.py")}
+    assert waits and max(waits.values()) < 0.1, waits
+    assert not list((lift.path / "bake").glob("*.json"))
