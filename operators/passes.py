@@ -81,9 +81,11 @@ class PLGS_OT_bake_camera(OnFinishedLift, Following, bpy.types.Operator):
         return start.bake_shot(context.scene, shot, self.lift_folder)
 
     def _begin_reading(self, context: bpy.types.Context) -> ShotReader:
+        # Now: by the time that it is read another scene may be shown.
+        self.lift_folder = str(start.lift_at(context.scene.plgs, self.lift_folder).path)
         names = ("frame_start", "frame_end", "frame_step")
         first, last, step = (getattr(self, name) if self.properties.is_property_set(name) else None for name in names)
-        return start.read_camera(context.scene, self.camera, (first, last, step), self.lift_folder)
+        return start.read_camera(context.scene, self.camera, (first, last, step))
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

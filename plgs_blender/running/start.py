@@ -150,12 +150,11 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Watch:
 
 
 def read_camera(
-    scene: bpy.types.Scene, camera: str, frames: tuple[int | None, int | None, int | None], folder: str
+    scene: bpy.types.Scene, camera: str, frames: tuple[int | None, int | None, int | None]
 ) -> ShotReader:
     """Begin to read a camera, the scene's active one unless named, over ``frames`` (first, last, step), the scene's
-    where None. Raises JobError, also where there is no lift or engine to bake it.
+    where None. Raises JobError, also where there is no engine to bake it.
     """
-    lift_at(scene.plgs, folder)
     engine_environment.usable_python()
     return ShotReader(scene, shot_of(scene, camera, *frames))
 
