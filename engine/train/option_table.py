@@ -42,6 +42,7 @@ RANGES: dict[str, tuple[float, float | None]] = {
     "schedule.grow_until": SHARE,
     "schedule.grow_every": (TINY, 1.0),
     "schedule.grow_every_at_least_steps": (1, None),
+    "schedule.segments_from": SHARE,
     "warm_start.batch": (1, None),
     "warm_start.rate": (TINY, None),
     "warm_start.opacity_bias": (-3.0, 3.0),

@@ -23,7 +23,8 @@ class Schedule:
     """Fractions of all steps. ``self_training_every`` is the paper's 5k of 30k: the first round of pseudo labels ends
     the initial stage. Growing as in Scaffold-GS: every 100/30000 from 1500/30000 to 15000/30000, statistics from
     500/30000; in short lifts no more often than ``grow_every_at_least_steps``, since a round judges by how often it
-    has seen an anchor."""
+    has seen an anchor. Segments are kept consistent from ``segments_from`` on, where that loss has a weight: earlier it
+    teaches what is not learned yet, and all classes become one. Panoptic Lifting begins it at its sixth epoch."""
 
     self_training_every: float = Effort.self_training_every
     statistics_from: float = 500 / 30000
@@ -31,6 +32,7 @@ class Schedule:
     grow_until: float = 0.5
     grow_every: float = 100 / 30000
     grow_every_at_least_steps: int = 40
+    segments_from: float = 0.6
 
 
 @dataclass(frozen=True)

@@ -150,13 +150,17 @@ class Trainer:
         by what is drawn, or segments to classes; else those of its targets, as the losses look at no others."""
         channels = self.scene.channels
         classes, slots = len(channels.class_ids), len(channels.slot_ids)
-        if self.preset.linear_assignment or target.segments is not None:
+        if self.preset.linear_assignment or self._wants_segments(target):
             return torch.arange(classes + slots)
         used = torch.zeros(classes + slots + 1, dtype=torch.bool)  # the last is that of no target
         used[target.semantic.long()] = True
         used[torch.where(target.slot < 0, -1, target.slot.long() + classes)] = True
         used[0] |= not used[:-1].any()  # a view without targets draws one channel, as the others draw some
         return torch.nonzero(used[:-1]).reshape(-1)
+
+    def _wants_segments(self, target: ViewTargets) -> bool:
+        """Whether the view's segments are to be of one class each in this step."""
+        return target.segments is not None and self.step_number >= self.preset.schedule.segments_from * self.preset.steps
 
     def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets, columns: torch.Tensor | None) -> Rendering:
         """With the label channels ``columns``, or with none."""
@@ -247,7 +251,7 @@ class Trainer:
         by_class, by_slot = label_losses(rendering.labels, rendering.alpha, classes, semantic, (assigned, slot))
         self.clock.lap("label losses")
         weights = self.preset.weights
-        if target.segments is not None:
+        if target.segments is not None and self._wants_segments(target):
             wanted = segment_targets(rendering.labels, rendering.alpha, classes, target.segments)
             nothing = torch.full_like(wanted, -1)
             consistency, _ = label_losses(rendering.labels, rendering.alpha, classes, wanted, (nothing, nothing))
