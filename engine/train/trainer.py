@@ -160,7 +160,8 @@ class Trainer:
 
     def _wants_segments(self, target: ViewTargets) -> bool:
         """Whether the view's segments are to be of one class each in this step."""
-        return target.segments is not None and self.step_number >= self.preset.schedule.segments_from * self.preset.steps
+        first = self.preset.schedule.segments_from * self.preset.steps
+        return target.segments is not None and self.step_number >= first
 
     def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets, columns: torch.Tensor | None) -> Rendering:
         """With the label channels ``columns``, or with none."""
