@@ -65,6 +65,13 @@ def has_begun(out: Path) -> Callable[[], bool]:
     return lambda: events.exists() and b'"step": 5' in events.read_bytes()
 
 
+@pytest.mark.parametrize("text", ["-5-10", "-10--5", "9-2", "1-"])
+def test_what_is_no_range_of_frames_is_told_in_a_line(root: Path, tmp_path: Path, text: str) -> None:
+    told = run_script(root, "-o", tmp_path / "out", "--bake", "camera", "--range", text)
+    assert told.returncode == 2
+    assert told.stderr.splitlines()[-1].endswith(f"{text!r} is no range of frames, such as 1-250 or 1-250x2")
+
+
 def test_finishes(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     stdout, stderr = (process := run("short", tmp_path / "scene", "-o", out)).communicate(timeout=60)

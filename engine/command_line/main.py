@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,6 +27,8 @@ from ..job.stop import end_with_parent
 
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
 SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
+FEWEST_OF_A_CAPTURE = 10
+"""Frames of a long capture: 8 of them are held out."""
 EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh", "depth")
 
 
@@ -344,7 +347,8 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("what", choices=("raster", "step", "bake", "long"))
     parser.add_argument(
-        "--frames", type=int, nargs="+", default=[100, 300], metavar="N", help="long: of how many (default: 100 300)"
+        "--frames", type=_enough_frames, nargs="+", default=[100, 300], metavar="N",
+        help="long: of how many (default: 100 300)",
     )
     parser.add_argument("--preset", choices=PRESETS, default="preview", help="long: as for lift (default: preview)")
     parser.add_argument(
@@ -353,6 +357,13 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=_bench)
+
+
+def _enough_frames(text: str) -> int:
+    """For a long capture; for argparse, so it raises ArgumentTypeError."""
+    if not re.fullmatch(r"[0-9]{1,7}", text) or int(text) < FEWEST_OF_A_CAPTURE:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of frames from {FEWEST_OF_A_CAPTURE} on")
+    return int(text)
 
 
 def _inspect(options: argparse.Namespace) -> ExitCode:

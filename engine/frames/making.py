@@ -39,11 +39,13 @@ def make_frames(
 
     Pictures are written where no image file shows them as they are. What the scene has not (depth, masks) is left out.
     What an earlier run made there of the same scene is kept, and made anew where its source is newer. Raises JobError
-    when the folder holds something else or a frame is not there, SceneError when a file of the scene is bad: of depth
-    that cannot be read for the cloud only when the pictures are written.
+    when the folder holds something else, a frame is not there, or the scene has nothing of what is asked for;
+    SceneError when a file of the scene is bad: of depth that cannot be read for the cloud only when the pictures are
+    written.
     """
     made = made_of(folder, source) or MadeFrames(folder, source)
     chosen = _chosen(scene, names)
+    _refuse_nothing(scene, chosen, kinds)
     known = {frame.name for frame in scene.frames}
     done = {name: each for name, each in made.frames.items() if name in known}
     in_cloud = _cloud_frames(scene.frames) if "cloud" in kinds else {}
@@ -74,6 +76,21 @@ def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
     if strange:
         raise JobError("is no frame of the scene", strange[0], "Give names that inspect and Blender's cameras show.")
     return known if names is None else set(names)
+
+
+def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str]) -> None:
+    """Raise JobError where no frame has anything of these ``kinds``."""
+    frames = [frame for frame in scene.frames if frame.name in chosen]
+    there = {
+        "colour": True,
+        "depth": any(frame.read_depth is not None for frame in frames),
+        "masks": any(frame.read_mask is not None for frame in frames),
+        "cloud": any(frame.read_depth is not None for frame in scene.frames),
+    }
+    if kinds and not any(there[kind] for kind in kinds):
+        lacking = " and no ".join(dict.fromkeys("depth" if kind == "cloud" else kind for kind in kinds))
+        fix = "Name other things to make, or say where they lie with --masks or --depth."
+        raise JobError(f"there are no frames to write, as these have no {lacking}", scene.folder, fix)
 
 
 def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made: MadeFrame) -> MadeFrame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -136,11 +137,13 @@ def source_of(options: argparse.Namespace) -> SceneSource:
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
-    """The arguments with "--up -y" as "--up=-y": argparse takes a value that begins with a dash for an option."""
+    """The arguments with "--up -y" as "--up=-y": argparse takes a value that begins with a dash for an option. So too
+    with "--range -5-10", for what is wrong with that to be told."""
     joined: list[str] = []
     for argument in arguments:
-        if joined and joined[-1] == "--up" and argument in UPS:
-            joined[-1] = f"--up={argument}"
+        option = joined[-1] if joined else ""
+        if (option == "--up" and argument in UPS) or (option == "--range" and re.match(r"-\d", argument)):
+            joined[-1] = f"{option}={argument}"
         else:
             joined.append(argument)
     return joined
@@ -158,8 +161,8 @@ def number_of_frames(text: str) -> int:
     """From a number or "all", which is 0; for argparse, so it raises ArgumentTypeError."""
     if text.lower() == "all":
         return 0
-    if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of frames, and not 'all'")
+    if not re.fullmatch(r"[0-9]{1,7}", text) or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of frames, such as 300, and not 'all'")
     return int(text)
 
 

@@ -96,7 +96,8 @@ class LiftRequest:
             fix = f"Give width and height in pixels, each from {SMALLEST_SIDE} to {LARGEST_SIDE}."
             raise JobError("is no picture size", f"size = {self.size!r}", fix)
         if self.frames is not None and not _is_int(self.frames, 0, 1_000_000):
-            raise JobError("is no number of frames", f"frames = {self.frames!r}", "Give a number, or 0 for all.")
+            fix = "Give a whole number up to 1000000, or all (0 in a request)."
+            raise JobError("is no number of frames", f"frames = {self.frames!r}", fix)
         if not isinstance(self.fit, bool):
             raise JobError("is neither true nor false", f"fit = {self.fit!r}", "Leave it out, or write true.")
         for name, other in _OF_THEIR_OWN.items():

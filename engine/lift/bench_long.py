@@ -20,10 +20,14 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from ..job import JobError, LiftFolder, LiftRequest
+from ..job.effort import chosen_effort
 from ..job.events import last_run
+from ..job.prediction import Prediction
 from ..job.request import Preset
 from ..metrics.report import LIFTED
 from ..raster.bench import processor_name
+from ..scene import open_scene
+from .fitting import masks_a_frame, predicted_lift
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CAPTURE_PROGRAM = REPOSITORY / "sample" / "long_capture.py"
@@ -52,13 +56,14 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True)
 class LongLift:
-    """A lift of ``frames`` frames: the cost of each stage, "start" first, in their order, and how good it is on the
-    frames held out (mIoU and PQ over the scene, in [0, 1])."""
+    """A lift of ``frames`` frames: the cost of each stage, "start" first, in their order, how good it is on the frames
+    held out (mIoU and PQ over the scene, in [0, 1]), and what was ``predicted`` for a usual machine."""
 
     frames: int
     stages: dict[str, StageCost]
     miou: float
     pq: float
+    predicted: Prediction
 
     @property
     def seconds(self) -> float:
@@ -71,6 +76,11 @@ class LongLift:
     @property
     def peak_bytes(self) -> int:
         return max(stage.peak_bytes for stage in self.stages.values())
+
+    @property
+    def predicted_seconds(self) -> float:
+        """At the pace of this machine as its training steps show it, which a lift remembers for the next one."""
+        return self.predicted.seconds * self.stages["train"].seconds / self.predicted.stages["train"]
 
 
 def bench_long(
@@ -123,7 +133,9 @@ def measured_lift(request: LiftRequest, out: Path, frames: int) -> LongLift:
     costs = stage_costs(stages, began, time.time(), samples)
     tables = json.loads((lift.result_path / "metrics.json").read_text(encoding="utf-8"))["tables"]
     scores = next(table for table in tables if (table["name"], table["mode"]) == (LIFTED, "strict"))
-    return LongLift(frames, costs, scores["miou"], scores["pq"])
+    scene = open_scene(request.scene)
+    predicted = predicted_lift(scene, chosen_effort(request.preset), masks_a_frame(scene), request.bake)
+    return LongLift(frames, costs, scores["miou"], scores["pq"], predicted)
 
 
 def samples_of(process: subprocess.Popen[bytes]) -> list[Sample]:
@@ -158,7 +170,7 @@ def stage_costs(
 
 
 def print_table(lifts: Sequence[LongLift]) -> None:
-    """A column for each lift; time a frame is compared with that of the first."""
+    """A column for each lift, with what was predicted; time a frame is compared with that of the first."""
     names = list(dict.fromkeys(name for lift in lifts for name in lift.stages))
     print("".join(["stage".ljust(14), *(f"{lift.frames:>13} frames: time, busy, peak" for lift in lifts)]))
     for name in [*names, "all"]:
@@ -168,6 +180,8 @@ def print_table(lifts: Sequence[LongLift]) -> None:
             cost = whole if name == "all" else lift.stages.get(name, StageCost(0.0, 0.0, 0))
             cells.append(f"{cost.seconds:13.1f} s {cost.busy:9.1f} s {cost.peak_bytes / MB:7.0f} MB")
         print("".join([name.ljust(14), *cells]))
+    foretold = [f"{lift.predicted_seconds:13.1f} s {lift.predicted.peak_bytes / MB:21.0f} MB" for lift in lifts]
+    print("".join(["predicted".ljust(14), *foretold]))
     scores = [f"{100 * lift.miou:.1f} / {100 * lift.pq:.1f}".rjust(38) for lift in lifts]
     print("".join(["mIoU / PQ, %".ljust(14), *scores]))
     first = lifts[0]
@@ -185,4 +199,5 @@ def print_table(lifts: Sequence[LongLift]) -> None:
 
 def facts(lift: LongLift) -> dict[str, object]:
     """For JSON."""
-    return {**asdict(lift), "seconds": lift.seconds, "busy": lift.busy, "peak_bytes": lift.peak_bytes}
+    totals = {"seconds": lift.seconds, "busy": lift.busy, "peak_bytes": lift.peak_bytes}
+    return {**asdict(lift), **totals, "predicted_seconds": lift.predicted_seconds}

@@ -9,7 +9,7 @@ import numpy as np
 from ..job import EventWriter, JobError, LiftRequest
 from ..job.effort import EFFORTS, Effort, chosen_effort
 from ..job.main_memory import MainMemory
-from ..job.prediction import predict
+from ..job.prediction import Prediction, predict
 from ..scene import Scene, size_within
 
 LOOKED_AT = 8
@@ -30,15 +30,39 @@ def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | Non
     masks = masks_a_frame(scene)
     needed = _peak(scene, effort, masks)
     if needed <= memory.total:
-        if needed > memory.free:
-            events.warning(f"the lift needs about {_gb(needed)} of memory, and only {_gb(memory.free)} are free")
+        _tell_what_others_hold(needed, memory, events)
         return effort.most_frames
     fewer = _fewer_frames(scene, effort, masks, memory.total)
     if request.fit and fewer is not None:
         events.warning(f"memory is short: at most {fewer} frames are trained on")
         return fewer
-    what = f"the lift needs about {_gb(needed)} of memory, and this machine has {_gb(memory.total)}"
-    raise JobError(what, scene.folder, _advice(scene, request, effort, masks, memory.total, fewer))
+    raise JobError(_too_much(needed, memory), scene.folder, _advice(scene, request, effort, masks, memory.total, fewer))
+
+
+def check_memory(
+    scene: Scene, request: LiftRequest, frames: int, memory: MainMemory | None, events: EventWriter
+) -> None:
+    """Of a lift that was begun with so many frames to train on, on whatever machine: their number cannot change.
+
+    Raises JobError when they need more memory than there is; SceneError when a mask is bad.
+    """
+    if memory is None:
+        return
+    effort = chosen_effort(request.preset, request.steps, request.size, frames, request.options)
+    needed = _peak(scene, effort, masks_a_frame(scene))
+    if needed > memory.total:
+        what = f"{_too_much(needed, memory)}: it was begun with {frames} frames"
+        raise JobError(what, scene.folder, "Resume it on a machine with more memory, or lift into another folder.")
+    _tell_what_others_hold(needed, memory, events)
+
+
+def _tell_what_others_hold(needed: int, memory: MainMemory, events: EventWriter) -> None:
+    if needed > memory.free:
+        events.warning(f"the lift needs about {_gb(needed)} of memory, and only {_gb(memory.free)} are free")
+
+
+def _too_much(needed: int, memory: MainMemory) -> str:
+    return f"the lift needs about {_gb(needed)} of memory, and this machine has {_gb(memory.total)}"
 
 
 def masks_a_frame(scene: Scene) -> float:
@@ -49,12 +73,16 @@ def masks_a_frame(scene: Scene) -> float:
     return float(np.mean([len(frame.mask(size_within(frame.size, (64, 64))).segments) for frame in looked_at]))
 
 
-def _peak(scene: Scene, effort: Effort, masks: float) -> int:
-    """Bytes; of the largest frame."""
+def predicted_lift(scene: Scene, effort: Effort, masks: float, bake: str = "test") -> Prediction:
+    """Of a scene whose frames have so many ``masks`` each; as if all were as large as the largest."""
     size = max((frame.size for frame in scene.frames), key=lambda size: size[0] * size[1])
     counts = len(scene.train_frames), len(scene.test_frames)
-    classes = len(scene.classes.categories)
-    return predict(*counts, size, effort, masks_a_frame=masks, classes=classes).peak_bytes
+    return predict(*counts, size, effort, bake=bake, masks_a_frame=masks, classes=len(scene.classes.categories))
+
+
+def _peak(scene: Scene, effort: Effort, masks: float) -> int:
+    """Bytes."""
+    return predicted_lift(scene, effort, masks).peak_bytes
 
 
 def _fewer_frames(scene: Scene, effort: Effort, masks: float, most: int) -> int | None:

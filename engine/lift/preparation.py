@@ -67,7 +67,10 @@ def prepare(
         matching = MATCHINGS[preset.objects](placed, cloud, classes, preset, progress, scratch)
         if matching.dropped:
             found = len(matching.instances) + matching.dropped
-            stages.events.warning(f"the {matching.dropped} smallest of {found} instances are left out")
+            stages.events.warning(
+                f"the {matching.dropped} smallest of {found} instances are left out: "
+                f"at most {preset.most_instances} are kept, --set most_instances={found} keeps all"
+            )
     channels = label_channels(class_ids, matching.instances, preset)
     viewpoints = np.array([view.camera.centre for view in views])
     scene = starting_scene(matching.cloud, matching.instance_of_point, channels, viewpoints, preset, seed)

@@ -17,7 +17,6 @@ import torch
 from safetensors.torch import save_file
 
 from ..job import Cancelled, Checkpoint, EventWriter, JobError, LiftFolder, LiftRequest, StopSignal, write_manifest
-from ..job.main_memory import main_memory
 from ..job.prediction import learn_slowness
 from ..machine.log_compilation import log_compilation
 from ..model.structured import StructuredScene
@@ -31,7 +30,6 @@ from ..scene import (
     StoredViews,
     View,
     check_scene,
-    choose_frames,
     load_view,
     open_scene_to_lift,
     read_ahead,
@@ -39,16 +37,16 @@ from ..scene import (
 )
 from ..train.option_table import requested_preset
 from ..train.presets import Preset
-from ..train.progress import StageProgress, StageReporter
+from ..train.progress import StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .device import be_repeatable, refuse_missing_device
-from .fitting import frames_that_fit
 from .lasting_names import keep_names, read_earlier, write_names
 from .live_previews import LivePreviews
 from .preparation import prepare
 from .scene_files import instance_names, shown_instances, write_scene_files
+from .training_frames import FRAMES, scene_to_lift
 from .voting import vote_labels
 
 log = logging.getLogger("plgs.lift")
@@ -91,14 +89,14 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
 def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resume: bool) -> None:
     """``STAGES``, one after another."""
     request, events = folder.request, stages.events
+    checkpoint = folder.checkpoints.latest() if resume else None
 
     with stages.stage("check") as progress:
         if preset.labels == "votes" and not shows_votes(preset):
             events.warning(NO_VOTES)
         whole = open_scene_to_lift(request)
         earlier = None if request.names_from is None else read_earlier(request.names_from)
-        most = frames_that_fit(whole, request, main_memory(), events)
-        scene = frames_to_lift(whole, most, progress, events)
+        scene = scene_to_lift(whole, request, checkpoint, progress, events)
         for warning in (*scene.warnings, *check_scene(scene, progress)):
             events.warning(warning)
     with stages.stage("read") as progress:
@@ -110,13 +108,12 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     preset = preset.for_views(len(views))
     prepared = prepare(views, scene.classes, preset, request.seed, stages, folder.path)
     trainer = Trainer(prepared.scene, prepared.targets, views, preset, request.seed)
-    checkpoint = folder.checkpoints.latest() if resume else None
     if checkpoint is not None:
         take_up(trainer, checkpoint)
         log.info("resuming after step %d", trainer.step_number)
     names: Mapping[int, str] = instance_names(prepared.instances, scene.classes)
     previews = LivePreviews(folder, whole, shown_instances(prepared, names), events)
-    paces = train(trainer, folder, stages, previews)
+    paces = train(trainer, folder, [frame.name for frame in frames], stages, previews)
 
     with stages.stage("result") as progress:
         if shows_votes(preset):
@@ -163,18 +160,6 @@ def take_up(trainer: Trainer, checkpoint: Checkpoint) -> None:
         raise JobError(f"the checkpoint cannot be used ({error})", path, fix) from error
 
 
-def frames_to_lift(scene: Scene, most: int, progress: StageProgress, events: EventWriter) -> Scene:
-    """The scene with at most ``most`` frames to train on (0: all), and a word about what was left out."""
-    chosen = choose_frames(scene, most, progress) if most else scene
-    there, taken = len(scene.train_frames), len(chosen.train_frames)
-    if taken < there:
-        events.warning(
-            f"of {there} frames to train on {taken} are lifted, the sharpest of each stretch of the recording; "
-            "--frames takes another number, or all"
-        )
-    return chosen
-
-
 def refuse_empty(views: Sequence[View], scene: Scene) -> None:
     """Raise SceneError when nothing is left of all depth, or of all masks, at the size of training."""
     if not any((view.depth > 0).any() for view in views):
@@ -191,10 +176,14 @@ def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
 
 
 def train(
-    trainer: Trainer, folder: LiftFolder, stages: StageReporter, look: Callable[[StructuredScene], object]
+    trainer: Trainer,
+    folder: LiftFolder,
+    frames: Sequence[str],
+    stages: StageReporter,
+    look: Callable[[StructuredScene], object],
 ) -> list[float]:
     """All steps that are left, with a checkpoint now and then, when stopped, and at the end; returns the seconds of
-    each. ``look`` is shown the model after each step.
+    each. ``frames`` are the names of those trained on; ``look`` is shown the model after each step.
 
     Not when a step fails: half a step's changes would be stored over the last whole state.
     """
@@ -211,12 +200,12 @@ def train(
                 progress(report.step, steps, report.loss)
                 look(trainer.scene)
                 if time.monotonic() - saved_at > CHECKPOINT_EVERY_S:
-                    save_checkpoint(trainer, folder)
+                    save_checkpoint(trainer, folder, frames)
                     saved_at = time.monotonic()
         except Cancelled:
-            save_checkpoint(trainer, folder)
+            save_checkpoint(trainer, folder, frames)
             raise
-        save_checkpoint(trainer, folder)
+        save_checkpoint(trainer, folder, frames)
     return paces
 
 
@@ -232,8 +221,9 @@ def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
         log.warning("how fast this machine is was not remembered: %s", error)
 
 
-def save_checkpoint(trainer: Trainer, folder: LiftFolder) -> None:
+def save_checkpoint(trainer: Trainer, folder: LiftFolder, frames: Sequence[str]) -> None:
     tensors, facts = trainer_state(trainer)
+    facts[FRAMES] = list(frames)
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     folder.checkpoints.save(facts, lambda path: save_file(contiguous, path / "trainer.safetensors"))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -62,6 +63,29 @@ def test_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
         assert "usage:" in capsys.readouterr().err
     assert code_of("experiments", "--seeds", "0,one") == 2
     assert "'0,one' are no whole numbers with commas between, such as 0,1,2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["-5", "0", "5-2", "1e3", "many", "9" * 5000])
+def test_what_is_no_number_of_frames_is_told_in_a_line(
+    text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for command in (["lift", tmp_path, "-o", tmp_path / "out"], ["bench", "long"]):
+        assert code_of(*command, "--frames", text) == 2
+        *_, told = capsys.readouterr().err.strip().splitlines()
+        assert "argument --frames" in told and "number" in told
+    assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", "9999999") == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: is no number of frames") and said.count("\n") == 1
+
+
+def test_masks_of_a_scene_without_masks_are_not_made(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    room = write_tiny_scene(tmp_path / "room", frames=3)
+    shutil.rmtree(room / "panoptic")
+    (room / "panoptic.json").unlink()
+    assert code_of("frames", room, "-o", tmp_path / "out", "--make", "masks") == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ") and said.count("\n") == 1 and "no masks" in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_preset_is_printed_as_a_file_that_is_read(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

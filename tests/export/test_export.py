@@ -185,3 +185,14 @@ def test_nobodys_files_are_written_over(
     run(lift, "boxes", tmp_path / "out")  # the same again
     assert main(["export", str(lift.path), "--to", "coco", "-o", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.count("holds other files") == 3
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_a_frame_that_is_none_is_refused_before_anything_is_written(
+    kind: str, lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where all of the lift is exported, whatever frames are named."""
+    output = tmp_path / "out"
+    assert main(["export", str(lift.path), "--to", kind, "-o", str(output), "--frames", "0001", "nosuch"]) == 2
+    said = capsys.readouterr().err
+    assert "no frame nosuch" in said and said.count("\n") == 1 and not output.exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -101,6 +102,20 @@ def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path
     (out / "frames.json").write_text(json.dumps({"format": 1, "source": {}}))
     with pytest.raises(JobError, match="frames.json"):
         make_frames(scene, SceneSource(archive), out)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "told"), [(["masks"], "have no masks"), (["cloud", "depth", "masks"], "have no depth and no masks")]
+)
+def test_what_the_scene_has_nothing_of_is_refused(kinds: list[str], told: str, tmp_path: Path) -> None:
+    room = write_tiny_scene(tmp_path / "room", frames=2)
+    scene = open_scene(room)
+    bare = replace(scene, frames=tuple(replace(frame, read_mask=None, read_depth=None) for frame in scene.frames))
+    with pytest.raises(JobError, match=told):
+        make_frames(bare, SceneSource(room), tmp_path / "out", kinds)
+    assert not (tmp_path / "out").exists()
+    made = make_frames(bare, SceneSource(room), tmp_path / "out", ["colour", *kinds])
+    assert made.cloud is None and all(each.masks is None for each in made.frames.values())
 
 
 def test_bad_depth_costs_the_cloud_alone(archive: Path, tmp_path: Path) -> None:

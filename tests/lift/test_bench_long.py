@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 
 from engine.job import JobError
+from engine.job.prediction import Prediction
 from engine.lift import bench_long
 from engine.lift.bench_long import LongLift, Sample, StageCost, facts, print_table, samples_of, stage_costs
 
 MB = 1_000_000
+USUAL = Prediction({"start": 4.0, "train": 5.0, "result": 1.0}, 640 * MB)
 
 
 def test_a_stage_has_its_own_time_and_its_own_peak() -> None:
@@ -26,18 +28,20 @@ def test_a_stage_has_its_own_time_and_its_own_peak() -> None:
         "check": StageCost(3.0, 4.0, 30),
         "train": StageCost(7.0, 7.0, 12),
     }
-    lift = LongLift(100, costs, 0.5, 0.25)
+    lift = LongLift(100, costs, 0.5, 0.25, USUAL)
     assert lift.seconds == 13.0 and lift.busy == 13.0 and lift.peak_bytes == 30
     assert json.loads(json.dumps(facts(lift)))["stages"]["check"] == {"seconds": 3.0, "busy": 4.0, "peak_bytes": 30}
 
 
 def test_time_a_frame_is_compared_with_the_first(capsys: pytest.CaptureFixture[str]) -> None:
-    one = LongLift(100, {"check": StageCost(2.0, 4.0, 300 * MB), "train": StageCost(8.0, 6.0, 500 * MB)}, 0.7, 0.6)
-    two = LongLift(300, {"check": StageCost(6.0, 9.0, 400 * MB), "train": StageCost(9.0, 12.0, 700 * MB)}, 0.71, 0.65)
-    print_table([one, two])
+    costs = {"check": StageCost(2.0, 4.0, 300 * MB), "train": StageCost(8.0, 6.0, 500 * MB)}
+    more = {"check": StageCost(6.0, 9.0, 400 * MB), "train": StageCost(9.0, 12.0, 700 * MB)}
+    print_table([LongLift(100, costs, 0.7, 0.6, USUAL), LongLift(300, more, 0.71, 0.65, USUAL)])
     printed = capsys.readouterr().out
     assert "a frame of 300 takes 0.50 times that of 100, and keeps processors busy 0.70 times as long" in printed
     assert "15.0 s      21.0 s     700 MB" in printed and "70.0 / 60.0" in printed and "71.0 / 65.0" in printed
+    # Of 10 s a usual machine trains 5; this one trained 8 and 9.
+    assert "predicted              16.0 s                   640 MB         18.0 s" in printed
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="a process's memory is looked up in /proc")

@@ -16,7 +16,8 @@ import torch
 from safetensors.torch import safe_open
 
 from engine.job import Cancelled, EventWriter, LiftFolder, LiftRequest, StopSignal, verify
-from engine.lift import run_lift
+from engine.lift import run as lift_run
+from engine.lift import run_lift, training_frames
 from engine.lift.run import STAGES
 from engine.model.structured import from_tensors
 from engine.scene import open_scene
@@ -208,3 +209,21 @@ def test_a_cancelled_lift_goes_on(lifts: Lifts) -> None:
     folder.cancel_path.unlink()
     run(folder, resume=True)
     assert files_of(folder) == files_of(lifts.done)
+
+
+def test_a_resumed_lift_trains_on_the_frames_that_it_was_begun_with(
+    lifts: Lifts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it was begun six frames fitted; where it is resumed all would."""
+
+    def stop(*_: object) -> None:
+        raise Cancelled("asked to")
+
+    folder = LiftFolder.create(lifts.root / "small", LiftRequest(scene=lifts.scene, fit=True))
+    with monkeypatch.context() as small:
+        small.setattr(training_frames, "frames_that_fit", lambda *_: 6)
+        small.setattr(lift_run, "vote_labels", stop)
+        with pytest.raises(Cancelled):
+            run(folder)
+    run(folder, resume=True)
+    assert files_of(folder) == files_of(lifts.lift("six", frames=6)) != files_of(lifts.done)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from engine.instances import GlobalInstance, PanopticLabels, fit_box
+from engine.job import last_run
 from engine.lift import preparation
 from engine.lift.preparation import PreparedLift, label_channels
 from engine.model.structured import NO_OBJECT, SPARE
@@ -85,7 +86,12 @@ def test_the_smallest_instances_are_left_out_with_a_warning(tmp_path: Path) -> N
     one = prepared_for(views, classes, replace(TINY, most_instances=1), tmp_path)
     assert [instance.id for instance in one.instances] == [1]
     assert set(one.instance_of_point.tolist()) == {0, 1}
-    assert "1 smallest of 2 instances" in (tmp_path / "events.jsonl").read_text()
+    (told,) = [event.data["message"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "warning"]
+    assert told == (
+        "the 1 smallest of 2 instances are left out: at most 1 are kept, --set most_instances=2 keeps all"
+    )
+    both = prepared_for(views, classes, replace(TINY, most_instances=2), tmp_path)
+    assert len(both.instances) == 2
 
 
 def test_what_is_done_otherwise_than_asked_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

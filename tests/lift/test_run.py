@@ -60,13 +60,13 @@ def test_only_whole_states_are_stored(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.setattr(run, "CHECKPOINT_EVERY_S", every_s)
-    monkeypatch.setattr(run, "save_checkpoint", lambda trainer, folder: setattr(trainer, "stored", trainer.step_number))
+    monkeypatch.setattr(run, "save_checkpoint", lambda trainer, *_: setattr(trainer, "stored", trainer.step_number))
     trainer, folder = Trainer(failure), LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     if failure is None:
-        run.train(trainer, folder, stages, look=lambda scene: None)  # type: ignore[arg-type]
+        run.train(trainer, folder, [], stages, look=lambda scene: None)  # type: ignore[arg-type]
     else:
         with pytest.raises(type(failure)):
-            run.train(trainer, folder, stages, look=lambda scene: None)  # type: ignore[arg-type]
+            run.train(trainer, folder, [], stages, look=lambda scene: None)  # type: ignore[arg-type]
     assert trainer.stored == stored
 
 
