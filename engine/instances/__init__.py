@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .agreement import ViewPoints, shown_classes
-from .consensus import ConsensusOptions, MemberMask, ObjectMasks, find_objects
+from .agreement import ViewPoints, shown_classes, view_points
+from .consensus import ConsensusOptions, MemberMask, ObjectMasks, find_objects, with_masks_of
 from .lasting_objects import LastingObjects, ObjectOverlap, lasting_objects, object_overlap
 from .linear_assignment import best_slots
 from .masks import instance_map, restrict_to_things, vote_instances
@@ -64,5 +64,7 @@ __all__ = [
     "regroup_pieces",
     "restrict_to_things",
     "shown_classes",
+    "view_points",
     "vote_instances",
+    "with_masks_of",
 ]

@@ -8,7 +8,7 @@ consensus in MaskClustering (Yan et al., CVPR 2024), with sums in place of its s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,13 +99,36 @@ def with_contained(
     """The objects with those masks ``rows`` (of views that are no keyframes) of whose points they own ``contained``."""
     masks = [list(own) for own in objects.masks]
     for row in rows:
-        owner = objects.object_of_point[space.holds[row].indices]
-        owned = np.bincount(owner, minlength=len(masks) + 1)
-        owned[0] = 0
-        if owned.max() >= contained * len(owner):
-            frame, segment = space.masks[row]
-            masks[int(owned.argmax()) - 1].append(MemberMask(frame, segment, None))
+        number = containing_object(objects.object_of_point[space.holds[row].indices], contained)
+        if number:
+            masks[number - 1].append(MemberMask(*space.masks[row], None))
     return ObjectMasks(objects.object_of_point, tuple(map(tuple, masks)))
+
+
+def with_masks_of(
+    objects: ObjectMasks, views: Iterable[View], seen: Iterable[ViewPoints], rules: JudgingRules
+) -> ObjectMasks:
+    """The objects with those masks of more ``views``, which see the points ``seen``, of whose points they own
+    ``contained``. A region that may be several objects takes no part."""
+    masks = [list(own) for own in objects.masks]
+    for view, summary in zip(views, seen, strict=True):
+        for segment in view.mask.segments:
+            rows = summary.row[summary.segment == segment.id]
+            if segment.id <= 0 or segment.is_group or len(rows) < rules.min_points:
+                continue
+            number = containing_object(objects.object_of_point[rows], rules.contained)
+            if number:
+                masks[number - 1].append(MemberMask(view.name, segment, None))
+    return ObjectMasks(objects.object_of_point, tuple(map(tuple, masks)))
+
+
+def containing_object(owner: NDArray[np.int32], contained: float) -> int:
+    """The object that owns at least the share ``contained`` of the points whose owners int32 [n] (0 = none) these are;
+    0 where none does."""
+    owned = np.bincount(owner, minlength=1)
+    owned[0] = 0
+    largest = int(owned.argmax())
+    return largest if owned[largest] >= contained * len(owner) else 0
 
 
 def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> ObjectMasks:

@@ -15,8 +15,8 @@ class Effort:
     ``size_within`` (width, height): pictures are brought into this box, never enlarged; ``voxel_size`` metres between
     anchors; ``most_points`` and ``most_anchors`` cap cloud and model; ``self_training_every`` is a share of the steps.
     With many views there are ``steps_a_view`` steps for each. Of more than ``most_frames`` frames to train on so many
-    are chosen (900: Panoptic Lifting's), 0 takes all. Labels are voted in ``vote_rounds`` (0: not at all), by masks
-    within ``vote_size_within``.
+    are chosen (900: Panoptic Lifting's), 0 takes all; with ``all_frames_vote`` the masks of the others vote. Labels are
+    voted in ``vote_rounds`` (0: not at all), by masks within ``vote_size_within``.
     """
 
     name: str
@@ -29,6 +29,7 @@ class Effort:
     self_training_every: float = 1.0
     steps_a_view: float = 0.0
     most_frames: int = 900
+    all_frames_vote: bool = True
     vote_size_within: tuple[int, int] = (320, 320)
     vote_rounds: int = 2
 
@@ -71,6 +72,7 @@ EFFORTS = {
             most_points=2_000_000,
             most_anchors=2_000_000,
             self_training_every=1 / 6,
+            all_frames_vote=False,
             vote_rounds=0,
         ),
     )

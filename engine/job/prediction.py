@@ -81,12 +81,14 @@ def predict(
     voted = voting * _megapixels_within(frame_size, effort.vote_size_within)
     judged = min(views * masks_a_frame, MOST_MASKS) / 1000
     looked_at = min(train_frames, CANDIDATES * views) if views < train_frames else 0
+    voters = train_frames - views if effort.all_frames_vote else 0
     stages = {
         "start": 4.0,
         "check": 0.1 + 0.03 * (views + test_frames) * own + 0.03 * looked_at * own,
-        "read": 0.05 * views * own,
+        "read": 0.05 * views * own + 0.015 * voters * own,
         "consistency": 3.0 + 2.8 * seen,
-        "match": 1.5 + 1.0 * seen + 0.3 * judged**2 + 0.0005 * views * masks_a_frame,
+        "match": 1.5 + 1.0 * seen + 0.3 * judged**2 + 0.0005 * views * masks_a_frame
+        + voters * (0.012 + 0.35 * trained_on),
         "prepare": 10.0 + 0.7 * seen,
         "train": steps * step + rounds * views * 0.42 * step,
         "result": 0.5 + (2.0 + 1.0 * effort.vote_rounds) * voted + 0.12 * voting * own + 2.75 * gaussians,

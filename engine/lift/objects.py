@@ -34,11 +34,13 @@ from ..instances import (
     vote_classes,
     vote_instances,
     vote_panoptic_labels,
+    with_masks_of,
 )
-from ..scene import VOID, ClassTable, OnDemand, View, stored
+from ..scene import VOID, ClassTable, OnDemand, View, chained, stored
 from ..semantics import SemanticPointCloud
 from ..train.presets import Preset
 from ..train.progress import StageProgress
+from .voters import Voters
 
 LARGEST_GAP = 0.15
 """Metres between neighbouring points of one object: about what a far view leaves between two pixels."""
@@ -65,8 +67,10 @@ def instances_by_boxes(
     preset: Preset,
     progress: StageProgress,
     scratch: Path | None = None,
+    others: Sequence[View] = (),
 ) -> Matching:
-    """The paper's way: Algorithm 1 on the thing segments of all views. Nothing is stored in ``scratch``."""
+    """The paper's way: Algorithm 1 on the thing segments of all views. Nothing is stored in ``scratch``, and
+    no others vote."""
     found = match_views(
         views,
         classes.thing_ids,
@@ -91,22 +95,27 @@ def objects_by_agreement(
     preset: Preset,
     progress: StageProgress,
     scratch: Path | None = None,
+    others: Sequence[View] = (),
 ) -> Matching:
     """Ours: objects that the views agree on, whatever they call them; the views vote on each object's class; then
-    segments and points vote on what every pixel shows. ``scratch``: where temporary files go."""
+    segments and points vote on what every pixel shows. ``scratch``: where temporary files go; ``others``: views that
+    vote, without being asked which masks are one object."""
     rows = point_of_pixels(views, cloud, scratch)
+    voters = Voters(others, point_of_pixels(others, cloud, scratch))
     number_of = {view.name: number for number, view in enumerate(views)}
     objects, seen = find_objects(
         views, lambda view: rows[number_of[view.name]], len(cloud), preset.consensus, progress
     )
-    things = thing_objects(objects, views, seen, cloud, classes)
+    objects = with_masks_of(objects, voters.views, voters.seen, preset.consensus.rules)
+    all_views, all_rows = chained(views, voters.views), chained(rows, voters.point_of_pixel)
+    things = thing_objects(objects, all_views, chained(seen, voters.seen), cloud, classes)
     labels = PanopticLabels(cloud.class_ids, tuple(class_id for _, class_id in things))
     member_of = {
         (mask.frame, mask.segment.id): number
         for number, (masks, _) in enumerate(things, start=1)
         for mask in masks
     }
-    voted = vote_panoptic_labels(views, rows, len(cloud), labels, member_of, preset.segment_voting)
+    voted = vote_panoptic_labels(all_views, all_rows, len(cloud), labels, member_of, preset.segment_voting)
     object_of_point = labels.objects(voted.label)
     owner, members = pieces_in_space(things, object_of_point, views, seen, cloud)
     fragment = (object_of_point > 0) & (owner == 0)
@@ -139,6 +148,7 @@ def no_objects(
     preset: Preset,
     progress: StageProgress,
     scratch: Path | None = None,
+    others: Sequence[View] = (),
 ) -> Matching:
     """Nothing is matched: what an instance is, the linear assignment decides while training."""
     return Matching(cloud, [], np.zeros(len(cloud), np.int32), 0)
@@ -194,10 +204,11 @@ def masks_of_pieces(
     count: int,
 ) -> list[list[MemberMask]]:
     """The masks of each of ``count`` final objects, in the order of the views: a mask is evidence of the object that
-    owns most of its points. ``owner`` int32 [N]: the final object of each point, 0 = none."""
+    owns most of its points; masks of other views, which only vote, are none. ``owner`` int32 [N]: the final object of
+    each point, 0 = none."""
     summary_of = {view.name: (number, one) for number, (view, one) in enumerate(zip(views, seen, strict=True))}
     members: list[list[tuple[int, MemberMask]]] = [[] for _ in range(count)]
-    for mask in (mask for group in masks for mask in group):
+    for mask in (mask for group in masks for mask in group if mask.frame in summary_of):
         number, summary = summary_of[mask.frame]
         owned = np.bincount(owner[summary.row[summary.segment == mask.segment.id]], minlength=count + 1)
         owned[0] = 0

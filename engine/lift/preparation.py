@@ -56,15 +56,17 @@ def prepare(
     seed: int,
     stages: StageReporter,
     scratch: Path | None = None,
+    others: Sequence[View] = (),
 ) -> PreparedLift:
     """Everything before the first step. What there is of every view is stored in temporary files in ``scratch`` (None:
-    where the system has them). Raises what the progress callbacks raise (Cancelled), OSError when the disk is full."""
+    where the system has them). ``others`` are views that vote, and are not trained on. Raises
+    what the progress callbacks raise (Cancelled), OSError when the disk is full."""
     class_ids = used_classes(views)
     with stages.stage("consistency") as progress:
         placed = filled_views(views, scratch) if preset.fill_holes else views
         cloud = semantic_cloud(placed, class_ids, preset, stages.events, progress)
     with stages.stage("match") as progress:
-        matching = MATCHINGS[preset.objects](placed, cloud, classes, preset, progress, scratch)
+        matching = MATCHINGS[preset.objects](placed, cloud, classes, preset, progress, scratch, others)
         if matching.dropped:
             found = len(matching.instances) + matching.dropped
             stages.events.warning(

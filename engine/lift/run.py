@@ -47,6 +47,7 @@ from .live_previews import LivePreviews
 from .preparation import prepare
 from .scene_files import instance_names, shown_instances, write_scene_files
 from .training_frames import FRAMES, scene_to_lift
+from .voters import frames_to_vote, read_voters
 from .voting import vote_labels
 
 log = logging.getLogger("plgs.lift")
@@ -100,13 +101,15 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
         for warning in (*scene.warnings, *check_scene(scene, progress)):
             events.warning(warning)
     with stages.stage("read") as progress:
-        frames = scene.train_frames
+        frames, voting = scene.train_frames, frames_to_vote(whole, scene, preset)
+        total = len(frames) + len(voting)
         read = read_ahead(frames, lambda frame: load_view(frame, size_within(frame.size, preset.size_within)))
-        views = StoredViews(read, folder.path, lambda done: progress(done, len(frames)))
+        views = StoredViews(read, folder.path, lambda done: progress(done, total))
         refuse_empty(views, scene)
+        others = read_voters(voting, preset, lambda done: progress(len(frames) + done, total), events, folder.path)
 
     preset = preset.for_views(len(views))
-    prepared = prepare(views, scene.classes, preset, request.seed, stages, folder.path)
+    prepared = prepare(views, scene.classes, preset, request.seed, stages, folder.path, others)
     trainer = Trainer(prepared.scene, prepared.targets, views, preset, request.seed)
     if checkpoint is not None:
         take_up(trainer, checkpoint)

@@ -13,7 +13,7 @@ from .frame import Frame, GroundTruth, PanopticMask, Scene, SceneError, Segment,
 from .frame_choice import choose_frames
 from .liftable import open_scene_to_lift, require_liftable
 from .matrices import UpAxis
-from .on_demand import OnDemand, StoredArrays, stored
+from .on_demand import OnDemand, StoredArrays, chained, stored
 from .opening import AskedScene, open_asked, open_scene
 from .pixels import distinct_ids
 from .reading_ahead import read_ahead
@@ -49,6 +49,7 @@ __all__ = [
     "StoredViews",
     "UpAxis",
     "View",
+    "chained",
     "check_scene",
     "class_list_path",
     "class_list_text",

@@ -2,7 +2,8 @@
 
 A hand-held camera takes more pictures than a room needs. As Panoptic Lifting does, the recording is cut into windows,
 and the sharpest frame of each is kept. Windows are equal in time and motion together: where the camera stands still
-few frames tell all, and where it turns quickly none can be spared.
+few frames tell all, and where it turns quickly none can be spared. The masks of the frames that are not chosen vote all
+the same (``engine/lift/voters.py``).
 """
 
 from __future__ import annotations

@@ -35,6 +35,12 @@ class OnDemand(Sequence[Item]):
         return self._make(range(self._count)[place])  # the range raises IndexError, and knows numbers from the end
 
 
+def chained(first: Sequence[Item], second: Sequence[Item]) -> OnDemand[Item]:
+    """The items of ``first``, then those of ``second``, each asked for when it is asked for here."""
+    start = len(first)
+    return OnDemand(start + len(second), lambda place: first[place] if place < start else second[place - start])
+
+
 class StoredArrays:
     """Arrays on disk, read back by number. For one thread.
 

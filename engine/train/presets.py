@@ -92,7 +92,8 @@ class Preset:
     anchors instead of zero; ``warm_start`` fits the decoders to them.
 
     ``steps_a_view``: where there are many views, the steps are as many as let each be seen so often. At most
-    ``most_frames`` frames are trained on (0: all), see ``choose_frames``.
+    ``most_frames`` frames are trained on (0: all), see ``choose_frames``; with ``all_frames_vote`` the others vote on
+    the classes of objects and points.
     ``fill_holes``: planar holes of the depth are filled before anything is placed in space. ``segment_voting``: how
     segments and points vote on the labels of objects found by agreement. ``linear_assignment``: whether a view's
     segments are assigned to slots in each step. ``fit_exposure``: each photo is compared after the model's picture was
@@ -136,6 +137,7 @@ class Preset:
     growth: GrowthRules = GrowthRules(least_visits=10)
     steps_a_view: float = 0.0
     most_frames: int = Effort.most_frames
+    all_frames_vote: bool = Effort.all_frames_vote
     fill_holes: bool = True
     consensus: ConsensusOptions = ConsensusOptions()
     segment_voting: SegmentVoting = SegmentVoting()
@@ -175,6 +177,7 @@ def _of_effort(effort: Effort, **others: Any) -> Preset:
         schedule=Schedule(self_training_every=effort.self_training_every),
         steps_a_view=effort.steps_a_view,
         most_frames=effort.most_frames,
+        all_frames_vote=effort.all_frames_vote,
         vote_size_within=effort.vote_size_within,
         vote_rounds=max(1, effort.vote_rounds),
         **others,

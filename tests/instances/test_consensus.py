@@ -11,7 +11,7 @@ from scipy import sparse
 
 from engine.instances import ConsensusOptions, ObjectMasks, find_objects, object_instances, shown_classes
 from engine.instances.agreement import Agreement, MasksInSpace, view_points
-from engine.instances.consensus import agreements, join_agreeing, join_weight
+from engine.instances.consensus import agreements, join_agreeing, join_weight, with_masks_of
 from engine.instances.joining import join
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
@@ -274,3 +274,25 @@ def test_linked_parts_are_joined_as_all_masks_at_once_would_be(seed: int, has_tr
     at_once = join(join_weight(space, judgement, rows, OPTIONS))
     assert join_agreeing(space, judgement, rows, OPTIONS).tolist() == at_once.tolist()
     assert 1 < len(np.unique(at_once)) < len(rows)
+
+
+def test_masks_of_more_views_join_the_object_that_holds_them() -> None:
+    """They join whatever their class is; what lies half in an object, may be several or is too small joins none."""
+    objects = objects_in([good(name) for name in "abcd"])
+    half = np.full(POINTS, 7)
+    half[5:15], half[RIGHT.stop - 5 : RIGHT.stop], half[:2] = 3, 4, 5
+    more = [good("e", left=SOFA), strip("f", half, {3: CHAIR, 4: CHAIR, 5: CHAIR, 7: WALL}), merged("g"), blind("h")]
+    more.append(strip("i", more[0].mask.ids[0], {3: CHAIR, 4: CHAIR, 7: WALL}, groups=[4]))
+    summaries = [view_points(view, seen(view)) for view in more]
+    joined = with_masks_of(objects, more, summaries, OPTIONS.rules)
+    np.testing.assert_array_equal(joined.object_of_point, objects.object_of_point)
+    left, right, back = (int(objects.object_of_point[part.start]) for part in (LEFT, RIGHT, BACK))
+    assert len({left, right, back}) == 3 and 0 not in (left, right, back)
+    found = {
+        number: [(mask.frame, mask.segment.id, mask.agreement) for mask in joined.masks[number - 1][4:]]
+        for number in (left, right, back)
+    }
+    assert found[left] == [("e", 3, None), ("i", 3, None)]
+    assert found[right] == [("e", 4, None), ("f", 4, None)]
+    assert [frame for frame, *_ in found[back]] == ["e", "f", "g", "i"]
+    assert all(own == masks[:4] for own, masks in zip(objects.masks, joined.masks, strict=True))

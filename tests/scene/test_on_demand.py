@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.scene import OnDemand, StoredArrays, StoredViews, load_view, open_scene, stored
+from engine.scene import OnDemand, StoredArrays, StoredViews, chained, load_view, open_scene, stored
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -27,6 +27,15 @@ def test_items_are_made_when_they_are_asked_for() -> None:
     assert list(items) == [0, 10, 20, 30]
     with pytest.raises(IndexError):
         items[4]
+
+
+def test_two_sequences_are_one() -> None:
+    made: list[int] = []
+    first = OnDemand(2, lambda number: made.append(number) or number)  # type: ignore[func-returns-value]
+    both = chained(first, "ab")  # type: ignore[misc]
+    assert len(both) == 4 and not made
+    assert list(both) == [0, 1, "a", "b"] and list(both[1:3]) == [1, "a"] and both[-1] == "b"
+    assert list(chained([], [])) == []
 
 
 def test_arrays_come_back_as_they_were(tmp_path: Path) -> None:
