@@ -119,10 +119,14 @@ def test_more_masks_classes_and_votes_take_more() -> None:
     assert predict(300, 10, (1296, 968), replace(effort, vote_rounds=0)).stages["result"] < base.stages["result"]
 
 
-def test_frames_that_are_not_chosen_cost_a_look_at_most() -> None:
-    effort = replace(EFFORTS["preview"], most_frames=100)
+def test_frames_that_are_not_chosen_cost_a_look_and_a_vote_at_most() -> None:
+    voting = replace(EFFORTS["preview"], most_frames=100)
+    effort = replace(voting, all_frames_vote=False)
     size = (640, 480)
     few, many = predict(100, 10, size, effort), predict(5000, 10, size, effort)
     all_ = predict(5000, 10, size, replace(effort, most_frames=0))
     assert many.peak_bytes == few.peak_bytes < all_.peak_bytes
     assert few.seconds < many.seconds < 1.5 * few.seconds < all_.seconds
+    with_votes = predict(5000, 10, size, voting)
+    assert many.seconds < with_votes.seconds < 0.1 * all_.seconds and with_votes.peak_bytes == many.peak_bytes
+    assert predict(100, 10, size, voting) == few, "where all are trained on nobody else votes"
