@@ -101,7 +101,8 @@ def with_contained(
     for row in rows:
         number = containing_object(objects.object_of_point[space.holds[row].indices], contained)
         if number:
-            masks[number - 1].append(MemberMask(*space.masks[row], None))
+            frame, segment = space.masks[row]
+            masks[number - 1].append(MemberMask(frame, segment, None))
     return ObjectMasks(objects.object_of_point, tuple(map(tuple, masks)))
 
 
