@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,10 @@ DEFAULTS = LiftRequest(scene=Path.cwd())
 _STEPS = ("steps", "steps_a_view")
 _PLACES = {"steps": "steps", "size_within": "size", "most_frames": "frames"}
 """Options of a preset that have a place of their own in the request."""
+_IN_REQUEST = (
+    "preset", "steps", "size", "frames", "fit", "seed", "masks", "mask_format", "classes", "up", "scene_format",
+    "depth", "bake", "device", "names_from", "set",
+)  # fmt: skip
 
 
 def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
@@ -135,12 +140,20 @@ def source_of(options: argparse.Namespace) -> SceneSource:
     return SceneSource(options.scene, options.masks, up, options.scene_format, options.depth, *named)
 
 
+def given_lift_options(options: argparse.Namespace) -> list[str]:
+    """Those of `add_lift_options` that were given, as a command line has them."""
+    given = [name for name in _IN_REQUEST if getattr(options, name) is not None]
+    return [f"--{name.removeprefix('scene_').replace('_', '-')}" for name in given]
+
+
 def readable(arguments: Sequence[str]) -> list[str]:
-    """The arguments with "--up -y" as "--up=-y": argparse takes a value that begins with a dash for an option."""
+    """The arguments with "--up -y" as "--up=-y": argparse takes a value that begins with a dash for an option. So it
+    does with "--range -3-5", which is then refused for what it is."""
     joined: list[str] = []
     for argument in arguments:
-        if joined and joined[-1] == "--up" and argument in UPS:
-            joined[-1] = f"--up={argument}"
+        option = joined[-1] if joined else ""
+        if (option == "--up" and argument in UPS) or (option == "--range" and re.match(r"-\d", argument)):
+            joined[-1] = f"{option}={argument}"
         else:
             joined.append(argument)
     return joined
