@@ -15,6 +15,7 @@ from tests.tiny_scene import tiny_pose, write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 bpy = pytest.importorskip("bpy")
+Matrix = pytest.importorskip("mathutils").Matrix
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +44,7 @@ def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
     dolly, pose = bpy.data.objects["dolly"], tiny_pose(1, 6)
     for frame in (1, 4):
         pose[:3, 3] += 0.05 * frame * pose[:3, 2]
-        dolly.matrix_world = (pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist()  # Blender's axes
+        dolly.matrix_world = Matrix((pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist())  # Blender's axes
         dolly.keyframe_insert("location", frame=frame)
     path = tmp_path_factory.mktemp("blend") / "shot.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
