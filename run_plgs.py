@@ -25,7 +25,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
     from plgs.engine.job import ExitCode, LiftFolder, LiftRequest
@@ -75,11 +75,18 @@ def main(arguments: Sequence[str]) -> int:
         return interrupted.exit_code
 
 
+class Parser(argparse.ArgumentParser):
+    """One whose errors are a line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"error: {message}. --help tells all options.\n")
+
+
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """The options; SystemExit(2) when they make no sense, SystemExit(0) after --help."""
-    from plgs.engine.job.options import add_lift_options, readable
+    from plgs.engine.job.options import add_lift_options, given_lift_options, readable
 
-    parser = argparse.ArgumentParser(prog="run_plgs.py", description="Lift a scene and put the result into a .blend.")
+    parser = Parser(prog="run_plgs.py", description="Lift a scene and put the result into a .blend.")
     parser.add_argument(
         "scene", type=Path, nargs="?", metavar="SCENE",
         help="folder or file of a capture, in one of the layouts of --format; needed but to bake a camera",
@@ -105,6 +112,9 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     options.bakes_camera = options.bake == "camera"
     if options.bakes_camera:
         options.bake = None  # of the lift itself, that is as it was, or the default
+        given = given_lift_options(options)
+        if options.scene is None and given:
+            parser.error(f"without SCENE nothing is lifted: leave out {', '.join(given)}, or name SCENE")
     elif options.scene is None:
         parser.error("SCENE is needed, unless --bake camera bakes from a lift that is finished")
     elif options.blend or options.camera or options.camera_frames != (None, None, None):
@@ -115,8 +125,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 def frame_range(text: str) -> tuple[int, int, int]:
     """(first, last, step) from "1-250" or "1-250x2"; for argparse, so it raises ArgumentTypeError."""
     found = re.fullmatch(r"(\d{1,7})-(\d{1,7})(?:x([1-9]\d{0,6}))?", text)
-    if found is None or int(found[2]) < int(found[1]):
-        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames, such as 1-250 or 1-250x2")
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames from 0 on, such as 1-250 or 1-250x2")
+    if int(found[2]) < int(found[1]):
+        raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; a range is such as 1-250")
     return int(found[1]), int(found[2]), int(found[3] or 1)
 
 
@@ -151,6 +163,7 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     from plgs.engine.scene import SceneError
 
     blend = blend_path(options)
+    refuse_no_blend(options.blend)
     try:
         if options.scene is None:
             return bake_camera(finished_lift(options.output), blend, options, interrupts)
@@ -218,6 +231,18 @@ def blend_path(options: argparse.Namespace) -> Path:
     if blend.exists() and not is_blend(blend):
         raise JobError("is there already and is no Blender file", blend, "Give --save another file name.")
     return blend
+
+
+def refuse_no_blend(named: Path | None) -> None:
+    """Raises JobError for what --blend names and is no .blend: before anything is lifted."""
+    from plgs.engine.job import JobError
+
+    if named is None:
+        return
+    if not named.is_file():
+        raise JobError("is not there", named, "Give --blend the Blender file that has the camera.")
+    if not is_blend(named):
+        raise JobError("is no Blender file", named, "Give --blend the Blender file that has the camera.")
 
 
 def is_blend(path: Path) -> bool:

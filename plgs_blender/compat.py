@@ -136,6 +136,11 @@ def new_compositor_group(name: str) -> bpy.types.NodeTree:
     return bpy.data.node_groups.new(name, "CompositorNodeTree")
 
 
+IN_A_PIXEL = 0.25
+"""Where in a pixel `new_palette_lookup` is to look, in pixels from its lower left corner. The middle would do, but 4.3
+takes the pixel whose corner is nearest."""
+
+
 def new_palette_lookup(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """A Map UV node that takes the nearest pixel and blends nothing. Inputs Image, UV; output 0."""
     node = tree.nodes.new("CompositorNodeMapUV")

@@ -167,21 +167,21 @@ def _place_overview(
     return ob
 
 
-def open_blend(blend: Path, lift: Path) -> bpy.types.Scene:
+def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.Scene:
     """Open a file, its screens too, and choose the scene that has the lift, else the one that was worked
-    in.
+    in. Raises JobError, which tells of the option that the file was ``named_by``.
     """
     try:
         bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=True, use_scripts=False)
     except RuntimeError as error:
-        fix = "Check that it is a Blender file of this version or an older one, or name another with --save."
+        fix = f"Check that it is a Blender file of this version or an older one, or name another with {named_by}."
         raise JobError(f"cannot be opened ({str(error).strip()})", blend, fix) from error
     scenes = [s for s in bpy.data.scenes if s.library is None and KEY not in s]
     holding = [s for s in scenes if any(is_same_place(text_of(root, FOLDER), lift) for root in lifts_in(s))]
     current = [bpy.context.scene] if bpy.context.scene in scenes else []
     chosen = [*holding, *current, *scenes]
     if not chosen:
-        raise JobError("has no scene to put the lift into", blend, "Name another file with --save.")
+        raise JobError("has no scene to put the lift into", blend, f"Name another file with {named_by}.")
     return chosen[0]
 
 

@@ -107,7 +107,7 @@ def _colour_code(make: NodeBuilder, what: str, layer: str, row: float) -> None:
     scale = make.add(f"{what} scale", "Id to place", 1.5, row, "ShaderNodeMath", "CompositorNodeMath")
     scale.operation = "MULTIPLY_ADD"
     place = make.add(f"{what} place", "Place", 2.4, row, "ShaderNodeCombineXYZ", "CompositorNodeCombineXYZ")
-    place.inputs[1].default_value, place.inputs[2].default_value = 0.5, 1.0
+    place.inputs[1].default_value, place.inputs[2].default_value = compat.IN_A_PIXEL, 1.0
     look_up = compat.new_palette_lookup(make.tree)
     make.dress(look_up, f"{what} colours", f"{what} colours", 3.2, row)
     make.link(output_of(make.tree, layer), scale.inputs[0])

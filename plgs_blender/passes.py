@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ..engine.scene.matte_names import matte_names
 from . import compat
 from .colour import linear_rgba
+from .exr_header import size_of
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag
 from .pass_nodes import CLASSES, INSTANCES, PASSES, build, has_nodes, node_of, reading_nodes, use_image
 from .results import LiftResult
@@ -57,7 +58,7 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
         scene, tree = _fill_scene(owned, result, f"{SHOT}{camera}", files, sequence)
         numbers = (1,) if sequence is None else sequence.numbers
         _count_on(tree, min(numbers), max(numbers))
-        _take_after(scene, shot_scene, numbers, _size_of(node_of(tree, PASSES).image))
+        _take_after(scene, shot_scene, numbers, size_of(files[names[0]]))
         scenes.append(scene)
     return scenes
 
@@ -142,16 +143,11 @@ def _count_on(tree: bpy.types.NodeTree, first: int, last: int) -> None:
     node_of(tree, PASSES).use_auto_refresh = True
 
 
-def _size_of(image: bpy.types.Image) -> tuple[int, int]:
-    """In pixels."""
-    width, height = image.size
-    return width, height
-
-
 def _take_after(
     scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]
 ) -> None:
-    """The frames, rate and pixels of the scene in which the shot was made."""
+    """The frames, rate and pixels of the scene in which the shot was made. ``size`` is its files': of images with
+    layers Blender does not always tell it."""
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1
     scene.frame_set(min(numbers))
@@ -183,7 +179,7 @@ def _fill_palette(
     image.pack()  # it has no file: without this it would be lost on saving
     node_of(tree, f"{what} palette").image = image
     scale = node_of(tree, f"{what} scale")
-    scale.inputs[1].default_value, scale.inputs[2].default_value = 1.0 / width, 0.5 / width
+    scale.inputs[1].default_value, scale.inputs[2].default_value = 1.0 / width, compat.IN_A_PIXEL / width
 
 
 def _new_palette(name: str, width: int) -> bpy.types.Image:

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from ..engine.job import JobError, LiftFolder, ResultFile, check_sizes
 from ..engine.job.json_file import read_object
-from ..engine.job.manifest import verify_files
+from ..engine.job.manifest import MAKE_ANEW, verify_files
 from ..engine.scene import Category, ClassTable, Scene, SceneError, open_asked
 from ..engine.scene.array_file import read_npz
 from ..engine.scene.classes import LARGEST_ID
 
 _FORMAT = 1
-_FIX = "Resume the lift: it makes the result anew."
 _LARGEST = 2**31 - 1
 """Of the integers that Blender keeps."""
 _FARTHEST = 1e6
@@ -155,7 +154,7 @@ def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ResultF
     files, size = [], 0
     for path in paths:
         if path not in listed:
-            raise JobError("is not listed", lift.manifest_path, _FIX)
+            raise JobError("is not listed", lift.manifest_path, MAKE_ANEW)
         size += listed[path].bytes
         if size > _MOST_HASHED and path not in _READ:
             break
@@ -185,22 +184,22 @@ def _read_arrays(path: Path, kind: Any) -> Any:
     first.
     """
     try:
-        arrays = read_npz(path, _FIX, list(kind.__dataclass_fields__))
+        arrays = read_npz(path, MAKE_ANEW, list(kind.__dataclass_fields__))
     except SceneError as error:
-        raise JobError(error.what, path, _FIX) from error
+        raise JobError(error.what, path, MAKE_ANEW) from error
     rows = arrays["xyz"].shape[:1]
     for name, array in arrays.items():
         dtype, tail = _ARRAYS[name]
         if array.shape != (*rows, *tail) or array.dtype != dtype:
-            raise JobError(f"cannot be read ({name} is {array.dtype} {list(array.shape)})", path, _FIX)
+            raise JobError(f"cannot be read ({name} is {array.dtype} {list(array.shape)})", path, MAKE_ANEW)
     if not (np.abs(arrays["xyz"]) <= _FARTHEST).all():  # false for what is no number, too
-        raise JobError("holds positions that are no numbers, or absurdly far away", path, _FIX)
+        raise JobError("holds positions that are no numbers, or absurdly far away", path, MAKE_ANEW)
     return kind(**arrays)
 
 
 def _read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
     try:
-        content: Any = read_object(path, _FIX)
+        content: Any = read_object(path, MAKE_ANEW)
         if content["format"] != _FORMAT:
             fix = "Use the version of PLGS that wrote it, or lift into another folder."
             raise JobError(f"has format {content['format']!r}, this version reads {_FORMAT}", path, fix)
@@ -214,7 +213,7 @@ def _read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
                 raise ValueError(f"one {kind} id stands there twice")
         return ClassTable(tuple(sorted(categories, key=lambda category: category.id))), instances
     except _BAD as error:
-        raise JobError(f"cannot be read ({error!r})", path, _FIX) from error
+        raise JobError(f"cannot be read ({error!r})", path, MAKE_ANEW) from error
 
 
 def _instance(entry: dict[str, Any]) -> Instance:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from ..engine.job import ExitCode, JobError, LiftFolder
+from ..engine.job import ExitCode, LiftFolder
 from ..engine.job.follower import LiftFollower
 from ..engine.job.process import engine_python
 from ..engine.job.terminal import Interrupts, LiveLine, follow
@@ -25,10 +25,8 @@ def bake_shot_in_terminal(
 
     Raises JobError; Interrupted on Ctrl-C, when the engine has ended.
     """
-    if not blend.is_file():
-        raise JobError("is not there", blend, "Name a Blender file with --blend.")
     python = engine_python()
-    scene = open_blend(blend.absolute(), lift.path)
+    scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
     cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames))
     with interrupts.deferred():
         follower = LiftFollower.start_bake(lift, python, cameras=cameras)

@@ -5,6 +5,7 @@ The lift's world is Blender's: a camera sees the lifted scene from where it stan
 
 from __future__ import annotations
 
+import difflib
 import math
 import time
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ from .frames import seen_by
 
 DIGITS = 4
 """Of a frame's number in the names of its files; larger numbers have more."""
+_LISTED = 8
+"""Cameras named where another one was asked for: a lift has one a frame."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,9 @@ def shot_of(
 ) -> Shot:
     """The camera of that name, or the scene's active one, over the range given or the scene's. Raises JobError."""
     ob = scene.objects.get(camera) if camera else scene.camera
-    if ob is None:
+    if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"
-        raise JobError(what, scene.name, "Add a camera, select it and press Ctrl+Numpad 0.")
+        raise JobError(what, scene.name, _cameras_to_choose(scene, camera))
     shot = Shot(
         ob,
         scene.frame_start if first is None else first,
@@ -56,6 +59,19 @@ def shot_of(
     if not shot.frames or shot.first < 0:
         raise JobError(f"frames {shot.first} to {shot.last} are no range that can be baked", scene.name, fix)
     return shot
+
+
+def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
+    """What to do where ``wanted`` (empty: the active one) is no camera: the cameras that there are, those of a like
+    name first, those of the lift's frames last."""
+    cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
+    if not cameras:
+        return "Add a camera, select it and press Ctrl+Numpad 0."
+    like = difflib.get_close_matches(wanted, [ob.name for ob in cameras])
+    cameras.sort(key=lambda ob: (ob.name not in like, "frame" in ob, ob.name))
+    names = ", ".join(repr(ob.name) for ob in cameras[:_LISTED])
+    more = f" and {len(cameras) - _LISTED} more" if len(cameras) > _LISTED else ""
+    return f"Choose one of its cameras: {names}{more}."
 
 
 def write_shot(lift: Path, scene: bpy.types.Scene, shot: Shot) -> Path:

@@ -13,6 +13,7 @@ KINDS = (
     "AddonPreferences", "AssetShelf", "FileHandler", "Gizmo", "GizmoGroup", "Header", "KeyingSetInfo", "Macro", "Menu",
     "Node", "NodeSocket", "NodeTree", "Operator", "Panel", "PropertyGroup", "RenderEngine", "UIList", "WorkSpaceTool",
 )  # fmt: skip
+BLENDERS_OWN = ("bpy.types", "bpy_types", "_bpy_types")
 
 
 def footprint() -> dict[str, list[str]]:
@@ -44,13 +45,13 @@ def running_timers(package: str) -> list[str]:
 
 
 def _registered_classes() -> Iterator[type]:
-    """Those written in Python: Blender makes Python classes of its own types only when they are first looked at."""
+    """Those of add-ons: Blender makes Python classes of its own types only when they are first looked at."""
     for kind in KINDS:
         waiting = [getattr(bpy.types, kind)] if hasattr(bpy.types, kind) else []
         while waiting:
             below = waiting.pop().__subclasses__()
             waiting += below
-            yield from (each for each in below if each.__module__ != "bpy.types" and each.is_registered)
+            yield from (each for each in below if each.__module__ not in BLENDERS_OWN and each.is_registered)
 
 
 def _properties() -> Iterator[str]:

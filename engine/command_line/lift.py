@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 from ..job import ExitCode, JobError, LiftFolder, read_cameras
+from ..job.options import given_lift_options
 from ..job.report import made_files, metrics_table
 from ..job.session import lift_in_terminal
 from ..job.terminal import Interrupted, Interrupts
 from ..scene import open_scene_to_lift
 from .run_engine import run_bake, run_engine
 
-_SCENE_OPTIONS = ("masks", "mask_format", "classes", "up", "scene_format", "depth")
-_REQUEST_OPTIONS = (
-    "preset", "steps", "size", "frames", "fit", "seed", *_SCENE_OPTIONS, "bake", "device", "names_from", "set"
-)  # fmt: skip
-
 
 def run_folder(options: argparse.Namespace) -> ExitCode:
     """``lift LIFT``: this process is the engine. Raises JobError."""
-    given = [name for name in _REQUEST_OPTIONS if getattr(options, name) is not None]
+    given = given_lift_options(options)
     if given:
         fix = "Leave them out, or lift a scene into a new folder with -o."
-        options_given = ", ".join(f"--{name.removeprefix('scene_').replace('_', '-')}" for name in given)
-        raise JobError("a lift's request never changes", options_given, fix)
+        raise JobError("a lift's request never changes", ", ".join(given), fix)
     folder = LiftFolder.open(options.scene)
     return run_engine(folder, resume=options.resume, parent_pipe=_parent_pipe(options, folder))
 
@@ -34,9 +30,17 @@ def bake_in_folder(options: argparse.Namespace) -> ExitCode:
     folder = LiftFolder.open(options.lift)
     frames = options.frames if options.frames or options.cameras else ["all"]
     if options.cameras is not None:
+        refuse_no_file_of_cameras(options.cameras)
         read_cameras(options.cameras)  # what is wrong is told at once, not after the model was read
     pipe = _parent_pipe(options, folder)
     return run_bake(folder, frames, cameras=options.cameras, parent_pipe=pipe, events_path=options.events)
+
+
+def refuse_no_file_of_cameras(path: Path) -> None:
+    """Raises JobError: perhaps a camera of a .blend is meant, whose name "--camera NAME" gives to "--cameras"."""
+    if not path.is_file():
+        fix = "--help tells what such a file holds; cameras of a .blend are baked by run_plgs.py --bake camera."
+        raise JobError("there is no such file of cameras", path, fix)
 
 
 def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:

@@ -18,7 +18,7 @@ from types import FrameType
 from typing import Protocol, TextIO
 
 from ..gates import printable
-from ..job import Cancelled, EventWriter, ExitCode, JobError, LiftFolder, LiftState, StopSignal, Watchdog
+from ..job import Cancelled, EventWriter, ExitCode, JobError, LiftFolder, LiftState, StopSignal, Watchdog, verify_lifted
 from ..job.folder import BAKE
 from ..job.recent import remember_lift
 from ..scene import SceneError
@@ -58,7 +58,7 @@ def run_engine(
         if not (folder.path / "request.json").exists():
             raise JobError("was removed meanwhile", folder.path, "Lift the scene again.")
         state = folder.state_at_rest()
-        if state is LiftState.FINISHED and resume:
+        if state is LiftState.FINISHED and resume and folder.is_whole():
             print(f"This lift is finished already: {folder.result_path}")
             return ExitCode.FINISHED
         if state is not LiftState.NOT_STARTED and not resume:
@@ -145,9 +145,10 @@ def _refuse_strange_events(folder: LiftFolder, path: Path) -> None:
 
 
 def _refuse_unfinished(folder: LiftFolder) -> None:
-    state = folder.state_at_rest()
-    if state is not LiftState.FINISHED:
-        raise JobError(f"this lift is not finished ({state.value})", folder.path, "Resume it first.")
+    """Raises JobError, also for a lift that was finished and is damaged."""
+    if not folder.manifest_path.is_file():
+        raise JobError(f"this lift is not finished ({folder.state_at_rest().value})", folder.path, "Resume it first.")
+    verify_lifted(folder.result_path)
 
 
 def _run(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..job import JobError, LiftFolder, read_manifest, write_atomically
+from ..job import JobError, LiftFolder, verify_lifted, write_atomically
 from ..passes import PanopticLayers, write_coco
 from ..scene import Frame
 from .boxes import write_boxes
@@ -30,9 +30,9 @@ def export(folder: LiftFolder, kind: str, output: Path, frames: Sequence[str], *
     The folder is new or empty, or holds this very export, cut off or whole: nobody's files are written over. What lies
     in the lift's own folder ``exports`` is made anew.
 
-    Raises JobError for a lift that is not finished or an output of another kind, SceneError, OSError.
+    Raises JobError for a lift that is not finished or is damaged, or an output of another kind, SceneError, OSError.
     """
-    read_manifest(folder.result_path)
+    verify_lifted(folder.result_path)
     lift = FinishedLift(folder, frames, count_frames)
     make_room(folder, output, {"form": kind, "lift": str(folder.path), "frames": [frame.name for frame in lift.frames]})
     KINDS[kind](lift, output)

@@ -8,7 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ..job import JobError, LiftFolder, read_manifest
+from ..job import JobError, LiftFolder, read_manifest, verify_files
+from ..job.manifest import MAKE_ANEW
 from ..lift.bake_more import frames_named
 from ..lift.baking import FrameBaker, baked_files
 from ..lift.scene_files import read_instances, read_model, read_shown_instances
@@ -53,10 +54,15 @@ class FinishedLift:
 
     def views(self) -> Iterator[tuple[Frame, PanopticLayers]]:
         """Every frame as the lift shows it, at the frame's own size."""
-        listed = {self.folder.result_path / file.path for file in read_manifest(self.folder.result_path).files}
+        result = self.folder.result_path
+        listed = {result / file.path: file for file in read_manifest(result).files}
         for frame in self.frames:
             baked = baked_files(self.folder, frame.name)[0]
-            yield frame, _read(baked) if baked in listed else self._baker.render(frame.camera).layers
+            if baked in listed:
+                verify_files(result, [listed[baked]])
+                yield frame, _read(baked)
+            else:
+                yield frame, self._baker.render(frame.camera).layers
 
 
 def _read(baked: Path) -> PanopticLayers:
@@ -64,4 +70,4 @@ def _read(baked: Path) -> PanopticLayers:
     try:
         return read_exr(baked)
     except ValueError as error:
-        raise JobError("a baked frame cannot be read", baked, "Delete the file, and bake its frame again.") from error
+        raise JobError("a baked frame cannot be read", baked, MAKE_ANEW) from error

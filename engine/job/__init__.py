@@ -10,7 +10,18 @@ from .errors import Cancelled, JobError
 from .events import Event, EventReader, EventWriter, last_run
 from .exit_code import ExitCode
 from .folder import LiftFolder, LiftState, refuse_used
-from .manifest import Manifest, ResultFile, add_files, check_sizes, drop_files, read_manifest, verify, write_manifest
+from .manifest import (
+    Manifest,
+    ResultFile,
+    add_files,
+    check_sizes,
+    drop_files,
+    read_manifest,
+    verify,
+    verify_files,
+    verify_lifted,
+    write_manifest,
+)
 from .request import BAKES, PRESETS, UPS, LiftRequest
 from .stop import StopSignal, Watchdog
 
@@ -44,6 +55,8 @@ __all__ = [
     "refuse_used",
     "sha256",
     "verify",
+    "verify_files",
+    "verify_lifted",
     "write_atomically",
     "write_manifest",
 ]

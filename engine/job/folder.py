@@ -15,7 +15,7 @@ from .checkpoint import CheckpointStore
 from .errors import JobError, is_silence
 from .events import last_events
 from .lock import FileLock, is_locked
-from .manifest import check_sizes
+from .manifest import changed_files, check_sizes, verify
 from .own_files import refuse_foreign, refuse_foreign_below
 from .request import LiftRequest, refuse_unwritable_name
 
@@ -183,12 +183,25 @@ class LiftFolder:
         """Ask the engine to stop at its next step. Raises OSError."""
         os.close(os.open(self.cancel_path, os.O_WRONLY | os.O_CREAT | _NO_LINK, 0o666))
 
+    def is_whole(self) -> bool:
+        """Whether the result of a finished lift is as it was written, byte by byte: all of it is read."""
+        try:
+            verify(self.result_path)
+        except JobError as error:
+            if is_silence(error):
+                raise
+            return False
+        return True
+
     def prepare_run(self) -> None:
-        """Clear away what must not outlive an earlier run: its cancel file, torn files, a broken manifest.
+        """Clear away what must not outlive an earlier run: its cancel file, torn files, a broken manifest, and files
+        that are not as it lists them. Those of a lift are made anew; passes that were baked later are not.
 
         Only for the engine that holds the lock.
         """
         self.cancel_path.unlink(missing_ok=True)
+        for path in changed_files(self.result_path):
+            path.unlink()
         self.manifest_path.unlink(missing_ok=True)
         remove_parts(self.path)
 

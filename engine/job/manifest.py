@@ -15,7 +15,8 @@ from .json_file import Json, read_object, to_text
 
 FORMAT = 1
 NAME = "manifest.json"
-_FIX = "Resume the lift: it makes the result anew."
+MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result anew."
+"""What to do about a result that is not as it was written."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ def add_files(result: Path, paths: Sequence[Path]) -> None:
     OSError.
     """
     read_manifest(result)  # refuses what this version does not know
-    content = read_object(result / NAME, _FIX)
+    content = read_object(result / NAME, MAKE_ANEW)
     entries = {str(entry["path"]): entry for entry in _objects(content["files"])}
     entries |= {str(entry["path"]): entry for entry in (_entry(path, result) for path in paths)}
     content["files"] = [entries[path] for path in sorted(entries, key=PurePosixPath)]
@@ -83,7 +84,7 @@ def add_files(result: Path, paths: Sequence[Path]) -> None:
 def drop_files(result: Path, paths: Sequence[Path]) -> None:
     """List files no more that are about to be made anew. Otherwise as ``add_files``."""
     read_manifest(result)
-    content = read_object(result / NAME, _FIX)
+    content = read_object(result / NAME, MAKE_ANEW)
     dropped = {path.relative_to(result).as_posix() for path in paths}
     content["files"] = [entry for entry in _objects(content["files"]) if entry["path"] not in dropped]
     write_atomically(result / NAME, to_text(content))
@@ -102,14 +103,14 @@ def read_manifest(result: Path) -> Manifest:
     path = result / NAME
     if not path.is_file():
         raise JobError("is not there, so this lift is not finished", path, "Resume the lift.")
-    content = read_object(path, _FIX)
+    content = read_object(path, MAKE_ANEW)
     if content.get("format") != FORMAT:
         what = f"has format {content.get('format')!r}, this version reads {FORMAT}"
         raise JobError(what, path, "Use the version of PLGS that wrote it, or lift into another folder.")
     try:
         return _manifest(content)
     except (KeyError, TypeError, ValueError) as error:
-        raise JobError(f"is damaged ({error!r})", path, _FIX) from error
+        raise JobError(f"is damaged ({error!r})", path, MAKE_ANEW) from error
 
 
 def check_sizes(result: Path) -> Manifest:
@@ -120,13 +121,13 @@ def check_sizes(result: Path) -> Manifest:
         try:
             found = path.lstat()
         except OSError as error:
-            raise JobError("is missing", path, _FIX) from error
+            raise JobError("is missing", path, MAKE_ANEW) from error
         except ValueError as error:
-            raise JobError(f"lists a file that cannot be ({error})", result / NAME, _FIX) from error
+            raise JobError(f"lists a file that cannot be ({error})", result / NAME, MAKE_ANEW) from error
         if not S_ISREG(found.st_mode):
-            raise JobError("is no plain file", path, _FIX)
+            raise JobError("is no plain file", path, MAKE_ANEW)
         if found.st_size != file.bytes:
-            raise JobError(f"has {found.st_size} bytes, {file.bytes} were written", path, _FIX)
+            raise JobError(f"has {found.st_size} bytes, {file.bytes} were written", path, MAKE_ANEW)
     return manifest
 
 
@@ -137,6 +138,31 @@ def verify(result: Path) -> Manifest:
     return manifest
 
 
+def verify_lifted(result: Path) -> Manifest:
+    """The manifest, after `check_sizes` and the SHA-256 of what was lifted: of all but passes and previews, which may
+    be very many. Raises JobError."""
+    manifest = check_sizes(result)
+    verify_files(result, (file for file in manifest.files if len(file.path.parts) == 1))
+    return manifest
+
+
+def changed_files(result: Path) -> list[Path]:
+    """Files that are there, and cannot be read or are not as the manifest lists them; none where no whole manifest
+    says how they were."""
+    try:
+        listed = read_manifest(result).files
+    except JobError:
+        return []
+    return [path for file in listed if (path := result / file.path).is_file() and not _is_as_written(path, file)]
+
+
+def _is_as_written(path: Path, file: ResultFile) -> bool:
+    try:
+        return sha256(path) == file.sha256
+    except OSError:  # a rotten disk
+        return False
+
+
 def verify_files(result: Path, files: Iterable[ResultFile]) -> None:
     """Compare files with the SHA-256 that the manifest has of them. Raises JobError."""
     for file in files:
@@ -144,9 +170,9 @@ def verify_files(result: Path, files: Iterable[ResultFile]) -> None:
         try:
             found = sha256(path)
         except OSError as error:
-            raise JobError(f"cannot be read ({error.strerror})", path, _FIX) from error
+            raise JobError(f"cannot be read ({error.strerror})", path, MAKE_ANEW) from error
         if found != file.sha256:
-            raise JobError("was changed since it was written", path, _FIX)
+            raise JobError("was changed since it was written", path, MAKE_ANEW)
 
 
 def _manifest(content: Mapping[str, Json]) -> Manifest:

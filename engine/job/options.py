@@ -23,6 +23,10 @@ DEFAULTS = LiftRequest(scene=Path.cwd())
 _STEPS = ("steps", "steps_a_view")
 _PLACES = {"steps": "steps", "size_within": "size", "most_frames": "frames"}
 """Options of a preset that have a place of their own in the request."""
+_IN_REQUEST = (
+    "preset", "steps", "size", "frames", "fit", "seed", "masks", "mask_format", "classes", "up", "scene_format",
+    "depth", "bake", "device", "names_from", "set",
+)  # fmt: skip
 
 
 def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
@@ -134,6 +138,12 @@ def source_of(options: argparse.Namespace) -> SceneSource:
     up = options.up or DEFAULTS.up
     named = options.mask_format, options.classes
     return SceneSource(options.scene, options.masks, up, options.scene_format, options.depth, *named)
+
+
+def given_lift_options(options: argparse.Namespace) -> list[str]:
+    """Those of `add_lift_options` that were given, as a command line has them."""
+    given = [name for name in _IN_REQUEST if getattr(options, name) is not None]
+    return [f"--{name.removeprefix('scene_').replace('_', '-')}" for name in given]
 
 
 def readable(arguments: Sequence[str]) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from ..gates import printable
 from .folder import LiftFolder
 from .json_file import Json, read_object
+from .manifest import MAKE_ANEW
 
 _SHARES = (("miou", "mIoU %"), ("pq", "PQ %"), ("sq", "SQ %"), ("rq", "RQ %"))
 _OTHERS = (
@@ -67,7 +68,7 @@ def made_files(lift: LiftFolder) -> list[Path]:
 
 def read_metrics(lift: LiftFolder) -> dict[str, Json]:
     """What metrics.json holds. Raises JobError."""
-    return read_object(lift.result_path / "metrics.json", "Resume the lift: it makes the result anew.")
+    return read_object(lift.result_path / "metrics.json", MAKE_ANEW)
 
 
 def _tables(lift: LiftFolder) -> Iterable[Mapping[str, Json]]:

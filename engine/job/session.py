@@ -38,7 +38,7 @@ def lift_in_terminal(
         request = request_from(options)
         check(request)
         lift = LiftFolder.create(options.output, request)
-    elif _state_when_left_alone(lift) is LiftState.FINISHED:
+    elif _state_when_left_alone(lift) is LiftState.FINISHED and lift.is_whole():
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
         return lift, ExitCode.FINISHED
     try:

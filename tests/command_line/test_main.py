@@ -219,6 +219,34 @@ def test_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         assert "was changed" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["model.safetensors", "instances.json"])
+@pytest.mark.parametrize("change", [None, b"cut", b"as long, but rotten"])
+def test_what_to_do_about_a_damaged_lift_is_the_same_line_for_every_command(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, change: bytes | None
+) -> None:
+    lift = new_lift(tmp_path)
+    for each in ("model.safetensors", "instances.json"):
+        write_atomically(lift.result_path / each, b"as long, yet whole.")
+    write_manifest(lift.result_path, versions={}, seed=0, settings={}, timings={})
+    (lift.result_path / name).unlink()
+    if change is not None:
+        (lift.result_path / name).write_bytes(change)
+    told = set()
+    for command in (["evaluate"], ["bake"], ["export", "--to", "boxes", "-o", tmp_path / "out"]):
+        assert code_of(command[0], lift.path, *command[1:]) == 2
+        told.add(capsys.readouterr().err)
+    (line,) = told
+    assert line.startswith("error: ") and line.count("\n") == 1
+    assert name in line and "python -m engine lift LIFT --resume" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_camera_of_a_blend_is_no_file_of_cameras(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert code_of("bake", new_lift(tmp_path).path, "--camera", "dolly") == 2
+    said = capsys.readouterr().err
+    assert "no such file of cameras: dolly" in said and "run_plgs.py --bake camera" in said and said.count("\n") == 1
+
+
 def test_bench_measures_the_rasteriser(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     asked: list[Path | None] = []
     monkeypatch.setattr("engine.raster.bench.bench_raster", asked.append)

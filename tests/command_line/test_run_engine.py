@@ -11,7 +11,17 @@ import pytest
 
 from engine.command_line import log_output
 from engine.command_line.run_engine import run_engine
-from engine.job import EventWriter, ExitCode, JobError, LiftFolder, LiftState, StopSignal, last_run
+from engine.job import (
+    EventWriter,
+    ExitCode,
+    JobError,
+    LiftFolder,
+    LiftState,
+    StopSignal,
+    add_files,
+    last_run,
+    write_atomically,
+)
 from engine.scene import SceneError
 from tests.job.lift_folders import new_lift, tiny_lift
 
@@ -109,6 +119,21 @@ def test_a_broken_result_is_made_anew(tmp_path: Path) -> None:
     assert folder.state() is LiftState.INTERRUPTED
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
     assert folder.state() is LiftState.FINISHED
+
+
+def test_a_rotten_result_is_made_anew(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    run_engine(folder, lift=tiny_lift)
+    later, kept = folder.passes_path / "dolly.0001.exr", folder.passes_path / "dolly.0002.exr"
+    for path in (later, kept):
+        write_atomically(path, b"baked when the lift was finished")
+    add_files(folder.result_path, [later, kept])
+    for path in (folder.result_path / "metrics.json", later):
+        path.write_bytes(path.read_bytes()[::-1])  # as long as before
+    assert folder.state() is LiftState.FINISHED and not folder.is_whole()
+    assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
+    assert folder.is_whole() and kept.exists()
+    assert not later.exists(), "it is not listed as it is, but baked again when it is asked for"
 
 
 def test_signals_are_given_back(tmp_path: Path) -> None:

@@ -9,18 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from engine.instances import GlobalInstance, fit_box
-from engine.job import EventWriter, JobError, LiftFolder, LiftRequest, StopSignal, write_manifest
-from engine.lift import run_lift
+from engine.job import JobError, LiftFolder, LiftRequest, read_manifest, write_manifest
 from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier
 from engine.passes import read_exr
-from engine.scene import Category, ClassTable
-from engine.train.presets import PRESETS
+from engine.scene import Category, ClassTable, open_scene
 from tests.tiny_scene import write_tiny_scene
-from tests.train.tiny_lift import TINY
+from tests.train.tiny_lift import TINY, lift_into, presets_as
 
+FRAMES = 6
 CLASSES = ClassTable((Category(3, "cabinet", True, (1, 1, 1)), Category(5, "chair", True, (2, 2, 2))))
 
 
@@ -54,26 +52,17 @@ def test_new_numbers_are_those_that_nothing_had() -> None:
 
 @pytest.fixture(scope="module")
 def lifts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[LiftFolder, LiftFolder]]:
-    """A room lifted, with ids as after many lifts; then with twice as many frames, after the first's names."""
+    """A room lifted, with ids as after many lifts; then after the first's names, with another preset, of a recording
+    that goes on for as many frames again."""
     root = tmp_path_factory.mktemp("names")
-    preview = PRESETS["preview"]
-    PRESETS["preview"] = TINY
-    try:
-        first = lifted(root / "first", LiftRequest(scene=write_tiny_scene(root / "few", frames=6, noise=0.1)))
+    finer = replace(TINY, steps=15, voxel_size=0.15, gaussians_per_anchor=4)
+    with presets_as(preview=TINY, standard=finer):
+        few = write_tiny_scene(root / "few", frames=FRAMES, noise=0.1)
+        first = lift_into(root / "first", LiftRequest(scene=few))
         renumber(first)
-        request = LiftRequest(scene=write_tiny_scene(root / "many", frames=6, noise=0.05), seed=3)
-        yield first, lifted(root / "again", replace(request, names_from=first.path))
-    finally:
-        PRESETS["preview"] = preview
-        torch.use_deterministic_algorithms(False)
-
-
-def lifted(path: Path, request: LiftRequest) -> LiftFolder:
-    folder = LiftFolder.create(path, request)
-    events = EventWriter(folder.events_path)
-    run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
-    events.close()
-    return LiftFolder.open(path)
+        many = write_tiny_scene(root / "many", frames=2 * FRAMES, noise=0.1)
+        request = LiftRequest(scene=many, preset="standard", seed=3, names_from=first.path)
+        yield first, lift_into(root / "again", request)
 
 
 def records_of(folder: LiftFolder) -> dict[int, str]:
@@ -100,7 +89,8 @@ def renumber(folder: LiftFolder) -> None:
 def test_every_file_has_the_ids_that_last(lifts: tuple[LiftFolder, LiftFolder]) -> None:
     first, again = lifts
     before, after = records_of(first), records_of(again)
-    assert before and set(before.items()) & set(after.items()) == set(after.items()) & set(before.items())
+    assert len(open_scene(again.request.scene).frames) == 2 * len(open_scene(first.request.scene).frames)
+    assert [read_manifest(one.result_path).settings["voxel_size"] for one in lifts] == [0.2, 0.15]
     kept = json.loads((again.result_path / "names.json").read_text())["kept"]
     assert len(kept) >= 2 and {(one["id"], one["name"]) for one in kept} <= set(before.items()) & set(after.items())
     for file in ("semantic_points.npz", "anchors.npz"):

@@ -14,9 +14,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plgs.engine.job import JobError
+from plgs.engine.job.preview_request import LARGEST_SIDE
 from plgs.engine.scene import SceneError
 from plgs.plgs_blender import lift_scene
-from plgs.plgs_blender.exr_header import channels_of
+from plgs.plgs_blender.exr_header import channels_of, size_of
 from plgs.plgs_blender.results import read_result
 from tiny_lift import mend_manifest, write_tiny_lift
 
@@ -77,6 +78,7 @@ def test_damaged_headers_of_passes(small: Path, tmp_path: Path, data: st.DataObj
     whole = next((small / "result" / "passes").iterdir()).read_bytes()[:4000]
     (tmp_path / "a.exr").write_bytes(damaged(data.draw, whole))
     assert all(isinstance(name, str) for name in channels_of(tmp_path / "a.exr"))
+    assert all(0 <= side <= LARGEST_SIDE for side in size_of(tmp_path / "a.exr"))
 
 
 @examples(80)

@@ -138,6 +138,19 @@ def test_names_that_are_no_files(scene: bpy.types.Scene) -> None:
     assert cameras_of(scene, shot_of(scene))[0].name == "a_b_ _c__.0001"
 
 
+def test_of_many_cameras_those_of_a_like_name_are_listed_first(scene: bpy.types.Scene) -> None:
+    for number in range(20):
+        frame = bpy.data.objects.new(f"{number:04d}", bpy.data.cameras.new("frame"))
+        frame["frame"] = frame.name
+        scene.collection.objects.link(frame)
+    scene.collection.objects.link(bpy.data.objects.new("crane", bpy.data.cameras.new("crane")))
+    with pytest.raises(JobError, match=r"'crane', 'dolly', '0000', .*, '0005' and 14 more\.") as told:
+        shot_of(scene, "nobody")
+    assert "\n" not in str(told.value)
+    with pytest.raises(JobError, match="cameras: 'dolly', 'crane'"):
+        shot_of(scene, "dollly")
+
+
 def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     def refused(line: str, **asked: int) -> None:
         with pytest.raises(JobError, match=line) as told:
@@ -158,7 +171,10 @@ def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> 
     refused("30000x72")
     scene.camera = None
     refused("no active camera")
-    with pytest.raises(JobError, match="no camera named 'nobody'"):
-        shot_of(scene, "nobody")
+    with pytest.raises(JobError, match="no active camera.*one of its cameras: 'dolly'"):
+        shot_of(scene)
+    for name in ("nobody", "Cube"):
+        with pytest.raises(JobError, match=f"no camera named '{name}'.*'dolly'"):
+            shot_of(scene, name)
     scene.camera = bpy.data.objects["Cube"]
     refused("is no camera")

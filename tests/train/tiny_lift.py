@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
-from engine.job import EventWriter, StopSignal
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.lift.preparation import PreparedLift, prepare
-from engine.lift.run import STAGES
+from engine.lift.run import STAGES, run_lift
 from engine.model.growing import GrowthRules
 from engine.scene import ClassTable, View, load_view, open_scene
 from engine.train.presets import PRESETS, Preset, Schedule, WarmStart
@@ -32,6 +35,29 @@ TINY = replace(
     ),
     growth=GrowthRules(gradient=1e-6, seen_share=0.1, visited_share=0.1),
 )
+
+
+@contextmanager
+def presets_as(**presets: Preset) -> Iterator[None]:
+    """The engine's presets of these names are these meanwhile."""
+    before = dict(PRESETS)
+    PRESETS.update(presets)
+    try:
+        yield
+    finally:
+        PRESETS.update(before)
+        torch.use_deterministic_algorithms(False)
+
+
+def lift_into(path: Path, request: LiftRequest) -> LiftFolder:
+    """A new lift folder, lifted."""
+    folder = LiftFolder.create(path, request)
+    events = EventWriter(folder.events_path)
+    try:
+        run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
+    finally:
+        events.close()
+    return folder
 
 
 def views_of(folder: Path, **options: object) -> tuple[list[View], ClassTable]:

@@ -1,0 +1,94 @@
+"""run_plgs.py --bake camera from outside: a camera of a .blend, a finished lift, and what is refused."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.job import LiftFolder, LiftRequest, verify
+from engine.passes import read_exr
+from tests.test_run_plgs import run_script
+from tests.tiny_scene import tiny_pose, write_tiny_scene
+from tests.train.tiny_lift import TINY, lift_into, presets_as
+
+bpy = pytest.importorskip("bpy")
+Matrix = pytest.importorskip("mathutils").Matrix
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A lift without passes. Only for reading."""
+    root = tmp_path_factory.mktemp("lift")
+    scene = write_tiny_scene(root / "room", frames=6, noise=0.1)
+    with presets_as(preview=TINY):
+        return lift_into(root / "lift", LiftRequest(scene=scene, bake="none")).path
+
+
+@pytest.fixture
+def lift(finished: Path, tmp_path: Path) -> LiftFolder:
+    return LiftFolder.open(shutil.copytree(finished, tmp_path / "lift"))
+
+
+@pytest.fixture(scope="module")
+def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An artist's file: from frame 1 to 4 the camera "dolly" goes into the room; the active one, "wide", stands."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = 80, 45
+    for name in ("dolly", "wide"):
+        scene.camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+        scene.collection.objects.link(scene.camera)
+    dolly, pose = bpy.data.objects["dolly"], tiny_pose(1, 6)
+    for frame in (1, 4):
+        pose[:3, 3] += 0.05 * frame * pose[:3, 2]
+        dolly.matrix_world = Matrix((pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist())  # Blender's axes
+        dolly.keyframe_insert("location", frame=frame)
+    path = tmp_path_factory.mktemp("blend") / "shot.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    return path
+
+
+def test_frames_are_baked_and_those_that_are_done_are_kept(lift: LiftFolder, blend: Path, root: Path) -> None:
+    before = blend.read_bytes()
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly"]
+    first = run_script(root, *command, "--range", "1-3")
+    assert first.returncode == 0, first.stderr
+    baked = [lift.passes_path / f"dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
+    assert sorted(lift.passes_path.iterdir()) == baked
+    depths = [read_exr(path).depth for path in baked]
+    assert {depth.shape for depth in depths} == {(45, 80)} and min((depth > 0).mean() for depth in depths) > 0.5
+    assert np.median(depths[0]) > np.median(depths[1]) > np.median(depths[2])  # it goes nearer
+    written = [path.stat().st_mtime_ns for path in baked]
+
+    again = run_script(root, *command, "--range", "1-4")
+    assert again.returncode == 0, again.stderr
+    assert [path.stat().st_mtime_ns for path in baked] == written
+    listed = {file.path.name for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
+    assert listed == {*(path.name for path in baked), "dolly.0004.exr"}
+    assert blend.read_bytes() == before and not (lift.path / "lift.blend").exists()
+
+
+def test_what_cannot_be_baked_is_told_in_a_line(lift: LiftFolder, blend: Path, root: Path, tmp_path: Path) -> None:
+    text, cut = tmp_path / "notes.blend", tmp_path / "cut.blend"
+    text.write_text("no blend")
+    cut.write_bytes(blend.read_bytes()[:100])
+    for arguments, told in (
+        (["--blend", blend, "--camera", "Nope"], ("no camera named 'Nope'", "'dolly', 'wide'")),
+        (["--blend", cut], ("cut.blend", "--blend")),
+        (["--blend", text], ("is no Blender file", "notes.blend", "--blend")),
+        (["--blend", tmp_path / "gone.blend"], ("is not there", "gone.blend", "--blend")),
+        (["--steps", "5", "--seed", "2"], ("--steps, --seed", "SCENE")),
+        (["--range", "3-1"], ("'3-1'", "ends before it begins")),
+        (["--range", "-3-5"], ("'-3-5'", "from 0 on")),
+        (["--range", "1"], ("'1'", "1-250")),
+    ):
+        said = run_script(root, "-o", lift.path, "--bake", "camera", *arguments)
+        assert said.returncode == 2, said
+        (line,) = [line for line in said.stderr.splitlines() if line.startswith("error: ")]
+        assert all(each in line for each in told) and "--save" not in line, line
+        assert "Traceback" not in said.stderr and "usage" not in said.stderr
+    assert not lift.passes_path.exists()
