@@ -148,7 +148,7 @@ def layers_picture(result: LiftResult) -> Picture:
             "CryptoInstance, by coverage": cryptomatte_picture(planes, INSTANCES),
         },
         3,
-        466,
+        440,
     )
 
 

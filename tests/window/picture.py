@@ -24,8 +24,10 @@ SHOW = f"""
 area = max((each for each in bpy.context.window_manager.windows[0].screen.areas if each.type == 'VIEW_3D'),
            key=lambda each: each.width * each.height)
 area.spaces.active.region_3d.view_perspective = 'CAMERA'
-bpy.ops.plgs.show_colours()
-bpy.ops.plgs.select_instance(instance={INSTANCE})
+region = next(each for each in area.regions if each.type == 'WINDOW')
+with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area, region=region):
+    bpy.ops.plgs.show_colours()
+    bpy.ops.plgs.select_instance(instance={INSTANCE})
 """
 
 
