@@ -31,6 +31,7 @@ from plgs.engine.passes.exr import read_exr  # noqa: E402
 from plgs.engine.passes.previews import colour_picture, instance_picture, semantic_picture, shaded  # noqa: E402
 from plgs.engine.scene import distinct_colour  # noqa: E402
 from plgs.plgs_blender import compat  # noqa: E402
+from plgs.plgs_blender.meshes import place_meshes_anew  # noqa: E402
 from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, node_of, output_of, panoptic_node  # noqa: E402
 from plgs.plgs_blender.results import LiftResult, read_result  # noqa: E402
 
@@ -43,6 +44,7 @@ MASK_FRAME = "0016"
 """Held out, and its mask has what lifting mends: holes, a vase that is a bin, pieces of windows."""
 CAMERA, SHOT_SIZE, SHOT_FRAMES, SHOT_FRAME = "dolly", (960, 540), (1, 25), 9
 """The moving camera, its picture, its first and last frame, and the frame that most pictures show."""
+CATCHER_SIZE = (640, 360)
 WAY = ("0006", "0010")
 """The camera goes from where this frame was taken to where that one was, which is between the training's frames."""
 SOFA = "sofa 1"
@@ -272,7 +274,7 @@ def over(picture: NDArray[np.uint8], ground: NDArray[np.floating] | Picture) -> 
 def meshes_picture(result: LiftResult) -> Picture:
     """The meshes seen from above, in the photos' colours, and in those of the objects and classes."""
     scene = open_lift(result.folder)
-    meshes = only_meshes(scene)
+    meshes = only_meshes(result, scene)
     light(scene, sun=2.2, sky=0.75)
     scene.camera = bpy.data.objects["Overview"]
     scene.render.resolution_x, scene.render.resolution_y = 600, 375
@@ -286,22 +288,20 @@ def meshes_picture(result: LiftResult) -> Picture:
 def catcher_picture(result: LiftResult) -> Picture:
     """Two things that were never there, before the baked picture: meshes take their shadows and hide what is behind."""
     scene = open_lift(result.folder, "shot.blend")
-    from plgs.plgs_blender.meshes import place_meshes_anew
-
-    place_meshes_anew(result.folder, scene)
-    for ob in only_meshes(scene):
+    for ob in only_meshes(result, scene):
         ob.is_shadow_catcher = True
     add_things(scene)
     light(scene, sun=3.0, sky=0.9)
-    scene.render.film_transparent = True
+    scene.cycles.samples, scene.cycles.max_bounces = 8, 1
+    scene.render.resolution_x, scene.render.resolution_y = CATCHER_SIZE
     scene.frame_set(SHOT_FRAME)
     baked = colour_picture(read_exr(result.shots[f"{CAMERA}.{SHOT_FRAME:04d}"]))
-    return over(rendered(scene), baked)
+    return over(rendered(scene), np.asarray(cv2.resize(baked, CATCHER_SIZE, interpolation=cv2.INTER_AREA), np.uint8))
 
 
-def only_meshes(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The lift's meshes, everything else hidden."""
-    meshes = [ob for ob in scene.objects if "class_id" in ob and ob.type == "MESH" and "Col" in ob.data.attributes]
+def only_meshes(result: LiftResult, scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The lift's exported meshes, everything else hidden."""
+    meshes = place_meshes_anew(result.folder, scene)
     if not meshes:
         raise SystemExit("the lift has no meshes: export them first, see docs/passes.md")
     for ob in scene.objects:
