@@ -45,6 +45,8 @@ MASK_FRAME = "0016"
 CAMERA, SHOT_SIZE, SHOT_FRAMES, SHOT_FRAME = "dolly", (960, 540), (1, 25), 9
 """The moving camera, its picture, its first and last frame, and the frame that most pictures show."""
 CATCHER_SIZE = (640, 360)
+ROOM = np.s_[55:375, 130:490]
+"""Where the room is in the picture of the overview camera, 600x375 pixels."""
 WAY = ("0006", "0010")
 """The camera goes from where this frame was taken to where that one was, which is between the training's frames."""
 SOFA = "sofa 1"
@@ -282,7 +284,8 @@ def meshes_picture(result: LiftResult) -> Picture:
     see_through_backs(material)
     photo = rendered(scene)
     show_object_colours(material)
-    return tiled({"Col, of the photos": whiten(photo), "objects and classes": whiten(rendered(scene))}, 2, 600)
+    tiles = {"Col, of the photos": whiten(photo), "objects and classes": whiten(rendered(scene))}
+    return tiled({name: tile[ROOM] for name, tile in tiles.items()}, 2, 480)
 
 
 def catcher_picture(result: LiftResult) -> Picture:
@@ -310,7 +313,7 @@ def only_meshes(result: LiftResult, scene: bpy.types.Scene) -> list[bpy.types.Ob
 
 
 def add_things(scene: bpy.types.Scene) -> None:
-    """A golden head on the low table, and a red ball behind the dining chairs."""
+    """A golden head over the low table, and a red ball behind a dining chair."""
     with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
         bpy.ops.mesh.primitive_monkey_add(size=0.55, location=(1.5, -1.75, 0.64), rotation=(-0.6, 0.0, 2.3))
         head = bpy.context.active_object
