@@ -226,14 +226,22 @@ def shot_scene(result: LiftResult) -> bpy.types.Scene:
     """The compositor's scene of the moving camera, with these mattes."""
     open_lift(result.folder)
     scene = next(each for each in bpy.data.scenes if each.name.endswith(f" {CAMERA}"))
-    tree = compat.compositor_tree(scene)
+    tree = nodes_of(scene)
     node_of(tree, INSTANCES).matte_id, node_of(tree, CLASSES).matte_id = SOFA, "rug"
     return scene
 
 
+def nodes_of(scene: bpy.types.Scene) -> bpy.types.NodeTree:
+    """The compositor's nodes of a scene with passes."""
+    tree = compat.compositor_tree(scene)
+    if tree is None:
+        raise SystemExit(f"{scene.name} has no compositor nodes")
+    return tree
+
+
 def composited(scene: bpy.types.Scene, frame: int, output: str = "Overlay", **controls: float) -> Picture:
     """What an output of the group gives with these controls, all others 0; before a chequered ground."""
-    tree = compat.compositor_tree(scene)
+    tree = nodes_of(scene)
     inputs = panoptic_node(tree).inputs
     for name in ("By class", "Overlay", "Recolour", "Outline", "Isolate", "Hold out"):
         inputs[name].default_value = controls.get(name.replace(" ", "_"), 0.0)
@@ -303,7 +311,7 @@ def catcher_picture(result: LiftResult) -> Picture:
 
 
 def only_meshes(result: LiftResult, scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The lift's exported meshes, everything else hidden."""
+    """The lift's exported meshes, everything else hidden. SystemExit when there are none."""
     meshes = place_meshes_anew(result.folder, scene)
     if not meshes:
         raise SystemExit("the lift has no meshes: export them first, see docs/passes.md")
