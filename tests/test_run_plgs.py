@@ -222,7 +222,7 @@ def test_bad_input_is_found_before_anything_is_made(root: Path, tmp_path: Path) 
 def test_says_when_the_engines_python_is_unfit(root: Path, tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=3)
     bare = tmp_path / "bare"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True, timeout=120)
     for python, told in ((bare / "bin" / "python", "lacks torch"), (tmp_path / "none", "is not there")):
         command = [sys.executable, root / "run_plgs.py", scene, "-o", tmp_path / "out"]
         env = os.environ | {"PLGS_ENGINE_PYTHON": str(python)}
@@ -233,7 +233,7 @@ def test_says_when_the_engines_python_is_unfit(root: Path, tmp_path: Path) -> No
 
 def test_without_bpy_anywhere_says_what_to_do(root: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True, timeout=120)
     packages = bare / f"lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages"
     for name in ("torch", "numpy"):
         (packages / f"{name}.py").write_text("")

@@ -156,5 +156,5 @@ def test_with_kernels_that_know_their_bounds(root: Path, tmp_path: Path) -> None
     """The fuzz above once more, in a process whose kernels raise IndexError where they would read or write astray."""
     variables = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PLGS_FUZZ": "10"}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "odd_facts"]
-    said = subprocess.run(command, cwd=root, env=variables, capture_output=True, text=True)
+    said = subprocess.run(command, cwd=root, env=variables, capture_output=True, text=True, timeout=1800)
     assert said.returncode == 0, said.stdout
