@@ -26,7 +26,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "semantics": {"scene", "machine"},
     "instances": {"scene", "machine"},
     "metrics": {"scene"},
-    "model": {"gates", "scene", "machine", "raster", "instances"},
+    "model": {"gates", "scene", "job", "machine", "raster", "instances"},
     "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
     "passes": {"gates", "scene", "job", "machine", "raster", "instances", "model"},
     "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
