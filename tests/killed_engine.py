@@ -13,6 +13,7 @@ killed_engine.py serve SCENE LIFT
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -84,7 +85,8 @@ def run_fake(at: int, counted: Path, lift: Path) -> int:
 
 
 def serve(scene: Path, lift: Path) -> None:
-    from engine.command_line.main import main as engine
+    from engine.command_line.run_engine import run_engine
+    from engine.job import LiftFolder, LiftRequest
     from engine.lift import bake_more, run
 
     # Every step is a checkpoint, every baked view is kept: so there is more to be torn. A kill loses nothing that was
@@ -93,7 +95,8 @@ def serve(scene: Path, lift: Path) -> None:
     os.fsync = lambda descriptor: None
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    answers.write(f"{engine(['lift', str(scene), '-o', str(lift), '--steps', '2', '--bake', 'test'])}\n")
+    answers.write(f"{int(run_engine(LiftFolder.create(lift, LiftRequest(scene=scene, steps=2))))}\n")
+    gc.freeze()  # a fork does not copy what its collector would touch
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
