@@ -85,6 +85,8 @@ def run_fake(at: int, counted: Path, lift: Path) -> int:
 
 
 def serve(scene: Path, lift: Path) -> None:
+    import OpenEXR
+
     from engine.command_line.run_engine import run_engine
     from engine.job import LiftFolder, LiftRequest
     from engine.lift import bake_more, run
@@ -95,7 +97,9 @@ def serve(scene: Path, lift: Path) -> None:
     os.fsync = lambda descriptor: None
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    answers.write(f"{int(run_engine(LiftFolder.create(lift, LiftRequest(scene=scene, steps=2))))}\n")
+    request = LiftRequest(scene=scene, steps=2, options={"warm_start.steps": 1})
+    answers.write(f"{int(run_engine(LiftFolder.create(lift, request)))}\n")
+    OpenEXR.set_global_thread_count(0)  # its threads do not follow into a fork, which would wait for them
     gc.freeze()  # a fork does not copy what its collector would touch
     for line in sys.stdin:
         child = os.fork()
