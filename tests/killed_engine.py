@@ -13,6 +13,7 @@ killed_engine.py serve SCENE LIFT
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import json
 import os
@@ -25,6 +26,8 @@ from typing import Any, NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 CHANGES = ("open", "write", "rename", "replace", "link", "unlink", "mkdir", "rmdir", "fsync", "ftruncate", "fdopen")
+LONGEST_S = 300.0
+"""An engine that takes longer hangs: it ends, and tells where in the lift's log."""
 
 
 class Moment(NamedTuple):
@@ -122,6 +125,7 @@ def run_forked(asked: Mapping[str, Any]) -> None:
 
     EventWriter.stage = stage  # type: ignore[method-assign]
     code = 99
+    faulthandler.dump_traceback_later(LONGEST_S, exit=True)
     try:
         changes.begin()
         code = int(engine(asked["arguments"]))
