@@ -12,6 +12,8 @@ PRESET ?= preview
 
 PYTHON := .venv/bin/python
 PYTEST := -m pytest --durations=5
+# A test that takes longer than pyproject.toml's faulthandler_timeout hangs: none of `make test` takes a minute.
+ENDING := -o faulthandler_exit_on_timeout=true
 # What mypy reads, as far as it is there.
 TYPED := $(addprefix -p plgs.,$(wildcard engine plgs_blender operators ui)) $(if $(wildcard run_plgs.py),-m plgs.run_plgs)
 # What runs on the next Blender: all that lives in Blender's own Python.
@@ -26,8 +28,8 @@ demo: set-up
 	$(PYTHON) run_plgs.py $(SCENE) -o $(OUT) --preset $(PRESET) --resume
 
 test: lint set-up-next
-	$(PYTHON) $(PYTEST) -m "not slow"
-	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) -m "not slow" $(NEXT_TESTS); fi
+	$(PYTHON) $(PYTEST) $(ENDING) -m "not slow"
+	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(ENDING) -m "not slow" $(NEXT_TESTS); fi
 
 test-slow: set-up-next
 	$(PYTHON) $(PYTEST)
@@ -40,11 +42,11 @@ extension: set-up
 # The zip in a real Blender's window, under a virtual screen, with real mouse and keys: in Debian's Blender 4.3, and in 5.2.
 test-window: extension
 	@$(PYTHON) set_up/blender_window.py trixie
-	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) tests/window
+	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) $(ENDING) tests/window
 
 test-blender-next: extension
 	@$(PYTHON) set_up/blender_window.py sid
-	PLGS_WINDOW_TREE=build/blender-sid $(PYTHON) $(PYTEST) tests/window
+	PLGS_WINDOW_TREE=build/blender-sid $(PYTHON) $(PYTEST) $(ENDING) tests/window
 
 # mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve.
 lint: set-up

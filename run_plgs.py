@@ -280,6 +280,15 @@ def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
     return ExitCode.FINISHED
 
 
+def end(code: int) -> NoReturn:
+    """End the process with this exit code."""
+    if "bpy" in sys.modules:
+        from plgs.plgs_blender.module_exit import end_process
+
+        end_process(code)
+    sys.exit(code)
+
+
 if __name__ == "__main__":
     if sys.version_info < (3, 11):  # noqa: UP036 - said here, because the imports in main say it in riddles
         print("error: Python 3.11 or newer is needed. Run 'make set-up', then .venv/bin/python run_plgs.py ...")
@@ -288,4 +297,4 @@ if __name__ == "__main__":
         signal.getsignal(signal.SIGINT) is signal.default_int_handler
     ):  # until `Interrupts` is there, Ctrl-C just ends it
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    sys.exit(main(script_arguments(sys.argv)))
+    end(main(script_arguments(sys.argv)))

@@ -19,6 +19,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
 from .materials import CLASS_COLOURS, RELIEF, value_node
+from .module_exit import end_process
 from .viewport import set_ground
 
 _LABEL_HEIGHT = 0.021
@@ -187,4 +188,4 @@ def main(arguments: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    end_process(main(sys.argv[1:]))

@@ -6,6 +6,7 @@ Blender comes first: bpy 5.2 crashes when it is imported after open3d in one pro
 from __future__ import annotations
 
 import atexit
+import faulthandler
 import importlib.util
 import os
 import shutil
@@ -34,10 +35,16 @@ def load_package(root: Path, name: str) -> ModuleType:
 sys.path.insert(0, str(ROOT))
 
 _exit_codes: list[int] = []
+_END_S = 120.0
 
 
 def pytest_sessionfinish(exitstatus: int) -> None:
     _exit_codes.append(int(exitstatus))
+
+
+def pytest_unconfigure() -> None:
+    """What hangs from here on, such as a thread that is waited for, is told with the tracebacks of all threads."""
+    faulthandler.dump_traceback_later(_END_S, exit=True, file=2)
 
 
 @atexit.register  # first, so it runs last: the folders below are gone by then

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Iterable
 from typing import Any
@@ -39,13 +40,14 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 def with_odd_value(draw: Any, content: Any) -> Any:
     """A JSON document with another value, or none, at one of its places. The document itself is changed."""
     path = draw(st.sampled_from(places(content)))
+    odd = copy.deepcopy(draw(ODD_VALUES))  # for the next change may be one inside it, and it is drawn again
     if not path:
-        return draw(ODD_VALUES)
+        return odd
     holder = content
     for key in path[:-1]:
         holder = holder[key]
     if draw(st.booleans()):
-        holder[path[-1]] = draw(ODD_VALUES)
+        holder[path[-1]] = odd
     else:
         del holder[path[-1]]
     return content

@@ -1,62 +1,140 @@
-"""An engine that kills itself with SIGKILL at its n-th change to the files of a lift. Run as a script:
+"""Engines that are killed at a moment of their work. Run as a script:
 
-killed_engine.py N COUNT fake LIFT     the pretended lift of tests/job/fake_engine.py
-killed_engine.py N COUNT ARGUMENTS..   python -m engine ARGUMENTS..
+killed_engine.py fake N COUNT LIFT
+    The pretended lift of tests/job/fake_engine.py, which kills itself with SIGKILL at its n-th change to the files of
+    the lift. N 0: never. To the file COUNT it writes how many changes there were, when it gets to its end.
 
-N 0: never. To the file COUNT it writes how many changes there were, when it gets to its end.
+killed_engine.py serve SCENE LIFT
+    Lifts SCENE, so that all is loaded and compiled, then forks a real engine for each line of standard input: a JSON
+    object with its ``arguments``, the `Moment` ``at`` which it is killed (null: never), and the file ``counted``, to
+    which it writes how many changes there were in each stage. Its exit code is a line of standard output. A fork takes
+    the time of the work alone: to start a Python with torch takes longer than a tiny lift.
 """
 
 from __future__ import annotations
 
+import faulthandler
+import gc
+import json
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 CHANGES = ("open", "write", "rename", "replace", "link", "unlink", "mkdir", "rmdir", "fsync", "ftruncate", "fdopen")
-made = 0
+LONGEST_S = 300.0
+"""An engine that takes longer hangs: it ends, and tells where in the lift's log."""
 
 
-def count(at: int) -> None:
-    """Let every change count, whichever thread makes it; the one number ``at`` is never made."""
+class Moment(NamedTuple):
+    """At change number ``change`` (from 1) since stage number ``stage`` began, or, where the stage has fewer, as the
+    next one begins; 0 is what comes before the first stage. ``delay_s`` later, if any: then it may be amid a change, or
+    amid native code.
+    """
 
-    def counted(change: Callable[..., Any]) -> Callable[..., Any]:
-        def wrapped(*args: Any, **options: Any) -> Any:
-            global made
-            made += 1
-            if made == at:
-                os.kill(os.getpid(), signal.SIGKILL)
+    stage: int
+    change: int
+    delay_s: float = 0.0
+
+
+class Changes:
+    """Counts an engine's changes to files, whichever thread makes them, and kills it at a moment."""
+
+    def __init__(self, at: Moment | None) -> None:
+        self._at, self._stage = at, 0
+        self.made = {0: 0}
+
+    def begin(self) -> None:
+        """From now on."""
+        for name in CHANGES:
+            setattr(os, name, self._counted(getattr(os, name)))
+
+    def begin_stage(self, number: int) -> None:
+        self._stage = number
+        self.made[number] = 0
+
+    def _counted(self, change: Callable[..., Any]) -> Callable[..., Any]:
+        def counted(*args: Any, **options: Any) -> Any:
+            self.made[self._stage] += 1
+            if self._at is not None and (self._stage, self.made[self._stage]) >= self._at[:2]:
+                self._kill(self._at.delay_s)
+                self._at = None
             return change(*args, **options)
 
-        return wrapped
+        return counted
 
-    for name in CHANGES:
-        setattr(os, name, counted(getattr(os, name)))
+    def _kill(self, delay_s: float) -> None:
+        if not delay_s:
+            os.kill(os.getpid(), signal.SIGKILL)
+        signal.setitimer(signal.ITIMER_REAL, delay_s)  # nobody handles its signal: the kernel ends the process at once
 
 
-def main(arguments: list[str]) -> int:
-    at, told, *command = arguments
-    if command[0] == "fake":
-        from engine.command_line.run_engine import run_engine
-        from engine.job import LiftFolder
-        from tests.job.fake_engine import Pretence
+def run_fake(at: int, counted: Path, lift: Path) -> int:
+    from engine.command_line.run_engine import run_engine
+    from engine.job import LiftFolder
+    from tests.job.fake_engine import Pretence
 
-        lift = LiftFolder.open(Path(command[1]))
-        os.fsync = lambda descriptor: None
-        count(int(at))
-        code = int(run_engine(lift, resume=True, lift=Pretence("short, at once")))
-    else:
-        from engine.command_line.main import main as engine
-
-        count(int(at))
-        code = int(engine(command))
-    Path(told).write_text(str(made))
+    folder = LiftFolder.open(lift)
+    os.fsync = lambda descriptor: None
+    changes = Changes(Moment(0, at) if at else None)
+    changes.begin()
+    code = int(run_engine(folder, resume=True, lift=Pretence("short, at once")))
+    counted.write_text(str(changes.made[0]))
     return code
 
 
+def serve(scene: Path, lift: Path) -> None:
+    import OpenEXR
+
+    from engine.command_line.run_engine import run_engine
+    from engine.job import LiftFolder, LiftRequest
+    from engine.lift import bake_more, run
+
+    # Every step is a checkpoint, every baked view is kept: so there is more to be torn. A kill loses nothing that was
+    # written, synced or not.
+    run.CHECKPOINT_EVERY_S = bake_more.KEEP_EVERY_S = -1.0
+    os.fsync = lambda descriptor: None
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    request = LiftRequest(scene=scene, steps=2, options={"warm_start.steps": 1})
+    answers.write(f"{int(run_engine(LiftFolder.create(lift, request)))}\n")
+    OpenEXR.set_global_thread_count(0)  # its threads do not follow into a fork, which would wait for them
+    gc.freeze()  # a fork does not copy what its collector would touch
+    for line in sys.stdin:
+        child = os.fork()
+        if child == 0:
+            run_forked(json.loads(line))
+        answers.write(f"{os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])}\n")
+
+
+def run_forked(asked: Mapping[str, Any]) -> None:
+    """Does not return."""
+    from engine.command_line.main import main as engine
+    from engine.job import EventWriter
+
+    changes = Changes(Moment(*asked["at"]) if asked["at"] else None)
+    announce = EventWriter.stage
+
+    def stage(self: EventWriter, name: str, index: int, count: int, label: str) -> None:
+        changes.begin_stage(index)
+        announce(self, name, index, count, label)
+
+    EventWriter.stage = stage  # type: ignore[method-assign]
+    code = 99
+    faulthandler.dump_traceback_later(LONGEST_S, exit=True)
+    try:
+        changes.begin()
+        code = int(engine(asked["arguments"]))
+        Path(asked["counted"]).write_text(json.dumps(changes.made))
+    finally:
+        os._exit(code)
+
+
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    if sys.argv[1] == "fake":
+        sys.exit(run_fake(int(sys.argv[2]), Path(sys.argv[3]), Path(sys.argv[4])))
+    serve(Path(sys.argv[2]), Path(sys.argv[3]))

@@ -37,7 +37,9 @@ def package(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("extension")
     # Without a blender on PATH, so that the tool is that of the Blender which runs this test.
     command = [sys.executable, str(root / "set_up" / "extension.py"), str(folder)]
-    process = subprocess.run(command, env=os.environ | {"PATH": "/nonexistent"}, capture_output=True, text=True)
+    process = subprocess.run(
+        command, env=os.environ | {"PATH": "/nonexistent"}, capture_output=True, text=True, timeout=120
+    )
     assert process.returncode == 0, process.stderr
     (path,) = folder.glob("*.zip")
     return path
@@ -68,6 +70,7 @@ def test_one_zip_serves_every_platform(package: Path) -> None:
 def test_the_zip_installs_and_registers_and_goes(package: Path, tmp_path: Path) -> None:
     environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "resources")}
     process = subprocess.run(
-        [sys.executable, "-c", INSIDE, str(package)], cwd=tmp_path, env=environment, capture_output=True, text=True
+        [sys.executable, "-c", INSIDE, str(package)], cwd=tmp_path, env=environment, capture_output=True, text=True,
+        timeout=120,
     )
     assert process.returncode == 0 and "all is well" in process.stdout, process.stdout + process.stderr

@@ -71,7 +71,7 @@ def test_the_root_imports_without_blender(root: Path) -> None:
         f"spec = importlib.util.spec_from_file_location('plgs', {str(root / '__init__.py')!r}); "
         "module = importlib.util.module_from_spec(spec); spec.loader.exec_module(module); print(module.__doc__)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=120)
 
 
 def test_the_readme_names_every_operator(plgs: ModuleType, root: Path) -> None:

@@ -226,10 +226,21 @@ def test_bad_input_is_found_before_anything_is_made(root: Path, tmp_path: Path) 
     assert [path.name for path in used.iterdir()] == ["diary.txt"]
 
 
+def test_modules_in_the_scene_that_is_the_current_folder_are_never_run(root: Path, tmp_path: Path) -> None:
+    """cd scene; run_plgs.py . -o OUT"""
+    for name in ("importlib", "json", "engine", "plgs", "torch", "bpy"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(f"open({str(tmp_path / 'run')!r}, 'w')")
+    command = [sys.executable, root / "run_plgs.py", ".", "-o", tmp_path / "out"]
+    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, env=env())
+    assert said.returncode == 2 and "no scene of a known format is here" in said.stderr
+    assert not (tmp_path / "run").exists() and not (tmp_path / "out").exists()
+
+
 def test_says_when_the_engines_python_is_unfit(root: Path, tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=3)
     bare = tmp_path / "bare"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True, timeout=120)
     for python, told in ((bare / "bin" / "python", "lacks torch"), (tmp_path / "none", "is not there")):
         command = [sys.executable, root / "run_plgs.py", scene, "-o", tmp_path / "out"]
         env = os.environ | {"PLGS_ENGINE_PYTHON": str(python)}
@@ -240,7 +251,7 @@ def test_says_when_the_engines_python_is_unfit(root: Path, tmp_path: Path) -> No
 
 def test_without_bpy_anywhere_says_what_to_do(root: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True, timeout=120)
     packages = bare / f"lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages"
     for name in ("torch", "numpy"):
         (packages / f"{name}.py").write_text("")

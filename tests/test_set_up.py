@@ -166,7 +166,9 @@ def test_without_root_the_missing_packages_are_named_in_one_apt_line(
 def find_python(version: str, *folders: Path) -> str:
     path = os.pathsep.join([*map(str, folders), "/usr/bin", "/bin"])
     command = ["sh", str(ROOT / "set_up" / "find_python.sh"), version]
-    return subprocess.run(command, env={"PATH": path}, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        command, env={"PATH": path}, capture_output=True, text=True, check=True, timeout=120
+    ).stdout.strip()
 
 
 def executable(path: Path, text: str) -> Path:
@@ -191,7 +193,7 @@ def test_a_python_that_pyenv_has_but_does_not_show_is_found(tmp_path: Path) -> N
     pyenv = executable(tmp_path / "shims" / "pyenv", f'echo "{tmp_path / "pyenv"}"')
     found = subprocess.run(
         ["/bin/sh", str(ROOT / "set_up" / "find_python.sh"), HERE],
-        env={"PATH": str(pyenv.parent)}, capture_output=True, text=True, check=True,
+        env={"PATH": str(pyenv.parent)}, capture_output=True, text=True, check=True, timeout=120,
     )  # fmt: skip
     assert found.stdout.strip() == sys.executable
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -24,6 +25,8 @@ _OUTPUT_TAIL = 64_000
 """Bytes of a program's output that are read: more is no message."""
 _ANSWER_S = 60.0
 """A Python on a slow disk has answered by then."""
+_KILLED_S = 5.0
+"""So long a killed process may take to end."""
 _MISSING = "missing modules:"
 _ENGINE_MODULES = ("torch", "numpy")
 # What a parent Python, Blender's above all, may have set for itself and would break another Python with.
@@ -170,13 +173,16 @@ class ChildProcess:
         return self._process.poll()
 
     def kill(self) -> None:
-        """End it and its children at once. Nothing happens when it is over already. Returns when it has ended."""
+        """End it and its children at once. Nothing happens when it is over already. Returns when it has ended, or when
+        it waits for a disk that does not answer: it ends when that does.
+        """
         if self._process.poll() is None:
             if sys.platform == "win32":
                 self._process.kill()
             else:
                 os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_KILLED_S)
 
 
 class EngineProcess(ChildProcess):

@@ -23,6 +23,7 @@ _OTHERS = (
 )
 _CLASS_SHARES = (("iou", "IoU %"), *_SHARES[1:])
 _COUNTS = ("tp", "fp", "fn")
+_LARGEST = 1e15
 _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.json", "previews", "passes")
 
 
@@ -85,7 +86,10 @@ def _list(value: Json) -> list[Json]:
 
 
 def _number(value: Json, factor: float, digits: int) -> str:
-    return f"{value * factor:.{digits}f}" if isinstance(value, int | float) else "-"
+    """A dash for what is no number, or one that nobody measured: JSON's integers have no end."""
+    if not isinstance(value, int | float) or not abs(value) <= _LARGEST:
+        return "-"
+    return f"{value * factor:.{digits}f}"
 
 
 def _aligned(rows: Sequence[Sequence[str]], left: int) -> str:

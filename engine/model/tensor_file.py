@@ -8,16 +8,27 @@ import torch
 from safetensors import SafetensorError, safe_open
 
 from ..gates import refuse_special
+from ..job.main_memory import main_memory
+
+MOST_BYTES = 1 << 35
+"""The largest model (see `checking`) is smaller, and so is a checkpoint of it."""
 
 
 def read_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """The tensors by name, and the header's notes. Raises ValueError for what is no such file, OSError.
+    """The tensors by name, and the header's notes. Raises ValueError for what is no such file, or takes more memory
+    than there is; OSError.
 
-    Their bytes are all there (safetensors sees to that): a file takes no more memory than it is long.
+    Their bytes are all there (safetensors sees to that): a file takes no more memory than it is long. That may be more
+    than the disk holds of it.
     """
     refuse_special(path)
+    size, memory = path.stat().st_size, main_memory()
+    if size > MOST_BYTES or (memory is not None and size > memory.free):
+        raise ValueError(f"it takes {size / 1e9:.1f} GB of memory, which is more than there is")
     try:
         with safe_open(path, "pt") as file:
             return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
     except SafetensorError as error:
         raise ValueError(str(error)) from error
+    except (MemoryError, RuntimeError) as error:  # torch's allocator has no kind of its own
+        raise ValueError(f"no memory is left for {size / 1e9:.1f} GB") from error

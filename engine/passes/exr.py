@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gates import open_plain, refuse_special
+from ..gates import refuse_special
 from ..job import write_atomically
+from ..job.main_memory import main_memory
 from ..machine.threads import worker_count
-from ..scene.image_header import MOST_PIXELS
+from ..scene import SceneError
+from ..scene.mask_formats.exr_file import read_exr_header
 from . import cryptomatte
 from .baked_view import BakedView
 from .layers import PanopticLayers
@@ -21,9 +22,6 @@ from .layers import PanopticLayers
 LAYER = "PLGS"
 LARGEST_ID = 1 << 24
 """Ids below this are exact in 32-bit floats."""
-_HEADER_BYTES = 1 << 24
-_DATA_WINDOW = b"dataWindow\0box2i\0\x10\0\0\0"
-"""Name, type and size of the attribute that says how large the picture is."""
 
 
 def write_exr(path: Path, view: BakedView, notes: Mapping[str, str] | None = None) -> None:
@@ -84,27 +82,30 @@ def _header(path: Path) -> dict[str, Any]:
 
 
 def _channels(path: Path) -> dict[str, NDArray[Any]]:
-    """Raises ValueError when it is damaged."""
+    """Raises ValueError when it is damaged, or no memory is left for it."""
     import OpenEXR
 
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {name: channel.pixels for name, channel in file.channels().items()}
+    except MemoryError as error:
+        raise ValueError(f"{path} cannot be read: no memory is left for it") from error
     except Exception as error:  # the library's own, of several kinds
         raise ValueError(f"{path} is damaged ({error})") from error
 
 
 def _refuse_vast(path: Path) -> None:
-    """Raises ValueError for more pixels than a picture has, as memory is taken for what the header claims; OSError."""
-    with open_plain(path) as file:
-        start = file.read(_HEADER_BYTES)
-    place = start.find(_DATA_WINDOW)
-    corners = start[place + len(_DATA_WINDOW) :][:16]
-    if place < 0 or len(corners) < 16:
-        raise ValueError(f"{path} is damaged: it has no size")
-    left, top, right, bottom = struct.unpack("<4i", corners)
-    if not 0 < (right - left + 1) * (bottom - top + 1) <= MOST_PIXELS:
-        raise ValueError(f"{path} is damaged: it claims {right - left + 1}x{bottom - top + 1} pixels")
+    """Raises ValueError for more than a picture has, or than memory holds, as that is taken for what the header claims;
+    OSError.
+    """
+    refuse_special(path)
+    try:
+        header = read_exr_header(path)
+    except SceneError as error:
+        raise ValueError(f"{path} is damaged ({error.what})") from error
+    memory = main_memory()
+    if memory is not None and 4 * header.numbers > memory.free:
+        raise ValueError(f"{path} takes {4e-9 * header.numbers:.1f} GB, and {memory.free / 1e9:.1f} GB are free")
 
 
 def _pass_channels(view: BakedView) -> dict[str, NDArray[np.float32]]:

@@ -18,7 +18,9 @@ NO_SITE = [sys.executable, "-S", "-m", "engine", "handshake"]
 
 
 def test_the_engine_says_what_it_is(root: Path) -> None:
-    said = subprocess.run([sys.executable, "-m", "engine", "handshake"], cwd=root, capture_output=True, text=True)
+    said = subprocess.run(
+        [sys.executable, "-m", "engine", "handshake"], cwd=root, capture_output=True, text=True, timeout=120
+    )
     found = EngineAnswer.from_line(said.stdout)
     assert found is not None and said.stdout.count("\n") == 1 and said.stderr == ""
     assert found.version == __version__ and found.python == sys.version.split()[0] and found.cpus >= 1
@@ -31,7 +33,7 @@ def test_nothing_heavy_is_imported(root: Path) -> None:
         "import sys; from engine.command_line.main import main; main(['handshake'])\n"
         "print('HEAVY', {'torch', 'numpy', 'cv2', 'numba', 'scipy', 'OpenEXR'} & set(sys.modules))"
     )
-    said = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
+    said = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=120)
     assert said.stdout.splitlines()[-1] == "HEAVY set()"
 
 
@@ -69,5 +71,7 @@ def test_an_answer_comes_back_as_it_went() -> None:
 
 def test_a_python_that_is_too_old_is_told_as_the_extension_knows_it(root: Path) -> None:
     code = "import runpy, sys; sys.version_info = (3, 9, 1); runpy.run_module('engine', run_name='__main__')"
-    said = subprocess.run([sys.executable, "-c", code, "handshake"], cwd=root, capture_output=True, text=True)
+    said = subprocess.run(
+        [sys.executable, "-c", code, "handshake"], cwd=root, capture_output=True, text=True, timeout=120
+    )
     assert said.returncode != 0 and TOO_OLD in said.stderr and "Traceback" not in said.stderr

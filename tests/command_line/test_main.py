@@ -38,12 +38,16 @@ def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
         "try: main(sys.argv[1:])\n"
         "finally: print('HEAVY', {'torch', 'numpy', 'cv2', 'numba'} & set(sys.modules))"
     )
-    said = subprocess.run([sys.executable, "-c", code, *command, "--help"], cwd=root, capture_output=True, text=True)
+    said = subprocess.run(
+        [sys.executable, "-c", code, *command, "--help"], cwd=root, capture_output=True, text=True, timeout=120
+    )
     assert said.returncode == 0 and "HEAVY set()" in said.stdout and "usage:" in said.stdout
 
 
 def test_runs_as_a_module(root: Path) -> None:
-    said = subprocess.run([sys.executable, "-m", "engine", "--version"], cwd=root, capture_output=True, text=True)
+    said = subprocess.run(
+        [sys.executable, "-m", "engine", "--version"], cwd=root, capture_output=True, text=True, timeout=120
+    )
     assert said.returncode == 0 and said.stdout.strip()
 
 
@@ -293,5 +297,5 @@ def test_frames_of_a_scene_are_written(tmp_path: Path, capsys: pytest.CaptureFix
 def test_what_a_parent_asked_for_ends_with_it(root: Path, tmp_path: Path, command: list[str]) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=30)
     asked = [sys.executable, "-m", "engine", *command, room, "-o", tmp_path / "out", "--stay-with-parent"]
-    ended = subprocess.run(asked, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    ended = subprocess.run(asked, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120)
     assert ended.returncode == 3 and not ended.stdout and not (tmp_path / "out").exists()

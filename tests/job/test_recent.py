@@ -77,7 +77,7 @@ def test_engines_that_end_together_lose_no_entry(tmp_path: Path, root: Path) -> 
     )
     paths = [[new_lift(tmp_path, f"{each} {number}").path for number in range(8)] for each in range(3)]
     processes = [subprocess.Popen([sys.executable, "-c", code, tmp_path, *each], cwd=root) for each in paths]
-    assert [process.wait() for process in processes] == [0, 0, 0]
+    assert [process.wait(timeout=120) for process in processes] == [0, 0, 0]
     assert {lift.folder.path for lift in recent_lifts(tmp_path)} == {path for each in paths for path in each}
 
 

@@ -25,7 +25,7 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[str
     folder = tmp_path_factory.mktemp("quality")
     scene = folder / "scene"
     made = [sys.executable, "sample/hand_held.py", "sample/room", str(scene), "--seed", "0"]
-    subprocess.run(made, cwd=ROOT, check=True, capture_output=True)
+    subprocess.run(made, cwd=ROOT, check=True, capture_output=True, timeout=900)
     request = LiftRequest(scene=scene, preset="preview", steps=STEPS, size=SIZE, bake="none")
     lift = LiftFolder.create(folder / "lift", request)
     events = EventWriter(lift.events_path)

@@ -139,7 +139,8 @@ def test_a_warm_start_is_soon_over(cold: Run, read_only_code: Path) -> None:
 @pytest.mark.slow
 def test_who_only_draws_does_not_wait_for_the_backward_pass(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", DRAW], env=environment(NUMBA_CACHE_DIR=str(tmp_path)), capture_output=True, text=True
+        [sys.executable, "-c", DRAW], env=environment(NUMBA_CACHE_DIR=str(tmp_path)), capture_output=True, text=True,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     assert ANNOUNCEMENT in done.stdout
@@ -182,5 +183,7 @@ def test_matches_the_reference_on_a_machine_without_avx512(tmp_path: Path) -> No
 def test_uses_only_the_instructions_that_numba_may(setting: dict[str, str], wide: bool, tmp_path: Path) -> None:
     variables = environment(NUMBA_CACHE_DIR=str(tmp_path), **setting)
     text = "from engine.machine.vectors import HAS_AVX512; print(HAS_AVX512)"
-    done = subprocess.run([sys.executable, "-c", text], cwd=ROOT, env=variables, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", text], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=300
+    )
     assert done.stdout.strip() == str(wide), done.stderr

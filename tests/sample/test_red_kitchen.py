@@ -22,7 +22,7 @@ HALF = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 
 def make(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     program = Path(__file__).resolve().parents[2] / "sample" / "red_kitchen.py"
-    return subprocess.run([sys.executable, program, *arguments], capture_output=True, text=True)
+    return subprocess.run([sys.executable, program, *arguments], capture_output=True, text=True, timeout=300)
 
 
 @pytest.fixture

@@ -154,7 +154,9 @@ def test_opening_reads_no_pixels_and_needs_no_opencv(tmp_path: Path, root: Path)
         f"print(len(open_scene(Path({str(folder)!r})).frames)); "
         "print([name for name in ('torch', 'numba') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", program], cwd=root, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=root, capture_output=True, text=True, check=True, timeout=120
+    )
     assert done.stdout.split("\n")[:2] == ["5", "[]"]
 
 

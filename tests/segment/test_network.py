@@ -56,7 +56,7 @@ def test_large_pictures_have_smaller_masks_of_their_shape(model: Path) -> None:
 def engine(*arguments: object) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"HF_HUB_OFFLINE": "1"}
     command = [sys.executable, "-m", "engine", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=600)
 
 
 def test_the_command_makes_masks_that_open(model: Path, folder: Path) -> None:

@@ -26,6 +26,7 @@ from ..pixels import decode_bytes, resize_colour, resize_nearest
 from ..upright import upright_rotation
 from .capture import Capture, Shot
 from .confidence import drop_untrusted
+from .lzfse_blocks import unpack
 from .poses import from_opengl, quaternion_pose
 
 LOOKS_FOR = "a .r3d file, or metadata with the folder rgbd"
@@ -34,6 +35,8 @@ _LARGEST = 2**28
 """Bytes of one picture or depth map, unpacked."""
 _DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
 """LiDAR and TrueDepth, upright and lying, where the metadata does not say."""
+_MOST_DEPTHS = 2**22
+"""Numbers of a depth map."""
 _CLEARLY_Y = 0.9
 """Cosine of 25 degrees."""
 
@@ -178,14 +181,15 @@ class _DepthReader:
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Planar depth, float32 [H, W] metres, 0 = none. Raises SceneError."""
-        values = np.frombuffer(self._unpacked(self.name, 4), "<f4")
+        width, height = self.size or max(_DEPTH_SIZES)
+        values = np.frombuffer(self._unpacked(self.name, 4, min(width * height, _MOST_DEPTHS)), "<f4")
         width, height = self.size or self._guessed_size(len(values))
         if width * height != len(values):
             raise SceneError(f"{self.name} does not hold {width}x{height} numbers", self.archive.path, _FIX)
         depth = values.reshape(height, width)
         depth = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.float32(0.0))
         if self.confidence is not None:
-            level = np.frombuffer(self._unpacked(self.confidence, 1), np.uint8)
+            level = np.frombuffer(self._unpacked(self.confidence, 1, depth.size), np.uint8)
             if len(level) == depth.size:
                 depth = drop_untrusted(depth, level.reshape(depth.shape), self.archive.path)
         return resize_nearest(depth, size) if size else depth
@@ -198,8 +202,8 @@ class _DepthReader:
             raise SceneError(f"{self.name} has a size that is not known", self.archive.path, _FIX)
         return found[0]
 
-    def _unpacked(self, name: str, step: int) -> bytes:
-        """The bytes, whole steps of them. Raises SceneError."""
+    def _unpacked(self, name: str, step: int, most: int) -> bytes:
+        """The bytes, whole steps of them, ``most`` at most. Raises SceneError."""
         data = self.archive.read(name)
         try:
             import liblzfse
@@ -207,9 +211,9 @@ class _DepthReader:
             fix = "Let the engine's Python install it: python -m pip install -r requirements/readers.txt."
             raise SceneError("depth of Record3D needs the package pyliblzfse", self.archive.path, fix) from error
         try:
-            unpacked: bytes = liblzfse.decompress(data)
-        except liblzfse.error as error:
-            raise SceneError(f"{name} cannot be decompressed", self.archive.path, _FIX) from error
+            unpacked = unpack(data, most * step, liblzfse.decompress)
+        except (liblzfse.error, ValueError, MemoryError) as error:
+            raise SceneError(f"{name} cannot be decompressed ({error})", self.archive.path, _FIX) from error
         if len(unpacked) % step:
             raise SceneError(f"{name} is cut off", self.archive.path, _FIX)
         return unpacked

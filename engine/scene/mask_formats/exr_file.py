@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import struct
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,50 +18,96 @@ from ..frame import SceneError, Size
 from .label_map import LARGEST_PIXELS
 
 _MAGIC = b"\x76\x2f\x31\x01"
-_LARGEST_HEADER = 2**26
+_HEADER_SIZES = (2**18, 2**26)
+"""Most headers are small; a long list of names may be megabytes."""
 _MOST_NUMBERS = 2**30
+"""Of all channels of all parts: the library reads them all."""
+_MOST_PARTS = 1024
+_DEEP, _PARTS = 0x800, 0x1000
+"""Flags of the version."""
 _FIX = "Write this file again."
 
 
 @dataclass(frozen=True)
 class ExrHeader:
-    """``size`` of the whole picture, the first pixel (x, y) that is stored, names of channels, texts of attributes."""
+    """``size`` of the whole picture, the first pixel (x, y) that is stored, names of channels, texts of attributes: of
+    the first part. ``numbers`` are those of all parts.
+    """
 
     size: Size
     first: tuple[int, int]
     channels: tuple[str, ...]
     texts: dict[str, str]
+    numbers: int = 0
 
 
 def read_exr_header(path: Path) -> ExrHeader:
-    """The header of the first part. Raises SceneError."""
+    """The header of the first part; the others are looked at, too. Raises SceneError."""
+    parts = _parts_of(path)
     try:
-        with open_plain(path) as file:
-            data = file.read(8)
-            if not data.startswith(_MAGIC) or len(data) < 8:
-                raise SceneError("this is no OpenEXR file", path, _FIX)
-            data = file.read(_LARGEST_HEADER)
-    except OSError as error:
-        raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
-    try:
-        found = _attributes(data)
+        found = parts[0]
         left, top, right, bottom = struct.unpack("<4i", found["displayWindow"])
-        x, y, x_end, y_end = struct.unpack("<4i", found["dataWindow"])
+        x, y, *_ = struct.unpack("<4i", found["dataWindow"])
         channels = _channel_names(found["channels"])
         texts = {name: value.decode("utf-8", "replace") for name, value in found.items() if name.find("/") > 0}
+        stored = [(*_stored_size(part), len(_channel_names(part["channels"]))) for part in parts]
     except (KeyError, ValueError, IndexError, struct.error) as error:
         raise SceneError("the OpenEXR header is cut off or makes no sense", path, _FIX) from error
-    size, stored = (right - left + 1, bottom - top + 1), (x_end - x + 1, y_end - y + 1)
-    if min(*size, *stored) < 1 or size[0] * size[1] > LARGEST_PIXELS or stored[0] * stored[1] > LARGEST_PIXELS:
-        raise SceneError(f"{size[0]}x{size[1]} is no size of a mask", path, _FIX)
-    if stored[0] * stored[1] * max(1, len(channels)) > _MOST_NUMBERS:
-        raise SceneError(f"{len(channels)} channels are too many to read", path, "Write the masks' channels alone.")
-    return ExrHeader(size, (x - left, y - top), channels, texts)
+    size = (right - left + 1, bottom - top + 1)
+    for width, height in (size, *(one[:2] for one in stored)):
+        if min(width, height) < 1 or width * height > LARGEST_PIXELS:
+            raise SceneError(f"{width}x{height} is no size of a picture", path, _FIX)
+    numbers = sum(width * height * max(1, count) for width, height, count in stored)
+    if numbers > _MOST_NUMBERS:
+        count = sum(one[2] for one in stored)
+        raise SceneError(f"{count} channels are too many to read", path, "Write the masks' channels alone.")
+    return ExrHeader(size, (x - left, y - top), channels, texts, numbers)
 
 
-def _attributes(data: bytes) -> dict[str, bytes]:
-    """The values of all attributes as stored. Raises ValueError or struct.error where the header is cut off."""
-    found, position = {}, 0
+def _parts_of(path: Path) -> list[dict[str, bytes]]:
+    """The attributes of each part. Raises SceneError."""
+    try:
+        with open_plain(path) as file:
+            start, size = file.read(8), os.fstat(file.fileno()).st_size
+            if not start.startswith(_MAGIC) or len(start) < 8:
+                raise SceneError("this is no OpenEXR file", path, _FIX)
+            flags = int.from_bytes(start[4:], "little")
+            if flags & _DEEP:
+                raise SceneError("deep OpenEXR files are not read", path, "Write a flat picture.")
+            for most in _HEADER_SIZES:
+                file.seek(8)
+                data = file.read(min(most, size))
+                with suppress(ValueError, IndexError, struct.error):
+                    return _parts(data) if flags & _PARTS else [_attributes(data, 0)[0]]
+    except OSError as error:
+        raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    except MemoryError as error:
+        raise SceneError("no memory is left for the OpenEXR file", path, "Close other programs.") from error
+    raise SceneError("the OpenEXR header is cut off or makes no sense", path, _FIX)
+
+
+def _parts(data: bytes) -> list[dict[str, bytes]]:
+    """The attributes of each part; an empty header ends them. Raises ValueError, IndexError or struct.error."""
+    parts, position = list[dict[str, bytes]](), 0
+    while data[position] != 0 and len(parts) <= _MOST_PARTS:
+        found, position = _attributes(data, position)
+        parts.append(found)
+    if not 0 < len(parts) <= _MOST_PARTS:
+        raise ValueError(f"{len(parts)} parts")
+    return parts
+
+
+def _stored_size(part: Mapping[str, bytes]) -> Size:
+    """Raises KeyError, struct.error."""
+    x, y, x_end, y_end = struct.unpack("<4i", part["dataWindow"])
+    return x_end - x + 1, y_end - y + 1
+
+
+def _attributes(data: bytes, position: int) -> tuple[dict[str, bytes], int]:
+    """The values of the attributes of a header as stored, and where the next begins. Raises ValueError, IndexError or
+    struct.error where it is cut off.
+    """
+    found = {}
     while data[position] != 0:
         name_end = data.index(b"\0", position)
         kind_end = data.index(b"\0", name_end + 1)
@@ -68,7 +117,7 @@ def _attributes(data: bytes) -> dict[str, bytes]:
             raise ValueError("cut off")
         found[data[position:name_end].decode("utf-8", "replace")] = data[start : start + length]
         position = start + length
-    return found
+    return found, position + 1
 
 
 def _channel_names(data: bytes) -> tuple[str, ...]:
@@ -90,9 +139,11 @@ def read_channels(path: Path, header: ExrHeader, names: list[str]) -> list[NDArr
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             stored: dict[str, NDArray[Any]] = {name: channel.pixels for name, channel in file.channels().items()}
+        return [placed(stored[name], header) if name in stored else _missing(name, path) for name in names]
     except (RuntimeError, ValueError, OSError) as error:
         raise SceneError("the OpenEXR file cannot be read, or is cut off", path, _FIX) from error
-    return [placed(stored[name], header) if name in stored else _missing(name, path) for name in names]
+    except MemoryError as error:
+        raise SceneError("no memory is left for the OpenEXR file", path, "Close other programs.") from error
 
 
 def placed(pixels: NDArray[Any], header: ExrHeader) -> NDArray[np.float32]:

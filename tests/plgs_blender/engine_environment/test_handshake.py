@@ -37,7 +37,7 @@ def test_this_python_answers() -> None:
 
 
 def test_a_python_without_torch_tells_what_it_lacks(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True, timeout=120)
     answer = ask(tmp_path / "bare" / "bin" / "python")
     assert isinstance(answer, EngineAnswer) and "torch" in answer.missing
     assert str(tmp_path / "bare") in answer.fix and "pip install torch==" in answer.fix

@@ -110,6 +110,21 @@ def test_bad_metadata_gets_a_line(tmp_path: Path, changes: dict[str, Any], told:
         open_scene(write_r3d(tmp_path / "a.r3d", **changes))
 
 
+def test_depth_that_unpacks_to_more_than_its_pixels_gets_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Read from an archive of some bytes; the library would take four gigabytes."""
+    asked: list[bytes] = []
+    monkeypatch.setitem(sys.modules, "liblzfse", SimpleNamespace(decompress=asked.append, error=BrokenStream))
+    with zipfile.ZipFile(write_r3d(tmp_path / "a.r3d")) as archive:
+        archive.extractall(tmp_path / "scan")
+    bomb = b"bvxn" + struct.pack("<II", 2**32 - 1, 4) + b"bomb" + b"bvx$"
+    (tmp_path / "scan" / "rgbd" / "0.depth").write_bytes(bomb)
+    with pytest.raises(SceneError, match="0.depth cannot be decompressed .it unpacks to more than"):
+        open_scene(tmp_path / "scan").frames[0].depth()
+    assert asked == []
+
+
 def test_broken_archives_get_a_line(tmp_path: Path) -> None:
     whole = write_r3d(tmp_path / "a.r3d").read_bytes()
     (tmp_path / "b.r3d").write_bytes(whole[: len(whole) // 2])

@@ -11,7 +11,7 @@ import OpenEXR
 import pytest
 
 from engine.scene import SceneError, open_scene
-from engine.scene.mask_formats.exr_file import ExrHeader, placed
+from engine.scene.mask_formats.exr_file import ExrHeader, placed, read_exr_header
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, tracks, write_frames
 
 OBJECTS = {1: "Wall.001", 2: "Floor", 3: "Cabinet.007", 5: "Chair.002", 13: "Ceiling"}
@@ -114,13 +114,38 @@ def test_bad_files_get_a_line(tmp_path: Path) -> None:
     window = b"dataWindow\0box2i\0" + struct.pack("<5i", 16, 0, 0, 63, 47)
     huge = whole.replace(window, window[:-8] + struct.pack("<2i", 2**20, 2**20))
     assert huge != whole
-    for data, told in ((b"", "no OpenEXR"), (whole[:90], "cut off"), (huge, "no size of a mask")):
+    for data, told in ((b"", "no OpenEXR"), (whole[:90], "cut off"), (huge, "no size of a picture")):
         path.write_bytes(data)
         with pytest.raises(SceneError, match=told):
             open_scene(tmp_path)
     path.write_bytes(whole[: len(whole) * 2 // 3])
     with pytest.raises(SceneError, match="cut off"):
         mask_of(open_scene(tmp_path), 1)
+
+
+def test_a_vast_part_behind_a_small_one_is_refused(tmp_path: Path) -> None:
+    """The library reads all parts."""
+    planes = {"Z": np.zeros((5, 4), np.float32)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    path = tmp_path / "a.exr"
+    with OpenEXR.File([OpenEXR.Part({**header}, planes, "one"), OpenEXR.Part({**header}, planes, "two")]) as file:
+        file.write(str(path))
+    assert read_exr_header(path).numbers == 40
+    window = b"dataWindow\0box2i\0" + struct.pack("<5i", 16, 0, 0, 3, 4)
+    before, between, after = path.read_bytes().split(window)
+    path.write_bytes(before + window + between + window[:-8] + struct.pack("<2i", 2**20, 2**20) + after)
+    with pytest.raises(SceneError, match="no size of a picture"):
+        read_exr_header(path)
+
+
+def test_deep_files_are_refused(tmp_path: Path) -> None:
+    write_mattes(tmp_path)
+    path = tmp_path / "masks" / "0001.exr"
+    whole = bytearray(path.read_bytes())
+    whole[5] |= 0x08
+    path.write_bytes(whole)
+    with pytest.raises(SceneError, match="deep OpenEXR files are not read"):
+        open_scene(tmp_path)
 
 
 def test_what_lies_outside_the_data_window_is_void() -> None:

@@ -1,0 +1,22 @@
+"""A script with Blender as a module ends, whatever still refers to bpy."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+LEFT_OVER = """
+import ctypes, sys, bpy
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(bpy))
+from plgs_blender.module_exit import end_process
+print(bpy.app.tempdir)
+end_process(3)
+"""
+
+
+def test_a_reference_that_is_left_over_keeps_nobody_waiting(root: Path) -> None:
+    said = subprocess.run([sys.executable, "-c", LEFT_OVER], cwd=root, capture_output=True, text=True, timeout=60)
+    assert said.returncode == 3, said.stderr
+    folder = Path(said.stdout.splitlines()[-1])
+    assert folder.is_absolute() and not folder.exists()
