@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from torch import nn
 from torch.nn import functional
 
 from ..model.anchors import UNKNOWN_CLASS
@@ -44,7 +45,7 @@ def warm_start(
     k = anchors.gaussians_per_anchor
     with torch.no_grad():
         decoders.opacity.get_parameter("2.bias").add_(settings.opacity_bias)
-    fitted = [decoders.colour, decoders.semantic, decoders.instance]
+    fitted: list[nn.Module] = [decoders.colour, decoders.semantic, decoders.instance]
     if isinstance(decoders, EncodedDecoders):
         fitted.append(decoders.classifier)
     parameters = [parameter for each in fitted for parameter in each.parameters()]
