@@ -24,6 +24,8 @@ def _needed(preset: Preset) -> Iterator[str]:
         yield "label_view_input=false"
     if preset.linear_assignment:
         yield "linear_assignment=false"
+    if preset.instances == "contrastive" and preset.objects != "none":
+        yield "objects=none"
     if preset.instances == "identity" and preset.objects == "none":
         yield "objects=agreement"
     if preset.instances == "identity" and not preset.matched_masks:

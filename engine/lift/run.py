@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from statistics import median
 
 import numpy as np
@@ -45,6 +45,7 @@ from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .clashing_options import refuse_clashing_options
 from .device import be_repeatable, refuse_missing_device
+from .embedding_clusters import with_clusters
 from .fitting import frames_that_fit
 from .lasting_names import keep_names, read_earlier, write_names
 from .live_previews import LivePreviews
@@ -121,6 +122,10 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     paces = train(trainer, folder, stages, previews)
 
     with stages.stage("result") as progress:
+        if preset.instances == "contrastive":
+            things = scene.classes.thing_ids
+            trainer.scene = with_clusters(trainer.scene, views, things, preset.contrastive, request.seed)
+            prepared = replace(prepared, scene=trainer.scene)
         if shows_votes(preset):
             maps = prepared.label_maps
             assert maps is not None  # objects by agreement come with them

@@ -71,6 +71,7 @@ def starting_scene(
         distance_input=preset.distance_input,
         label_view_input=preset.label_view_input,
         encoding=preset.encoding,
+        twin=preset.instances == "contrastive",
     )
     scene = StructuredScene(anchors, new_decoders(shape, seed), channels, preset.voxel_size)
     if preset.warm_start is not None:

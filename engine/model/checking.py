@@ -23,7 +23,7 @@ LARGEST_WEIGHT = 1e6
 _SIZES = {"features": 512, "gaussians_per_anchor": 64, "classes": LARGEST_ID, "instance_slots": LARGEST_ID}
 LARGEST_ENCODING = 256
 """Channels."""
-_FLAGS = ("distance_input", "label_view_input", "plain")
+_FLAGS = ("distance_input", "label_view_input", "plain", "twin")
 
 
 class Wanted(NamedTuple):
@@ -107,6 +107,8 @@ def _wanted_of_decoders(shape: DecoderShape) -> dict[str, Wanted]:
         "semantic": (labelled, shape.classes * k),
         "instance": (labelled, shape.instance_outputs * k),
     }
+    if shape.twin:
+        sides["slow"] = sides["instance"]
     layers = {
         f"decoders.{name}.{layer}.{part}": size
         for name, (inputs, outputs) in sides.items()
@@ -124,7 +126,7 @@ def _wanted_of_decoders(shape: DecoderShape) -> dict[str, Wanted]:
 
 
 def _shape(facts: Mapping[str, Any], classes: int, slots: int) -> DecoderShape:
-    facts = {"plain": False, "encoding": 0, **facts}  # models of before have none
+    facts = {"plain": False, "encoding": 0, "twin": False, **facts}  # models of before have none
     if set(facts) != {*_SIZES, *_FLAGS, "encoding"}:
         raise ValueError("the decoders' shape is not known")
     is_plain = facts["plain"] is True
@@ -140,6 +142,8 @@ def _shape(facts: Mapping[str, Any], classes: int, slots: int) -> DecoderShape:
         raise ValueError(f"the encoding is no number of channels from 0 to {LARGEST_ENCODING}")
     if encoding and (is_plain or facts["label_view_input"]):
         raise ValueError("an encoding is the same from everywhere, and of a decoder")
+    if facts["twin"] and not encoding:
+        raise ValueError("there is a twin, and no encoding")
     if not all(type(facts[name]) is bool for name in _FLAGS):
         raise ValueError("an input of the decoders is neither on nor off")
     if (facts["classes"], facts["instance_slots"]) != (classes, slots):

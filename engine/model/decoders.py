@@ -19,7 +19,8 @@ class DecoderShape:
     ``distance_input`` feeds the distance to the camera beside the direction, as the paper's formula has it;
     ``label_view_input`` feeds both to the label decoders too. Off, an object's label cannot depend on who looks at it.
     ``plain``: there are no decoders, see ``engine/model/plain.py``. ``encoding``: so many channels of an encoding take
-    the place of the slots' probabilities, see ``engine/model/encoded.py``; 0 for none.
+    the place of the slots' probabilities, see ``engine/model/encoded.py``; 0 for none. ``twin``: encodings are given
+    twice, the second time by a decoder that follows the first one slowly.
     """
 
     features: int
@@ -30,11 +31,17 @@ class DecoderShape:
     label_view_input: bool
     plain: bool = False
     encoding: int = 0
+    twin: bool = False
 
     @property
     def instance_outputs(self) -> int:
         """Of the instance decoder, for each Gaussian."""
         return self.encoding or self.instance_slots
+
+    @property
+    def instance_channels(self) -> int:
+        """What is drawn of instances."""
+        return 2 * self.encoding if self.twin else self.instance_outputs
 
     @property
     def view_inputs(self) -> int:

@@ -9,7 +9,7 @@ import torch
 from .anchors import Anchors
 from .checking import check_model
 from .decoders import Decoders, DecoderShape
-from .encoded import EncodedDecoders
+from .encoded import EncodedDecoders, TwinDecoders
 from .plain import PlainDecoders
 
 FORMAT = 2
@@ -69,6 +69,8 @@ def new_decoders(shape: DecoderShape, seed: int) -> Decoders:
     """Decoders of that shape, drawn from the seed."""
     if shape.plain:
         return PlainDecoders(shape)
+    if shape.twin:
+        return TwinDecoders(shape, seed)
     return EncodedDecoders(shape, seed) if shape.encoding else Decoders(shape, seed)
 
 
@@ -92,7 +94,7 @@ def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[st
 def _facts_of(shape: DecoderShape) -> dict[str, object]:
     """Without what only rivals' heads need, where there is none: earlier versions read such models too."""
     facts = asdict(shape)
-    return facts if shape.encoding else {name: value for name, value in facts.items() if name != "encoding"}
+    return facts if shape.encoding else {key: value for key, value in facts.items() if key not in ("encoding", "twin")}
 
 
 def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredScene:

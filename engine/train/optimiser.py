@@ -51,7 +51,7 @@ class Optimiser:
         for name in DECODERS:
             if name in networks:
                 yield name, list(networks[name].parameters())
-        if "classifier" in networks:  # of encodings, as fast as these
+        if "classifier" in networks and not self.decoders.shape.twin:  # of encodings, as fast as these
             yield "instance", list(networks["classifier"].parameters())
 
     def _named(self) -> Iterator[tuple[str, torch.Tensor]]:

@@ -12,7 +12,7 @@ import torch
 
 from ..instances import UNKNOWN_LABEL, PanopticLabels, segment_labels
 from ..model.baking import decided_labels
-from ..model.encoded import EncodedDecoders
+from ..model.encoded import EncodedDecoders, TwinDecoders
 from ..model.gaussians import decode
 from ..model.growing import GrowthRound, GrowthStatistics, grow_and_prune
 from ..model.neural_gaussians import NeuralGaussians
@@ -25,6 +25,7 @@ from ..raster import Rendering, rasterize
 from ..scene import VOID, PanopticMask, View
 from ..semantics import pseudo_labels
 from .assignment import assigned_slots
+from .contrastive_loss import contrastive_loss
 from .depth_loss import depth_loss
 from .identity_loss import identity_loss, neighbour_loss
 from .label_losses import label_losses
@@ -124,6 +125,8 @@ class Trainer:
         self._gather_statistics(gaussians, rendering, target, progress)
         self.clock.lap("growth statistics")
         self.optimiser.step(progress)
+        if with_labels and isinstance(self.scene.decoders, TwinDecoders):
+            self.scene.decoders.follow(self.preset.contrastive.momentum)
         self.clock.lap("optimiser")
         self.step_number += 1
         self._grow_if_due()
@@ -170,9 +173,8 @@ class Trainer:
 
     def _channel_counts(self) -> tuple[int, int]:
         """How many label channels are of classes, and how many there are."""
-        channels = self.scene.channels
-        classes = len(channels.class_ids)
-        return classes, classes + (self.preset.encoding or len(channels.slot_ids))
+        classes = len(self.scene.channels.class_ids)
+        return classes, classes + self.scene.decoders.shape.instance_channels
 
     def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets, columns: torch.Tensor | None) -> Rendering:
         """With the label channels ``columns``, or with none."""
@@ -280,11 +282,13 @@ class Trainer:
         self, gaussians: NeuralGaussians, blended: torch.Tensor, alpha: torch.Tensor, target: ViewTargets
     ) -> torch.Tensor:
         """L_ins where encodings [H, W, E] tell instances apart."""
+        random = np.random.default_rng([self.seed, 4, self.step_number])
+        if self.preset.instances == "contrastive":
+            return contrastive_loss(blended, alpha, target.things, self.preset.contrastive.pixels, random)
         decoders, rules = self.scene.decoders, self.preset.identity
         assert isinstance(decoders, EncodedDecoders)  # as the preset has it
         loss = identity_loss(blended, alpha, target.slot, decoders)
         if rules.weight and self.step_number // self.preset.label_every % rules.every == 0:
-            random = np.random.default_rng([self.seed, 4, self.step_number])
             encodings = gaussians.labels[:, self._channel_counts()[0] :]
             loss = loss + rules.weight * neighbour_loss(gaussians.means, encodings, decoders, rules, random)
         return loss

@@ -46,7 +46,7 @@ def warm_start(
     with torch.no_grad():
         decoders.opacity.get_parameter("2.bias").add_(settings.opacity_bias)
     fitted: list[nn.Module] = [decoders.colour, decoders.semantic, decoders.instance]
-    if isinstance(decoders, EncodedDecoders):
+    if isinstance(decoders, EncodedDecoders) and not decoders.shape.twin:
         fitted.append(decoders.classifier)
     parameters = [parameter for each in fitted for parameter in each.parameters()]
     adam = torch.optim.Adam(parameters, lr=settings.rate)

@@ -13,6 +13,12 @@ from engine.train.presets import PRESETS
 PREVIEW = PRESETS["preview"]
 
 
+def test_what_a_contrastive_encoding_needs() -> None:
+    refuse_clashing_options(replace(PREVIEW, instances="contrastive", objects="none"))
+    with pytest.raises(JobError, match="needs objects=none"):
+        refuse_clashing_options(replace(PREVIEW, instances="contrastive"))
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_do_not_clash(name: str) -> None:
     refuse_clashing_options(PRESETS[name])
