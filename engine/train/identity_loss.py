@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch.nn import functional
 
@@ -62,7 +63,13 @@ def neighbour_loss(
     sample = random.permutation(len(rows))[: rules.samples]
     near = cKDTree(points).query(points[sample], k=list(range(1, min(rules.neighbours, len(rows)) + 1)))[1]
     mine, theirs = (
-        torch.softmax(decoders.classifier(encodings[torch.from_numpy(rows[each])]), dim=-1) for each in (sample, near)
+        torch.softmax(decoders.classifier(_rows(encodings, rows[each])), dim=-1) for each in (sample, near)
     )
     apart = mine[:, None] * (torch.log(mine[:, None] + TINY) - torch.log(theirs + TINY))
     return apart.sum(dim=-1).mean() / mine.shape[-1]
+
+
+def _rows(encodings: torch.Tensor, rows: NDArray[np.int64]) -> torch.Tensor:
+    """``encodings`` of rows of any shape. Gradients of a row taken twice add up in one order, unlike indexing's."""
+    taken = encodings.index_select(0, torch.from_numpy(rows.reshape(-1)))
+    return taken.view(*rows.shape, encodings.shape[1])
