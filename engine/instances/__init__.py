@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .agreement import ViewPoints, shown_classes, view_points
 from .consensus import ConsensusOptions, MemberMask, ObjectMasks, find_objects, with_masks_of
+from .density_clusters import density_clusters
 from .lasting_objects import LastingObjects, ObjectOverlap, lasting_objects, object_overlap
 from .linear_assignment import best_slots
 from .masks import instance_map, restrict_to_things, vote_instances
@@ -24,6 +25,7 @@ from .segment_votes import (
 from .segments import LocalInstance, MaskExtent, SegmentOptions, local_instances, mask_extents
 
 __all__ = [
+    "density_clusters",
     "object_classes",
     "vote_classes",
     "UNKNOWN_LABEL",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from statistics import median
 
 import numpy as np
@@ -41,7 +41,9 @@ from ..train.progress import StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
+from .clashing_options import refuse_clashing_options
 from .device import be_repeatable, refuse_missing_device
+from .embedding_clusters import with_clusters
 from .lasting_names import keep_names, read_earlier, write_names
 from .live_previews import LivePreviews
 from .preparation import prepare
@@ -66,7 +68,7 @@ CHECKPOINT_EVERY_S = 20.0
 """A kill loses at most this much work. Checkpoints do not change what is computed."""
 NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
-    'votes need objects = "agreement" and one_class_an_object = true'
+    'votes need objects = "agreement", one_class_an_object = true and instances = "slots"'
 )
 LEAST_STEPS = 100
 """Fewer say more about the first compilation than about the machine."""
@@ -81,6 +83,7 @@ def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resum
     preset = requested_preset(request)
     refuse_missing_device(request.device)
     refuse_names_of_no_objects(request, preset)
+    refuse_clashing_options(preset)
     be_repeatable(request.device)
     stages = StageReporter(events, stop, STAGES)
     with drawing_on(request.device):
@@ -119,6 +122,10 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     paces = train(trainer, folder, [frame.name for frame in frames], stages, previews)
 
     with stages.stage("result") as progress:
+        if preset.instances == "contrastive":
+            things = scene.classes.thing_ids
+            trainer.scene = with_clusters(trainer.scene, views, things, preset.contrastive, request.seed)
+            prepared = replace(prepared, scene=trainer.scene)
         if shows_votes(preset):
             maps = prepared.label_maps
             assert maps is not None  # objects by agreement come with them
@@ -142,8 +149,10 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
 
 
 def shows_votes(preset: Preset) -> bool:
-    """Whether the finished scene shows what the views vote, which needs objects by agreement, of one class each."""
-    return preset.labels == "votes" and preset.objects == "agreement" and preset.one_class_an_object
+    """Whether the finished scene shows what the views vote, which needs objects by agreement, of one class each; and
+    what else tells instances apart is there to be shown."""
+    can_vote = preset.objects == "agreement" and preset.one_class_an_object and preset.instances == "slots"
+    return preset.labels == "votes" and can_vote
 
 
 def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:

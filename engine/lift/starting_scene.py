@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..instances import GlobalInstance
 from ..model.anchors import initial_anchors
-from ..model.decoders import Decoders, DecoderShape
+from ..model.decoders import DecoderShape
 from ..model.features import seeded_features
 from ..model.plain import PlainDecoders, plain_gaussians, plain_shape
-from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
+from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene, new_decoders
 from ..scene import VOID
 from ..semantics import SemanticPointCloud, label_anchors, voxelise
 from ..train.presets import Preset
@@ -70,8 +70,10 @@ def starting_scene(
         instance_slots=len(channels.slot_ids),
         distance_input=preset.distance_input,
         label_view_input=preset.label_view_input,
+        encoding=preset.encoding,
+        twin=preset.instances == "contrastive",
     )
-    scene = StructuredScene(anchors, Decoders(shape, seed), channels, preset.voxel_size)
+    scene = StructuredScene(anchors, new_decoders(shape, seed), channels, preset.voxel_size)
     if preset.warm_start is not None:
         objects = owners if preset.objects != "none" else None
         warm_start(scene, rgb, objects, viewpoints, preset.warm_start, seed)

@@ -92,7 +92,8 @@ def bake(
             by_class, by_slot = decoded.labels[:, :classes], decoded.labels[:, classes:]
             labels = shown_probabilities(by_class, by_slot, scene.channels).numpy()
         else:
-            labels = known.of(decoded.rows(k)).numpy()
+            drawn = known.of(decoded.rows(k))
+            labels = known.shown(drawn, torch.ones(len(drawn))).numpy()
         parts.append(_gaussian_columns(decoded, labels, scene.channels, thing_ids))
         owner, weight = (decoded.kept // k).numpy(), decoded.opacities.numpy()
         part = _anchor_means(len(rows), owner, weight, decoded.colours.numpy(), labels)

@@ -21,7 +21,9 @@ LARGEST_LOG = 50.0
 """Of a scale in metres: its exponential is still a number of 32 bits."""
 LARGEST_WEIGHT = 1e6
 _SIZES = {"features": 512, "gaussians_per_anchor": 64, "classes": LARGEST_ID, "instance_slots": LARGEST_ID}
-_FLAGS = ("distance_input", "label_view_input", "plain")
+LARGEST_ENCODING = 256
+"""Channels."""
+_FLAGS = ("distance_input", "label_view_input", "plain", "twin")
 
 
 class Wanted(NamedTuple):
@@ -103,8 +105,10 @@ def _wanted_of_decoders(shape: DecoderShape) -> dict[str, Wanted]:
         "covariance": (seen, 7 * k),
         "colour": (seen, 3 * k),
         "semantic": (labelled, shape.classes * k),
-        "instance": (labelled, shape.instance_slots * k),
+        "instance": (labelled, shape.instance_outputs * k),
     }
+    if shape.twin:
+        sides["slow"] = sides["instance"]
     layers = {
         f"decoders.{name}.{layer}.{part}": size
         for name, (inputs, outputs) in sides.items()
@@ -115,12 +119,15 @@ def _wanted_of_decoders(shape: DecoderShape) -> dict[str, Wanted]:
             (2, "bias", (outputs,)),
         )
     }
+    if shape.encoding:
+        layers["decoders.classifier.weight"] = (shape.instance_slots, shape.encoding)
+        layers["decoders.classifier.bias"] = (shape.instance_slots,)
     return {name: Wanted(size, least=-LARGEST_WEIGHT, most=LARGEST_WEIGHT) for name, size in layers.items()}
 
 
 def _shape(facts: Mapping[str, Any], classes: int, slots: int) -> DecoderShape:
-    facts = {"plain": False, **facts}  # models of before have none
-    if set(facts) != {*_SIZES, *_FLAGS}:
+    facts = {"plain": False, "encoding": 0, "twin": False, **facts}  # models of before have none
+    if set(facts) != {*_SIZES, *_FLAGS, "encoding"}:
         raise ValueError("the decoders' shape is not known")
     is_plain = facts["plain"] is True
     if is_plain and (facts["gaussians_per_anchor"], facts["features"]) != (1, LABELS + classes + slots):
@@ -130,6 +137,13 @@ def _shape(facts: Mapping[str, Any], classes: int, slots: int) -> DecoderShape:
             continue
         if type(facts[name]) is not int or not 1 <= facts[name] <= most:
             raise ValueError(f"{name} of the decoders is no number from 1 to {most}")
+    encoding = facts["encoding"]
+    if type(encoding) is not int or not 0 <= encoding <= LARGEST_ENCODING:
+        raise ValueError(f"the encoding is no number of channels from 0 to {LARGEST_ENCODING}")
+    if encoding and (is_plain or facts["label_view_input"]):
+        raise ValueError("an encoding is the same from everywhere, and of a decoder")
+    if facts["twin"] and not encoding:
+        raise ValueError("there is a twin, and no encoding")
     if not all(type(facts[name]) is bool for name in _FLAGS):
         raise ValueError("an input of the decoders is neither on nor off")
     if (facts["classes"], facts["instance_slots"]) != (classes, slots):

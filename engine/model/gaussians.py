@@ -101,7 +101,9 @@ def decode_rows(
     """
     if decoders.shape.plain:
         return decode_plain(anchors, decoders, visible, channels, known_labels)
-    decode_with = decode_natively if _wants_kernels() and _kernels_fit(anchors.feature) else decode_in_torch
+    draws_encodings = decoders.shape.encoding > 0 and known_labels is None  # which the kernels know nothing of
+    fits = _wants_kernels() and _kernels_fit(anchors.feature) and not draws_encodings
+    decode_with = decode_natively if fits else decode_in_torch
     return decode_with(anchors, decoders, visible, centre, channels, known_labels)
 
 

@@ -49,7 +49,8 @@ def render_bands(
 
     ``most_bytes``: of a band's label coverage; None for all rows at once. ``labels`` as for ``render_view``.
     """
-    labels = shown_labels(scene) if labels is None and scene.voted is not None else labels
+    if labels is None and (scene.voted is not None or scene.decoders.shape.encoding):
+        labels = shown_labels(scene)
     known = None if labels is None else no_labels(scene.anchors)
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=known)
     k = scene.anchors.gaussians_per_anchor
@@ -138,6 +139,8 @@ def _draw_rows(
     classes, coverage = len(channels.class_ids), rendering.labels
     if labels is None:
         coverage = shown_probabilities(coverage[..., :classes], coverage[..., classes:], channels)
+    else:
+        coverage = labels.shown(coverage, rendering.alpha)
     return PanopticRendering(
         camera=camera.of_rows(*rows),
         image=rendering.image.clamp_(0.0, 1.0).numpy(),

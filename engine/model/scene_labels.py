@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
+from .encoded import EncodedDecoders
 from .structured import GaussianLabels, LabelChannels, StructuredScene
 
 CHUNK = 16384
@@ -24,6 +25,10 @@ class SceneLabels:
     def of(self, rows: torch.Tensor) -> torch.Tensor:
         """The probabilities of the Gaussians of ``rows`` int64 [N], float32 [N, C + U]."""
         return self.probabilities.index_select(0, rows)
+
+    def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+        """The coverage [..., C + U] of classes and instances, from what was drawn of the rows up to ``alpha`` [...]."""
+        return drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +55,32 @@ class VotedLabels:
         owned = torch.where(label >= self.classes, share, torch.zeros_like(share))
         return table.scatter_add_(1, label, owned)
 
+    def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+        """As ``SceneLabels.shown``."""
+        return drawn
 
-ShownLabels = SceneLabels | VotedLabels
+
+@dataclass(frozen=True, eq=False)
+class EncodedLabels:
+    """As ``SceneLabels``, where encodings tell instances apart: these are drawn, and each pixel's blend is classified.
+    ``columns`` float32 [M * k, C + E]: class probabilities and encoding of every Gaussian."""
+
+    columns: torch.Tensor
+    decoders: EncodedDecoders
+    channels: LabelChannels
+
+    def of(self, rows: torch.Tensor) -> torch.Tensor:
+        """What is drawn of the Gaussians of ``rows`` int64 [N], float32 [N, C + E]."""
+        return self.columns.index_select(0, rows)
+
+    def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+        """As ``SceneLabels.shown``."""
+        classes = len(self.channels.class_ids)
+        slots = self.decoders.slot_coverage(drawn[..., classes:], alpha)
+        return shown_probabilities(drawn[..., :classes], slots, self.channels)
+
+
+ShownLabels = SceneLabels | VotedLabels | EncodedLabels
 
 
 def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: LabelChannels) -> torch.Tensor:
@@ -79,12 +108,14 @@ def shown_labels(scene: StructuredScene) -> ShownLabels | None:
 
 
 @torch.no_grad()
-def scene_labels(scene: StructuredScene) -> SceneLabels | None:
+def scene_labels(scene: StructuredScene) -> SceneLabels | EncodedLabels | None:
     """The labels that the decoders give the Gaussians of a scene that does not change while they are used.
 
-    None when labels depend on the view, or when there are too many to keep.
+    None when labels depend on the view, or when there are too many to keep. Encodings are kept however many there are.
     """
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
+    if isinstance(decoders, EncodedDecoders):
+        return _encoded_labels(scene, decoders)
     gaussians = len(anchors) * anchors.gaussians_per_anchor
     width = len(channels.class_ids) + len(channels.instance_slots)
     if decoders.shape.label_view_input or 4 * gaussians * width > MOST_BYTES:
@@ -96,3 +127,11 @@ def scene_labels(scene: StructuredScene) -> SceneLabels | None:
         probabilities[start : start + len(classes)] = shown_probabilities(classes, slots, channels)
         start += len(classes)
     return SceneLabels(probabilities)
+
+
+def _encoded_labels(scene: StructuredScene, decoders: EncodedDecoders) -> EncodedLabels:
+    parts = []
+    for feature in scene.anchors.feature.detach().split(CHUNK):
+        classes, encodings = (each.flatten(0, 1) for each in decoders.label_outputs(feature, feature))
+        parts.append(torch.cat([classes.softmax(dim=1), encodings], dim=1))
+    return EncodedLabels(torch.cat(parts), decoders, scene.channels)

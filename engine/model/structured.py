@@ -9,6 +9,7 @@ import torch
 from .anchors import Anchors
 from .checking import check_model
 from .decoders import Decoders, DecoderShape
+from .encoded import EncodedDecoders, TwinDecoders
 from .plain import PlainDecoders
 
 FORMAT = 2
@@ -64,6 +65,15 @@ class StructuredScene:
     voted: GaussianLabels | None = None
 
 
+def new_decoders(shape: DecoderShape, seed: int) -> Decoders:
+    """Decoders of that shape, drawn from the seed."""
+    if shape.plain:
+        return PlainDecoders(shape)
+    if shape.twin:
+        return TwinDecoders(shape, seed)
+    return EncodedDecoders(shape, seed) if shape.encoding else Decoders(shape, seed)
+
+
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:
     """Named tensors and JSON-ready facts that ``from_tensors`` makes the scene from again."""
     tensors = {f"anchors.{name}": tensor for name, tensor in scene.anchors.tensors().items()}
@@ -76,9 +86,15 @@ def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[st
         "class_ids": list(scene.channels.class_ids),
         "slot_ids": list(scene.channels.slot_ids),
         "class_of_slot": list(scene.channels.class_of_slot),
-        "decoders": asdict(scene.decoders.shape),
+        "decoders": _facts_of(scene.decoders.shape),
     }
     return tensors, facts
+
+
+def _facts_of(shape: DecoderShape) -> dict[str, object]:
+    """Without what only rivals' heads need, where there is none: earlier versions read such models too."""
+    facts = asdict(shape)
+    return facts if shape.encoding else {key: value for key, value in facts.items() if key not in ("encoding", "twin")}
 
 
 def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredScene:
@@ -90,7 +106,7 @@ def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredSce
     check_model(tensors, facts)
     anchors = Anchors(**{name: tensors[f"anchors.{name}"].clone() for name in (*Anchors.LEARNT, *Anchors.FIXED)})
     shape = DecoderShape(**facts["decoders"])
-    decoders = PlainDecoders(shape) if shape.plain else Decoders(shape, seed=0)
+    decoders = new_decoders(shape, seed=0)
     weights = {name: tensor for name, tensor in tensors.items() if name.startswith("decoders.")}
     decoders.load_state_dict({name.removeprefix("decoders."): tensor for name, tensor in weights.items()})
     meaning = (tuple(facts[name]) for name in ("class_ids", "slot_ids", "class_of_slot"))

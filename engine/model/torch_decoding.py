@@ -39,11 +39,11 @@ def decode_in_torch(
     if known_labels is not None:
         labels = known_labels.index_select(0, visible.index_select(0, owner) * k + kept % k)
     else:
-        logits = decoders.label_logits(feature, seen)
-        drawn = [torch.softmax(take_rows(each.flatten(0, 1), kept), dim=1) for each in logits]
-        labels = torch.cat(drawn, dim=1)
+        classes, instances = decoders.label_outputs(feature, seen)
+        by_class = torch.softmax(take_rows(classes.flatten(0, 1), kept), dim=1)
+        labels = torch.cat([by_class, decoders.drawn_instances(take_rows(instances.flatten(0, 1), kept))], dim=1)
         if channels is not None:
-            cluster = cluster_loss(logits[0], channels.index_select(0, visible))
+            cluster = cluster_loss(classes, channels.index_select(0, visible))
     return NeuralGaussians(
         means=position.index_select(0, owner) + offset * owner_scale[:, :3],
         scales=owner_scale[:, 3:] * torch.sigmoid(shape[:, :3]),

@@ -51,6 +51,8 @@ class Optimiser:
         for name in DECODERS:
             if name in networks:
                 yield name, list(networks[name].parameters())
+        if "classifier" in networks and not self.decoders.shape.twin:  # of encodings, as fast as these
+            yield "instance", list(networks["classifier"].parameters())
 
     def _named(self) -> Iterator[tuple[str, torch.Tensor]]:
         for name in Anchors.LEARNT:

@@ -56,6 +56,15 @@ RANGES: dict[str, tuple[float, float | None]] = {
     "plain.reset_to": (TINY, 0.99),
     "plain.reset_steps": (1, None),
     "consensus.support": SHARE,
+    "identity.channels": (1, 64),
+    "identity.neighbours": (1, 64),
+    "identity.samples": (1, 100_000),
+    "identity.every": (1, None),
+    "contrastive.channels": (1, 64),
+    "contrastive.momentum": SHARE,
+    "contrastive.pixels": (2, 20_000),
+    "contrastive.clustered": (2, 20_000),
+    "contrastive.least_share": SHARE,
 }
 """Least and greatest value; of what is not named here, 0 and any, and of the learning rates more than 0."""
 

@@ -16,6 +16,8 @@ from ..job.effort import EFFORTS, Effort
 from ..model.growing import GrowthRules
 from ..model.label_voting import VotingOptions
 from ..model.plain import PlainRules
+from .contrastive_loss import ContrastiveRules
+from .identity_loss import IdentityRules
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,10 @@ class Preset:
     L_cluster alone ("none"). ``matched_masks``: whether M_match, or the votes' objects, supervise instances, if
     anything was matched. Without
     ``labelled_start`` anchors and decoders begin with the cloud's colours alone. ``vote_from``: the labels that are
-    voted onto Gaussians come from the voted objects, or straight from the masks.
+    voted onto Gaussians come from the voted objects, or straight from the masks. ``instances``: what tells instances
+    apart, probabilities of "slots", or an "identity" encoding (Gaussian Grouping's, by ``identity``), which the matched
+    masks teach, or a "contrastive" one (Contrastive Lift's, by ``contrastive``), which needs nothing matched: its
+    clusters are the instances. The finished scene then shows these, not the votes.
     """
 
     name: str
@@ -155,10 +160,19 @@ class Preset:
     matched_masks: bool = True
     labelled_start: bool = True
     vote_from: Literal["objects", "masks"] = "objects"
+    instances: Literal["slots", "identity", "contrastive"] = "slots"
+    identity: IdentityRules = IdentityRules()
+    contrastive: ContrastiveRules = ContrastiveRules()
 
     def __post_init__(self) -> None:
         if self.vote_rounds < 1 or self.label_every < 1:
             raise ValueError(f"vote_rounds and label_every must be at least 1: {self.vote_rounds}, {self.label_every}")
+
+    @property
+    def encoding(self) -> int:
+        """Channels of the encoding that tells instances apart; 0 where slots do."""
+        channels = {"identity": self.identity.channels, "contrastive": self.contrastive.channels}
+        return channels.get(self.instances, 0)
 
     def for_views(self, views: int) -> Preset:
         """With as many steps as so many views need."""

@@ -59,7 +59,8 @@ def _check(
     if type(facts["optimiser_steps"]) is not int or facts["optimiser_steps"] < 0:
         raise ValueError("its optimiser's steps are no number")
     parameters = {f"anchors.{name}": getattr(scene.anchors, name) for name in scene.anchors.LEARNT}
-    parameters |= {f"decoders.{name}": parameter for name, parameter in scene.decoders.named_parameters()}
+    learnt = {name: each for name, each in scene.decoders.named_parameters() if each.requires_grad}
+    parameters |= {f"decoders.{name}": parameter for name, parameter in learnt.items()}
     moments, growth = _under("optimiser.", tensors), _under("growth.", tensors)
     wanted = {
         f"{name}.{moment}": Wanted(tuple(parameter.shape), least=-math.inf if moment == "mean" else 0.0)

@@ -12,6 +12,7 @@ import torch
 
 from ..instances import UNKNOWN_LABEL, PanopticLabels, segment_labels
 from ..model.baking import decided_labels
+from ..model.encoded import EncodedDecoders, TwinDecoders
 from ..model.gaussians import decode
 from ..model.growing import GrowthRound, GrowthStatistics, grow_and_prune
 from ..model.neural_gaussians import NeuralGaussians
@@ -24,7 +25,9 @@ from ..raster import Rendering, rasterize
 from ..scene import VOID, PanopticMask, View
 from ..semantics import pseudo_labels
 from .assignment import assigned_slots
+from .contrastive_loss import contrastive_loss
 from .depth_loss import depth_loss
+from .identity_loss import identity_loss, neighbour_loss
 from .label_losses import label_losses
 from .losses import reconstruction_loss
 from .optimiser import Optimiser
@@ -122,6 +125,8 @@ class Trainer:
         self._gather_statistics(gaussians, rendering, target, progress)
         self.clock.lap("growth statistics")
         self.optimiser.step(progress)
+        if with_labels and isinstance(self.scene.decoders, TwinDecoders):
+            self.scene.decoders.follow(self.preset.contrastive.momentum)
         self.clock.lap("optimiser")
         self.step_number += 1
         self._grow_if_due()
@@ -147,14 +152,17 @@ class Trainer:
 
     def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
         """The label channels that the view is compared in, ascending int64: all, where segments are assigned to slots
-        by what is drawn, or segments to classes; else those of its targets, as the losses look at no others."""
-        channels = self.scene.channels
-        classes, slots = len(channels.class_ids), len(channels.slot_ids)
+        by what is drawn, or segments to classes; else those of its targets, as the losses look at no others, and all of
+        an encoding."""
+        classes, total = self._channel_counts()
         if self.preset.linear_assignment or self._wants_segments(target):
-            return torch.arange(classes + slots)
-        used = torch.zeros(classes + slots + 1, dtype=torch.bool)  # the last is that of no target
+            return torch.arange(total)
+        used = torch.zeros(total + 1, dtype=torch.bool)  # the last is that of no target
         used[target.semantic.long()] = True
-        used[torch.where(target.slot < 0, -1, target.slot.long() + classes)] = True
+        if self.preset.encoding:
+            used[classes:total] = True
+        else:
+            used[torch.where(target.slot < 0, -1, target.slot.long() + classes)] = True
         used[0] |= not used[:-1].any()  # a view without targets draws one channel, as the others draw some
         return torch.nonzero(used[:-1]).reshape(-1)
 
@@ -162,6 +170,11 @@ class Trainer:
         """Whether the view's segments are to be of one class each in this step."""
         first = self.preset.schedule.segments_from * self.preset.steps
         return target.segments is not None and self.step_number >= first
+
+    def _channel_counts(self) -> tuple[int, int]:
+        """How many label channels are of classes, and how many there are."""
+        classes = len(self.scene.channels.class_ids)
+        return classes, classes + self.scene.decoders.shape.instance_channels
 
     def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets, columns: torch.Tensor | None) -> Rendering:
         """With the label channels ``columns``, or with none."""
@@ -231,13 +244,16 @@ class Trainer:
         the anchors' features, which all decoders share: that is what makes labels follow what the picture shows.
         ``columns``: the channels that were drawn.
         """
-        channels = len(self.scene.channels.class_ids), len(self.scene.channels.slot_ids)
-        classes = int((columns < channels[0]).sum())
-        place = torch.full((sum(channels) + 1,), -1, dtype=torch.int16)  # the last is that of no target
+        of_classes, total = self._channel_counts()
+        classes = int((columns < of_classes).sum())
+        place = torch.full((total + 1,), -1, dtype=torch.int16)  # the last is that of no target
         place[columns] = torch.arange(len(columns), dtype=torch.int16)
         semantic = place[target.semantic.long()]
-        slot = torch.where(target.slot < 0, -1, place[target.slot.long() + channels[0]] - classes).to(torch.int16)
         assert rendering.labels is not None  # drawn with labels
+        if self.preset.encoding:  # of no slots
+            slot = torch.full_like(semantic, -1)
+        else:
+            slot = torch.where(target.slot < 0, -1, place[target.slot.long() + of_classes] - classes).to(torch.int16)
         if self.preset.linear_assignment:
             assigned = assigned_slots(
                 rendering.labels,
@@ -250,6 +266,8 @@ class Trainer:
         else:
             assigned = torch.full_like(slot, -1)
         by_class, by_slot = label_losses(rendering.labels, rendering.alpha, classes, semantic, (assigned, slot))
+        if self.preset.encoding:
+            by_slot = self._encoding_loss(gaussians, rendering.labels[..., classes:], rendering.alpha, target)
         self.clock.lap("label losses")
         weights = self.preset.weights
         if target.segments is not None and self._wants_segments(target):
@@ -259,6 +277,21 @@ class Trainer:
             by_class = by_class + weights.segment * consistency
             self.clock.lap("segment consistency")
         return by_class + weights.cluster * gaussians.cluster_loss, by_slot
+
+    def _encoding_loss(
+        self, gaussians: NeuralGaussians, blended: torch.Tensor, alpha: torch.Tensor, target: ViewTargets
+    ) -> torch.Tensor:
+        """L_ins where encodings [H, W, E] tell instances apart."""
+        random = np.random.default_rng([self.seed, 4, self.step_number])
+        if self.preset.instances == "contrastive":
+            return contrastive_loss(blended, alpha, target.things, self.preset.contrastive.pixels, random)
+        decoders, rules = self.scene.decoders, self.preset.identity
+        assert isinstance(decoders, EncodedDecoders)  # as the preset has it
+        loss = identity_loss(blended, alpha, target.slot, decoders)
+        if rules.weight and self.step_number // self.preset.label_every % rules.every == 0:
+            encodings = gaussians.labels[:, self._channel_counts()[0] :]
+            loss = loss + rules.weight * neighbour_loss(gaussians.means, encodings, decoders, rules, random)
+        return loss
 
     def _gather_statistics(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from torch import nn
 from torch.nn import functional
 
 from ..model.anchors import UNKNOWN_CLASS
+from ..model.encoded import EncodedDecoders
 from ..model.structured import StructuredScene
 from .presets import WarmStart
 from .targets import columns_of, slots_of
@@ -43,7 +45,10 @@ def warm_start(
     k = anchors.gaussians_per_anchor
     with torch.no_grad():
         decoders.opacity.get_parameter("2.bias").add_(settings.opacity_bias)
-    parameters = [*decoders.colour.parameters(), *decoders.semantic.parameters(), *decoders.instance.parameters()]
+    fitted: list[nn.Module] = [decoders.colour, decoders.semantic, decoders.instance]
+    if isinstance(decoders, EncodedDecoders) and not decoders.shape.twin:
+        fitted.append(decoders.classifier)
+    parameters = [parameter for each in fitted for parameter in each.parameters()]
     adam = torch.optim.Adam(parameters, lr=settings.rate)
     for step in range(settings.steps):
         rows = torch.from_numpy(random.integers(0, len(anchors), min(settings.batch, len(anchors))))
