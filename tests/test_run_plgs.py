@@ -69,7 +69,8 @@ def has_begun(out: Path) -> Callable[[], bool]:
 def test_what_is_no_range_of_frames_is_told_in_a_line(root: Path, tmp_path: Path, text: str) -> None:
     told = run_script(root, "-o", tmp_path / "out", "--bake", "camera", "--range", text)
     assert told.returncode == 2
-    assert told.stderr.splitlines()[-1].endswith(f"{text!r} is no range of frames, such as 1-250 or 1-250x2")
+    (line,) = told.stderr.splitlines()
+    assert repr(text) in line and "such as 1-250" in line
 
 
 def test_finishes(run: Run, tmp_path: Path) -> None:
