@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from pathlib import Path
 from typing import NoReturn
 
 import bpy
@@ -18,7 +19,14 @@ def end_process(code: int) -> NoReturn:
     """
     if bpy.app.binary_path:
         sys.exit(code)
-    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+    drop_session_folder(Path(bpy.app.tempdir))
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
+
+
+def drop_session_folder(folder: Path) -> None:
+    """Delete Blender's folder for temporary files of this session, as it does itself where it is closed. Where it could
+    make none, ``folder`` is that of all programs, and stays."""
+    if folder.name.startswith("blender_"):
+        shutil.rmtree(folder, ignore_errors=True)

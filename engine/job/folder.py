@@ -197,7 +197,7 @@ class LiftFolder:
         """Clear away what must not outlive an earlier run: its cancel file, torn files, a broken manifest, and files
         that are not as it lists them. Those of a lift are made anew; passes that were baked later are not.
 
-        Only for the engine that holds the lock.
+        Only for the engine that holds the lock. Raises OSError when a file cannot be read: it stays.
         """
         self.cancel_path.unlink(missing_ok=True)
         for path in changed_files(self.result_path):

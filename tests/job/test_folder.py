@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -122,6 +123,19 @@ def test_preparing_a_run_clears_what_must_not_outlive_the_last(tmp_path: Path) -
     assert not folder.cancel_path.exists() and not folder.manifest_path.exists()
     assert folder.checkpoints.latest() is not None
     assert [path.name for path in folder.result_path.iterdir()] == ["metrics.json"]
+
+
+def test_a_file_that_cannot_be_read_now_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = new_lift(tmp_path)
+    run_tiny(folder)
+
+    def silent(path: Path) -> str:
+        raise OSError(errno.EIO, "Input/output error", str(path))
+
+    monkeypatch.setattr("engine.job.manifest.sha256", silent)
+    with pytest.raises(OSError, match="Input/output"):
+        folder.prepare_run()
+    assert (folder.result_path / "metrics.json").exists() and folder.manifest_path.exists()
 
 
 def test_discards_only_what_came_to_nothing(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from plgs_blender.module_exit import drop_session_folder
+
 LEFT_OVER = """
 import ctypes, sys, bpy
 ctypes.pythonapi.Py_IncRef(ctypes.py_object(bpy))
@@ -20,3 +22,12 @@ def test_a_reference_that_is_left_over_keeps_nobody_waiting(root: Path) -> None:
     assert said.returncode == 3, said.stderr
     folder = Path(said.stdout.splitlines()[-1])
     assert folder.is_absolute() and not folder.exists()
+
+
+def test_only_the_folder_of_the_session_is_deleted(tmp_path: Path) -> None:
+    session, shared = tmp_path / "blender_a1b2", tmp_path / "all"
+    for folder in (session, shared):
+        folder.mkdir()
+        (folder / "file").touch()
+        drop_session_folder(folder)
+    assert not session.exists() and (shared / "file").exists()
