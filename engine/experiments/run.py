@@ -83,12 +83,15 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
     and SceneError before any lift begins, Interrupted on Ctrl-C; the same call goes on then.
     """
     tasks = list(tasks_of(experiment))
-    refuse_bad_input(experiment, tasks)
     if experiment.only_finished:
         tasks = [task for task in tasks if (task.options.output / "result" / "manifest.json").is_file()]
+    refuse_bad_input(experiment, tasks)
     results = list(results_of_rivals(experiment))
     failed: dict[str, ExitCode] = {}
     for number, task in enumerate(tasks, start=1):
+        if experiment.only_finished:
+            results.append(result_of(experiment, task, LiftFolder.open(task.options.output)))
+            continue
         print(f"{task.name}, {experiment.preset_name} ({number} of {len(tasks)})", file=sys.stderr)
         if task.depth_of is not None and not make_depth_maps(task.depth_of, task.options.depth):
             failed[task.name] = ExitCode.BAD_INPUT
@@ -99,7 +102,7 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
         if code is not ExitCode.FINISHED:
             failed[task.name] = code
             continue
-        results.append(read_result(task.scene.name, task.row.name, experiment.preset_name, lift))
+        results.append(result_of(experiment, task, lift))
         write_report(experiment.folder, experiment.tables(tuple(results)))
     tables = experiment.tables(tuple(results))
     if results:
@@ -109,6 +112,11 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
     if failed:
         print(f"Not lifted: {'; '.join(failed)}. The same command tries again.", file=sys.stderr)
     return next(iter(failed.values()), ExitCode.FINISHED)
+
+
+def result_of(experiment: Experiment, task: Task, lift: LiftFolder) -> Result:
+    """The figures of a finished lift. Raises JobError when they cannot be read."""
+    return read_result(task.scene.name, task.row.name, experiment.preset_name, lift)
 
 
 def tasks_of(experiment: Experiment) -> Iterator[Task]:

@@ -13,6 +13,7 @@ from ..job.manifest import MAKE_ANEW
 from ..lift.bake_more import frames_named
 from ..lift.baking import FrameBaker, baked_files
 from ..lift.scene_files import read_instances, read_model, read_shown_instances
+from ..model.structured import StructuredScene
 from ..passes import PanopticLayers, ShownInstances, read_exr
 from ..scene import ClassTable, Frame, Scene, open_asked
 
@@ -41,7 +42,11 @@ class FinishedLift:
 
     @cached_property
     def instances(self) -> ShownInstances:
-        return read_shown_instances(self.folder)
+        return read_shown_instances(self.folder, self._model)
+
+    @cached_property
+    def _model(self) -> StructuredScene:
+        return read_model(self.folder)
 
     @cached_property
     def records(self) -> list[dict[str, Any]]:
@@ -50,7 +55,7 @@ class FinishedLift:
 
     @cached_property
     def _baker(self) -> FrameBaker:
-        return FrameBaker(self.classes, read_model(self.folder), self.instances)
+        return FrameBaker(self.classes, self._model, self.instances)
 
     def views(self) -> Iterator[tuple[Frame, PanopticLayers]]:
         """Every frame as the lift shows it, at the frame's own size."""

@@ -99,7 +99,8 @@ def _bake(
         asked = folder.request
         scene = open_asked(asked)
         wanted = [view for view in views_in(scene) if not is_baked(folder, view)]
-        baker = FrameBaker(scene.classes, read_model(folder), read_shown_instances(folder))
+        lifted = read_model(folder)
+        baker = FrameBaker(scene.classes, lifted, read_shown_instances(folder, lifted))
     new = _NewViews(folder, locks)
     with stages.stage("bake") as progress:
         try:

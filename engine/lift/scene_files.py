@@ -84,13 +84,17 @@ def read_model(folder: LiftFolder) -> StructuredScene:
 
 
 def shown_instances(prepared: PreparedLift, names: Mapping[int, str]) -> ShownInstances:
-    """Of a lift that is going on. Slots that only the linear assignment gives a meaning have numbers for names."""
-    free = {one: f"object {one}" for one in prepared.scene.channels.shown_ids if one not in names}
-    return ShownInstances({**names, **free}, prepared.class_of_instance)
+    """Of a lift that is going on."""
+    return ShownInstances(_with_numbers(names, prepared.scene), prepared.class_of_instance)
 
 
-def read_shown_instances(folder: LiftFolder) -> ShownInstances:
-    """Of a finished lift. Raises JobError when its manifest cannot be read, OSError."""
+def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int, str]:
+    """Slots that only the linear assignment, or clusters, give a meaning have numbers for names."""
+    return {**names, **{one: f"object {one}" for one in lifted.channels.shown_ids if one not in names}}
+
+
+def read_shown_instances(folder: LiftFolder, lifted: StructuredScene) -> ShownInstances:
+    """Of a finished lift, whose model is ``lifted``. Raises JobError when its manifest cannot be read, OSError."""
     path, fix = folder.result_path / "instances.json", "Lift the scene anew, into another folder."
     listed = read_instances(folder)
     settings = read_manifest(folder.result_path).settings
@@ -102,7 +106,7 @@ def read_shown_instances(folder: LiftFolder) -> ShownInstances:
     except (KeyError, TypeError, ValueError) as error:
         raise JobError(f"cannot be read ({error!r})", path, fix) from error
     one_class = settings["one_class_an_object"] and settings.get("objects") != "none"
-    return ShownInstances(names, class_of if one_class else None)
+    return ShownInstances(_with_numbers(names, lifted), class_of if one_class else None)
 
 
 def read_instances(folder: LiftFolder) -> list[dict[str, Any]]:

@@ -99,7 +99,11 @@ def test_tables_of_what_is_finished_lift_nothing(experiment: Experiment, behave:
     assert run(replace(experiment, scenes=experiment.scenes[:1])) is ExitCode.FINISHED
     whole = replace(experiment, only=("ours", "parts"), only_finished=True)
     assert run(whole) is ExitCode.FINISHED
-    assert measured(whole) == [("office", "ours")]
+    assert measured(whole) == [("office", "ours")] and runs_of(whole, "office-preview") == [False]
+    (whole.folder / "office-preview" / "result" / "metrics.json").write_text("{")
+    with pytest.raises(JobError, match="metrics.json"):
+        run(whole)
+    assert runs_of(whole, "office-preview") == [False], "what is damaged is told, not lifted"
     assert sorted(path.parent.name for path in whole.folder.glob("*/request.json")) == ["office-preview"]
 
 

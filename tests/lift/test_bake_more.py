@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 from safetensors import safe_open
@@ -217,3 +218,25 @@ def test_a_model_that_cannot_be_read_is_told_in_one_line(lift: LiftFolder) -> No
     lift.manifest_path.write_text(json.dumps(manifest))
     with pytest.raises(JobError, match="one class"):
         bake(lift, "0002")
+
+
+def test_objects_without_names_have_the_same_numbers_later(
+    finished: dict[str, LiftFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(PRESETS, "preview", TINY)
+    options = {"objects": "none", "linear_assignment": True, "labels": "decoders", "one_class_an_object": False}
+    request = LiftRequest(scene=finished["test"].request.scene, bake="test", options=options)
+    lift = LiftFolder.create(tmp_path / "lift", request)
+    events = EventWriter(lift.events_path)
+    run_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
+    events.close()
+    bake(lift, "0002")
+    first, later = (matte_names_of(lift.passes_path / f"{frame}.exr") for frame in ("0004", "0002"))
+    assert first == later and all(name.startswith("object ") for name in later)
+
+
+def matte_names_of(path: Path) -> list[str]:
+    with OpenEXR.File(str(path), header_only=True) as file:
+        header = dict(file.header())
+    layers = {key.split("/")[1] for key, value in header.items() if key.endswith("/name") and "Instance" in str(value)}
+    return sorted(json.loads(header[f"cryptomatte/{layers.pop()}/manifest"]))
