@@ -3,7 +3,7 @@ an instance (Contrastive Lift). A pixel is of the instance whose cluster's centr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,6 +20,9 @@ from ..raster import rasterize
 from ..scene import Camera, View
 from ..train.contrastive_loss import ContrastiveRules
 
+Progress = Callable[[int, int], object]
+"""Is told how many of how many views are done."""
+
 OPAQUE = 0.5
 """Pixels that less is drawn of say nothing."""
 FARTHEST = 3.0
@@ -30,6 +33,10 @@ NEVER = -1e5
 """Logit of "no object": a thing's pixel always has an instance."""
 LEAST_WIDTH = 1e-2
 """Of a channel that is brought to a width of 1: what lies closer is not stretched further."""
+
+
+def silently(done: int, total: int) -> None:
+    """Tell nobody."""
 
 
 class Centres(NamedTuple):
@@ -45,9 +52,10 @@ def with_clusters(
     thing_ids: frozenset[int],
     rules: ContrastiveRules,
     seed: int,
+    progress: Progress = silently,
 ) -> StructuredScene:
     """The scene with an instance for each cluster, and a classifier that finds it; the slow decoder stays behind."""
-    found = cluster_centres(thing_embeddings(scene, views, thing_ids, rules, seed), rules.least_share)
+    found = cluster_centres(thing_embeddings(scene, views, thing_ids, rules, seed, progress), rules.least_share)
     slots = (*range(1, len(found.centre) + 1), NO_OBJECT)
     shape = replace(scene.decoders.shape, twin=False, instance_slots=len(slots))
     decoders = EncodedDecoders(shape, seed)
@@ -89,14 +97,17 @@ def thing_embeddings(
     thing_ids: frozenset[int],
     rules: ContrastiveRules,
     seed: int,
+    progress: Progress = silently,
 ) -> NDArray[np.float64]:
-    """Fast embeddings [N, E] of at most ``clustered`` pixels that are shown as things, at most so many of a view."""
+    """Fast embeddings [N, E] of at most ``clustered`` pixels that are shown as things, at most so many of a view.
+    ``progress`` is told of each view; what it raises ends this."""
     labels = scene_labels(scene)
     assert isinstance(labels, EncodedLabels)  # it has embeddings
     random = np.random.default_rng([seed, 5])
     parts = []
-    for view in views:
+    for done, view in enumerate(views, start=1):
         shown = _of_things(scene, labels, view.camera, thing_ids)
+        progress(done, len(views))
         parts.append(shown[random.permutation(len(shown))[: rules.clustered]])
     every = np.concatenate(parts)
     return every[random.permutation(len(every))[: rules.clustered]]

@@ -124,7 +124,7 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     with stages.stage("result") as progress:
         if preset.instances == "contrastive":
             things = scene.classes.thing_ids
-            trainer.scene = with_clusters(trainer.scene, views, things, preset.contrastive, request.seed)
+            trainer.scene = with_clusters(trainer.scene, views, things, preset.contrastive, request.seed, progress)
             prepared = replace(prepared, scene=trainer.scene)
         if shows_votes(preset):
             maps = prepared.label_maps
