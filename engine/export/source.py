@@ -11,9 +11,8 @@ from typing import Any
 from ..job import JobError, LiftFolder, read_manifest, verify_files
 from ..job.manifest import MAKE_ANEW
 from ..lift.bake_more import frames_named
-from ..lift.baking import FrameBaker, baked_files
-from ..lift.scene_files import read_instances, read_model, read_shown_instances
-from ..model.structured import StructuredScene
+from ..lift.baking import FrameBaker, baked_files, read_baker
+from ..lift.scene_files import read_instances
 from ..passes import PanopticLayers, ShownInstances, read_exr
 from ..scene import ClassTable, Frame, Scene, open_asked
 
@@ -42,11 +41,7 @@ class FinishedLift:
 
     @cached_property
     def instances(self) -> ShownInstances:
-        return read_shown_instances(self.folder, self._model)
-
-    @cached_property
-    def _model(self) -> StructuredScene:
-        return read_model(self.folder)
+        return self._baker.instances
 
     @cached_property
     def records(self) -> list[dict[str, Any]]:
@@ -55,7 +50,7 @@ class FinishedLift:
 
     @cached_property
     def _baker(self) -> FrameBaker:
-        return FrameBaker(self.classes, self._model, self.instances)
+        return read_baker(self.folder, self.classes)
 
     def views(self) -> Iterator[tuple[Frame, PanopticLayers]]:
         """Every frame as the lift shows it, at the frame's own size."""

@@ -28,8 +28,7 @@ from ..model.rendering import ClipRange
 from ..passes import read_note
 from ..scene import Camera, Frame, Scene, open_asked
 from ..train.progress import StageReporter
-from .baking import FrameBaker, baked_files
-from .scene_files import read_model, read_shown_instances
+from .baking import baked_files, read_baker
 
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
 KEEP_EVERY_S = 20.0
@@ -99,8 +98,7 @@ def _bake(
         asked = folder.request
         scene = open_asked(asked)
         wanted = [view for view in views_in(scene) if not is_baked(folder, view)]
-        lifted = read_model(folder)
-        baker = FrameBaker(scene.classes, lifted, read_shown_instances(folder, lifted))
+        baker = read_baker(folder, scene.classes)
     new = _NewViews(folder, locks)
     with stages.stage("bake") as progress:
         try:

@@ -30,6 +30,7 @@ from ..passes import (
 )
 from ..scene import Camera, ClassTable, Frame, Scene
 from ..train.progress import StageReporter
+from .scene_files import read_model, read_shown_instances
 
 
 class FrameBaker:
@@ -58,6 +59,12 @@ class FrameBaker:
         write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
         events.artifact(passes, "pass")
         events.preview(semantic)
+
+
+def read_baker(folder: LiftFolder, classes: ClassTable) -> FrameBaker:
+    """Of a finished lift. Raises JobError when its files cannot be read, OSError."""
+    lifted = read_model(folder)
+    return FrameBaker(classes, lifted, read_shown_instances(folder, lifted))
 
 
 def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:
