@@ -22,9 +22,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def load_package(root: Path, name: str) -> ModuleType:
     """Import the extension, whose root is the repository's, as `name` whatever the checkout's folder is called."""
-    spec = importlib.util.spec_from_file_location(
-        name, root / "__init__.py", submodule_search_locations=[str(root)]
-    )
+    spec = importlib.util.spec_from_file_location(name, root / "__init__.py", submodule_search_locations=[str(root)])
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module

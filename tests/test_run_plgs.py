@@ -113,9 +113,7 @@ def test_resume_of_a_finished_lift_touches_nothing_but_mends_the_blend(run: Run,
         ("patient", signal.SIGTERM, 143),
     ],
 )
-def test_a_signal_ends_both(
-    run: Run, tmp_path: Path, behaviour: str, number: signal.Signals, code: int
-) -> None:
+def test_a_signal_ends_both(run: Run, tmp_path: Path, behaviour: str, number: signal.Signals, code: int) -> None:
     out = tmp_path / "out"
     process = run(behaviour, tmp_path / "scene", "-o", out)
     wait_for(process, has_begun(out))

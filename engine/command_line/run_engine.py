@@ -200,9 +200,7 @@ def _do(folder: LiftFolder, events: EventWriter, stop: StopSignal, task: Task, t
         return _fail(events, terminal, str(error), sys.executable, fix, ExitCode.INTERNAL_ERROR)
     except MemoryError:
         traceback.print_exc()
-        return _fail(
-            events, terminal, "memory ran out", folder.path, task.with_less_memory, ExitCode.INTERNAL_ERROR
-        )
+        return _fail(events, terminal, "memory ran out", folder.path, task.with_less_memory, ExitCode.INTERNAL_ERROR)
     except Exception as error:  # the process's outermost frame: the traceback is kept, the user gets a line
         traceback.print_exc()
         if _is_of_a_full_disk(error):

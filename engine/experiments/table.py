@@ -140,5 +140,3 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     for row in [rows[0], rule, *rows[1:]]:
         cells = zip(row, widths, strict=True)
         yield f"| {' | '.join(c.rjust(w) if place else c.ljust(w) for place, (c, w) in enumerate(cells))} |"
-
-

@@ -164,7 +164,7 @@ def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mappi
         class_id, instance = divmod(value, MOST_INSTANCES)
         if class_id in classes:
             names[value] = instances.get(instance, f"instance {instance}") if instance else classes[class_id].name
-    safe = {value: "".join("-" if c in '<>:/|?*' else c for c in name) for value, name in matte_names(names).items()}
+    safe = {value: "".join("-" if c in "<>:/|?*" else c for c in name) for value, name in matte_names(names).items()}
     return matte_names(safe)
 
 

@@ -93,9 +93,7 @@ def find_objects(
     return with_contained(found, space, others, options.rules.contained), summaries
 
 
-def with_contained(
-    objects: ObjectMasks, space: MasksInSpace, rows: NDArray[np.intp], contained: float
-) -> ObjectMasks:
+def with_contained(objects: ObjectMasks, space: MasksInSpace, rows: NDArray[np.intp], contained: float) -> ObjectMasks:
     """The objects with those masks ``rows`` (of views that are no keyframes) of whose points they own ``contained``."""
     masks = [list(own) for own in objects.masks]
     for row in rows:

@@ -59,7 +59,6 @@ class PanopticLabels:
         return np.maximum(found, 0)
 
 
-
 def decide_labels(
     votes: NDArray[np.floating], labels: PanopticLabels, least_share: float
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:

@@ -92,9 +92,7 @@ def member_labels(
     return table[inverse.reshape(view.mask.ids.shape)]
 
 
-def segment_labels(
-    mask: PanopticMask, shown: NDArray[np.integer], count: int, agreement: float
-) -> NDArray[np.int16]:
+def segment_labels(mask: PanopticMask, shown: NDArray[np.integer], count: int, agreement: float) -> NDArray[np.int16]:
     """Each segment with the label that at least ``agreement`` of its labelled pixels show; the other segments' pixels
     as they are ``shown``, int [H, W] of ``count`` labels (-1 = unknown). Void stays unknown. int16 [H, W]."""
     present, number = np.unique(mask.ids, return_inverse=True)  # ids may be as large as a PNG's colours

@@ -92,8 +92,6 @@ def is_locked(path: Path) -> bool:
         return not _try_lock(file.fileno(), path, shared=True)
 
 
-
-
 def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
     try:
         if sys.platform == "win32":

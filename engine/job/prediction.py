@@ -87,7 +87,10 @@ def predict(
         "check": 0.1 + 0.03 * (views + test_frames) * own + 0.03 * looked_at * own,
         "read": 0.05 * views * own + 0.015 * voters * own,
         "consistency": 3.0 + 2.8 * seen,
-        "match": 1.5 + 1.0 * seen + 0.3 * judged**2 + 0.0005 * views * masks_a_frame
+        "match": 1.5
+        + 1.0 * seen
+        + 0.3 * judged**2
+        + 0.0005 * views * masks_a_frame
         + voters * (0.012 + 0.35 * trained_on),
         "prepare": 10.0 + 0.7 * seen,
         "train": steps * step + rounds * views * 0.42 * step,
@@ -121,9 +124,7 @@ def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: flo
         write_atomically(path, to_text({"format": FORMAT, "slowness": measured[-REMEMBERED:]}))
 
 
-def _peak_bytes(
-    frame_size: tuple[int, int], effort: Effort, views: int, gaussians: float, labels: float
-) -> int:
+def _peak_bytes(frame_size: tuple[int, int], effort: Effort, views: int, gaussians: float, labels: float) -> int:
     """What is held at once: at matching it grows with the views, at training with the Gaussians, and when a frame is
     baked, at its own size, with its pixels; the last two with the labels too."""
     own = frame_size[0] * frame_size[1] / 1e6

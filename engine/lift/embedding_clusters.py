@@ -16,7 +16,6 @@ from ..model.encoded import EncodedDecoders
 from ..model.gaussians import decode, no_labels
 from ..model.scene_labels import EncodedLabels, scene_labels
 from ..model.structured import NO_OBJECT, LabelChannels, StructuredScene
-from ..raster import rasterize
 from ..scene import Camera, View
 from ..train.contrastive_loss import ContrastiveRules
 
@@ -118,18 +117,7 @@ def _of_things(
 ) -> NDArray[np.float64]:
     """The fast embeddings of the pixels that are shown as things, [P, E]."""
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=no_labels(scene.anchors))
-    rendering = rasterize(
-        drawn.means,
-        drawn.scales,
-        drawn.quats,
-        drawn.opacities,
-        drawn.colours,
-        labels.of(drawn.rows(scene.anchors.gaussians_per_anchor)),
-        torch.from_numpy(camera.camera_to_world).float(),
-        torch.from_numpy(camera.K).float(),
-        camera.width,
-        camera.height,
-    )
+    rendering = drawn.drawn_by(camera, labels.of(drawn.rows(scene.anchors.gaussians_per_anchor)))
     assert rendering.labels is not None  # drawn with labels
     class_ids = np.array(scene.channels.class_ids)
     first, last = len(class_ids), len(class_ids) + scene.decoders.shape.encoding

@@ -95,9 +95,7 @@ def _fewer_frames(scene: Scene, effort: Effort, masks: float, most: int) -> int 
     return None
 
 
-def _advice(
-    scene: Scene, request: LiftRequest, effort: Effort, masks: float, most: int, fewer: int | None
-) -> str:
+def _advice(scene: Scene, request: LiftRequest, effort: Effort, masks: float, most: int, fewer: int | None) -> str:
     """The options with which it would fit, beside those of the request."""
     found = [] if fewer is None else [f"--frames {fewer} (--fit finds such a number)"]
     sides = [(width, width * 3 // 4) for width in (640, 320, 200) if width < effort.size_within[0]]

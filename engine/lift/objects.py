@@ -103,17 +103,13 @@ def objects_by_agreement(
     rows = point_of_pixels(views, cloud, scratch)
     voters = Voters(others, point_of_pixels(others, cloud, scratch))
     number_of = {view.name: number for number, view in enumerate(views)}
-    objects, seen = find_objects(
-        views, lambda view: rows[number_of[view.name]], len(cloud), preset.consensus, progress
-    )
+    objects, seen = find_objects(views, lambda view: rows[number_of[view.name]], len(cloud), preset.consensus, progress)
     objects = with_masks_of(objects, voters.views, voters.seen, preset.consensus.rules)
     all_views, all_rows = chained(views, voters.views), chained(rows, voters.point_of_pixel)
     things = thing_objects(objects, all_views, chained(seen, voters.seen), cloud, classes)
     labels = PanopticLabels(cloud.class_ids, tuple(class_id for _, class_id in things))
     member_of = {
-        (mask.frame, mask.segment.id): number
-        for number, (masks, _) in enumerate(things, start=1)
-        for mask in masks
+        (mask.frame, mask.segment.id): number for number, (masks, _) in enumerate(things, start=1) for mask in masks
     }
     voted = vote_panoptic_labels(all_views, all_rows, len(cloud), labels, member_of, preset.segment_voting)
     object_of_point = labels.objects(voted.label)

@@ -159,9 +159,7 @@ def instance_records(
                 views=instance.views,
                 score=instance.score,
                 points=int(points[instance.id]),
-                segments=tuple(
-                    segment_link(item, extents[item.frame][item.segment_id]) for item in instance.evidence
-                ),
+                segments=tuple(segment_link(item, extents[item.frame][item.segment_id]) for item in instance.evidence),
             )
         )
     return records

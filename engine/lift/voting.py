@@ -71,9 +71,7 @@ class _Looks:
     """The frames as they vote, each rendered once and read back from disk in later rounds, as far as MOST_BYTES go;
     the others are rendered anew."""
 
-    def __init__(
-        self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None
-    ) -> None:
+    def __init__(self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None) -> None:
         self.scene, self.frames, self.preset = scene, frames, preset
         self._arrays = StoredArrays(scratch)
         self._stored: dict[int, tuple[list[int], tuple[Segment, ...]]] = {}

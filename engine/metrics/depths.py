@@ -24,9 +24,7 @@ class DepthErrors:
         self._counts = np.zeros(BINS, np.int64)
         self._pixels = self._close = 0
 
-    def add(
-        self, rendered: NDArray[np.float32], alpha: NDArray[np.float32], measured: NDArray[np.float32]
-    ) -> None:
+    def add(self, rendered: NDArray[np.float32], alpha: NDArray[np.float32], measured: NDArray[np.float32]) -> None:
         """Count a view. All [H, W]: planar metres, coverage in [0, 1], planar metres (0 = none). ValueError when shapes
         differ.
         """

@@ -35,5 +35,3 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
 def unscored(predictions: LabelFolder, truth: LabelFolder) -> int:
     """How many frames with ground truth are not predicted."""
     return len(truth.readers.keys() - predictions.readers.keys())
-
-

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from ..instances.class_first import LEAST_OF_CLASS, object_of_class
 from ..machine.compiled import compiled, device_function
-from ..raster import rasterize
 from ..scene import Camera
-from .gaussians import decode
+from .gaussians import decode, no_labels
 from .structured import GaussianLabels, StructuredScene
 
 LEAST_SHARE = np.float32(LEAST_OF_CLASS)
@@ -72,24 +71,10 @@ class HeldVotes(NamedTuple):
 @torch.no_grad()
 def contributors(scene: StructuredScene, camera: Camera, count: int) -> Contributors:
     """The ``count`` Gaussians with the largest blending weights of each pixel."""
-    k = scene.anchors.gaussians_per_anchor
-    unlabelled = torch.zeros(len(scene.anchors) * k, 1)
-    drawn = decode(scene.anchors, scene.decoders, camera, known_labels=unlabelled)
-    rendering = rasterize(
-        drawn.means,
-        drawn.scales,
-        drawn.quats,
-        drawn.opacities,
-        drawn.colours,
-        None,
-        torch.from_numpy(camera.camera_to_world).float(),
-        torch.from_numpy(camera.K).float(),
-        camera.width,
-        camera.height,
-        top_k=count,
-    )
+    drawn = decode(scene.anchors, scene.decoders, camera, known_labels=no_labels(scene.anchors))
+    rendering = drawn.drawn_by(camera, top_k=count)
     assert rendering.top_indices is not None and rendering.top_weights is not None  # asked for
-    row = torch.cat([drawn.visible[drawn.kept // k] * k + drawn.kept % k, torch.tensor([-1])])
+    row = torch.cat([drawn.rows(scene.anchors.gaussians_per_anchor), torch.tensor([-1])])
     alpha = rendering.alpha.numpy()
     depth = np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0.3)
     gaussian = row.to(torch.int32)[rendering.top_indices.long()]

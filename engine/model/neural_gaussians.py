@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import torch
 
+from ..raster import Rendering, rasterize
+from ..scene import Camera
+
 
 @dataclass(frozen=True)
 class NeuralGaussians:
@@ -32,3 +35,23 @@ class NeuralGaussians:
     def rows(self, k: int) -> torch.Tensor:
         """Which of the scene's M * k Gaussians they are, int64 [N]."""
         return self.visible.index_select(0, self.kept // k) * k + self.kept % k
+
+    def drawn_by(
+        self, camera: Camera, labels: torch.Tensor | None = None, *, top_k: int = 0, want_means2d_grad: bool = False
+    ) -> Rendering:
+        """The camera's whole picture of them, with ``labels`` float32 [N, L] of the caller's choice, or with none; the
+        rest is as for ``rasterize``."""
+        return rasterize(
+            self.means,
+            self.scales,
+            self.quats,
+            self.opacities,
+            self.colours,
+            labels,
+            torch.from_numpy(camera.camera_to_world).float(),
+            torch.from_numpy(camera.K).float(),
+            camera.width,
+            camera.height,
+            top_k=top_k,
+            want_means2d_grad=want_means2d_grad,
+        )

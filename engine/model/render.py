@@ -151,4 +151,3 @@ def _draw_rows(
         class_ids=channels.class_ids,
         instance_ids=channels.shown_ids,
     )
-

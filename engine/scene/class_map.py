@@ -87,7 +87,7 @@ def choice_of(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) ->
         rows=tuple(
             ClassRow(row.label, row.name, row.is_thing, row.into if row.into and row.into != row.name else None)
             for row in rows
-        )
+        ),
     )
 
 

@@ -24,9 +24,7 @@ def regions(mask: PanopticMask) -> NDArray[np.int32]:
     return result
 
 
-def pseudo_labels(
-    mask: PanopticMask, rendered_class: NDArray[np.int32], min_area: int = 16
-) -> NDArray[np.int32]:
+def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32], min_area: int = 16) -> NDArray[np.int32]:
     """s_pse: each region takes the majority of the rendered classes in it; int32 [H, W], 0 = no supervision.
 
     ``rendered_class`` int32 [H, W], 0 = nothing rendered, which does not vote. Ties go to the lower id.

@@ -65,9 +65,7 @@ def assigned_slots(
 
 
 @parallel_kernel
-def add_slots(
-    worker: int, workers: int, coverage: Array, alpha: Array, first: int, row: Array, sums: Array
-) -> None:
+def add_slots(worker: int, workers: int, coverage: Array, alpha: Array, first: int, row: Array, sums: Array) -> None:
     """Slot probabilities of every ``workers``-th chunk of pixels, added up by segment into ``sums`` float64
     [chunks, I, S]."""
     for chunk in range(worker, len(sums), workers):

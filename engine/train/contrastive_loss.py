@@ -50,9 +50,7 @@ def contrastive_loss(
     return concentration(fast, slow, segment[:half], is_one) + contrast(fast, slow, is_one)
 
 
-def concentration(
-    fast: torch.Tensor, slow: torch.Tensor, segment: torch.Tensor, is_one: torch.Tensor
-) -> torch.Tensor:
+def concentration(fast: torch.Tensor, slow: torch.Tensor, segment: torch.Tensor, is_one: torch.Tensor) -> torch.Tensor:
     """-exp(-d^2) of the distance d of each fast embedding [N, E] to the mean of the slow ones [M, E] of its segment:
     mean over the pixels of a segment, then over the segments. ``segment`` int64 [N], ``is_one`` bool [N, M]: of one
     segment. Segments without a slow embedding have no say."""

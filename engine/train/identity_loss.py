@@ -62,9 +62,7 @@ def neighbour_loss(
     points = means.detach().numpy()[rows]
     sample = random.permutation(len(rows))[: rules.samples]
     near = cKDTree(points).query(points[sample], k=list(range(1, min(rules.neighbours, len(rows)) + 1)))[1]
-    mine, theirs = (
-        torch.softmax(decoders.classifier(_rows(encodings, rows[each])), dim=-1) for each in (sample, near)
-    )
+    mine, theirs = (torch.softmax(decoders.classifier(_rows(encodings, rows[each])), dim=-1) for each in (sample, near))
     apart = mine[:, None] * (torch.log(mine[:, None] + TINY) - torch.log(theirs + TINY))
     return apart.sum(dim=-1).mean() / mine.shape[-1]
 

@@ -106,4 +106,3 @@ def sharpness_weights(photos: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64
         around = details[max(index - NEIGHBOURS, 0) : index + NEIGHBOURS + 1]
         weights[index] = np.clip((own / max(float(np.median(around)), 1e-9)) ** 2, LEAST_WEIGHT, 1.0)
     return weights
-

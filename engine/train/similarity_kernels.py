@@ -139,9 +139,7 @@ class Room(NamedTuple):
 
 
 @contracted_parallel_kernel
-def compare_strips(
-    worker: int, workers: int, pictures: Pictures, weights: Array, found: Found, scratch: Array
-) -> None:
+def compare_strips(worker: int, workers: int, pictures: Pictures, weights: Array, found: Found, scratch: Array) -> None:
     """Every ``workers``-th strip. ``weights`` float32 [2] as ``gradient_row`` has them."""
     length, sums = pictures.image.shape[1], found.sums
     own = scratch[worker]

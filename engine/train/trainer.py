@@ -13,7 +13,7 @@ import torch
 from ..instances import UNKNOWN_LABEL, PanopticLabels, segment_labels
 from ..model.baking import decided_labels
 from ..model.encoded import EncodedDecoders, TwinDecoders
-from ..model.gaussians import decode
+from ..model.gaussians import decode, no_labels
 from ..model.growing import GrowthRound, GrowthStatistics, grow_and_prune
 from ..model.neural_gaussians import NeuralGaussians
 from ..model.plain import clone_split_prune, reset_opacities
@@ -21,7 +21,7 @@ from ..model.render import render_view
 from ..model.rendering import PanopticRendering
 from ..model.scene_labels import scene_labels
 from ..model.structured import NO_OBJECT, StructuredScene
-from ..raster import Rendering, rasterize
+from ..raster import Rendering
 from ..scene import VOID, PanopticMask, View
 from ..semantics import pseudo_labels
 from .assignment import assigned_slots
@@ -114,7 +114,8 @@ class Trainer:
         gaussians = self._decode(target, with_labels)
         self.clock.lap("decode, forward")
         columns = self._columns_to_draw(target) if with_labels else None
-        rendering = self._rasterize(gaussians, target, columns)
+        labels = None if columns is None else gaussians.labels[:, columns]
+        rendering = gaussians.drawn_by(target.camera, labels, want_means2d_grad=True)
         self.clock.lap("rasterise, forward")
         losses = self._losses(gaussians, rendering, target, columns)
         loss = losses.total.item()
@@ -147,8 +148,7 @@ class Trainer:
         if with_labels:
             channels = self.initial_channels if self.preset.weights.cluster else None
             return decode(anchors, decoders, target.camera, channels=channels)
-        unlabelled = torch.zeros(len(anchors) * anchors.gaussians_per_anchor, 1)
-        return decode(anchors, decoders, target.camera, known_labels=unlabelled)
+        return decode(anchors, decoders, target.camera, known_labels=no_labels(anchors))
 
     def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
         """The label channels that the view is compared in, ascending int64: all, where segments are assigned to slots
@@ -175,22 +175,6 @@ class Trainer:
         """How many label channels are of classes, and how many there are."""
         classes = len(self.scene.channels.class_ids)
         return classes, classes + self.scene.decoders.shape.instance_channels
-
-    def _rasterize(self, gaussians: NeuralGaussians, target: ViewTargets, columns: torch.Tensor | None) -> Rendering:
-        """With the label channels ``columns``, or with none."""
-        return rasterize(
-            gaussians.means,
-            gaussians.scales,
-            gaussians.quats,
-            gaussians.opacities,
-            gaussians.colours,
-            None if columns is None else gaussians.labels[:, columns],
-            torch.from_numpy(target.camera.camera_to_world).float(),
-            torch.from_numpy(target.camera.K).float(),
-            target.camera.width,
-            target.camera.height,
-            want_means2d_grad=True,
-        )
 
     def _losses(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor | None

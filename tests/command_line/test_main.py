@@ -106,7 +106,6 @@ def test_a_preset_is_printed_as_a_file_that_is_read(capsys: pytest.CaptureFixtur
     assert (values["weights.depth"], values["steps"], values["voxel_size"]) == (0.0, 7, 0.5) and values["objects"]
 
 
-
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     for arguments, told in (

@@ -66,9 +66,7 @@ def measured(experiment: Experiment) -> list[tuple[str, str]]:
     return [(one.scene, one.row) for one in read_results(experiment.folder / "results.json")]
 
 
-def test_every_scene_is_lifted_once(
-    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_scene_is_lifted_once(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(experiment) is ExitCode.FINISHED
     text = capsys.readouterr().out
     assert "### office" in text and "### kitchen" in text
@@ -91,8 +89,11 @@ def test_rows_one_after_the_other(experiment: Experiment, behave: Behave) -> Non
     assert requests["office-preview"].options == {} and requests["office-preview-seed2"].seed == 2
     assert requests["office-preview-theirs"].options == {"objects": "boxes"}
     assert requests["office-preview-without-depth-seed2"].options == {"weights.depth": 0.0}
-    assert sorted(requests) == sorted(lift + seed for lift in (
-        "office-preview", "office-preview-theirs", "office-preview-without-depth") for seed in ("", "-seed2"))
+    assert sorted(requests) == sorted(
+        lift + seed
+        for lift in ("office-preview", "office-preview-theirs", "office-preview-without-depth")
+        for seed in ("", "-seed2")
+    )
 
 
 def test_tables_of_what_is_finished_lift_nothing(experiment: Experiment, behave: Behave) -> None:
@@ -263,9 +264,7 @@ def test_a_page_keeps_its_words(experiment: Experiment, behave: Behave, tmp_path
     assert page.read_text() == text.replace("# Experiments", "# Mine") + "\nIt holds.\n"
 
 
-def test_the_real_engine(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_real_engine(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Two rows, few steps: so that the command does not rot."""
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
     room, out = write_tiny_scene(tmp_path / "room", frames=6, noise=0.1), tmp_path / "out"

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from engine.command_line.main import EXPORTS, main
+from engine.command_line.main import main
+from engine.command_line.parser import EXPORTS
 from engine.export import KINDS
 from engine.export.source import FinishedLift
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
@@ -173,9 +174,7 @@ def test_refusals(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "needs a folder" in told and "no frame 9" in told
 
 
-def test_nobodys_files_are_written_over(
-    lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nobodys_files_are_written_over(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     masks = lift.request.scene / "panoptic.json"
     before = masks.read_bytes()
     assert main(["export", str(lift.path), "--to", "coco", "-o", str(lift.request.scene)]) == 2

@@ -82,9 +82,7 @@ def test_the_finished_model_comes_back_without_the_slow_decoder(tiny: Input, tra
     assert not any("slow" in name for name in tensors)
     again = from_tensors(tensors, facts)
     camera = tiny[0][0].camera
-    assert np.array_equal(
-        render_view(again, camera).instance_coverage, render_view(scene, camera).instance_coverage
-    )
+    assert np.array_equal(render_view(again, camera).instance_coverage, render_view(scene, camera).instance_coverage)
 
 
 def test_where_nothing_is_a_thing(tiny: Input, trained: Trainer) -> None:

@@ -38,7 +38,7 @@ needs_engine = pytest.mark.skipif(find_spec("torch") is None, reason="the engine
 
 
 def test_the_command_knows_every_form(root: Path) -> None:
-    text = (root / "engine" / "command_line" / "main.py").read_text()
+    text = (root / "engine" / "command_line" / "parser.py").read_text()
     assert f"EXPORTS = {tuple(exports.FORMS)}".replace("'", '"') in text
 
 

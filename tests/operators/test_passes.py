@@ -96,7 +96,6 @@ def test_only_a_finished_lift_can_be_baked_from_the_panel(lift: Path) -> None:
         assert bpy.ops.plgs.bake_passes.poll()
 
 
-
 def test_the_active_camera_is_baked_over_the_frame_range(lift: Path, baked: Asked, tmp_path: Path) -> None:
     lift = shutil.copytree(lift, tmp_path / "lift")
     bpy.ops.plgs.place_lift(lift_folder=str(lift))

@@ -37,9 +37,7 @@ def points_before(camera: Camera) -> np.ndarray:
     """World points [20, 3] whose pixels lie in the picture and around it."""
     random = np.random.default_rng(0)
     pixels = random.uniform(-0.2, 1.2, (20, 2)) * (camera.width, camera.height)
-    rays = np.concatenate(
-        [(pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones((20, 1))], axis=1
-    )
+    rays = np.concatenate([(pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones((20, 1))], axis=1)
     return (rays * random.uniform(0.5, 8.0, (20, 1))) @ camera.camera_to_world[:3, :3].T + camera.centre
 
 
@@ -76,9 +74,7 @@ def test_there_and_back(name: str) -> None:
 @pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
 @pytest.mark.parametrize("size", [(640, 480), (480, 640)])
 @pytest.mark.parametrize("aspect", [(1.0, 1.0), (1.0, 2.5), (1.6, 1.0)])
-def test_what_any_camera_of_the_users_sees(
-    fit: str, size: tuple[int, int], aspect: tuple[float, float]
-) -> None:
+def test_what_any_camera_of_the_users_sees(fit: str, size: tuple[int, int], aspect: tuple[float, float]) -> None:
     scene = bpy.context.scene
     scene.camera = ob = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
     scene.collection.objects.link(ob)

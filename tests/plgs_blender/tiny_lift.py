@@ -104,9 +104,7 @@ def _write_points(result: Path, scene: Scene, size: tuple[int, int]) -> None:
         "instance_id": np.concatenate(instance_id).astype(np.int32),
     }
     count = len(points["xyz"])
-    np.savez(
-        result / "semantic_points.npz", **points, confidence=np.linspace(0.0, 1.0, count, dtype=np.float32)
-    )
+    np.savez(result / "semantic_points.npz", **points, confidence=np.linspace(0.0, 1.0, count, dtype=np.float32))
     anchors = {name: values[::20] for name, values in points.items()}
     few = len(anchors["xyz"])
     level, opacity = np.arange(few, dtype=np.int32) % 4, np.linspace(0.0, 1.0, few, dtype=np.float32)

@@ -139,7 +139,10 @@ def test_a_warm_start_is_soon_over(cold: Run, read_only_code: Path) -> None:
 @pytest.mark.slow
 def test_who_only_draws_does_not_wait_for_the_backward_pass(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", DRAW], env=environment(NUMBA_CACHE_DIR=str(tmp_path)), capture_output=True, text=True,
+        [sys.executable, "-c", DRAW],
+        env=environment(NUMBA_CACHE_DIR=str(tmp_path)),
+        capture_output=True,
+        text=True,
         timeout=300,
     )
     assert done.returncode == 0, done.stderr

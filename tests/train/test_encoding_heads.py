@@ -69,7 +69,7 @@ def test_losses_of_an_encoding_never_reach_opacity_or_shape(tiny: Input, tmp_pat
     trainer = trainer_of(*tiny, IDENTITY, tmp_path)
     target = trainer.target(0)
     gaussians, columns = trainer._decode(target), trainer._columns_to_draw(target)
-    rendering = trainer._rasterize(gaussians, target, columns)
+    rendering = gaussians.drawn_by(target.camera, gaussians.labels[:, columns], want_means2d_grad=True)
     sum(trainer._label_losses(gaussians, rendering, target, columns)).backward()
     decoders, anchors = trainer.scene.decoders, trainer.scene.anchors
     for untouched in (decoders.opacity, decoders.covariance, decoders.colour):

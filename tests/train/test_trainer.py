@@ -77,7 +77,7 @@ def test_label_losses_never_reach_opacity_or_shape(tiny: Input, tmp_path: Path) 
     gaussians = trainer._decode(target)
     assert gaussians.cluster_loss > 0
     columns = trainer._columns_to_draw(target)
-    rendering = trainer._rasterize(gaussians, target, columns)
+    rendering = gaussians.drawn_by(target.camera, gaussians.labels[:, columns], want_means2d_grad=True)
     semantic, instance = trainer._label_losses(gaussians, rendering, target, columns)
     assert semantic > 0 and instance > 0
     (semantic + instance).backward()

@@ -48,9 +48,7 @@ MASK_FORMATS: tuple[MaskFormat, ...] = (
         in_scene=True,
         own_names=True,
     ),
-    MaskFormat(
-        "grounded-sam2", grounded_sam2.LOOKS_FOR, grounded_sam2.recognises, grounded_sam2.read, own_names=True
-    ),
+    MaskFormat("grounded-sam2", grounded_sam2.LOOKS_FOR, grounded_sam2.recognises, grounded_sam2.read, own_names=True),
     MaskFormat(
         "pairs", label_pairs.LOOKS_FOR_PAIRS, label_pairs.recognises_pairs, label_pairs.read_pairs, own_names=True
     ),

@@ -138,7 +138,7 @@ def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
     assert ((around[..., 0] > 130) & (around[..., 1] < 160)).mean() > 0.5, "the chair's points are highlighted"
     green = (drawn[..., 1] > 200) & (drawn[..., 0] < 160) & (drawn[..., 2] < 180)
     assert green[205:285, 295:405].sum() > 400, "the rectangle of the mask"
-    assert (drawn.min(axis=-1) > 230)[: HEIGHT].sum() > 100, "white letters"
+    assert (drawn.min(axis=-1) > 230)[:HEIGHT].sum() > 100, "white letters"
 
 
 def save(pixels: np.ndarray, path: str) -> None:

@@ -73,9 +73,7 @@ def test_cancelled_and_resumed(behaves: Behaves, lift: LiftFolder) -> None:
 
 
 @pytest.mark.parametrize("behaviour", ["broken", "memory", "segfault", "exits"])
-def test_an_engine_that_dies_leaves_a_message(
-    behaves: Behaves, lift: LiftFolder, behaviour: str
-) -> None:
+def test_an_engine_that_dies_leaves_a_message(behaves: Behaves, lift: LiftFolder, behaviour: str) -> None:
     behaves(behaviour)
     watch = lifts.start(lift, PYTHON)
     outcome = lifts.wait_for(watch)
@@ -120,9 +118,7 @@ def test_a_lift_that_goes_on_is_found_again(behaves: Behaves, lift: LiftFolder) 
     assert lifts.wait_for(again).code is ExitCode.CANCELLED
 
 
-def test_a_lift_that_shall_not_go_on_ends_with_its_blender(
-    behaves: Behaves, lift: LiftFolder
-) -> None:
+def test_a_lift_that_shall_not_go_on_ends_with_its_blender(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
     watch = lifts.start(lift, PYTHON)
     poll_until(watch, lambda: watch.status.step > 0)
