@@ -29,7 +29,7 @@ def write_plots(folder: Path, tables: Tables) -> bool:
         return False
     for scene in dict.fromkeys(result.scene for result in tables.results):
         for table, heading in tables.rows.tables.items():
-            rows = [row for row in tables.chosen if row.table == table and tables.figures(scene, row)]
+            rows = [row for row in tables.chosen if row.table == table and tables.measured(scene, row)]
             if len(rows) > 1:
                 folder.mkdir(parents=True, exist_ok=True)
                 _draw(folder / f"{scene}-{table}.png", bars_of(f"{heading} ({scene})", scene, rows, tables))
@@ -43,7 +43,7 @@ def bars_of(title: str, scene: str, rows: Sequence[Row], tables: Tables) -> Bars
 
 
 def _mean(scene: str, row: Row, figure: str, tables: Tables) -> float:
-    found: Iterator[float | None] = (getattr(one, figure) for one in tables.figures(scene, row))
+    found: Iterator[float | None] = (getattr(one.figures, figure) for one in tables.measured(scene, row))
     known = [100 * value for value in found if value is not None]
     return mean(known) if known else 0.0
 

@@ -4,6 +4,7 @@ date."""
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,7 +29,7 @@ def write_report(
     folder: Path, tables: Tables, *, sheets: Mapping[str, Path] | None = None, page: Path | None = None
 ) -> None:
     """results.json, results.csv and results.md; with ``sheets`` (caption to the lift's folder), at the end, also the
-    plots and sheet.png, and the tables of ``page``. Raises JobError when they cannot be written."""
+    plots and sheet.png, and in ``page`` the sections of these scenes. Raises JobError when they cannot be written."""
     try:
         write_atomically(folder / "results.json", results_text(tables.results))
         write_atomically(folder / "results.csv", csv_text(tables.results))
@@ -70,9 +71,17 @@ def text_of(page: Path) -> str:
 
 
 def with_tables(page: str, tables: str) -> str:
-    """The page with these tables in place of those between its marks; at its end where it has no marks."""
-    block = f"{BEGIN}\n\n{tables}\n{END}"
-    if BEGIN in page and END in page:
-        before, _, rest = page.partition(BEGIN)
-        return before + block + rest.partition(END)[2]
-    return f"{page or _SKELETON}\n{block}\n"
+    """The page with these scenes' sections between its marks, in place of those that stand there of the same scenes; at
+    its end where it has no marks."""
+    if BEGIN not in page or END not in page:
+        page = f"{page or _SKELETON}\n{BEGIN}\n{END}\n"
+    before, _, rest = page.partition(BEGIN)
+    old, _, after = rest.partition(END)
+    sections = {**_sections(old), **_sections(tables)}
+    return f"{before}{BEGIN}\n\n{chr(10).join(sections.values())}\n{END}{after}"
+
+
+def _sections(tables: str) -> dict[str, str]:
+    """The sections of a text by the scenes that head them."""
+    parts = re.split(r"^(?=### )", tables, flags=re.MULTILINE)
+    return {part.partition("\n")[0]: part.rstrip("\n") + "\n" for part in parts if part.startswith("### ")}

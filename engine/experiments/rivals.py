@@ -33,6 +33,10 @@ class _WithoutObjects(Report):
             super().add_labels(VOXELS_ALONE, frame, alone, truth)
 
 
+WITH_IDS = (VOXEL_VOTE,)
+"""Those whose ids mean the same in every frame, so that changes of them can be counted."""
+
+
 def files_fingerprint(scene: Scene, results: Path) -> str:
     """A hash of the names, sizes and times of change of all files of the scene, masks and ground truth among them; of
     a scene in one file, of those beside it too. ``results``: a folder that is left out, as it may lie within the
@@ -75,4 +79,5 @@ def scores_of_rivals(source: SceneSource, cache: Path) -> dict[str, Figures]:
         cache.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(cache, json.dumps(content, indent=1) + "\n")
     tables = content.get("tables")
-    return scores_by_method([each for each in tables if isinstance(each, dict)] if isinstance(tables, list) else [])
+    found = scores_by_method([each for each in tables if isinstance(each, dict)] if isinstance(tables, list) else [])
+    return {name: each if name in WITH_IDS else each._replace(id_changes=None) for name, each in found.items()}

@@ -77,46 +77,61 @@ class Task:
 
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
-    """Lift what is not lifted yet, print the tables, and write the report, which grows lift by lift.
+    """Lift what is not lifted yet, print the tables of the chosen rows, and write the report of all that is finished in
+    the folder, which grows lift by lift.
 
     A lift that fails does not keep the others from being tried; the first one's exit code is returned. Raises JobError
     and SceneError before any lift begins, Interrupted on Ctrl-C; the same call goes on then.
     """
     tasks = list(tasks_of(experiment))
     if experiment.only_finished:
-        tasks = [task for task in tasks if (task.options.output / "result" / "manifest.json").is_file()]
+        tasks = [task for task in tasks if has_manifest(task.options.output)]
     refuse_bad_input(experiment, tasks)
-    results = list(results_of_rivals(experiment))
+    whole = replace(experiment, only=())  # what is finished of other rows stays in the report
+    others = [task for task in tasks_of(whole) if task.name not in {one.name for one in tasks} and is_finished(task)]
+    results = [*results_of_rivals(experiment), *(result_of(experiment, task) for task in others)]
     failed: dict[str, ExitCode] = {}
     for number, task in enumerate(tasks, start=1):
         if experiment.only_finished:
-            results.append(result_of(experiment, task, LiftFolder.open(task.options.output)))
+            results.append(result_of(experiment, task))
             continue
         print(f"{task.name}, {experiment.preset_name} ({number} of {len(tasks)})", file=sys.stderr)
         if task.depth_of is not None and not make_depth_maps(task.depth_of, task.options.depth):
             failed[task.name] = ExitCode.BAD_INPUT
             continue
-        lift, code = lift_in_terminal(task.options, interrupts, open_scene_to_lift)
+        _, code = lift_in_terminal(task.options, interrupts, open_scene_to_lift)
         if code is ExitCode.CANCELLED:
             return code
         if code is not ExitCode.FINISHED:
             failed[task.name] = code
             continue
-        results.append(result_of(experiment, task, lift))
-        write_report(experiment.folder, experiment.tables(tuple(results)))
-    tables = experiment.tables(tuple(results))
+        results.append(result_of(experiment, task))
+        write_report(experiment.folder, whole.tables(tuple(results)))
     if results:
-        sheets = {task.name: task.options.output for task in tasks if task.name not in failed}
-        write_report(experiment.folder, tables, sheets=sheets, page=experiment.page)
-        print(tables.markdown(), end="")
+        finished = [task for task in (*others, *tasks) if task.name not in failed]
+        sheets = {task.name: task.options.output for task in finished}
+        write_report(experiment.folder, whole.tables(tuple(results)), sheets=sheets, page=experiment.page)
+        print(experiment.tables(tuple(results)).markdown(), end="")
     if failed:
         print(f"Not lifted: {'; '.join(failed)}. The same command tries again.", file=sys.stderr)
     return next(iter(failed.values()), ExitCode.FINISHED)
 
 
-def result_of(experiment: Experiment, task: Task, lift: LiftFolder) -> Result:
+def result_of(experiment: Experiment, task: Task) -> Result:
     """The figures of a finished lift. Raises JobError when they cannot be read."""
+    lift = LiftFolder.open(task.options.output)
     return read_result(task.scene.name, task.row.name, experiment.preset_name, lift)
+
+
+def has_manifest(lift: Path) -> bool:
+    return (lift / "result" / "manifest.json").is_file()
+
+
+def is_finished(task: Task) -> bool:
+    """Whether its lift, by these very options, is finished already. Raises JobError when its folder cannot be read."""
+    if not has_manifest(task.options.output):
+        return False
+    return not request_from(task.options).differences(LiftFolder.open(task.options.output).request)
 
 
 def tasks_of(experiment: Experiment) -> Iterator[Task]:
@@ -135,7 +150,7 @@ def tasks_of(experiment: Experiment) -> Iterator[Task]:
 
 def make_depth_maps(lift: Path, maps: Path) -> bool:
     """The rendered depth of all frames of a lift, written once; False where the lift did not finish."""
-    if not (lift / "result" / "manifest.json").is_file():
+    if not has_manifest(lift):
         return False
     if not (maps / "complete").is_file():
         from ..export import export
@@ -163,7 +178,7 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
         scene=scene.folder,
         output=output,
         preset=experiment.preset,
-        set=[*shown_options(row.options), *experiment.sets],
+        set=[*experiment.sets, *shown_options(row.options)],  # the later one holds: a row is what its name says
         steps=experiment.steps,
         size=None,
         frames=None,
@@ -183,15 +198,18 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
 
 
 def results_of_rivals(experiment: Experiment) -> Iterator[Result]:
-    """What needs no lift, where rows ask for it. Raises SceneError when a file is bad."""
-    wanted = [row for row in experiment.rows.chosen(experiment.only) if row.method]
+    """What needs no lift, where rows ask for it or it was measured before. Raises SceneError when a file is bad."""
+    wanted = experiment.rows.chosen(experiment.only)
     for scene in experiment.scenes:
-        for masks in dict.fromkeys(row.masks for row in wanted if has_files(row, scene)):
+        rows = [row for row in experiment.rows.rows if row.method and has_files(row, scene)]
+        for masks in dict.fromkeys(row.masks for row in rows):
             source = SceneSource(
                 scene.folder, scene.folder / masks if masks else None, scene.up, experiment.scene_format,
                 mask_format=experiment.mask_format, classes=experiment.classes,
             )  # fmt: skip
             cache = experiment.folder / f"{scene.name}-{Path(masks or 'own').stem}-masks.json"
+            if not cache.is_file() and not any(row.masks == masks and row in wanted for row in rows):
+                continue
             for method, figures in scores_of_rivals(source, cache).items():
                 name = f"{method}, {masks}" if masks else method
                 yield Result(scene.name, name, "-", 0, 0, __version__, figures)
@@ -199,9 +217,6 @@ def results_of_rivals(experiment: Experiment) -> Iterator[Result]:
 
 def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
     """Before hours of work: raise JobError or SceneError for the first thing that is wrong."""
-    if experiment.page and experiment.only:
-        fix = "Leave out --report or --only; results.md has the tables of some rows."
-        raise JobError("--report with --only would take the page's other tables away", experiment.page, fix)
     if experiment.page:
         refuse_unwritable(experiment.page)
     if experiment.earlier:

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import mean, stdev
 
 from .. import __version__
-from .figures import Figures, Result
+from .figures import Result
 from .rows import Cited, Row, Rows
 
 
 @dataclass(frozen=True)
 class Column:
-    """How a figure (a field of Figures) is shown: times ``factor``, with so many digits after the point."""
+    """How a figure (a field of Figures, or "steps") is shown: times ``factor``, with so many digits after the point.
+    ``best``: which of several seeds' is shown, as with times, which other work only makes worse; without, their mean
+    and standard deviation are."""
 
     figure: str
     heading: str
     factor: float
     digits: int
+    best: Callable[[Sequence[float]], float] | None = None
+
+    def values(self, seeds: Sequence[Result]) -> list[float]:
+        """As they are shown, of the seeds in which it was measured."""
+        found = [one.steps or None if self.figure == "steps" else getattr(one.figures, self.figure) for one in seeds]
+        return [value * self.factor for value in found if value is not None]
 
 
 COLUMNS = (
@@ -26,15 +34,16 @@ COLUMNS = (
     Column("pq", "PQ-scene %", 100.0, 1),
     Column("miou_pl_compat", "mIoU % `pl_compat`", 100.0, 1),
     Column("pq_pl_compat", "PQ-scene % `pl_compat`", 100.0, 1),
-    Column("pq_frame", "PQ a frame %", 100.0, 1),
-    Column("id_changes", "id changes an object", 1.0, 2),
+    Column("pq_frame", "per-frame PQ %", 100.0, 1),
+    Column("id_changes", "id changes per object", 1.0, 2),
     Column("psnr", "PSNR dB", 1.0, 2),
     Column("psnr_fitted", "PSNR dB, colours fitted", 1.0, 2),
     Column("ssim", "SSIM", 1.0, 3),
     Column("depth_error_m", "depth error cm", 100.0, 1),
-    Column("seconds", "lift s", 1.0, 0),
-    Column("peak_bytes", "peak GB", 1e-9, 1),
-    Column("fps", "panoptic frames/s", 1.0, 1),
+    Column("steps", "steps", 1.0, 0, max),
+    Column("seconds", "lift s", 1.0, 0, min),
+    Column("peak_bytes", "peak GB", 1e-9, 1, max),
+    Column("fps", "panoptic frames/s", 1.0, 1, max),
 )
 
 MARK = "†"
@@ -52,50 +61,51 @@ class Tables:
     version: str = __version__
 
     def markdown(self) -> str:
-        """A section a scene, in it a table each; rows that are not measured yet are left out."""
+        """A section a scene, in it a table each. Left out are rows that are not measured yet, tables whose rows all
+        stand in another one, and after the first scene the systems that are cited."""
         scenes = dict.fromkeys(result.scene for result in self.results)
-        return "\n".join(text for scene in scenes for text in self._of_scene(scene))
+        return "\n".join(text for k, scene in enumerate(scenes) for text in self._of_scene(scene, with_cited=k == 0))
 
-    def _of_scene(self, scene: str) -> Iterator[str]:
+    def _of_scene(self, scene: str, *, with_cited: bool) -> Iterator[str]:
         yield f"### {scene}\n"
         for table, heading in self.rows.tables.items():
-            lines = list(self.lines(scene, [row for row in self.chosen if row.table == table]))
-            if lines:
+            rows = [row for row in self.chosen if row.table == table and (with_cited or not row.is_cited)]
+            if any(self.measured(scene, row) and not row.same_as for row in rows):
+                lines = list(self.lines(scene, rows))
                 yield f"**{heading}**\n"
                 yield "\n".join(lines) + "\n"
 
     def lines(self, scene: str, rows: Sequence[Row]) -> Iterator[str]:
         """The table of some rows, as far as they were measured; nothing where none was."""
-        measured = {row.name: self.figures(scene, row) for row in rows}
+        measured = {row.name: self.measured(scene, row) for row in rows}
         rows = [row for row in rows if measured[row.name] or row.is_cited]
         if not any(measured.values()):
             return
-        cells = {row.name: dict(_cells(measured[row.name], self._before(scene, row))) for row in rows}
+        cells = {
+            row.name: dict(_cells(measured[row.name], _of_row(self.earlier, scene, self.measured_as(row))))
+            for row in rows
+        }
         shown = [column for column in COLUMNS if any(cells[row.name][column.figure] for row in rows)]
         with_paper = any(row.paper for row in rows)
         heading = ["", *(column.heading for column in shown), *(["in the paper"] if with_paper else [])]
         others = {row.name: self._other_versions(scene, row) for row in rows}
-        names = {name: f"{name} {MARK}" if versions else name for name, versions in others.items()}
-        body = [[names[row.name], *(cells[row.name][column.figure] for column in shown)] for row in rows]
+        names = [_name(row, others[row.name]) for row in rows]
+        body = [
+            [name, *(cells[row.name][column.figure] for column in shown)] for name, row in zip(names, rows, strict=True)
+        ]
         if with_paper:
             body = [[*line, _cited(row.paper)] for line, row in zip(body, rows, strict=True)]
         yield from _aligned([heading, *body])
         if marked := sorted(set().union(*others.values())):
             yield f"\n{MARK} Lifted by the engine {', '.join(marked)}, not by this one, {self.version}."
 
-    def figures(self, scene: str, row: Row) -> list[Figures]:
+    def measured(self, scene: str, row: Row) -> list[Result]:
         """What was measured of a row, seed by seed."""
-        return [result.figures for result in _results_of(self.results, scene, self.measured_as(row))]
+        return _of_row(self.results, scene, self.measured_as(row))
 
     def _other_versions(self, scene: str, row: Row) -> set[str]:
         """Of the engines that measured a row, those that are not this one."""
-        return {result.engine_version for result in self._results(scene, row)} - {self.version}
-
-    def _results(self, scene: str, row: Row) -> list[Result]:
-        return _results_of(self.results, scene, self.measured_as(row))
-
-    def _before(self, scene: str, row: Row) -> list[Figures]:
-        return [result.figures for result in _results_of(self.earlier, scene, self.measured_as(row))]
+        return {result.engine_version for result in self.measured(scene, row)} - {self.version}
 
     def measured_as(self, row: Row) -> str:
         """What a row's results are called."""
@@ -104,24 +114,27 @@ class Tables:
         return self.rows.lift_of(row).name
 
 
-def _results_of(results: Sequence[Result], scene: str, name: str) -> list[Result]:
+def _of_row(results: Sequence[Result], scene: str, name: str) -> list[Result]:
     return [result for result in results if (result.scene, result.row) == (scene, name)]
 
 
-def _cells(now: Sequence[Figures], before: Sequence[Figures]) -> Iterator[tuple[str, str]]:
+def _name(row: Row, other_versions: set[str]) -> str:
+    return f"{row.name}{' (cited)' if row.is_cited else ''}{f' {MARK}' if other_versions else ''}"
+
+
+def _cells(now: Sequence[Result], before: Sequence[Result]) -> Iterator[tuple[str, str]]:
     for column in COLUMNS:
         text, earlier = _cell(now, column), _cell(before, column)
         yield column.figure, f"{earlier or '-'} -> {text or '-'}" if earlier or (before and text) else text
 
 
-def _cell(seeds: Sequence[Figures], column: Column) -> str:
-    """The mean over the seeds, with their standard deviation where there are several; empty where nothing was
-    measured."""
-    values = [value * column.factor for figures in seeds if (value := getattr(figures, column.figure)) is not None]
+def _cell(seeds: Sequence[Result], column: Column) -> str:
+    """Empty where nothing was measured."""
+    values = column.values(seeds)
     if not values:
         return ""
-    text = f"{mean(values):.{column.digits}f}"
-    return f"{text} ± {stdev(values):.{column.digits}f}" if len(values) > 1 else text
+    text = f"{(column.best or mean)(values):.{column.digits}f}"
+    return f"{text} ± {stdev(values):.{column.digits}f}" if len(values) > 1 and not column.best else text
 
 
 def _cited(paper: Cited | None) -> str:

@@ -234,21 +234,11 @@ class Trainer:
         place[columns] = torch.arange(len(columns), dtype=torch.int16)
         semantic = place[target.semantic.long()]
         assert rendering.labels is not None  # drawn with labels
-        if self.preset.encoding:  # of no slots
-            slot = torch.full_like(semantic, -1)
-        else:
+        nothing = torch.full_like(semantic, -1)
+        assigned = self._assigned(rendering, classes, target) if self.preset.linear_assignment else nothing
+        slot = nothing  # an encoding has none
+        if not self.preset.encoding:
             slot = torch.where(target.slot < 0, -1, place[target.slot.long() + of_classes] - classes).to(torch.int16)
-        if self.preset.linear_assignment:
-            assigned = assigned_slots(
-                rendering.labels,
-                rendering.alpha,
-                classes,
-                target.things,
-                self.scene.channels.slot_ids.index(NO_OBJECT),
-            )
-            self.clock.lap("linear assignment")
-        else:
-            assigned = torch.full_like(slot, -1)
         by_class, by_slot = label_losses(rendering.labels, rendering.alpha, classes, semantic, (assigned, slot))
         if self.preset.encoding:
             by_slot = self._encoding_loss(gaussians, rendering.labels[..., classes:], rendering.alpha, target)
@@ -256,11 +246,18 @@ class Trainer:
         weights = self.preset.weights
         if target.segments is not None and self._wants_segments(target):
             wanted = segment_targets(rendering.labels, rendering.alpha, classes, target.segments)
-            nothing = torch.full_like(wanted, -1)
             consistency, _ = label_losses(rendering.labels, rendering.alpha, classes, wanted, (nothing, nothing))
             by_class = by_class + weights.segment * consistency
             self.clock.lap("segment consistency")
         return by_class + weights.cluster * gaussians.cluster_loss, by_slot
+
+    def _assigned(self, rendering: Rendering, classes: int, target: ViewTargets) -> torch.Tensor:
+        """The slot of each pixel by linear assignment, int16 [H, W]."""
+        assert rendering.labels is not None  # drawn with labels
+        slots = self.scene.channels.slot_ids
+        assigned = assigned_slots(rendering.labels, rendering.alpha, classes, target.things, slots.index(NO_OBJECT))
+        self.clock.lap("linear assignment")
+        return assigned
 
     def _encoding_loss(
         self, gaussians: NeuralGaussians, blended: torch.Tensor, alpha: torch.Tensor, target: ViewTargets

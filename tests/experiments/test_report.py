@@ -18,7 +18,7 @@ TABLES = Tables(ROWS, ROWS.rows, OFFICE)
 
 
 def test_bars_are_the_tables_figures() -> None:
-    rows = [row for row in ROWS.rows if TABLES.figures("office", row) and row.table == "systems"]
+    rows = [row for row in ROWS.rows if TABLES.measured("office", row) and row.table == "systems"]
     bars = bars_of("Systems", "office", rows, TABLES)
     assert bars.names == ["ours", "machine masks", "theirs"]
     assert bars.values == [pytest.approx([80.0, 50.0, 60.0]), pytest.approx([70.0, 25.0, 50.0])]
