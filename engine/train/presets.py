@@ -80,87 +80,90 @@ class WarmStart:
 
 @dataclass(frozen=True)
 class Preset:
-    """Everything that shapes a lift except its input and its seed.
-
-    ``size_within`` (width, height): frames are brought into this box for the lift, never enlarged; ``voxel_size``
-    metres (the paper's epsilon); ``neighbours`` is N_w and ``agreement`` the share of them that must agree (1 = the
-    paper's product). ``instance_slots`` is the least number of slots. ``vote_by`` and ``majority``: how the cloud's
-    points vote (see CloudOptions). ``objects``: how segments of all views become
-    instances, "boxes" (Algorithm 1, by ``matching``) or "agreement" (ours, with a vote of the views on each object's
-    class).
-    ``most_instances`` caps them. With "none" nothing is matched in space: the ``instance_slots`` mean what the linear
-    assignment makes of them. ``one_class_an_object``: what is shown of an instance has the instance's class.
-    ``most_points`` caps the semantic point cloud. ``seeded_features``: start features from colour and label of the
-    anchors instead of zero; ``warm_start`` fits the decoders to them.
-
-    ``steps_a_view``: where there are many views, the steps are as many as let each be seen so often. At most
-    ``most_frames`` frames are trained on (0: all), see ``choose_frames``; with ``all_frames_vote`` the others vote on
-    the classes of objects and points.
-    ``fill_holes``: planar holes of the depth are filled before anything is placed in space. ``segment_voting``: how
-    segments and points vote on the labels of objects found by agreement. ``linear_assignment``: whether a view's
-    segments are assigned to slots in each step. ``fit_exposure``: each photo is compared after the model's picture was
-    brought to its exposure; ``weigh_sharpness``: blurred photos count less. ``labels``: what the finished scene shows,
-    what the label decoders say, or what the views vote on its Gaussians ("votes", masks read within
-    ``vote_size_within``), in ``vote_rounds``; votes need objects
-    by agreement, of one class each, else decoders serve. Labels are trained in every ``label_every``-th step.
-
-    What rivals and ablations need: ``representation`` "plain" is 3DGS with labels on each Gaussian, grown by ``plain``.
-    ``semantic_targets``: classes are learnt from the projected cloud, or the votes, from the machine's "masks", or by
-    L_cluster alone ("none"). ``matched_masks``: whether M_match, or the votes' objects, supervise instances, if
-    anything was matched. Without
-    ``labelled_start`` anchors and decoders begin with the cloud's colours alone. ``vote_from``: the labels that are
-    voted onto Gaussians come from the voted objects, or straight from the masks. ``instances``: what tells instances
-    apart, probabilities of "slots", or an "identity" encoding (Gaussian Grouping's, by ``identity``), which the matched
-    masks teach, or a "contrastive" one (Contrastive Lift's, by ``contrastive``), which needs nothing matched: its
-    clusters are the instances. The finished scene then shows these, not the votes.
-    """
+    """Everything that shapes a lift except its input and its seed."""
 
     name: str
     steps: int
     size_within: tuple[int, int]
+    """(width, height): frames are brought into this box for the lift, never enlarged."""
     voxel_size: float
+    """Metres (the paper's epsilon)."""
     gaussians_per_anchor: int
     features: int = 32
     instance_slots: int = 0
+    """The least number of slots. Without matching, ``objects`` "none", there are so many, which mean what the linear
+    assignment makes of them."""
     most_anchors: int = Effort.most_anchors
     distance_input: bool = False
+    """Decoders are told the camera's distance beside its direction, as the paper's formula has it."""
     label_view_input: bool = False
+    """The label decoders are told both, too, so that labels depend on who looks."""
     neighbours: int = 0
+    """N_w: views whose masks a view's are compared with. None are compared with 0."""
     agreement: float = 1.0
+    """The share of these views that must agree; 1 is the paper's product."""
     vote_by: Literal["views", "pixels"] = "views"
     majority: float = 0.0
+    """How the cloud's points vote, with ``vote_by``: see CloudOptions."""
     objects: Literal["boxes", "agreement", "none"] = "agreement"
+    """How segments of all views become instances: Algorithm 1 by ``matching``, or ours, with a vote of the views on
+    each object's class. With "none" nothing is matched in space."""
     most_instances: int = 1000
+    """Of what was matched, those with the most pixels are kept."""
     one_class_an_object: bool = True
+    """What is shown of an instance has the instance's class."""
     most_points: int = Effort.most_points
+    """Of the semantic point cloud."""
     seeded_features: bool = True
+    """Features start from colour and label of the anchors, not from zero."""
     warm_start: WarmStart | None = WarmStart()
+    """How the decoders are fitted to these before training, if they are."""
     matching: MatchingOptions = MatchingOptions()
     schedule: Schedule = Schedule()
     rates: LearningRates = LearningRates()
     weights: LossWeights = LossWeights()
     growth: GrowthRules = GrowthRules(least_visits=10)
     steps_a_view: float = 0.0
+    """Where there are many views, the steps are as many as let each be seen so often."""
     most_frames: int = Effort.most_frames
+    """Trained on, see ``choose_frames``; 0: all."""
     all_frames_vote: bool = Effort.all_frames_vote
+    """Frames that are not trained on vote on the classes of objects and points."""
     fill_holes: bool = True
+    """Planar holes of the depth are filled before anything is placed in space."""
     consensus: ConsensusOptions = ConsensusOptions()
     segment_voting: SegmentVoting = SegmentVoting()
+    """How segments and points vote on the labels of objects found by agreement."""
     linear_assignment: bool = False
+    """A view's segments are assigned to slots in each step, by what is drawn."""
     fit_exposure: bool = True
+    """Each photo is compared after the model's picture was brought to its exposure."""
     weigh_sharpness: bool = True
+    """Blurred photos count less."""
     labels: Literal["decoders", "votes"] = "votes"
+    """What the finished scene shows: what the label decoders say, or what the views vote on its Gaussians. Votes need
+    objects by agreement, of one class each, else decoders serve."""
     vote_size_within: tuple[int, int] = (320, 320)
+    """(width, height) of the box within which the voting masks are read."""
     vote_rounds: int = 2
     label_every: int = 4
+    """Labels are trained in every so many steps."""
     voting: VotingOptions = VotingOptions()
     representation: Literal["structured", "plain"] = "structured"
+    """With "plain" it is 3DGS with labels on each Gaussian, grown by ``plain``."""
     plain: PlainRules = PlainRules()
     semantic_targets: Literal["projected", "masks", "none"] = "projected"
+    """Classes are learnt from the projected cloud, or the votes; from the machine's masks; or by L_cluster alone."""
     matched_masks: bool = True
+    """M_match, or the votes' objects, supervise instances, if anything was matched."""
     labelled_start: bool = True
+    """Without it anchors and decoders begin with the cloud's colours alone."""
     vote_from: Literal["objects", "masks"] = "objects"
+    """The labels that are voted onto Gaussians come from the voted objects, or straight from the masks."""
     instances: Literal["slots", "identity", "contrastive"] = "slots"
+    """What tells instances apart: probabilities of slots; an encoding that the matched masks teach (Gaussian
+    Grouping's, by ``identity``); or one that needs nothing matched, whose clusters are the instances (Contrastive
+    Lift's, by ``contrastive``). The finished scene then shows these, not the votes."""
     identity: IdentityRules = IdentityRules()
     contrastive: ContrastiveRules = ContrastiveRules()
 
