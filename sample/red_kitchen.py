@@ -17,6 +17,8 @@ import argparse
 import json
 import shutil
 import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -109,19 +111,29 @@ def make_scene(data: Path, out: Path, every: int) -> int:
     names = [path.name.removesuffix(".color.jpg") for path in sorted(data.glob("frame-*.color.jpg"))][::every]
     if not names:
         raise BadInput("there are no frames (frame-*.color.jpg)", data)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise BadInput("is there already", out, "Give a folder that is new or empty.")
-    depth_lens = read_matrix(data / "camera-intrinsics.txt", 3)
-    try:
-        for folder in FOLDERS:
-            (out / folder).mkdir(parents=True, exist_ok=True)
+    with new_scene(out, FOLDERS):
+        depth_lens = read_matrix(data / "camera-intrinsics.txt", 3)
         np.savetxt(out / "intrinsic/intrinsic_color.txt", COLOUR.intrinsics)
         annotations = [add_frame(data, out, name, depth_lens) for name in names]
         (out / "panoptic.json").write_text(json.dumps({"annotations": annotations, "categories": [SURFACE]}))
+    return len(names)
+
+
+@contextmanager
+def new_scene(out: Path, folders: Iterable[str]) -> Iterator[None]:
+    """Make the folders of a scene; nothing is left of them when what is done within breaks off.
+
+    Raises BadInput when there is something already, OSError when they cannot be made.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise BadInput("is there already", out, "Give a folder that is new or empty.")
+    try:
+        for folder in folders:
+            (out / folder).mkdir(parents=True, exist_ok=True)
+        yield
     except BaseException:
         shutil.rmtree(out, ignore_errors=True)  # it was new or empty
         raise
-    return len(names)
 
 
 def add_frame(data: Path, out: Path, frame: str, depth_lens: NDArray[np.float64]) -> dict[str, object]:
@@ -130,11 +142,11 @@ def add_frame(data: Path, out: Path, frame: str, depth_lens: NDArray[np.float64]
     depth = COLOUR.depth(read_depth(data / f"{frame}.depth.png"), depth_lens)
     pose = COLOUR.pose(read_matrix(data / f"{frame}.pose.txt", 4))
     shutil.copyfile(data / f"{frame}.color.jpg", out / f"color/{name}.jpg")
-    write_png(out / f"depth/{name}.png", depth)
+    write_image(out / f"depth/{name}.png", depth)
     np.savetxt(out / f"pose/{name}.txt", pose)
     blue_green_red = np.zeros((*depth.shape, 3), np.uint8)
     blue_green_red[..., 2] = SURFACE["id"]
-    write_png(out / f"panoptic/{name}.png", blue_green_red)
+    write_image(out / f"panoptic/{name}.png", blue_green_red)
     segment = {"id": SURFACE["id"], "category_id": SURFACE["id"], "area": depth.size}
     return {"image_id": name, "file_name": f"{name}.png", "segments_info": [segment]}
 
@@ -161,9 +173,9 @@ def read_matrix(path: Path, side: int) -> NDArray[np.float64]:
     return matrix
 
 
-def write_png(path: Path, pixels: NDArray[np.generic]) -> None:
-    """Raises OSError."""
-    if not cv2.imwrite(str(path), pixels):
+def write_image(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16], how: Sequence[int] = ()) -> None:
+    """``how`` are OpenCV's parameters and values. Raises OSError."""
+    if not cv2.imwrite(str(path), pixels, how):
         raise OSError(f"cannot be written: {path}. Choose a folder that you may write to, on a disk with space.")
 
 
