@@ -88,8 +88,9 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
         tasks = [task for task in tasks if has_manifest(task.options.output)]
     refuse_bad_input(experiment, tasks)
     whole = replace(experiment, only=())  # what is finished of other rows stays in the report
-    others = [task for task in tasks_of(whole) if task.name not in {one.name for one in tasks} and is_finished(task)]
-    results = [*results_of_rivals(experiment), *(result_of(experiment, task) for task in others)]
+    others = [task for task in tasks_of(whole) if task.name not in {one.name for one in tasks}]
+    finished_before = dict(results_before(experiment, others))
+    results = [*results_of_rivals(experiment), *finished_before.values()]
     failed: dict[str, ExitCode] = {}
     for number, task in enumerate(tasks, start=1):
         if experiment.only_finished:
@@ -108,8 +109,9 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
         results.append(result_of(experiment, task))
         write_report(experiment.folder, whole.tables(tuple(results)))
     if results:
-        finished = [task for task in (*others, *tasks) if task.name not in failed]
-        sheets = {task.name: task.options.output for task in finished}
+        shown = [task for task in others if task.name in finished_before]
+        shown += [task for task in tasks if task.name not in failed]
+        sheets = {task.name: task.options.output for task in shown}
         write_report(experiment.folder, whole.tables(tuple(results)), sheets=sheets, page=experiment.page)
         print(experiment.tables(tuple(results)).markdown(), end="")
     if failed:
@@ -121,6 +123,16 @@ def result_of(experiment: Experiment, task: Task) -> Result:
     """The figures of a finished lift. Raises JobError when they cannot be read."""
     lift = LiftFolder.open(task.options.output)
     return read_result(task.scene.name, task.row.name, experiment.preset_name, lift)
+
+
+def results_before(experiment: Experiment, others: list[Task]) -> Iterator[tuple[str, Result]]:
+    """Name and figures of those lifts that are finished already. What cannot be read is left out, which is told."""
+    for task in others:
+        try:
+            if is_finished(task):
+                yield task.name, result_of(experiment, task)
+        except JobError as error:
+            print(f"Not in the report: {task.name}: {error}", file=sys.stderr)
 
 
 def has_manifest(lift: Path) -> bool:

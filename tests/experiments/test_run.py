@@ -276,6 +276,17 @@ def test_what_was_finished_before_stays_in_the_report(
     )
 
 
+def test_another_rows_damage_is_told_and_stops_nothing(
+    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
+) -> None:
+    some = replace(experiment, scenes=experiment.scenes[:1], only=("ours", "theirs"))
+    assert run(some) is ExitCode.FINISHED
+    (some.folder / "office-preview-theirs" / "result" / "metrics.json").write_text("{")
+    assert run(replace(some, only=("ours",))) is ExitCode.FINISHED
+    assert "Not in the report: office: theirs: " in capsys.readouterr().err
+    assert measured(some) == [("office", "ours")]
+
+
 def test_a_comparison(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(replace(experiment, earlier=(KITCHEN,))) is ExitCode.FINISHED
     office, kitchen = capsys.readouterr().out.split("### kitchen")
