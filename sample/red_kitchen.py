@@ -13,23 +13,22 @@ anything made of them.
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from public_data import BadInput, new_scene, run, write_image
 
 EVERY = 10
 NO_DEPTH = 65535
 SURFACE = {"id": 1, "name": "surface", "isthing": 0}
 FOLDERS = ("color", "depth", "pose", "intrinsic", "panoptic")
+FIX = "Give the folder data of tsdf-fusion-python."
 
 
 class ColourCamera(NamedTuple):
@@ -79,30 +78,6 @@ class ColourCamera(NamedTuple):
 COLOUR = ColourCamera()
 
 
-class BadInput(Exception):
-    """What is wrong, where, and what to do about it."""
-
-    def __init__(self, what: str, where: Path, fix: str = "Give the folder data of tsdf-fusion-python.") -> None:
-        super().__init__(f"{what}: {where}. {fix}")
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("data", type=Path, metavar="DATA", help="the folder data of tsdf-fusion-python")
-    parser.add_argument("out", type=Path, metavar="OUT", help="scene folder to make")
-    parser.add_argument("--every", type=int, default=EVERY, metavar="N", help=f"take each N-th frame (default {EVERY})")
-    options = parser.parse_args()
-    if options.every < 1:
-        parser.error("--every takes a whole number from 1")
-    try:
-        frames = make_scene(options.data, options.out, options.every)
-    except (BadInput, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(f"{frames} frames in {options.out}; lift it with --up -y")
-    return 0
-
-
 def make_scene(data: Path, out: Path, every: int) -> int:
     """Write the scene and return how many frames it has.
 
@@ -110,30 +85,13 @@ def make_scene(data: Path, out: Path, every: int) -> int:
     """
     names = [path.name.removesuffix(".color.jpg") for path in sorted(data.glob("frame-*.color.jpg"))][::every]
     if not names:
-        raise BadInput("there are no frames (frame-*.color.jpg)", data)
+        raise BadInput("there are no frames (frame-*.color.jpg)", data, FIX)
     with new_scene(out, FOLDERS):
         depth_lens = read_matrix(data / "camera-intrinsics.txt", 3)
         np.savetxt(out / "intrinsic/intrinsic_color.txt", COLOUR.intrinsics)
         annotations = [add_frame(data, out, name, depth_lens) for name in names]
         (out / "panoptic.json").write_text(json.dumps({"annotations": annotations, "categories": [SURFACE]}))
     return len(names)
-
-
-@contextmanager
-def new_scene(out: Path, folders: Iterable[str]) -> Iterator[None]:
-    """Make the folders of a scene; nothing is left of them when what is done within breaks off.
-
-    Raises BadInput when there is something already, OSError when they cannot be made.
-    """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise BadInput("is there already", out, "Give a folder that is new or empty.")
-    try:
-        for folder in folders:
-            (out / folder).mkdir(parents=True, exist_ok=True)
-        yield
-    except BaseException:
-        shutil.rmtree(out, ignore_errors=True)  # it was new or empty
-        raise
 
 
 def add_frame(data: Path, out: Path, frame: str, depth_lens: NDArray[np.float64]) -> dict[str, object]:
@@ -155,10 +113,10 @@ def read_depth(path: Path) -> NDArray[np.uint16]:
     """Millimetres, uint16 [H, W], 0 = none. Raises BadInput."""
     depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
     if depth is None:
-        raise BadInput("there is no depth that can be read", path)
+        raise BadInput("there is no depth that can be read", path, FIX)
     width, height = COLOUR.size
     if depth.dtype != np.uint16 or depth.shape != (height, width):
-        raise BadInput(f"is no depth of {width}x{height} pixels with 16 bits each", path)
+        raise BadInput(f"is no depth of {width}x{height} pixels with 16 bits each", path, FIX)
     return np.where(depth == NO_DEPTH, 0, depth).astype(np.uint16)
 
 
@@ -167,17 +125,11 @@ def read_matrix(path: Path, side: int) -> NDArray[np.float64]:
     try:
         matrix = np.loadtxt(path)
     except (OSError, ValueError) as error:
-        raise BadInput("there are no numbers that can be read", path) from error
+        raise BadInput("there are no numbers that can be read", path, FIX) from error
     if matrix.shape != (side, side) or not np.isfinite(matrix).all():
-        raise BadInput(f"is no matrix of {side} x {side} numbers", path)
+        raise BadInput(f"is no matrix of {side} x {side} numbers", path, FIX)
     return matrix
 
 
-def write_image(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16], how: Sequence[int] = ()) -> None:
-    """``how`` are OpenCV's parameters and values. Raises OSError."""
-    if not cv2.imwrite(str(path), pixels, how):
-        raise OSError(f"cannot be written: {path}. Choose a folder that you may write to, on a disk with space.")
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(make_scene, __doc__ or "", "the folder data of tsdf-fusion-python", EVERY, "lift it with --up -y"))

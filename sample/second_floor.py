@@ -14,7 +14,6 @@ made of them.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections import Counter, defaultdict
@@ -25,7 +24,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from red_kitchen import BadInput, new_scene, write_image
+from public_data import BadInput, new_scene, run, write_image
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
@@ -118,23 +117,6 @@ class Apartment(NamedTuple):
     @property
     def categories(self) -> list[dict[str, object]]:
         return [{"id": key, "name": name, "isthing": self.is_thing(key)} for key, name in sorted(self.names.items())]
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("data", type=Path, metavar="DATA", help="a checkout of Robot-Indoor-Navigation-System")
-    parser.add_argument("out", type=Path, metavar="OUT", help="scene folder to make")
-    parser.add_argument("--every", type=int, default=EVERY, metavar="N", help=f"take each N-th frame (default {EVERY})")
-    options = parser.parse_args()
-    if options.every < 1:
-        parser.error("--every takes a whole number from 1")
-    try:
-        frames = make_scene(options.data, options.out, options.every)
-    except (BadInput, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(f"{frames} frames in {options.out}; its pictures are for local measurements only")
-    return 0
 
 
 def make_scene(data: Path, out: Path, every: int) -> int:
@@ -314,4 +296,5 @@ def read_picture(path: Path, kind: type[np.generic] = np.uint8, channels: int = 
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    data = "a checkout of Robot-Indoor-Navigation-System"
+    sys.exit(run(make_scene, __doc__ or "", data, EVERY, "its pictures are for local measurements only"))
