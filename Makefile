@@ -4,7 +4,7 @@
 #   make extension
 #   make test, make test-slow, make test-window, make test-blender-next, make lint, make clean
 #
-# TORCH_INDEX=<url> names an index of CPU builds of torch for the set-up, where pip does not know one already.
+# TORCH_INDEX=<url> names an index of CPU builds of torch for the set-up, if pip does not know one already.
 
 SCENE ?= sample/room
 OUT ?= lifts/demo
@@ -14,16 +14,16 @@ PYTHON := .venv/bin/python
 PYTEST := -m pytest --durations=5
 # A test that takes longer than pyproject.toml's faulthandler_timeout hangs: none of `make test` takes a minute.
 ENDING := -o faulthandler_exit_on_timeout=true
-# What mypy reads, as far as it is there.
+# The parts that mypy reads, if they exist.
 TYPED := $(addprefix -p plgs.,$(wildcard engine plgs_blender operators ui)) $(if $(wildcard run_plgs.py),-m plgs.run_plgs)
-# What runs on the next Blender: all that lives in Blender's own Python.
+# Tests of what runs in Blender's own Python. They run on the next Blender, too.
 NEXT_TESTS := $(wildcard tests/scene tests/job tests/plgs_blender tests/operators tests/ui tests/test_register.py \
 	tests/test_extension.py)
 
 .PHONY: demo extension test test-slow test-window test-blender-next lint set-up set-up-next clean
 .NOTPARALLEL:
 
-# A demo that was cut off goes on where it was; a finished one says so and is left as it is.
+# A demo that was stopped goes on where it was. A finished one is left as it is.
 demo: set-up
 	$(PYTHON) run_plgs.py $(SCENE) -o $(OUT) --preset $(PRESET) --resume
 
@@ -48,11 +48,13 @@ test-blender-next: extension
 	@$(PYTHON) set_up/blender_window.py sid
 	PLGS_WINDOW_TREE=build/blender-sid $(PYTHON) $(PYTEST) $(ENDING) tests/window
 
-# mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve.
+# mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve. research/
+# runs from the repository alone and imports the engine by its own name, so mypy reads it in a second call.
 lint: set-up
 	@$(PYTHON) -m ruff check .
 	@mkdir -p build/types && ln -sfn ../.. build/types/plgs
 	@$(PYTHON) -m mypy $(TYPED)
+	@$(PYTHON) -m mypy --follow-imports=silent -p research
 
 set-up:
 	@sh set_up/set_up.sh .venv

@@ -10,7 +10,7 @@ from types import ModuleType
 
 
 def _parts() -> tuple[ModuleType, ...]:
-    """Modules with `register` and `unregister`, in order: what others refer to comes first."""
+    """Modules with `register` and `unregister`, those that others refer to first."""
     from . import operators, plgs_blender, ui
 
     return plgs_blender, operators, ui
@@ -23,6 +23,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Called by Blender when the extension is switched off: the same, backwards."""
+    """Called by Blender when the extension is switched off."""
     for part in reversed(_parts()):
         part.unregister()

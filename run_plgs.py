@@ -8,8 +8,8 @@ named otherwise; frames that are baked are kept):
 
     python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST]
 
-Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 130 Ctrl-C. What was cancelled or
-interrupted goes on with --resume.
+Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 4 another engine is at work
+there, 130 Ctrl-C. What was cancelled or interrupted goes on with --resume.
 """
 
 from __future__ import annotations
@@ -25,11 +25,14 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
-if TYPE_CHECKING:
-    from plgs.engine.job import ExitCode, LiftFolder, LiftRequest
-    from plgs.engine.job.terminal import Interrupts
+if sys.version_info < (3, 11):  # noqa: UP036 - said here, because the imports that follow fail without a reason
+    print("error: Python 3.11 or newer is needed. Run 'make set-up', then .venv/bin/python run_plgs.py ...")
+    sys.exit(2)
+
+if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until `Interrupts` is there, Ctrl-C just ends it
 
 ROOT = Path(__file__).resolve().parent
 
@@ -37,16 +40,28 @@ ROOT = Path(__file__).resolve().parent
 def load_package() -> None:
     """Make the folder of this script importable as ``plgs``, whatever it is called.
 
-    The extension's own __init__ is for Blender's window: it registers operators, and imports bpy, which a typing error
-    in the command line should not have to wait for.
+    The extension's own __init__ is for Blender's window: it registers operators and imports bpy, for which a typing
+    error in the command line should not have to wait.
     """
     package = ModuleType("plgs")
     package.__path__ = [str(ROOT)]
     sys.modules.setdefault("plgs", package)
 
 
+load_package()
+# ruff: noqa: E402 - what follows is found only now
+from plgs.engine.errors import ExitCode, PlgsError
+from plgs.engine.gates import open_plain, open_to_append
+from plgs.engine.job import LiftFolder, LiftRequest, read_manifest
+from plgs.engine.job.options import add_lift_options, given_lift_options, readable
+from plgs.engine.job.process import clean_environment, engine_python, missing_modules
+from plgs.engine.job.report import made_files, metrics_text, read_metrics
+from plgs.engine.job.session import lift_in_terminal
+from plgs.engine.job.terminal import Interrupted, Interrupts
+
+
 def script_arguments(argv: Sequence[str]) -> list[str]:
-    """What is meant for this script: all behind ``--``; without one, in plain Python only, all."""
+    """The arguments for this script: all after ``--``. Without one they are all arguments, but only outside Blender."""
     if "--" in argv:
         return list(argv[argv.index("--") + 1 :])
     blender = sys.modules.get("bpy")
@@ -55,10 +70,6 @@ def script_arguments(argv: Sequence[str]) -> list[str]:
 
 def main(arguments: Sequence[str]) -> int:
     """The whole run; returns the exit code."""
-    load_package()
-    from plgs.engine.job import ExitCode, JobError
-    from plgs.engine.job.terminal import Interrupted, Interrupts
-
     options = parse(arguments)
     try:
         with Interrupts() as interrupts:
@@ -66,9 +77,9 @@ def main(arguments: Sequence[str]) -> int:
             if blender is None:
                 return lift_to_blend(options, interrupts)
         return run_again(blender, arguments)
-    except JobError as error:
+    except PlgsError as error:
         print(f"error: {error}", file=sys.stderr)
-        return ExitCode.BAD_INPUT
+        return error.exit_code
     except Interrupted as interrupted:
         again = "with --resume to go on" if options.scene is not None else "to go on"
         print(f"Stopped. Give the same command {again}: {options.output}", file=sys.stderr)
@@ -84,8 +95,6 @@ class Parser(argparse.ArgumentParser):
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """The options; SystemExit(2) when they make no sense, SystemExit(0) after --help."""
-    from plgs.engine.job.options import add_lift_options, given_lift_options, readable
-
     parser = Parser(prog="run_plgs.py", description="Lift a scene and put the result into a .blend.")
     parser.add_argument(
         "scene", type=Path, nargs="?", metavar="SCENE",
@@ -133,23 +142,18 @@ def frame_range(text: str) -> tuple[int, int, int]:
 
 
 def python_with_blender() -> Path | None:
-    """None when this Python has bpy, else one that has. Raises JobError when there is none."""
-    from plgs.engine.job import JobError
-    from plgs.engine.job.process import engine_python, missing_modules
-
+    """None when this Python has bpy, or else a Python that has it. Raises PlgsError when there is none."""
     if "bpy" in sys.modules or importlib.util.find_spec("bpy"):
         return None
     python = engine_python()
     if missing_modules(python, ["bpy"]):
         fix = f"Run 'make set-up' in {ROOT}, or let Blender run this script: blender -b --python run_plgs.py -- ..."
-        raise JobError("has no bpy, the Blender module", python, fix)
+        raise PlgsError("has no bpy, the Blender module", python, fix)
     return python
 
 
 def run_again(python: Path, arguments: Sequence[str]) -> int:
-    """Let another Python do it all; on POSIX it takes this process's place, so signals reach it."""
-    from plgs.engine.job.process import clean_environment
-
+    """Run the whole command in another Python. On POSIX it takes this process's place, so that signals reach it."""
     command = [str(python), str(Path(__file__).resolve()), *arguments]
     if os.name == "nt":
         return subprocess.call(command, env=clean_environment())
@@ -157,49 +161,33 @@ def run_again(python: Path, arguments: Sequence[str]) -> int:
 
 
 def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
-    """Lift, then build the .blend, then tell what was made. Raises JobError, Interrupted."""
-    from plgs.engine.job import ExitCode, JobError
-    from plgs.engine.job.session import lift_in_terminal
-    from plgs.engine.scene import SceneError
-
+    """Lift, then build the .blend, then print what was made. Raises PlgsError, Interrupted."""
     blend = blend_path(options)
     refuse_no_blend(options.blend)
-    try:
-        if options.scene is None:
-            return bake_camera(finished_lift(options.output), blend, options, interrupts)
-        lift, code = lift_in_terminal(options, interrupts, check_scene_folder)
-        if code != ExitCode.FINISHED:
-            return code
-        if options.save is not None or is_older(blend, lift.manifest_path):
-            code = build_blend(lift, blend)
-        if code == ExitCode.FINISHED and options.bakes_camera:
-            code = bake_camera(lift, blend, options, interrupts)
-    except SceneError as error:
-        raise JobError(error.what, error.where, error.fix) from error
+    if options.scene is None:
+        return bake_camera(finished_lift(options.output), blend, options, interrupts)
+    lift, code = lift_in_terminal(options, interrupts, check_scene_folder)
+    if code != ExitCode.FINISHED:
+        return code
+    if options.save is not None or not blend.exists() or blend.stat().st_mtime < lift.manifest_path.stat().st_mtime:
+        code = build_blend(lift, blend)
+    if code == ExitCode.FINISHED and options.bakes_camera:
+        code = bake_camera(lift, blend, options, interrupts)
     if code == ExitCode.FINISHED:
-        tell_what_was_made(lift, blend)
+        print(metrics_text(read_metrics(lift)), "", blend, *made_files(lift), sep="\n", flush=True)
     return code
 
 
-def tell_what_was_made(lift: LiftFolder, blend: Path) -> None:
-    from plgs.engine.job.report import made_files, metrics_table
-
-    print(metrics_table(lift), "", blend, *made_files(lift), sep="\n", flush=True)
-
-
 def finished_lift(folder: Path) -> LiftFolder:
-    """Raises JobError when there is none."""
-    from plgs.engine.job import LiftFolder, read_manifest
-
+    """Raises PlgsError when there is none."""
     lift = LiftFolder.open(folder)
     read_manifest(lift.result_path)
     return lift
 
 
 def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:
-    """Bake the camera that the options name; the lift's own .blend then shows the passes. Raises JobError."""
-    from plgs.engine.job import ExitCode
-    from plgs.plgs_blender.shot_baking import bake_shot_in_terminal  # brings bpy
+    """Bake the camera that the options name; the lift's own .blend then shows the passes. Raises PlgsError."""
+    from plgs.plgs_blender.shots import bake_shot_in_terminal  # brings bpy
 
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)
@@ -210,66 +198,50 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
 
 
 def check_scene_folder(request: LiftRequest) -> None:
-    """The quick look, before any folder is made. Raises SceneError."""
+    """The quick look, before any folder is made. Raises PlgsError."""
     from plgs.engine.scene import open_scene_to_lift
 
     open_scene_to_lift(request)
 
 
 def blend_path(options: argparse.Namespace) -> Path:
-    """Where the .blend goes. Raises JobError when it could not be written at the end."""
-    from plgs.engine.job import JobError
-
+    """Where the .blend goes. Raises PlgsError when it could not be written at the end."""
     if options.save is None:
         return Path(options.output).absolute() / "lift.blend"
     blend: Path = options.save.absolute()
     is_in_lift = blend.parent == options.output.absolute()  # which need not be there yet
     if blend.suffix != ".blend" or blend.is_dir():
-        raise JobError("is no name for a .blend", blend, "Give --save a file name that ends in .blend.")
+        raise PlgsError("is no name for a .blend", blend, "Give --save a file name that ends in .blend.")
     if not is_in_lift and not os.access(blend.parent, os.W_OK):
-        raise JobError("cannot be written to, or is not there", blend.parent, "Give --save another folder.")
+        raise PlgsError("cannot be written to, or is not there", blend.parent, "Give --save another folder.")
     if blend.exists() and not is_blend(blend):
-        raise JobError("is there already and is no Blender file", blend, "Give --save another file name.")
+        raise PlgsError("is there already and is no Blender file", blend, "Give --save another file name.")
     return blend
 
 
 def refuse_no_blend(named: Path | None) -> None:
-    """Raises JobError for what --blend names and is no .blend: before anything is lifted."""
-    from plgs.engine.job import JobError
-
+    """Raises PlgsError for what --blend names and is no .blend: before anything is lifted."""
     if named is None:
         return
-    if not named.is_file():
-        raise JobError("is not there", named, "Give --blend the Blender file that has the camera.")
-    if not is_blend(named):
-        raise JobError("is no Blender file", named, "Give --blend the Blender file that has the camera.")
+    what = "is no Blender file" if named.is_file() else "is not there"
+    if not named.is_file() or not is_blend(named):
+        raise PlgsError(what, named, "Give --blend the Blender file that has the camera.", option="--blend")
 
 
 def is_blend(path: Path) -> bool:
-    """Whether a file begins as a .blend does: as it is, or compressed by zstd or gzip."""
-    from plgs.engine.gates import open_plain
-
+    """Whether a file begins as a .blend does, which may be compressed by zstd or gzip."""
     with open_plain(path) as file:
         return file.read(7).startswith((b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b"))
 
 
-def is_older(path: Path, than: Path) -> bool:
-    """Whether ``path`` is missing or was made before ``than``."""
-    return not path.exists() or path.stat().st_mtime < than.stat().st_mtime
-
-
 def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
-    """Make the .blend. An error becomes a line, its details go to the log; the lift itself stays finished."""
-    from plgs.engine.gates import open_to_append
-    from plgs.engine.job import ExitCode, JobError
-    from plgs.engine.scene import SceneError
-
+    """Make the .blend. An error becomes one line, and its details go to the log. The lift stays finished."""
     print("Building the .blend ...", file=sys.stderr, flush=True)
     try:
         from plgs.plgs_blender.lift_scene import save_lift  # brings bpy
 
         save_lift(lift.path, blend)
-    except (JobError, SceneError):
+    except PlgsError:
         raise
     except Exception as error:
         with os.fdopen(open_to_append(lift.log_path), "a", encoding="utf-8") as log:
@@ -290,11 +262,4 @@ def end(code: int) -> NoReturn:
 
 
 if __name__ == "__main__":
-    if sys.version_info < (3, 11):  # noqa: UP036 - said here, because the imports in main say it in riddles
-        print("error: Python 3.11 or newer is needed. Run 'make set-up', then .venv/bin/python run_plgs.py ...")
-        sys.exit(2)
-    if (
-        signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    ):  # until `Interrupts` is there, Ctrl-C just ends it
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
     end(main(script_arguments(sys.argv)))

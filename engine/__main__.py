@@ -6,7 +6,7 @@ import os
 import sys
 
 if __name__ == "__main__":
-    if sys.version_info < (3, 11):  # noqa: UP036 - said here, because the imports that follow say it in riddles
+    if sys.version_info < (3, 11):  # noqa: UP036 - said here, because the imports that follow fail without a reason
         sys.exit(f"error: the engine needs Python 3.11 or newer, this is {sys.version.split()[0]}")
     if not __package__:  # started by its path: with -I nothing else is where Python looks for modules
         sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(__file__))))

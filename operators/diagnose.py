@@ -5,60 +5,48 @@ from __future__ import annotations
 import bpy
 from bpy.props import IntProperty, StringProperty
 
-from ..plgs_blender import finding_picture, scene_diagnosis
-from ..plgs_blender.panel_words import in_panel_words
-from ..plgs_blender.paths import absolute
-from ..plgs_blender.running import diagnosing, start
-from ..plgs_blender.scene_diagnosis import diagnosis_of
-from ..plgs_blender.settings import place_of
-from .answers import CANCELLED, FINISHED, panel_of, reporting, reporting_events
+from ..plgs_blender.engine_environment import why_no_engine
+from ..plgs_blender.errors import with_field_names
+from ..plgs_blender.paths import absolute, free_folder
+from ..plgs_blender.running.diagnosis import Diagnosis, Finding, diagnose, diagnosis_of
+from ..plgs_blender.settings import chosen_scene
+from ..plgs_blender.tasks import registry
+from ..plgs_blender.tasks.registry import Task
+from ..plgs_blender.viewport import show_finding
+from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, panel_of, reporting
+
+_NOTHING = "Nothing was found that can be mended without a doubt"
 
 
-def _why_not(context: bpy.types.Context) -> str | None:
-    if not context.scene.plgs.scene_folder:
-        return "Choose the scene's folder first"
-    if scene_diagnosis.is_running():
-        return "The engine is measuring already"
-    # A script waits for the engine's answer; a button is grey until there is one.
-    return None if panel_of(context) is None else start.why_no_engine()
+class Measures(StartsTask):
+    """An engine measures the panel's scene."""
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        if not context.scene.plgs.scene_folder:
+            return "Choose the scene's folder first"
+        if registry.running(Diagnosis):
+            return "The engine is measuring already"
+        # A script waits for the engine's answer; a button is grey until there is one.
+        return None if panel_of(context) is None else why_no_engine()
 
 
-class _Measuring:
-    """An engine measures the panel's scene: a script waits for it, a button does not."""
-
-    waits = True
-
-    @reporting_events
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.waits = False
-        answer: set[str] = self.execute(context)  # type: ignore[attr-defined]
-        return answer
-
-
-class PLGS_OT_diagnose(_Measuring, bpy.types.Operator):
+class PLGS_OT_diagnose(Measures, bpy.types.Operator):
     """Measure what is wrong with the scene: axes, poses, depth, intrinsics, order, drift, pictures and labels"""
 
     bl_idname, bl_label, bl_options = "plgs.diagnose", "Diagnose", {"INTERNAL"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        reason = _why_not(context)
-        if reason is not None:
-            cls.poll_message_set(reason)
-        return reason is None
+    def begin(self, context: bpy.types.Context) -> Task:
+        return diagnose(context.scene.plgs)
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        diagnosis = diagnosing.diagnose(context.scene.plgs, waits=self.waits)
-        if diagnosis.error is not None and not diagnosis.findings:
-            self.report({"ERROR"}, in_panel_words(diagnosis.error))
-            return CANCELLED
-        for finding in diagnosis.findings:
+    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+        findings = task.findings if isinstance(task, Diagnosis) else ()
+        for finding in findings:
             self.report({"WARNING" if finding.is_wrong else "INFO"}, f"{finding.cause}: {finding.text}")
-        return FINISHED
+        return FINISHED if findings else super().tell(context, task)
 
 
-class PLGS_OT_fix_scene(_Measuring, bpy.types.Operator):
+class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
     """Write the scene with what is safe mended into a new folder, and take that; your files stay as they are"""
 
     bl_idname, bl_label, bl_options = "plgs.fix_scene", "Fix", {"INTERNAL"}
@@ -69,30 +57,29 @@ class PLGS_OT_fix_scene(_Measuring, bpy.types.Operator):
     )  # fmt: skip
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        reason = _why_not(context)
-        if reason is None:
-            known = diagnosis_of(place_of(context.scene.plgs))
-            if known is not None and not known.can_be_mended:
-                reason = "Nothing was found that can be mended without a doubt"
-        if reason is not None:
-            cls.poll_message_set(reason)
-        return reason is None
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        reason = super().why_not(context)
+        known = None if reason is not None else diagnosis_of(chosen_scene(context.scene.plgs))
+        return reason if known is None or known.can_be_mended else _NOTHING
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def begin(self, context: bpy.types.Context) -> Task:
         settings = context.scene.plgs
-        folder = absolute(self.folder) if self.folder else diagnosing.free_mended_folder(place_of(settings).scene)
-        diagnosis = diagnosing.diagnose(settings, folder, waits=self.waits)
-        if not diagnosis.is_running and diagnosis.mended is None:
-            why = diagnosis.error or "Nothing was found that can be mended without a doubt"
-            self.report({"ERROR"}, in_panel_words(why))
+        scene = chosen_scene(settings).scene
+        return diagnose(settings, absolute(self.folder) if self.folder else free_folder(scene, "mended"))
+
+    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+        assert isinstance(task, Diagnosis)
+        if task.is_running:
+            self.report({"INFO"}, f"An engine writes {task.mended}")
+            return FINISHED
+        if not task.is_mended:
+            self.report({"ERROR"}, _NOTHING if task.error is None else with_field_names(task.error))
             return CANCELLED
-        self.report({"INFO"}, f"An engine writes {folder}" if diagnosis.is_running else f"PLGS: {folder}")
+        self.report({"INFO"}, f"PLGS: {task.mended}")
         return FINISHED
 
 
-class PLGS_OT_show_finding(bpy.types.Operator):
+class PLGS_OT_show_finding(Explained, bpy.types.Operator):
     """Show the picture of a finding in an image editor"""
 
     bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
@@ -100,37 +87,35 @@ class PLGS_OT_show_finding(bpy.types.Operator):
     number: IntProperty(name="Number", min=0, options={"SKIP_SAVE"}, description="Of the finding, from 0")  # type: ignore[valid-type]
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        cls.poll_message_set("Diagnose the scene first")
-        return bool(context.scene.plgs.scene_folder) and diagnosis_of(place_of(context.scene.plgs)) is not None
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return None if _findings(context) else "Diagnose the scene first"
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        known = diagnosis_of(place_of(context.scene.plgs))
-        picture = known.findings[self.number].picture if known and self.number < len(known.findings) else None
+        findings = _findings(context)
+        picture = findings[self.number].picture if self.number < len(findings) else None
         if picture is None:
             self.report({"WARNING"}, "This finding has no picture")
             return CANCELLED
         screens = [window.screen for window in context.window_manager.windows]
-        image, is_shown = finding_picture.show(picture, screens)
+        image, is_shown = show_finding(picture, screens)
         where = "is in the image editor" if is_shown else "is loaded: open an image editor to see it"
         self.report({"INFO"}, f"{image.name} {where}")
         return FINISHED
 
 
-class PLGS_OT_cancel_diagnosis(bpy.types.Operator):
+class PLGS_OT_cancel_diagnosis(CancelsTask, bpy.types.Operator):
     """Stop measuring; your files stay as they are"""
 
     bl_idname, bl_label, bl_options = "plgs.cancel_diagnosis", "Cancel", {"INTERNAL"}
+    cancelled_kind = Diagnosis
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        cls.poll_message_set("Nothing is being measured")
-        return scene_diagnosis.is_running()
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        scene_diagnosis.forget()
-        return FINISHED
+def _findings(context: bpy.types.Context) -> tuple[Finding, ...]:
+    """What is known of the panel's scene."""
+    settings = context.scene.plgs
+    known = diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
+    return () if known is None else known.findings
 
 
 CLASSES = (PLGS_OT_diagnose, PLGS_OT_fix_scene, PLGS_OT_show_finding, PLGS_OT_cancel_diagnosis)

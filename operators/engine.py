@@ -1,21 +1,15 @@
-"""Getting the engine: setting it up, choosing its Python, asking it, removing it.
-
-In a window the buttons return at once, and `plgs_blender.engine_environment.session` follows what goes on; called by a
-script with EXEC_DEFAULT, as in Blender without a window, they wait for it.
-"""
+"""Getting the engine: setting it up, choosing its Python, asking it, removing it."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
-from ..plgs_blender.engine_environment import choices, session
+from ..plgs_blender.engine_environment import choices, status, tasks
 from ..plgs_blender.paths import absolute
-from .answers import CANCELLED, FINISHED, reporting, reporting_events
-
-register, unregister = session.register, session.unregister
+from ..plgs_blender.tasks import registry
+from ..plgs_blender.tasks.registry import Task
+from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, reporting, reporting_events
 
 _TORCH_BUILDS = [
     ("preferences", "As in the preferences", "What the add-on's preferences say"),
@@ -23,35 +17,21 @@ _TORCH_BUILDS = [
 ]
 
 
-class Asking:
-    """An operator that begins something which ends with the engine's answer."""
+class AsksEngine(StartsTask):
+    """An operator that ends with the engine's answer."""
 
-    begin: Callable[[], None]
-    """Each such operator's own; raises what `reporting` reports."""
-    report: Callable[[set[str], str], None]
-    sets_up = False
-
-    @reporting_events
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.begin()
-        return FINISHED
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        self.begin()
-        session.wait(lambda line: print(f"Set up engine {line}", flush=True))
-        if self.sets_up and (error := session.set_up_error()) is not None:
-            raise error
-        engine = session.status()
+    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+        if task is not None and task.is_running:
+            return FINISHED
+        engine = status()
         self.report({"INFO" if engine.is_usable else "ERROR"}, f"{engine.message}. {engine.fix}".rstrip())
         return FINISHED if engine.is_usable else CANCELLED
 
 
-class PLGS_OT_set_up_engine(Asking, bpy.types.Operator):
+class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
     """Download what the engine needs into an environment of its own, about 1.3 GB. What was begun is gone on with"""
 
     bl_idname, bl_label = "plgs.set_up_engine", "Set up engine"
-    sets_up = True
 
     base_python: StringProperty(  # type: ignore[valid-type]
         name="Base Python",
@@ -69,35 +49,34 @@ class PLGS_OT_set_up_engine(Asking, bpy.types.Operator):
     )
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        reason = session.why_no_set_up()
-        if reason is not None:
-            cls.poll_message_set(reason)
-        return reason is None
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return tasks.why_no_set_up()
 
-    def begin(self) -> None:
+    def begin(self, context: bpy.types.Context) -> Task:
         build = "" if self.torch_build == "preferences" else self.torch_build
-        session.start_set_up(choices.wish(self.base_python, build, self.index_url))
+        return tasks.set_up(choices.set_up_choice(self.base_python, build, self.index_url))
+
+    def tell_step(self, line: str) -> None:
+        print(f"Set up engine {line}", flush=True)
+
+    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+        if task is None or task.is_running:
+            return FINISHED
+        if task.error is not None:
+            raise task.error
+        for check in registry.running(tasks.EngineCheck):
+            registry.wait_for(check, context.scene)
+        return super().tell(context, task)
 
 
-class PLGS_OT_cancel_engine_set_up(bpy.types.Operator):
+class PLGS_OT_cancel_engine_set_up(CancelsTask, bpy.types.Operator):
     """Stop setting the engine up. What was downloaded is kept, and the next time goes on with it"""
 
     bl_idname, bl_label = "plgs.cancel_engine_set_up", "Cancel"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if session.progress() is None:
-            cls.poll_message_set("The engine is not being set up")
-        return session.progress() is not None
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        session.cancel_set_up()
-        return FINISHED
+    cancelled_kind = tasks.SetUp
 
 
-class PLGS_OT_use_this_python(Asking, bpy.types.Operator):
+class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
     """Let this Python run the engine. It needs torch and the other packages that the engine is pinned to"""
 
     bl_idname, bl_label = "plgs.use_this_python", "Use this Python"
@@ -109,18 +88,18 @@ class PLGS_OT_use_this_python(Asking, bpy.types.Operator):
         description="The Python's executable; empty: Blender's own",
     )
 
-    def begin(self) -> None:
+    def begin(self, context: bpy.types.Context) -> Task | None:
         choices.choose(absolute(self.python) if self.python else choices.own_python())
-        session.check()
+        return tasks.check()
 
 
-class PLGS_OT_check_engine(Asking, bpy.types.Operator):
+class PLGS_OT_check_engine(AsksEngine, bpy.types.Operator):
     """Ask the engine what it is and what it lacks"""
 
     bl_idname, bl_label = "plgs.check_engine", "Check"
 
-    def begin(self) -> None:
-        session.check()
+    def begin(self, context: bpy.types.Context) -> Task | None:
+        return tasks.check()
 
 
 class PLGS_OT_open_set_up_log(bpy.types.Operator):
@@ -130,7 +109,7 @@ class PLGS_OT_open_set_up_log(bpy.types.Operator):
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        log = session.log_path()
+        log = tasks.log_path()
         if not log.is_file():
             self.report({"ERROR"}, f"There is no log: {log}. The engine was not set up here yet.")
             return CANCELLED
@@ -138,39 +117,38 @@ class PLGS_OT_open_set_up_log(bpy.types.Operator):
         return FINISHED if bpy.app.background else bpy.ops.wm.path_open(filepath=str(log))
 
 
-class PLGS_OT_remove_engine(bpy.types.Operator):
+class PLGS_OT_remove_engine(StartsTask, bpy.types.Operator):
     """Delete the environments that "Set up engine" made, and nothing else. A lift that runs in one would end"""
 
     bl_idname, bl_label = "plgs.remove_engine", "Remove engine"
+    is_confirmed = False
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if session.progress() is not None:
-            cls.poll_message_set("The engine is being set up")
-        return session.progress() is None
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return None if tasks.running_set_up() is None else "The engine is being set up"
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.is_confirmed = True
         return context.window_manager.invoke_confirm(self, event)
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        session.remove()
-        if bpy.app.background:
-            session.wait()
-        return FINISHED
+        return self.run(context, waits=not self.is_confirmed)
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        return tasks.remove()
 
 
-class PLGS_OT_show_preferences(bpy.types.Operator):
+class PLGS_OT_show_preferences(Explained, bpy.types.Operator):
     """Show the add-on's preferences, where the engine is set up"""
 
     bl_idname, bl_label = "plgs.show_preferences", "Preferences"
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not choices.are_in_preferences():
-            cls.poll_message_set("PLGS runs without being installed as an extension: it has no preferences")
-        return choices.are_in_preferences()
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        missing = "PLGS runs without being installed as an extension: it has no preferences"
+        return None if choices.are_in_preferences() else missing
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:

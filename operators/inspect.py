@@ -1,26 +1,20 @@
-"""Selecting, showing and colouring the instances and classes of a lift."""
+"""Selecting, showing, colouring and looking at the instances and classes of a lift."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
 from ..plgs_blender import splats
-from ..plgs_blender.inspecting import selection, visibility
+from ..plgs_blender.inspecting import selection, views, visibility
 from ..plgs_blender.inspecting.lookup import chosen_row, class_row_of, find_lift, row_of
 from ..plgs_blender.lift_collection import lifts_in
-from ..plgs_blender.viewport import show_lift_colours
-from .answers import CANCELLED, FINISHED, panel_of, reporting
+from ..plgs_blender.viewport import show_lift_colours, view_of
+from .base import CANCELLED, FINISHED, Explained, panel_of, reporting
 
 
-class OnLift:
+class OnLift(Explained):
     """An operator on a lift of the scene. `lift` names it by its folder or its collection's name."""
-
-    if TYPE_CHECKING:
-        poll_message_set: Callable[[str], None]
 
     lift: StringProperty(  # type: ignore[valid-type]
         name="Lift", options={"SKIP_SAVE"},
@@ -28,14 +22,12 @@ class OnLift:
     )  # fmt: skip
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not any(len(root.plgs.classes) for root in lifts_in(context.scene)):
-            cls.poll_message_set("This scene has no result of a lift yet")
-            return False
-        return True
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        has_result = any(len(root.plgs.classes) for root in lifts_in(context.scene))
+        return None if has_result else "This scene has no result of a lift yet"
 
     def root(self, context: bpy.types.Context) -> bpy.types.Collection:
-        """The lift's collection. Raises JobError."""
+        """The lift's collection. Raises PlgsError."""
         return find_lift(context.scene, self.lift, context.active_object)
 
 
@@ -43,15 +35,20 @@ class OnInstance(OnLift):
     """An operator on one instance of a lift."""
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
+    def why_not(cls, context: bpy.types.Context) -> str | None:
         if panel_of(context) is not None and chosen_row(context.scene, context.active_object) is None:
-            cls.poll_message_set("Choose an instance: click its box in the view, or its row in the list")
-            return False
-        return super().poll(context)
+            return "Choose an instance: click its box in the view, or its row in the list"
+        return super().why_not(context)
 
     instance: IntProperty(  # type: ignore[valid-type]
         name="Instance", min=0, options={"SKIP_SAVE"}, description="Id of the instance; 0: the one selected in the list"
     )
+
+
+class OnClass(OnLift):
+    """An operator on one class of a lift."""
+
+    class_id: IntProperty(name="Class", min=0, options={"SKIP_SAVE"}, description="Id of the class")  # type: ignore[valid-type]
 
 
 class PLGS_OT_select_instance(OnInstance, bpy.types.Operator):
@@ -69,12 +66,10 @@ class PLGS_OT_select_instance(OnInstance, bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_select_class(OnLift, bpy.types.Operator):
+class PLGS_OT_select_class(OnClass, bpy.types.Operator):
     """Select the boxes of all instances of a class"""
 
     bl_idname, bl_label, bl_options = "plgs.select_class", "Select Class", {"REGISTER", "UNDO"}
-
-    class_id: IntProperty(name="Class", min=0, options={"SKIP_SAVE"}, description="Id of the class")  # type: ignore[valid-type]
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -98,12 +93,10 @@ class PLGS_OT_toggle_instance_visibility(OnInstance, bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_toggle_class_visibility(OnLift, bpy.types.Operator):
+class PLGS_OT_toggle_class_visibility(OnClass, bpy.types.Operator):
     """Hide or show a class: its points, its anchors and the boxes of its instances"""
 
     bl_idname, bl_label, bl_options = "plgs.toggle_class_visibility", "Hide or Show Class", {"REGISTER", "UNDO"}
-
-    class_id: IntProperty(name="Class", min=0, options={"SKIP_SAVE"}, description="Id of the class")  # type: ignore[valid-type]
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -157,15 +150,15 @@ class PLGS_OT_colour_boxes(OnLift, bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_show_colours(bpy.types.Operator):
+class PLGS_OT_show_colours(Explained, bpy.types.Operator):
     """Let this view show the lift's colours in Solid shading: points by class, boxes by instance"""
 
     bl_idname, bl_label = "plgs.show_colours", "Show Colours in This View"
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        cls.poll_message_set("There is no 3D view here")
-        return context.space_data is not None and context.space_data.type == "VIEW_3D"
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        is_view = context.space_data is not None and context.space_data.type == "VIEW_3D"
+        return None if is_view else "There is no 3D view here"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         show_lift_colours(context.space_data)
@@ -178,15 +171,87 @@ class PLGS_OT_place_gaussians(OnLift, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.place_gaussians", "Show Gaussians", {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not splats.has_native_splats():
-            cls.poll_message_set(splats.WHY_NOT)
-            return False
-        return super().poll(context)
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return super().why_not(context) if splats.has_native_splats() else splats.WHY_NOT
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats.place_gaussians(self.root(context), context.scene)
+        return FINISHED
+
+
+class PLGS_OT_frame_instance(OnInstance, bpy.types.Operator):
+    """Move the view so that the instance fills it"""
+
+    bl_idname, bl_label = "plgs.frame_instance", "Frame It"
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        view, aspect = view_of(context)
+        if view is None:
+            self.report({"ERROR"}, "There is no 3D view to move")
+            return CANCELLED
+        views.frame_instance(self.root(context), self.instance, view, aspect)
+        return FINISHED
+
+
+class PLGS_OT_go_to_best_view(OnInstance, bpy.types.Operator):
+    """Look through the camera of the frame that sees most of the instance"""
+
+    bl_idname, bl_label, bl_options = "plgs.go_to_best_view", "Go to Its Best View", {"REGISTER", "UNDO"}
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        frame = views.best_frame(root, self.instance)
+        views.look_from_frame(root, frame, context.scene, view_of(context)[0])
+        self.report({"INFO"}, f"Frame {frame}")
+        return FINISHED
+
+
+class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
+    """Look through the camera of the frame in which this mask of the instance lies"""
+
+    bl_idname, bl_label, bl_options = "plgs.go_to_mask", "Go to Mask", {"REGISTER", "UNDO"}
+
+    frame: StringProperty(  # type: ignore[valid-type]
+        name="Frame", options={"SKIP_SAVE"},
+        description="Name of the frame; empty: that of the mask selected in the list",
+    )  # fmt: skip
+    segment: IntProperty(  # type: ignore[valid-type]
+        name="Segment", min=0, options={"SKIP_SAVE"},
+        description="Id of the segment in the frame's mask; 0: the first that made the instance",
+    )  # fmt: skip
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        frame = views.mask_frame(root, self.instance, self.frame, self.segment)
+        views.look_from_frame(root, frame, context.scene, view_of(context)[0])
+        return FINISHED
+
+
+class PLGS_OT_toggle_overlay(OnLift, bpy.types.Operator):
+    """Draw names, a legend or the selected points over the 3D views, or stop it"""
+
+    bl_idname, bl_label, bl_options = "plgs.toggle_overlay", "Toggle Overlay", {"REGISTER", "UNDO"}
+
+    part: EnumProperty(  # type: ignore[valid-type]
+        name="Part",
+        options={"SKIP_SAVE"},
+        items=[
+            ("LABELS", "Labels", "The instances' names at their boxes"),
+            ("LEGEND", "Legend", "The classes and their colours"),
+            ("SELECTED", "Selected points", "The points and anchors of the selected instance"),
+        ],
+        default="LABELS",
+    )
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        lists = self.root(context).plgs
+        name = {"LABELS": "show_labels", "LEGEND": "show_legend", "SELECTED": "show_selected"}[self.part]
+        setattr(lists, name, not getattr(lists, name))
         return FINISHED
 
 
@@ -200,4 +265,8 @@ CLASSES = (
     PLGS_OT_colour_boxes,
     PLGS_OT_show_colours,
     PLGS_OT_place_gaussians,
+    PLGS_OT_frame_instance,
+    PLGS_OT_go_to_best_view,
+    PLGS_OT_go_to_mask,
+    PLGS_OT_toggle_overlay,
 )

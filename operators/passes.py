@@ -1,20 +1,31 @@
-"""Baking panoptic passes of a finished lift, and using them."""
+"""Baking panoptic passes of a finished lift, and using them in the compositor."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
-from ..plgs_blender import passes_view
-from ..plgs_blender.running import start
-from ..plgs_blender.running.lifts import Watch
+from ..plgs_blender import mattes
+from ..plgs_blender.engine_environment import why_no_engine
+from ..plgs_blender.passes import open_passes, passes_scene_of
+from ..plgs_blender.running import lifting
 from ..plgs_blender.shots import ShotReader
-from .answers import CANCELLED, FINISHED, PASSED_ON, RUNNING, panel_of, reporting, reporting_events
-from .lift import Following, OnLiftFolder
+from ..plgs_blender.tasks.registry import Task
+from .base import (
+    CANCELLED,
+    FINISHED,
+    PASSED_ON,
+    RUNNING,
+    Explained,
+    OnLiftFolder,
+    StartsTask,
+    panel_of,
+    reporting,
+    reporting_events,
+)
+from .inspect import OnClass, OnInstance
 
 _FRAMES = [
     ("all", "All frames", "Bake every frame that has no passes yet"),
@@ -22,25 +33,21 @@ _FRAMES = [
     ("active", "Active camera", "Bake the frame whose camera is the scene's active one"),
 ]
 _READ_S, _READ_EVERY_S = 0.04, 0.06
-"""So long at a time a camera is read while Blender waits, and how often."""
+"""Seconds that a camera is read at a time while Blender waits, and seconds between two such times."""
 
 
-class OnFinishedLift(OnLiftFolder):
+class BakesFinishedLift(OnLiftFolder, StartsTask):
     """An operator that needs an engine, and a lift that is finished."""
 
-    if TYPE_CHECKING:
-        poll_message_set: Callable[[str], None]
+    has_undo_step = True
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
+    def why_not(cls, context: bpy.types.Context) -> str | None:
         panel = panel_of(context)
-        reason = start.why_no_engine() or (None if panel is None else start.why_no_bake(panel))
-        if reason is not None:
-            cls.poll_message_set(reason)
-        return reason is None
+        return why_no_engine() or (None if panel is None else lifting.why_no_bake(panel))
 
 
-class PLGS_OT_bake_passes(OnFinishedLift, Following, bpy.types.Operator):
+class PLGS_OT_bake_passes(BakesFinishedLift, bpy.types.Operator):
     """Render colour, depth, class, instance, confidence and Cryptomatte layers of a finished lift, in the background"""
 
     bl_idname, bl_label = "plgs.bake_passes", "Bake Passes"
@@ -49,11 +56,11 @@ class PLGS_OT_bake_passes(OnFinishedLift, Following, bpy.types.Operator):
         name="Frames", items=_FRAMES, default="all", options={"SKIP_SAVE"}, description="Which frames to bake"
     )
 
-    def begin(self, context: bpy.types.Context) -> Watch:
-        return start.bake_passes(context.scene, self.frames, self.lift_folder)
+    def begin(self, context: bpy.types.Context) -> Task:
+        return lifting.bake_passes(context.scene, self.frames, self.lift_folder)
 
 
-class PLGS_OT_bake_camera(OnFinishedLift, Following, bpy.types.Operator):
+class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
     """Render the passes of a finished lift as the active camera sees it over the frame range, as it is animated, in the
     background. Frames that are baked already, from the same camera, are kept: so what was cancelled goes on"""
 
@@ -73,35 +80,36 @@ class PLGS_OT_bake_camera(OnFinishedLift, Following, bpy.types.Operator):
     )
 
     _shot: ShotReader | None = None
+    _timer: bpy.types.Timer | None = None
 
-    def begin(self, context: bpy.types.Context) -> Watch:
+    def begin(self, context: bpy.types.Context) -> Task:
         shot = self._shot or self._begin_reading(context)
         shot.read_for(math.inf)  # all at once for a script
-        self._shot = None
-        return start.bake_shot(context.scene, shot, self.lift_folder)
+        return lifting.bake_shot(context.scene, shot, self.lift_folder)
 
     def _begin_reading(self, context: bpy.types.Context) -> ShotReader:
         # Now: by the time that it is read another scene may be shown.
-        self.lift_folder = str(start.lift_at(context.scene.plgs, self.lift_folder).path)
+        self.lift_folder = str(lifting.lift_at(context.scene.plgs, self.lift_folder).path)
         names = ("frame_start", "frame_end", "frame_step")
         first, last, step = (getattr(self, name) if self.properties.is_property_set(name) else None for name in names)
-        return start.read_camera(context.scene, self.camera, (first, last, step))
+        return lifting.read_camera(context.scene, self.camera, (first, last, step))
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self._shot = self._begin_reading(context)
         if self._shot.read_for(_READ_S):
-            return self.follow(context)
-        self.glance(context, _READ_EVERY_S)
+            return self.run(context, waits=bpy.app.background)
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(_READ_EVERY_S, window=context.window or manager.windows[0])
+        manager.modal_handler_add(self)
         return RUNNING
 
     @reporting_events
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if self._shot is None:  # it is read, and an engine bakes
-            answer: set[str] = super().modal(context, event)
-            return answer
+        """Read the camera, part by part, until an engine can bake it."""
         answer = CANCELLED
         try:
+            assert self._shot is not None
             answer = self._read_on(context, event, self._shot)
         finally:
             if answer not in (RUNNING, PASSED_ON):
@@ -116,37 +124,68 @@ class PLGS_OT_bake_camera(OnFinishedLift, Following, bpy.types.Operator):
             return PASSED_ON
         if shot.read_for(_READ_S):
             _show_progress(context, None)
-            return self.follow(context)
+            return self.run(context, waits=False)
         _show_progress(context, "Reading the camera: {} of {} frames. Esc stops".format(*shot.progress))
         return RUNNING
 
     def cancel(self, context: bpy.types.Context) -> None:
+        """Another file was opened, or the camera is read."""
         _show_progress(context, None)
-        super().cancel(context)
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
 
 
 def _show_progress(context: bpy.types.Context, text: str | None) -> None:
-    """In the status bar; None: what Blender shows there."""
+    """Show a text in the status bar; None: what Blender shows there."""
     if context.workspace is not None:
         context.workspace.status_text_set(text)
 
 
-class PLGS_OT_show_passes(bpy.types.Operator):
+class PLGS_OT_show_passes(Explained, bpy.types.Operator):
     """Open the scene whose compositor holds the passes, at the view of the active camera"""
 
     bl_idname, bl_label, bl_options = "plgs.show_passes", "Open in Compositor", {"UNDO"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        cls.poll_message_set("This scene has no lift with passes: bake them first")
-        return passes_view.passes_scene_of(context.scene) is not None
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        has_passes = passes_scene_of(context.scene) is not None
+        return None if has_passes else "This scene has no lift with passes: bake them first"
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        target = passes_view.open_passes(context.scene)
+        target = open_passes(context.scene)
         if context.window is not None:
             context.window.scene = target
         return FINISHED
 
 
-CLASSES = (PLGS_OT_bake_passes, PLGS_OT_bake_camera, PLGS_OT_show_passes)
+class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
+    """Let the matte of the passes' compositor be this instance"""
+
+    bl_idname, bl_label, bl_options = "plgs.matte_instance", "Matte", {"REGISTER", "UNDO"}
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        self.report({"INFO"}, f"The compositor's matte is {mattes.matte_instance(self.root(context), self.instance)}")
+        return FINISHED
+
+
+class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
+    """Let the matte of the passes' compositor be all of this class"""
+
+    bl_idname, bl_label, bl_options = "plgs.matte_class", "Matte", {"REGISTER", "UNDO"}
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        self.report({"INFO"}, f"The compositor's matte is {mattes.matte_class(self.root(context), self.class_id)}")
+        return FINISHED
+
+
+CLASSES = (
+    PLGS_OT_bake_passes,
+    PLGS_OT_bake_camera,
+    PLGS_OT_show_passes,
+    PLGS_OT_matte_instance,
+    PLGS_OT_matte_class,
+)

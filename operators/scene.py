@@ -1,8 +1,7 @@
-"""Frames into Blender, before anything is lifted."""
+"""Frames into Blender before anything is lifted: cameras, pictures and coloured points."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,88 +9,82 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..plgs_blender.dropping import lift_or_scene, scene_at
+from ..plgs_blender.errors import with_field_names
+from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
+from ..plgs_blender.frames import PHOTO
 from ..plgs_blender.paths import absolute
-from ..plgs_blender.running import frame_making, poll_timer, start
-from ..plgs_blender.running.importing import begin_import, imported, what_is_missing
-from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES, FORMAT_ITEMS, MASK_FORMAT_ITEMS, chosen_format
-from ..plgs_blender.settings import UPS, place_of
-from ..plgs_blender.viewport import show_lift_colours_at_first
-from .answers import CANCELLED, FINISHED, RUNNING, panel_of, reporting, reporting_events
+from ..plgs_blender.running.importing import FrameMaking, begin_import, imported, show_picture, what_is_missing
+from ..plgs_blender.running.lifting import why_no_scene
+from ..plgs_blender.running.looking import look_at_scene
+from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES, chosen_format
+from ..plgs_blender.settings import SceneOptions, chosen_scene, option_names
+from ..plgs_blender.tasks import registry
+from ..plgs_blender.tasks.registry import Task
+from ..plgs_blender.viewport import show_lift_colours_in
+from .base import (
+    CANCELLED,
+    FINISHED,
+    RUNNING,
+    CancelsTask,
+    Explained,
+    StartsTask,
+    panel_of,
+    reporting,
+    reporting_events,
+)
+
+_PICTURES = [
+    (PHOTO, "Photo", "What the frame's camera saw, half transparent"),
+    (DEPTH, "Depth", "How far surfaces are: light is near, dark is far, a line at each whole metre"),
+    (MASKS, "Masks", "The frame's panoptic mask in its classes' colours"),
+]
 
 
-class SceneOptions:
-    """How a scene is read, for operators: what is not given is as in the panel."""
+class ImportsScene(SceneOptions, StartsTask):
+    """An operator that imports the panel's scene, with an engine for what Blender cannot make of it. What is not given
+    is as in the panel.
+    """
 
-    format: EnumProperty(  # type: ignore[valid-type]
-        name="Format", items=FORMAT_ITEMS, default=AUTOMATIC, options={"SKIP_SAVE"},
-        description="How the scene is laid out, where its looks do not tell",
-    )  # fmt: skip
-    masks: StringProperty(  # type: ignore[valid-type]
-        name="Masks", subtype="FILE_PATH", options={"SKIP_SAVE"},
-        description="Panoptic masks that lie elsewhere than in the scene's folder",
-    )  # fmt: skip
-    mask_format: EnumProperty(  # type: ignore[valid-type]
-        name="Mask format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, options={"SKIP_SAVE"},
-        description="How the masks are laid out, where their looks do not tell",
-    )  # fmt: skip
-    classes_table: StringProperty(  # type: ignore[valid-type]
-        name="Classes", options={"SKIP_SAVE"}, description="The masks' classes: a .toml file, or a table's name"
-    )
-    depth: StringProperty(  # type: ignore[valid-type]
-        name="Depth maps", subtype="DIR_PATH", options={"SKIP_SAVE"},
-        description="Folder of a network's depth maps, one a frame",
-    )  # fmt: skip
-    up: EnumProperty(  # type: ignore[valid-type]
-        name="Up", items=UPS, default="z", options={"SKIP_SAVE"}, description="The axis of the poses that points up"
-    )
     cloud: BoolProperty(  # type: ignore[valid-type]
         name="Coloured Cloud", default=True, options={"SKIP_SAVE"},
         description="Let an engine make a coloured cloud of the scene's depth",
     )  # fmt: skip
 
-    report: Callable[[set[str], str], None]
     properties: Any
 
     def into_settings(self, settings: Any) -> None:
         """Let the panel say what was given."""
-        for name in ("format", "masks", "mask_format", "classes_table", "depth", "up"):
+        for name in option_names(SceneOptions):
             if self.properties.is_property_set(name):
                 setattr(settings, name, getattr(self, name))
 
-    waits = True
-    """For the engine: a script does, a button does not."""
+    def begin(self, context: bpy.types.Context) -> Task | None:
+        return begin_import(context.scene, cloud=self.cloud)
 
-    def import_it(self, context: bpy.types.Context) -> set[str]:
-        """Import the scene of the panel, with an engine for what Blender cannot make of it."""
-        begin_import(context.scene, cloud=self.cloud)
-        if self.waits:
-            frame_making.wait()
-        else:
-            poll_timer.begin()
+    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         root = imported(context.scene)
-        if root is None and self.waits:
-            self.report({"ERROR"}, str(frame_making.error()))
-            return CANCELLED
+        is_making = task is not None and task.is_running
+        error = None if task is None else task.error
         if root is None:
+            if error is not None:
+                raise error
             self.report({"INFO"}, "An engine reads the scene: its cameras come when it is done")
-            return FINISHED
+            return FINISHED if is_making else CANCELLED
         cameras = sum("frame" in ob for ob in root.all_objects)
-        lacking = "" if frame_making.is_making() else frame_making.error() or what_is_missing(root)
-        view = context.space_data
-        if isinstance(view, bpy.types.SpaceView3D):
-            show_lift_colours_at_first(view)
+        lacking = "" if is_making else what_is_missing(root) if error is None else with_field_names(error)
+        show_lift_colours_in(context.scene)
         self.report({"WARNING" if lacking else "INFO"}, f"{root.name}: {cameras} cameras. {lacking}".rstrip())
         return FINISHED
 
 
 def _forget_other_scene(settings: Any) -> None:
-    """Before a scene is chosen: what the panel says of masks, depth, up and format is the earlier one's."""
-    settings.scene_folder = ""  # so that the earlier one is not looked at with each change
+    """Clear the panel's masks, depth, up and format before another scene is chosen: they belong to the earlier one."""
+    settings.scene_folder = ""  # otherwise each change would look at the earlier one
     settings.masks, settings.depth, settings.up, settings.format = "", "", "z", AUTOMATIC
 
 
-class PLGS_OT_import_scene(SceneOptions, bpy.types.Operator):
-    """Put a camera with its picture into the scene for each frame, and coloured points; nothing is lifted"""
+class PLGS_OT_import_scene(ImportsScene, bpy.types.Operator):
+    """Put a camera with its picture into the scene for each frame, and coloured points. Nothing is lifted"""
 
     bl_idname, bl_label, bl_options = "plgs.import_scene", "Import Cameras and Images", {"UNDO"}
 
@@ -101,28 +94,19 @@ class PLGS_OT_import_scene(SceneOptions, bpy.types.Operator):
     )  # fmt: skip
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
+    def why_not(cls, context: bpy.types.Context) -> str | None:
         panel = panel_of(context)
-        reason = None if panel is None else start.why_no_scene(panel)
-        if reason is not None:
-            cls.poll_message_set(reason)
-        return reason is None
+        return None if panel is None else why_no_scene(panel)
 
-    @reporting_events
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.waits = False
-        return self.execute(context)
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def begin(self, context: bpy.types.Context) -> Task | None:
         settings = context.scene.plgs
         self.into_settings(settings)
         if self.scene_folder:
             settings.scene_folder = self.scene_folder
-        return self.import_it(context)
+        return super().begin(context)
 
 
-class PLGS_OT_browse_scene(SceneOptions, bpy.types.Operator):
+class PLGS_OT_browse_scene(ImportsScene, bpy.types.Operator):
     """Import the cameras and images of posed frames: a folder, or a file such as transforms.json, .sens or .r3d"""
 
     bl_idname, bl_label, bl_options = "plgs.browse_scene", "PLGS Scene", {"UNDO", "PRESET"}
@@ -134,35 +118,81 @@ class PLGS_OT_browse_scene(SceneOptions, bpy.types.Operator):
     filter_glob: StringProperty(  # type: ignore[valid-type]
         default=";".join(f"*{suffix}" for suffix in FILE_SUFFIXES), options={"HIDDEN", "SKIP_SAVE"}
     )
+    was_invoked = False
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.waits = False
+        self.was_invoked = True
         context.window_manager.fileselect_add(self)
         return RUNNING
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.run(context, waits=not self.was_invoked)
+
+    def begin(self, context: bpy.types.Context) -> Task | None:
         settings = context.scene.plgs
         place = scene_at(Path(absolute(self.filepath)), chosen_format(self.format))
         _forget_other_scene(settings)
         self.into_settings(settings)
         settings.scene_folder = str(place)
-        return self.import_it(context)
+        return super().begin(context)
 
 
-class PLGS_OT_look_at_scene(bpy.types.Operator):
-    """Look anew at what is in the scene's folder"""
+class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
+    """Show the photo, the depth or the masks of the active camera's frame before what it sees"""
+
+    bl_idname, bl_label, bl_options = "plgs.show_picture", "Show Picture", {"UNDO"}
+
+    what: EnumProperty(  # type: ignore[valid-type]
+        name="What", items=_PICTURES, default=DEPTH, options={"SKIP_SAVE"}, description="Which picture"
+    )
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        return next(text for name, _, text in _PICTURES if name == properties.what)
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        if registry.running(FrameMaking):
+            return "An engine makes frames just now: wait until it is done, or cancel it"
+        return why_no_picture(context.scene)
+
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        view = context.space_data
+        if isinstance(view, bpy.types.SpaceView3D) and not view.use_local_camera:
+            view.region_3d.view_perspective = "CAMERA"
+        return self.run(context, waits=bpy.app.background)
+
+    def begin(self, context: bpy.types.Context) -> Task | None:
+        return show_picture(context.scene, self.what)
+
+    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+        span = range_shown(context.scene.camera)
+        if (task is None or task.has_finished) and span is not None:
+            self.report({"INFO"}, f"Depth from {span[0]:.2f} to {span[1]:.2f} m, a line at each whole metre")
+        return super().tell(context, task)
+
+
+class PLGS_OT_cancel_frames(CancelsTask, bpy.types.Operator):
+    """Stop making pictures and the cloud. What is made already is kept: importing again goes on"""
+
+    bl_idname, bl_label, bl_options = "plgs.cancel_frames", "Cancel", {"INTERNAL"}
+    cancelled_kind = FrameMaking
+
+
+class PLGS_OT_look_at_scene(Explained, bpy.types.Operator):
+    """Look again at what is in the scene's folder"""
 
     bl_idname, bl_label, bl_options = "plgs.look_at_scene", "Look Again", {"INTERNAL"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        cls.poll_message_set("Choose the scene's folder first")
-        return bool(context.scene.plgs.scene_folder)
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return None if context.scene.plgs.scene_folder else "Choose the scene's folder first"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        poll_timer.look_at_scene(place_of(context.scene.plgs))
+        look_at_scene(chosen_scene(context.scene.plgs))
         return FINISHED
 
 
@@ -204,6 +234,8 @@ class PLGS_FH_scene(bpy.types.FileHandler):
 CLASSES = (
     PLGS_OT_import_scene,
     PLGS_OT_browse_scene,
+    PLGS_OT_show_picture,
+    PLGS_OT_cancel_frames,
     PLGS_OT_look_at_scene,
     PLGS_OT_open_dropped,
     PLGS_FH_scene,

@@ -10,12 +10,15 @@ from types import ModuleType
 
 
 def _modules() -> tuple[ModuleType, ...]:
-    """Those that Blender has to know, in order. Imported late: a script that only reads a result needs none of them."""
+    """The modules that Blender has to know, in order. They are imported late: a script that only reads a result needs
+    none of them."""
     from . import mask_classes, settings
-    from .inspecting import following, records
-    from .running import diagnosing, mask_making, poll_timer
+    from .engine_environment import tasks
+    from .inspecting import lists, selection
+    from .running import looking
+    from .tasks import timer
 
-    return settings, mask_classes, records, following, poll_timer, mask_making, diagnosing
+    return settings, mask_classes, lists, selection, timer, tasks, looking
 
 
 def register() -> None:

@@ -8,15 +8,14 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
-from .colour import object_colour
-from .materials import box_material
+from ..engine.result_files import Instance
+from .materials import box_material, object_colour
 from .owned import OwnedDataBlocks
-from .results import Instance
 
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 INSTANCE = "instance:"
-"""How the key of an instance's box begins; its id follows."""
+"""Start of the key of an instance's box. The instance's id follows."""
 _BAR = 0.018
 """Thickness of a rendered bar, metres."""
 
@@ -30,7 +29,7 @@ def place_boxes(
 
 def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance) -> bpy.types.Object:
     key = f"{INSTANCE}{instance.id}"
-    mesh = owned.data_of(key) or owned.new_data(bpy.data.meshes.new(instance.name), key)
+    mesh = owned.data(key, lambda: bpy.data.meshes.new(instance.name))
     mesh.clear_geometry()
     mesh.from_pydata((_CORNERS * instance.size).tolist(), [], _FACES)
     mesh.update()
@@ -39,10 +38,10 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     ob = owned.object(key, instance.name, mesh, parent)
     ob.matrix_world = Matrix.LocRotScale(Vector(instance.centre), Quaternion(instance.rotation), None)
     ob.color = object_colour(instance.colour)
-    # Lines are coloured by the object only on meshes with faces. Renders ignore the display type, hence the bars.
+    # Only meshes with faces have lines in the object's colour. Renders ignore the display type, so they show bars.
     ob.display_type, ob.show_name = "WIRE", True
-    ob.show_in_front = True  # seen, and picked, through the points that fill it
-    # Outside the box, where its points do not cover them.
+    ob.show_in_front = True  # it is seen and picked through the points that fill it
+    # The bars lie outside the box, where its points do not cover them.
     bars = ob.modifiers.get("Bars") or ob.modifiers.new("Bars", "WIREFRAME")
     bars.thickness, bars.offset, bars.show_viewport, bars.show_render = _BAR, 1.0, False, True
     _describe(ob, instance)

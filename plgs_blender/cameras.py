@@ -1,10 +1,9 @@
-"""The engine's cameras in Blender's terms. Plain numbers: `frames` puts them into data-blocks.
+"""The engine's cameras in Blender's terms, and a camera that overlooks a room. NumPy only: `frames` makes data-blocks.
 
-Blender's camera looks along -z with y up, so its axes are OpenCV's with y and z turned round. Its picture is
-given by the focal length on a sensor, in millimetres, and by a shift of the sensor, in widths of the picture.
-We always fit the width (sensor_fit HORIZONTAL): then portrait pictures and off-centre principal points need
-no special case. fx and fy that differ are pixels that are not square; in Blender that belongs to the scene,
-as pixel aspect.
+Blender's camera looks along -z with y up, so its axes are OpenCV's with y and z turned round. Its picture is given by
+the focal length on a sensor, in millimetres, and by a shift of the sensor, in widths of the picture. We always fit the
+width (sensor_fit HORIZONTAL): then portrait pictures and off-centre principal points need no special case. Where fx and
+fy differ, pixels are not square. In Blender that is a setting of the scene, its pixel aspect.
 """
 
 from __future__ import annotations
@@ -17,16 +16,30 @@ from numpy.typing import NDArray
 from ..engine.scene.camera import Camera
 
 SENSOR_WIDTH = 36.0
-"""Millimetres. Any width gives the same picture; this one makes `lens` read as a full-frame focal length."""
+"""Millimetres. Any width gives the same picture; with this one `lens` is a full-frame focal length."""
 
 _TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+
+OVERVIEW_SIZE = 1280, 800
+"""Width and height of the overview's picture in pixels."""
+_ELEVATION = np.radians(42.0)
+"""Angle by which the overview looks down."""
+_FOCAL_WIDTHS = 1.45
+"""Focal length in picture widths: a 52 mm lens, which keeps the walls nearly upright."""
+_MARGIN = 0.88
+"""Share of the picture that the points fill."""
+_DIRECTIONS = 16
+"""Directions around the room that are tried."""
+_STRAY = 0.05
+"""Percent of the points that may lie outside the picture."""
+_ENOUGH = 100_000
+"""Points from which the place is found; of more, every n-th is taken."""
+_DEFAULT_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]])
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Focal length in millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths, pixel aspect of the
-    scene.
-    """
+    """Focal length in millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths, pixel aspect of the scene."""
 
     focal_length: float
     shift_x: float
@@ -35,7 +48,7 @@ class Lens:
 
 
 def lens_of(camera: Camera) -> Lens:
-    """The lens that gives the camera's picture exactly, off-centre and with fx != fy too."""
+    """The lens that gives exactly the camera's picture, also off-centre and with fx != fy."""
     aspect = camera.fx / camera.fy
     return Lens(
         focal_length=camera.fx * SENSOR_WIDTH / camera.width,
@@ -52,11 +65,52 @@ def object_matrix(camera: Camera) -> NDArray[np.float64]:
 
 
 def camera_from(lens: Lens, matrix: NDArray[np.float64], width: int, height: int) -> Camera:
-    """The engine's camera for a lens, an object matrix, float64 [4, 4], and a picture size: `lens_of`
-    backwards.
-    """
+    """The engine's camera for a lens, an object matrix float64 [4, 4], and a picture size: the inverse of `lens_of`."""
     aspect = lens.pixel_aspect[1] / lens.pixel_aspect[0]
     fx = lens.focal_length * width / SENSOR_WIDTH
     cx = width / 2.0 - lens.shift_x * width
     cy = height / 2.0 + lens.shift_y * width / aspect
     return Camera(width, height, fx, fx / aspect, cx, cy, np.asarray(matrix, np.float64) @ _TURN)
+
+
+def overview_camera(xyz: NDArray[np.floating], normals: NDArray[np.floating]) -> Camera:
+    """A camera outside and above points [N, 3] in metres, whose picture of OVERVIEW_SIZE holds the points that face it.
+
+    It stands on the side that most points face. `normals` [N, 3] are zero where they are unknown.
+    """
+    if not len(xyz):
+        xyz, normals = _DEFAULT_ROOM, np.zeros_like(_DEFAULT_ROOM)
+    step = 1 + len(xyz) // _ENOUGH
+    xyz, normals = xyz[::step].astype(np.float64), normals[::step]
+    axes = max(
+        (_axes(2.0 * np.pi * step / _DIRECTIONS) for step in range(_DIRECTIONS)),
+        key=lambda candidate: int(np.count_nonzero(normals @ candidate[:, 2] < -0.2)),
+    )
+    facing = normals @ axes[:, 2] <= 0.0
+    return _framed(axes, xyz[facing] if facing.any() else xyz)
+
+
+def _axes(azimuth: float) -> NDArray[np.float64]:
+    """Right, down and forward of a camera that looks down at the room from an azimuth, the columns of float64 [3, 3].
+    """
+    flat = -np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    forward = flat * np.cos(_ELEVATION) + np.array([0.0, 0.0, -np.sin(_ELEVATION)])
+    right = np.array([flat[1], -flat[0], 0.0])
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def _framed(axes: NDArray[np.float64], xyz: NDArray[np.float64]) -> Camera:
+    """A camera with these axes, as far back that the points just fit, and centred on them."""
+    width, height = OVERVIEW_SIZE
+    focal = _FOCAL_WIDTHS * width
+    half = np.array([width, height]) / 2.0 * _MARGIN / focal
+    local = xyz @ axes
+    # A point at depth d is inside while |offset from the axis| <= half * d. So the outermost points on either side
+    # decide where the axis runs and how far back the camera stands. A few stray points must not count.
+    right_most = np.percentile(local[:, :2] - half * local[:, 2:], 100.0 - _STRAY, axis=0)
+    left_most = np.percentile(local[:, :2] + half * local[:, 2:], _STRAY, axis=0)
+    back = float(((right_most - left_most) / (2.0 * half)).max())
+    pose = np.eye(4)
+    pose[:3, :3] = axes
+    pose[:3, 3] = axes @ [*((right_most + left_most) / 2.0), -back]
+    return Camera(width, height, focal, focal, width / 2.0, height / 2.0, pose)

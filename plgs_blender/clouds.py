@@ -1,29 +1,29 @@
 """The semantic points and the anchors as Blender point clouds.
 
-Solid shading knows one colour an object, so the semantic points are one cloud a class in the class's colour;
-the photo's colours are in the attribute Col, which the material shows in Cycles and EEVEE.
+Solid shading has one colour for each object, so each class of semantic points is a cloud in the class's colour. The
+photo's colours are in the attribute Col, which the material shows in Cycles and EEVEE.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..engine.result_files import Anchors, SemanticPoints
 from ..engine.scene import VOID, ClassTable
-from .colour import UNKNOWN, linear_rgba, object_colour
 from .compat import new_point_cloud
-from .materials import point_material
-from .owned import OwnedDataBlocks
-from .results import Anchors, SemanticPoints
+from .materials import UNKNOWN, linear_rgba, object_colour, point_material
+from .owned import OwnedDataBlocks, tag
 from .surfaces import SurfaceGrid
 
 _SMALLEST, _LARGEST = 0.002, 0.03
-"""Radius of a point in metres."""
+"""Limits to the radius of a point, metres."""
 _SHADE = 86
-"""Steps of a colour channel that count as one where a cloud is cut by its colours: three shades a channel."""
+"""Values of a colour channel that make one shade where a cloud is cut by its colours: three shades a channel."""
 _FOREACH = {"FLOAT_COLOR": "color", "FLOAT_VECTOR": "vector", "INT": "value", "FLOAT": "value"}
 
 
@@ -35,15 +35,10 @@ def place_semantic_points(
     normals: NDArray[np.float32],
     classes: ClassTable,
 ) -> list[bpy.types.Object]:
-    """One cloud for each class that has points, with Col, class_id, instance_id, confidence and normal [N,
-    3].
-    """
+    """One cloud for each class that has points, with Col, class_id, instance_id, confidence and normal [N, 3]."""
     radius = grid.radii(_SMALLEST, _LARGEST)
-    ids, counts = np.unique(points.class_id, return_counts=True)
-    # Sorted once, each class is one run; asking every point for every class takes a second with a million.
-    order = np.argsort(points.class_id, kind="stable")
     placed = []
-    for class_id, chosen in zip(ids.tolist(), np.split(order, np.cumsum(counts)), strict=False):
+    for class_id, chosen in _groups(points.class_id):
         name, srgb = _name_and_colour(class_id, classes)
         attributes = [
             ("Col", "FLOAT_COLOR", linear_rgba(points.rgb[chosen])),
@@ -52,9 +47,7 @@ def place_semantic_points(
             ("confidence", "FLOAT", points.confidence[chosen]),
             ("normal", "FLOAT_VECTOR", normals[chosen]),
         ]
-        ob = _place(
-            owned, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes
-        )
+        ob = _place(owned, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes)
         ob.color = object_colour(srgb)
         ob["class"], ob["class_id"], ob["points"] = name, class_id, len(chosen)
         placed.append(ob)
@@ -85,15 +78,13 @@ def place_points(
     xyz: NDArray[np.float32],
     rgb: NDArray[np.uint8],
 ) -> list[bpy.types.Object]:
-    """Points that have a colour and no class yet, xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB: one cloud for
-    the points of about one colour each, which is the object's. Those of an earlier placement go.
+    """Place points without classes, xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB. Points of about one colour are
+    one cloud, whose object has that colour. Clouds of an earlier placement are removed.
     """
     radius = SurfaceGrid.of(xyz).radii(_SMALLEST, _LARGEST)
     shades = (rgb // _SHADE).astype(np.int64) @ [64, 8, 1]
-    found, group, counts = np.unique(shades, return_inverse=True, return_counts=True)
-    order = np.argsort(group.ravel(), kind="stable")
     placed = []
-    for shade, chosen in zip(found.tolist(), np.split(order, np.cumsum(counts)), strict=False):
+    for shade, chosen in _groups(shades):
         attributes = [("Col", "FLOAT_COLOR", linear_rgba(rgb[chosen]))]
         ob = _place(owned, parent, f"{key}:{shade}", name, xyz[chosen], radius[chosen], attributes)
         ob.color = object_colour(np.rint(rgb[chosen].mean(axis=0)).astype(int).tolist())
@@ -101,6 +92,14 @@ def place_points(
         placed.append(ob)
     owned.sweep_clouds(f"{key}:")
     return placed
+
+
+def _groups(values: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """Each value of an array [N] with the indices of its elements, both in ascending order."""
+    # Sorted once, each value is one run. Comparing every point with every value takes a second with a million.
+    order = np.argsort(values, kind="stable")
+    found, counts = np.unique(values, return_counts=True)
+    yield from zip(found.tolist(), np.split(order, np.cumsum(counts)), strict=False)
 
 
 def _place(
@@ -112,10 +111,11 @@ def _place(
     radius: NDArray[np.float32],
     attributes: list[tuple[str, str, NDArray[Any]]],
 ) -> bpy.types.Object:
-    """Our cloud object `key` with these points, radii float32 [N] in metres, and attributes (name, type,
-    values [N, ...]).
+    """Our cloud object `key` with these points, radii float32 [N] in metres, and attributes (name, type, values [N,
+    ...]).
     """
-    cloud = owned.new_data(new_point_cloud(name, xyz), key)
+    cloud = new_point_cloud(name, xyz)
+    tag(cloud, owned.lift, key)
     sizes = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
     sizes.data.foreach_set("value", radius)
     for attribute, kind, values in attributes:

@@ -13,9 +13,7 @@ _COMPOSITOR_IS_A_GROUP = bpy.app.version >= (5, 0, 0)
 
 
 def new_point_cloud(name: str, xyz: NDArray[np.float32]) -> bpy.types.PointCloud:
-    """A point cloud data-block with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be
-    resized.
-    """
+    """A point cloud data-block with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be resized."""
     if "resize" in bpy.types.PointCloud.bl_rna.functions:
         cloud = bpy.data.pointclouds.new(name)
         cloud.resize(len(xyz))
@@ -28,9 +26,7 @@ def new_point_cloud(name: str, xyz: NDArray[np.float32]) -> bpy.types.PointCloud
 
 
 def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
-    """Let geometry nodes turn a mesh's vertices into points, in a scene of its own, and keep a copy of the
-    result.
-    """
+    """A cloud that geometry nodes make of a mesh's vertices, in a scene of its own."""
     if not count:
         return bpy.data.pointclouds.new("empty")
     scene = bpy.data.scenes.new("PLGS conversion")
@@ -38,14 +34,10 @@ def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
     mesh.vertices.add(count)
     ob = bpy.data.objects.new("PLGS conversion", mesh)
     scene.collection.objects.link(ob)
-    group = bpy.data.node_groups.new("PLGS conversion", "GeometryNodeTree")
+    group = new_geometry_group("PLGS conversion")
     try:
-        for direction in ("INPUT", "OUTPUT"):
-            group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
-        start, convert, end = (
-            group.nodes.new(kind)
-            for kind in ("NodeGroupInput", "GeometryNodeMeshToPoints", "NodeGroupOutput")
-        )
+        kinds = ("NodeGroupInput", "GeometryNodeMeshToPoints", "NodeGroupOutput")
+        start, convert, end = (group.nodes.new(kind) for kind in kinds)
         group.links.new(start.outputs[0], convert.inputs[0])
         group.links.new(convert.outputs[0], end.inputs[0])
         ob.modifiers.new("convert", "NODES").node_group = group
@@ -60,15 +52,23 @@ def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
         bpy.data.scenes.remove(scene)
 
 
+def new_geometry_group(name: str) -> bpy.types.NodeTree:
+    """An empty group of geometry nodes from one geometry to another."""
+    group = bpy.data.node_groups.new(name, "GeometryNodeTree")
+    for direction in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    return group
+
+
 def use_nodes(block: Any) -> bpy.types.NodeTree:
-    """The shader nodes of a material or world, which always has them from 5.0 on."""
+    """The shader nodes of a material or world. From 5.0 on it always has them."""
     if bpy.app.version < (5, 0, 0):
         block.use_nodes = True
     return block.node_tree
 
 
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
-    """The scene's compositor nodes, None when it has none."""
+    """The scene's compositor nodes; None when it has none."""
     if _COMPOSITOR_IS_A_GROUP:
         return scene.compositing_node_group
     return scene.node_tree if scene.use_nodes else None
@@ -91,7 +91,7 @@ COMPOSITE_OUTPUT = "NodeGroupOutput" if _COMPOSITOR_IS_A_GROUP else "CompositorN
 
 
 def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
-    """A node of the first kind that this Blender knows; RuntimeError when it knows none."""
+    """A node of the first kind that this Blender knows. RuntimeError when it knows none."""
     for kind in kinds:
         try:
             return tree.nodes.new(kind)
@@ -109,13 +109,18 @@ def new_colour_mix(tree: bpy.types.NodeTree) -> tuple[bpy.types.Node, Any, Any, 
     return node, factor, first, second, next(socket for socket in node.outputs if socket.enabled)
 
 
+def _set_option(node: bpy.types.Node, socket: str, value: Any, name: str, earlier: Any) -> None:
+    """Set an option of a node that is a socket in newer versions and was a property in earlier ones."""
+    if socket in node.inputs:
+        node.inputs[socket].default_value = value
+    else:
+        setattr(node, name, earlier)
+
+
 def new_dilation(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
     """A compositor node that makes a mask grow by whole pixels. Input Mask; output 0."""
     node = tree.nodes.new("CompositorNodeDilateErode")
-    if "Size" in node.inputs:
-        node.inputs["Size"].default_value = pixels
-    else:
-        node.distance = pixels
+    _set_option(node, "Size", pixels, "distance", pixels)
     if "Type" not in node.inputs:
         node.mode = "STEP"
     return node
@@ -124,46 +129,27 @@ def new_dilation(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
 def new_alpha_factor(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """A compositor node that multiplies a picture, its alpha too, by a mask. Inputs Image, Alpha; output 0."""
     node = tree.nodes.new("CompositorNodeSetAlpha")
-    if "Type" in node.inputs:
-        node.inputs["Type"].default_value = "Apply Mask"
-    else:
-        node.mode = "APPLY"
+    _set_option(node, "Type", "Apply Mask", "mode", "APPLY")
     return node
 
 
-def new_compositor_group(name: str) -> bpy.types.NodeTree:
-    """An empty group of compositor nodes."""
-    return bpy.data.node_groups.new(name, "CompositorNodeTree")
-
-
 IN_A_PIXEL = 0.25
-"""Where in a pixel `new_palette_lookup` is to look, in pixels from its lower left corner. The middle would do, but 4.3
-takes the pixel whose corner is nearest."""
+"""Place in a pixel at which `new_palette_lookup` has to look, in pixels from the lower left corner. The middle would
+do, but 4.3 takes the pixel whose corner is nearest.
+"""
 
 
 def new_palette_lookup(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """A Map UV node that takes the nearest pixel and blends nothing. Inputs Image, UV; output 0."""
     node = tree.nodes.new("CompositorNodeMapUV")
-    if "Interpolation" in node.inputs:
-        node.inputs["Interpolation"].default_value = "Nearest"
-    else:
-        node.filter_type = "NEAREST"
+    _set_option(node, "Interpolation", "Nearest", "filter_type", "NEAREST")
     return node
 
 
 def constant_keys(tree: bpy.types.NodeTree, path: str, values: list[int]) -> None:
-    """Give a property of the tree one value a frame, from frame 1, without interpolation; earlier keys go."""
-    for curve in _curves(tree):
-        if curve.data_path == path:
-            curve.keyframe_points.clear()
-    for frame, value in enumerate(values, start=1):
-        owner, _, name = path.rpartition(".")
-        setattr(tree.path_resolve(owner), name, value)
-        tree.keyframe_insert(path, frame=frame)
-    for curve in _curves(tree):
-        if curve.data_path == path:
-            for key in curve.keyframe_points:
-                key.interpolation = "CONSTANT"
+    """Give a property of the tree one value a frame, from frame 1, without interpolation, in place of earlier keys."""
+    action = tree.animation_data_create().action or bpy.data.actions.new(f"{tree.name} frames")
+    add_keys(tree, action, path, np.arange(1.0, len(values) + 1.0), np.array(values), "CONSTANT")
 
 
 def add_keys(
@@ -174,20 +160,21 @@ def add_keys(
     values: NDArray[np.floating],
     interpolation: str,
 ) -> None:
-    """Key a property of ``block`` in an action that is empty of it: float values [N] or [N, K] at frames [N].
+    """Key a property of ``block`` with values [N] or [N, K] at frames [N], in place of the keys that the action has of
+    it.
 
-    The action becomes the block's. Before 4.4 an action has no slots, from 5.0 on its curves belong to one.
+    The action becomes the block's. Before 4.4 an action has no slots. From 5.0 on its curves belong to one.
     """
     animation = block.animation_data_create()
     if animation.action != action:
         animation.action = action
-    columns = np.asarray(values, np.float64).reshape(len(frames), -1).T
-    for index, column in enumerate(columns):
+    for index, column in enumerate(np.atleast_2d(np.asarray(values, np.float64).T)):
         if "fcurve_ensure_for_datablock" in bpy.types.Action.bl_rna.functions:
             curve = action.fcurve_ensure_for_datablock(block, path, index=index)
         else:
-            curve = action.fcurves.new(path, index=index)
+            curve = action.fcurves.find(path, index=index) or action.fcurves.new(path, index=index)
         keys = curve.keyframe_points
+        keys.clear()
         keys.add(len(frames))
         keys.foreach_set("co", np.stack([frames, column], axis=1).astype(np.float32).ravel())
         kinds = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items
@@ -195,22 +182,8 @@ def add_keys(
         curve.update()
 
 
-def _curves(block: Any) -> list[Any]:
-    """Every animation curve of a data-block."""
-    action = block.animation_data and block.animation_data.action
-    if action is None:
-        return []
-    if hasattr(action, "layers"):
-        slot = block.animation_data.action_slot
-        bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
-        return [curve for bag in bags if bag is not None for curve in bag.fcurves]
-    return list(action.fcurves)
-
-
 def composite_without_gpu(scene: bpy.types.Scene) -> None:
-    """Composite on the processor in full precision, so that ids stay whole and machines without a GPU can do
-    it.
-    """
+    """Composite on the processor in full precision: ids stay whole, and computers without a GPU can do it."""
     scene.render.compositor_device = "CPU"
     scene.render.compositor_precision = "FULL"
 
@@ -218,8 +191,8 @@ def composite_without_gpu(scene: bpy.types.Scene) -> None:
 def find_layers_again(image: bpy.types.Image) -> None:
     """Let an image sequence find its layers after its path was changed.
 
-    Blender 4.5 otherwise forgets that the files are multilayer: the sockets of the Image nodes vanish, and with
-    them all links, and the compositor shows grey.
+    Otherwise Blender 4.5 forgets that the files are multilayer. Then the sockets of the Image nodes vanish with all
+    their links, and the compositor shows grey.
     """
     if image.source == "SEQUENCE":
         image.source = "FILE"
@@ -228,7 +201,8 @@ def find_layers_again(image: bpy.types.Image) -> None:
 
 
 def point_shader() -> Any:
-    """The shader that draws points ("pos") with a colour each ("color"). Before 4.5 the one for all shapes did it."""
+    """The shader that draws points ("pos") with a colour each ("color"). Before 4.5 the shader for all shapes did it.
+    """
     try:
         return gpu.shader.from_builtin("POINT_FLAT_COLOR")
     except ValueError:
@@ -236,7 +210,8 @@ def point_shader() -> Any:
 
 
 def to_overlay(srgb: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Pixels [H, W, 4] as a shader must write them over a 3D view, which before 5.0 turns them to sRGB itself."""
+    """sRGB pixels [H, W, 4] as a shader must write them over a 3D view. Before 5.0 the view turns them to sRGB itself.
+    """
     if bpy.app.version >= (5, 0, 0):
         return srgb
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

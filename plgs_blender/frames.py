@@ -1,6 +1,4 @@
-"""A scene's frames as camera objects, with their pictures behind (or rather before) the view and on the
-timeline.
-"""
+"""A scene's frames as camera objects with their photos before the view, on the timeline, and as one moving camera."""
 
 from __future__ import annotations
 
@@ -10,21 +8,51 @@ from pathlib import Path
 import bpy
 import numpy as np
 from mathutils import Matrix
+from numpy.typing import NDArray
 
 from ..engine.scene import Camera, Frame
 from .cameras import SENSOR_WIDTH, Lens, camera_from, lens_of, object_matrix
+from .compat import add_keys
 from .owned import OwnedDataBlocks, key_of, text_of
 
-FIRST_FRAME = "plgs_first_frame"
-"""Property of a lift's collection: where on the timeline its first frame lies."""
-
-DISPLAY_SIZE = 0.15  # metres: the camera path stays readable between furniture
-
-
+_FIRST_FRAME = "plgs_first_frame"
+"""Property of a lift's collection: the place of its first marker on the timeline."""
 SHOWN, PHOTO = "plgs_shown", "PHOTO"
-"""Property of a frame's camera: what is before its view; its photo, where nothing else was asked for."""
+"""Property of a frame's camera that says what is before its view, and its value for the photo."""
+PATH = "camera_path"
+"""Key of the moving camera in its lift."""
 
+_DISPLAY_SIZE = 0.15
+"""Metres. Cameras of this size stay readable between furniture."""
 _PHOTO_ALPHA = 0.5
+
+
+def place_camera(
+    owned: OwnedDataBlocks,
+    parent: bpy.types.Collection,
+    key: str,
+    name: str,
+    camera: Camera,
+    display_size: float = _DISPLAY_SIZE,
+) -> bpy.types.Object:
+    """Our camera object `key` with the lens and the pose of the engine's camera, in `parent` when it is new."""
+    data = owned.data(key, lambda: bpy.data.cameras.new(name))
+    set_lens(data, camera)
+    data.display_size = display_size
+    ob = owned.object(key, name, data, parent)
+    ob.matrix_world = Matrix(object_matrix(camera).tolist())
+    return ob
+
+
+def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
+    """Give a Blender camera the engine camera's intrinsics. Sizes of pictures and pixels are the scene's, and the
+    user's.
+    """
+    lens = lens_of(camera)
+    data.type, data.lens_unit, data.sensor_fit = "PERSP", "MILLIMETERS", "HORIZONTAL"
+    data.sensor_width = SENSOR_WIDTH
+    data.lens, data.shift_x, data.shift_y = lens.focal_length, lens.shift_x, lens.shift_y
+    data.clip_start, data.clip_end = 0.01, 1000.0
 
 
 def place_frames(
@@ -33,18 +61,15 @@ def place_frames(
     frames: Sequence[Frame],
     made: Mapping[str, Path] | None = None,
 ) -> list[bpy.types.Object]:
-    """One camera a frame in `parent`: exact lens and pose, the colour image in view, what is known as
-    properties. `made` are pictures by frame name that an engine made where no image file shows them.
+    """One camera a frame in `parent`, with the frame's photo before its view and what is known as properties. `made`
+    are pictures by frame name that an engine made for frames without an image file.
     """
     cameras = []
     for frame in frames:
-        key = f"frame:{frame.name}"
-        data = owned.data_of(key) or _new_camera(owned, key, frame.name)
-        set_lens(data, frame.camera)
-        data.display_size = DISPLAY_SIZE
-        ob = owned.object(key, frame.name, data, parent)
-        ob.matrix_world = Matrix(object_matrix(frame.camera).tolist())
-        _describe(ob, frame)
+        ob = place_camera(owned, parent, f"frame:{frame.name}", frame.name, frame.camera)
+        ob["frame"], ob["held_out"] = frame.name, bool(frame.held_out)
+        for name, kind in (("width", int), ("height", int), ("fx", float), ("fy", float), ("cx", float), ("cy", float)):
+            ob[name] = kind(getattr(frame.camera, name))
         picture = picture_of(frame, made)
         if picture is not None:
             show_photo(ob, owned, picture)
@@ -52,18 +77,9 @@ def place_frames(
     return cameras
 
 
-def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
-    """Give a Blender camera the engine camera's intrinsics. Size and pixel aspect are the scene's, and the user's."""
-    lens = lens_of(camera)
-    data.type, data.lens_unit, data.sensor_fit = "PERSP", "MILLIMETERS", "HORIZONTAL"
-    data.sensor_width = SENSOR_WIDTH
-    data.lens, data.shift_x, data.shift_y = lens.focal_length, lens.shift_x, lens.shift_y
-    data.clip_start, data.clip_end = 0.01, 1000.0
-
-
 def camera_seen(scene: bpy.types.Scene) -> Camera | None:
-    """What the scene's active camera sees, whoever made it, in a picture of the scene's size; None without one in
-    perspective, and for one that shows the world mirrored.
+    """What the scene's active camera sees, whoever made it, in a picture of the scene's size. None without an active
+    camera in perspective, and for a camera that shows the world mirrored.
     """
     ob = scene.camera
     if ob is None or ob.type != "CAMERA" or ob.data.type != "PERSP" or ob.matrix_world.is_negative:
@@ -80,9 +96,7 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
     fits_width = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height * tall)
     sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     fitted = 1.0 if fits_width else height * tall / width  # in picture widths
-    lens = Lens(
-        data.lens * fitted * SENSOR_WIDTH / sensor, data.shift_x * fitted, data.shift_y * fitted, (1.0, tall)
-    )
+    lens = Lens(data.lens * fitted * SENSOR_WIDTH / sensor, data.shift_x * fitted, data.shift_y * fitted, (1.0, tall))
     at, turned, _ = ob.matrix_world.decompose()  # a camera's size does not matter
     return camera_from(lens, np.array(Matrix.LocRotScale(at, turned, None)), width, height)
 
@@ -94,49 +108,82 @@ def mark_timeline(
     overview: bpy.types.Object | None,
     cameras: Sequence[bpy.types.Object],
 ) -> int:
-    """A marker for the overview, where there is one, and one for each frame, bound to their cameras. Returns where on
-    the timeline the first frame lies.
+    """Bind a marker to the overview, where there is one, and to each frame's camera: scrubbing walks through them.
+    Returns the place of the first frame on the timeline.
 
-    Scrubbing walks through them.
-
-    Ours are the markers bound to our cameras. A scene that already has a camera of the user's keeps it: then
-    ours lie behind the end of its own frames, and its camera gets a marker at the start, since the first
-    bound marker rules all frames before it.
+    Ours are the markers bound to our cameras. A scene that already has a camera of the user's keeps it: then ours lie
+    behind the end of its own frames. Its camera gets a marker at the start, because the first bound marker rules all
+    frames before it.
     """
     markers = scene.timeline_markers
     for marker in [m for m in markers if m.camera is not None and key_of(m.camera, lift) is not None]:
         markers.remove(marker)
-    if type(root.get(FIRST_FRAME)) is not int:
+    if type(root.get(_FIRST_FRAME)) is not int:
         theirs = scene.camera is not None and key_of(scene.camera, lift) is None
         bound = any(marker.camera is not None for marker in markers)
-        root[FIRST_FRAME] = scene.frame_end + 1 if theirs or bound else 0
+        root[_FIRST_FRAME] = scene.frame_end + 1 if theirs or bound else 0
         if theirs and not bound:
             markers.new(scene.camera.name, frame=scene.frame_start).camera = scene.camera
+    first: int = root[_FIRST_FRAME]
     shown = [*([overview] if overview else []), *cameras]
-    for frame, camera in enumerate(shown, start=root[FIRST_FRAME]):
+    for frame, camera in enumerate(shown, start=first):
         markers.new(text_of(camera, "frame") or camera.name, frame=frame).camera = camera
-    first: int = root[FIRST_FRAME]
     return first + len(shown) - len(cameras)
 
 
-def _new_camera(owned: OwnedDataBlocks, key: str, name: str) -> bpy.types.Camera:
-    return owned.new_data(bpy.data.cameras.new(name), key)
+def place_camera_path(
+    owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[Frame], start: int
+) -> bpy.types.Object:
+    """A camera with one key for each frame, from `start` on the timeline: an animation that other programs can read.
+
+    Between two frames the pose moves linearly, for motion blur. The lens jumps, because it is another picture's. Keys
+    that the user set on the camera are removed.
+    """
+    ob = place_camera(owned, parent, PATH, "Camera path", frames[0].camera)
+    ob.rotation_mode, ob.scale = "QUATERNION", (1.0, 1.0, 1.0)
+    times = np.arange(start, start + len(frames), dtype=np.float64)
+    matrices = [Matrix(object_matrix(frame.camera).tolist()) for frame in frames]
+    lenses = [lens_of(frame.camera) for frame in frames]
+    moving, zooming = (_new_action(owned, part) for part in ("pose", "lens"))
+    add_keys(ob, moving, "location", times, np.array([matrix.translation for matrix in matrices]), "LINEAR")
+    turns = _continuous(np.array([matrix.to_quaternion() for matrix in matrices]))
+    add_keys(ob, moving, "rotation_quaternion", times, turns, "LINEAR")
+    for path, name in (("lens", "focal_length"), ("shift_x", "shift_x"), ("shift_y", "shift_y")):
+        add_keys(ob.data, zooming, path, times, np.array([getattr(lens, name) for lens in lenses]), "CONSTANT")
+    return ob
+
+
+def _new_action(owned: OwnedDataBlocks, part: str) -> bpy.types.Action:
+    """An empty action in place of an earlier placement's."""
+    key = f"{PATH}:{part}"
+    owned.drop("actions", key)
+    action: bpy.types.Action = owned.block("actions", key, lambda: bpy.data.actions.new(f"Camera path {part}"))
+    return action
+
+
+def _continuous(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same rotations as quaternions [N, 4], none of them more than half a turn from the one before."""
+    signs = np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    return turns * np.concatenate([[1.0], np.cumprod(signs)])[:, None]
 
 
 def picture_of(frame: Frame, made: Mapping[str, Path] | None = None) -> Path | None:
-    """The image file that shows what the frame's camera saw; None where there is none, or not yet."""
+    """The image file that shows what the frame's camera saw; None while there is none. `made` is as in `place_frames`.
+    """
     return frame.colour_path if frame.file_shows_colour else (made or {}).get(frame.name)
 
 
 def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path) -> None:
     """Put a frame's photo, half transparent, before what its camera sees: it shows whether the scene fits it."""
-    image = owned.block("images", f"picture:{ob['frame']}", lambda: _load(picture))
+    # Blender reads the pixels when somebody looks through the camera.
+    load = bpy.data.images.load
+    image = owned.block("images", f"picture:{ob['frame']}", lambda: load(str(picture), check_existing=False))
     image.filepath = str(picture)
     put_before(ob, image, PHOTO, _PHOTO_ALPHA)
 
 
 def put_before(ob: bpy.types.Object, image: bpy.types.Image, what: str, alpha: float) -> None:
-    """Put an image of ``what`` before what the camera of a frame sees, in place of the one that is there."""
+    """Put an image before what the camera of a frame sees, in place of the one that is there, and note `what` it is."""
     ob[SHOWN] = what
     data = ob.data
     for old in data.background_images:
@@ -150,16 +197,3 @@ def put_before(ob: bpy.types.Object, image: bpy.types.Image, what: str, alpha: f
     background.frame_method = "CROP" if abs(squareness - 1.0) < 1e-3 else "STRETCH"
     background.show_expanded = False
     data.show_background_images = True
-
-
-def _load(path: Path) -> bpy.types.Image:
-    """The image's data-block; Blender reads the pixels when somebody looks through the camera."""
-    return bpy.data.images.load(str(path), check_existing=False)
-
-
-def _describe(ob: bpy.types.Object, frame: Frame) -> None:
-    camera = frame.camera
-    ob["frame"], ob["held_out"] = frame.name, bool(frame.held_out)
-    ob["width"], ob["height"] = int(camera.width), int(camera.height)
-    for name in ("fx", "fy", "cx", "cy"):
-        ob[name] = float(getattr(camera, name))

@@ -1,41 +1,41 @@
-"""The frames of a scene in Blender before anything was lifted: to see whether poses, lenses and pictures fit."""
+"""The frames of a scene in Blender before it is lifted. They show whether poses, lenses and pictures fit."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
 
+from ..engine.errors import PlgsError
 from ..engine.job.made_frames import MadeFrames
-from ..engine.scene import Scene, SceneError
-from .camera_path import place_camera_path
+from ..engine.scene import Scene
+from .chosen_scene import ChosenScene, lacks_package
 from .clouds import place_points
-from .frames import mark_timeline, picture_of, place_frames, show_photo
+from .frames import mark_timeline, picture_of, place_camera_path, place_frames, show_photo
 from .inspecting.lookup import objects_by_key
 from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
 from .made_pictures import cloud_of, made_before, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
-from .scene_formats import AUTOMATIC
-from .scene_survey import Place, lacks_package
 
 MISSING = "plgs_missing"
-"""Property of an imported scene's collection: what only an engine can make of it, "colour" and "cloud" as its command
-calls them."""
+"""Property of an imported scene's collection: what an engine has still to make of it, "colour" and "cloud" as its
+command calls them."""
 
 _CLOUDS = "Coloured points"
 
 
-def place_scene(place: Place, scene: bpy.types.Scene, *, cloud: bool = True) -> bpy.types.Collection:
-    """Put one camera a frame, with its picture and timeline marker, a camera that moves along them, and the points of
-    the reconstruction into the scene; also what an engine made of the scene before. With ``cloud`` a cloud belongs to
-    it, where the scene has depth. Returns the collection, whose property MISSING says what is left to an engine.
+def place_scene(place: ChosenScene, scene: bpy.types.Scene, *, cloud: bool = True) -> bpy.types.Collection:
+    """Put a scene's frames into Blender's scene: one camera a frame, with its picture and timeline marker, a camera
+    that moves along them, the points of the reconstruction, and what an engine made of the scene before. With ``cloud``
+    a cloud is wanted too, where the scene has depth. Returns the collection, whose property MISSING says what is left
+    to an engine.
 
-    A lift of the same frames later fills the same collection; one that is there already keeps all else. Raises
-    SceneError or JobError, before anything is changed.
+    A lift of the same frames later fills the same collection. A lift that is there already keeps all else. Raises
+    PlgsError before anything is changed.
     """
     opened, made = _open(place)
     scene = scene_to_fill(scene)
     root = root_collection(place.scene, None, scene)
-    root[PLACE] = _as_texts(place)
+    root[PLACE] = place.as_texts()
     owned = OwnedDataBlocks(root[LIFT], scene)
     pictures = photos(made, opened.frames)
     cameras = place_frames(owned, child_collection(root, "Cameras"), opened.frames, pictures)
@@ -50,13 +50,13 @@ def place_scene(place: Place, scene: bpy.types.Scene, *, cloud: bool = True) -> 
     return root
 
 
-def _open(place: Place) -> tuple[Scene, MadeFrames | None]:
-    """The scene, or where Blender's Python cannot read it, what an engine left of it; and what that made of it before.
-    Raises SceneError.
+def _open(place: ChosenScene) -> tuple[Scene, MadeFrames | None]:
+    """The scene, or what an engine made of it where Blender's Python cannot read it; and what an engine made before.
+    Raises PlgsError.
     """
     try:
         opened = place.open()
-    except SceneError as error:
+    except PlgsError as error:
         made = made_before(place.resolved) if lacks_package(error) else None
         if made is None or not made.is_complete:
             raise
@@ -65,7 +65,7 @@ def _open(place: Place) -> tuple[Scene, MadeFrames | None]:
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
-    """Put what an engine made since the import into it: photos before the cameras, and the cloud. Raises JobError."""
+    """Add what an engine made since the import: photos before the cameras, and the cloud. Raises PlgsError."""
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = {ob["frame"]: ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")}
     for name, picture in photos(made).items():
@@ -82,7 +82,9 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
 def _place_clouds(
     owned: OwnedDataBlocks, root: bpy.types.Collection, opened: Scene, made: MadeFrames | None, cloud: bool
 ) -> list[str]:
-    """The points of the reconstruction and the cloud, as far as there are some; what an engine has to make."""
+    """Place the points of the reconstruction and the cloud, as far as there are some. Returns what is left to an
+    engine.
+    """
     if opened.points is not None and len(opened.points):
         xyz = opened.points.xyz.astype(np.float32)
         parent = child_collection(root, _CLOUDS)
@@ -95,14 +97,3 @@ def _place_clouds(
     xyz, rgb = read_cloud(path)
     place_points(owned, child_collection(root, _CLOUDS), "cloud", "Coloured cloud", xyz, rgb)
     return []
-
-
-def _as_texts(place: Place) -> dict[str, str]:
-    return {
-        "masks": "" if place.masks is None else str(place.masks),
-        "up": place.up,
-        "format": place.scene_format or AUTOMATIC,
-        "depth": "" if place.depth is None else str(place.depth),
-        "mask_format": place.mask_format or AUTOMATIC,
-        "classes": place.classes or "",
-    }

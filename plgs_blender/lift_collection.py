@@ -1,4 +1,4 @@
-"""The collection of a lift in a scene: "PLGS <scene>", found again by what it was made from, and its children."""
+"""The collection of a lift in a scene, "PLGS <scene>", which is found again by what it was made from; its children."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from uuid import uuid4
 
 import bpy
 
-from ..engine.job import JobError
+from ..engine.errors import PlgsError
 from .owned import KEY, LIFT, key_of, tag, text_of
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
-"""Properties of a lift's collection: the folders of the lift and of the scene it was made from. Where only the scene
-was imported so far, the first is empty."""
+"""Properties of a lift's collection: the folder of the lift, and that of the scene it was made from. The first is empty
+while the scene is only imported."""
 
 PLACE = "plgs_place"
 """Property of an imported scene's collection: how the scene was read (masks, up, format, depth), as texts."""
@@ -27,7 +27,7 @@ def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 
 
 def lift_of_scene(scene_folder: Path, scene: bpy.types.Scene) -> Path | None:
-    """The folder of the lift of `scene_folder` that is placed in a scene; None where there is none."""
+    """The folder of the lift of `scene_folder` that is placed in a scene; None when none is."""
     for root in lifts_in(scene):
         if root.get(FOLDER) and is_same_place(root.get(SCENE, ""), scene_folder):
             return Path(bpy.path.abspath(root[FOLDER])).resolve()
@@ -39,15 +39,22 @@ def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
     return next((ob for ob in root.all_objects if key_of(ob, root[LIFT]) == "overview"), None)
 
 
-def root_collection(
-    scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene
-) -> bpy.types.Collection:
+def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
+    """The collection of the lift that is placed in `scene`. Raises PlgsError."""
+    for root in lifts_in(scene_to_fill(scene)):
+        if is_same_place(text_of(root, FOLDER), lift):
+            return root
+    raise PlgsError("is not in this scene", lift, "Show the lift's result first.")
+
+
+def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene) -> bpy.types.Collection:
     """The collection of this lift or of an earlier one of the same scene, or a new one.
 
-    Raises JobError, before anything is changed, when Blender cannot name one of the folders.
+    Raises PlgsError, before anything is changed, when Blender cannot name one of the folders.
     """
-    for folder in (scene_folder, *([lift_folder] if lift_folder is not None else [])):
-        _check_name(folder)
+    _check_name(scene_folder)
+    if lift_folder is not None:
+        _check_name(lift_folder)
     for root in lifts_in(scene):
         is_same_lift = lift_folder is not None and is_same_place(text_of(root, FOLDER), lift_folder)
         is_ours = root.library is None and root.override_library is None
@@ -66,30 +73,30 @@ def root_collection(
 
 
 def scene_to_fill(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """The scene itself, or where it holds the passes of a lift, the scene with that lift. Raises JobError when there
-    is none.
+    """The scene with the lift when `scene` holds a lift's passes, else `scene` itself. Raises PlgsError when the lift's
+    scene is gone.
     """
     if KEY not in scene:
         return scene
     for other in bpy.data.scenes:
         if KEY not in other and any(root[LIFT] == scene.get(LIFT) for root in lifts_in(other)):
             return other
-    raise JobError("is only for the passes of a lift", scene.name, "Switch to a scene of your own.")
+    raise PlgsError("is only for the passes of a lift", scene.name, "Switch to a scene of your own.")
 
 
 def _check_name(folder: Path) -> None:
-    """Raises JobError when Blender cannot keep the path: it knows UTF-8 only, and takes backslashes for slashes."""
+    """Raises PlgsError when Blender cannot keep the path: it knows UTF-8 only, and takes backslashes for slashes."""
     path = str(folder.absolute())
     is_text = path.isascii() or path.encode(errors="ignore") == os.fsencode(path)
     if not is_text or (os.sep == "/" and "\\" in path):
         what = "has a name that Blender cannot open"
         shown = path.encode(errors="backslashreplace").decode()
-        raise JobError(what, shown, "Rename it: letters of any script, but no backslash and no broken characters.")
+        raise PlgsError(what, shown, "Rename it: letters of any script, but no backslash and no broken characters.")
 
 
 def is_same_place(stored: str, folder: Path) -> bool:
-    """Whether a path as it is stored in a .blend means this folder. What is stored is not looked at: it may come from
-    somebody else, and lie on a disk that never answers.
+    """Whether a path as it is stored in a .blend means this folder. The stored path is not looked up on the disk: it
+    may come from somebody else, and lie on a disk that never answers.
     """
     return bool(stored) and _normal(bpy.path.abspath(stored)) in (_normal(folder), _normal(folder.resolve()))
 
@@ -101,9 +108,7 @@ def _normal(path: str | Path) -> str:
 def child_collection(
     root: bpy.types.Collection, name: str, scene: bpy.types.Scene | None = None, hidden: bool = False
 ) -> bpy.types.Collection:
-    """Our collection `name` under the root. One made `hidden` starts with its eye and camera off in the
-    scene.
-    """
+    """Our collection `name` under the root. One made `hidden` starts with its eye and camera off in the scene."""
     key = f"collection:{name}"
     for child in root.children:
         if key_of(child, root[LIFT]) == key:

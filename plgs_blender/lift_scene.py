@@ -1,8 +1,7 @@
 """A finished lift in Blender: `place_lift` into an open scene, `save_lift` into a file.
 
-Nothing is touched but our own: a collection "PLGS <scene>" and what is in it, our data-blocks, the timeline
-markers that are bound to our cameras, and a scene for the passes. Placing a lift of the same scene again
-replaces the earlier one.
+Only what is ours is touched: a collection "PLGS <scene>" and what is in it, our data-blocks, the timeline markers that
+are bound to our cameras, and scenes for the passes. Placing a lift of the same scene again replaces the earlier one.
 """
 
 from __future__ import annotations
@@ -11,16 +10,14 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Vector
 
-from ..engine.job import JobError
+from ..engine.errors import PlgsError
 from . import compat
 from .boxes import place_boxes
-from .camera_path import place_camera_path
-from .cameras import object_matrix
+from .cameras import overview_camera
 from .clouds import place_anchors, place_semantic_points
-from .exr_header import check_layers
-from .frames import mark_timeline, place_frames, set_lens
+from .frames import mark_timeline, place_camera, place_camera_path, place_frames
 from .inspecting.lists import fill_lists
 from .lift_collection import (
     FOLDER,
@@ -29,30 +26,30 @@ from .lift_collection import (
     lifts_in,
     overview_of,
     root_collection,
+    root_of_placed,
     scene_to_fill,
 )
 from .meshes import place_meshes
 from .open_room import open_room
-from .overview import overview_camera
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
-from .passes import place_passes, place_shots
+from .passes import check_layers, place_passes, place_shots
 from .results import LiftResult, read_result
 from .surfaces import SurfaceGrid
 from .viewport import look_from, start_file
 
 _VIEWPOINTS = 200
-"""So many cameras tell which side of a surface was seen."""
+"""Cameras that decide which side of a surface was seen; of more, every n-th is taken."""
+_OVERVIEW_SIZE = 0.4
+"""Display size of the overview camera, metres."""
 
 
 def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     """Put a finished lift into a scene, or put it there anew, and return its collection.
 
-    Found again by the folder of the lift or of its scene. A scene of passes is left to them: then the scene with
-    their lift takes it. Raises JobError or SceneError, before anything is changed, when the lift is not finished or
-    cannot be read.
+    The collection is found again by the folder of the lift or of its scene. When `scene` holds passes, the scene with
+    their lift is filled. Raises PlgsError, before anything is changed, when the lift is not finished or cannot be read.
     """
-    result = read_result(lift)
-    check_layers([*result.passes.values(), *result.shots.values()])
+    result = _read(lift)
     scene = scene_to_fill(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
     owned = OwnedDataBlocks(root[LIFT], scene)
@@ -68,7 +65,9 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
     place_boxes(owned, child_collection(root, "Instances"), result.instances)
     place_meshes(owned, root, result)
-    overview = _place_overview(owned, root, result, normals)
+    # A new lift moves the overview back, where a user moved it.
+    seen = overview_camera(result.points.xyz, normals)
+    overview = place_camera(owned, root, "overview", "Overview", seen, _OVERVIEW_SIZE)
     first = mark_timeline(scene, root, root[LIFT], overview, cameras)
     place_camera_path(owned, root, frames, first)
     if scene.camera is None:
@@ -85,26 +84,32 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
     """After more frames were baked: refill the passes scenes of a lift that is placed in ``scene``, and leave all else.
 
-    Raises JobError or SceneError when the lift cannot be read; JobError when it is not in the scene.
+    Raises PlgsError when the lift cannot be read, or is not in the scene.
     """
+    result, scene = _read(lift), scene_to_fill(scene)
+    owned = OwnedDataBlocks(root_of_placed(result.folder, scene)[LIFT], scene)
+    place_passes(owned, result)
+    place_shots(owned, result, scene)
+
+
+def place_meshes_anew(lift: Path, scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """After meshes were made: put them beside the lift that is placed in `scene`. Raises PlgsError."""
+    result, scene = read_result(lift), scene_to_fill(scene)
+    root = root_of_placed(result.folder, scene)
+    return place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
+
+
+def _read(lift: Path) -> LiftResult:
+    """The lift's result, whose passes have the layers that we show. Raises PlgsError."""
     result = read_result(lift)
     check_layers([*result.passes.values(), *result.shots.values()])
-    scene = scene_to_fill(scene)
-    for root in lifts_in(scene):
-        if is_same_place(text_of(root, FOLDER), result.folder):
-            owned = OwnedDataBlocks(root[LIFT], scene)
-            place_passes(owned, result)
-            place_shots(owned, result, scene)
-            return
-    raise JobError("is not in this scene", lift, "Show the lift's result first.")
+    return result
 
 
 def save_lift(lift: Path, blend: Path) -> None:
-    """Put a finished lift into a .blend file: the file is opened and saved again, or made when it does not
-    exist.
+    """Put a finished lift into a .blend file, which is opened and saved again, or made when it does not exist.
 
-    Raises JobError or SceneError for the lift, JobError when the file cannot be opened or written; then the
-    file is as it was.
+    Raises PlgsError for the lift, or when the file cannot be opened or written. Then the file is as it was.
     """
     blend = blend.absolute()
     read_result(lift)  # before another file is opened
@@ -115,13 +120,13 @@ def save_lift(lift: Path, blend: Path) -> None:
         _dress(scene, root)
     _save(blend)
     if is_new:
-        # Only now do relative paths lead anywhere, so that Blender can look what layers the passes have.
+        # Relative paths lead somewhere only now, and Blender can read which layers the passes have.
         relate_paths(root, blend.parent)
         _save(blend, keep_backup=False)
 
 
 def _save(blend: Path, keep_backup: bool = True) -> None:
-    """Save by Blender's own safe way. Raises JobError."""
+    """Save the file in Blender's own safe way. Raises PlgsError."""
     settings = bpy.context.preferences.filepaths
     backups = settings.save_version
     settings.save_version = backups if keep_backup else 0
@@ -129,15 +134,13 @@ def _save(blend: Path, keep_backup: bool = True) -> None:
         bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True, relative_remap=False)
     except RuntimeError as error:
         fix = "Choose a place that you may write to, on a disk with space."
-        raise JobError(f"cannot be written ({str(error).strip()})", blend, fix) from error
+        raise PlgsError(f"cannot be written ({str(error).strip()})", blend, fix) from error
     finally:
         settings.save_version = backups
 
 
 def relate_paths(root: bpy.types.Collection, base: Path) -> None:
-    """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds
-    both.
-    """
+    """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds both."""
     for image in bpy.data.images:
         if key_of(image, root[LIFT]) is not None and image.filepath:
             image.filepath = _relative(image.filepath, base)
@@ -154,39 +157,26 @@ def _relative(path: str, base: Path) -> str:
         return path
 
 
-def _place_overview(
-    owned: OwnedDataBlocks, root: bpy.types.Collection, result: LiftResult, normals: np.ndarray
-) -> bpy.types.Object:
-    """A camera that looks into the whole room from above. Where a user moved it, a new lift moves it back."""
-    camera = overview_camera(result.points.xyz, normals)
-    data = owned.data_of("overview") or owned.new_data(bpy.data.cameras.new("Overview"), "overview")
-    set_lens(data, camera)
-    data.display_size = 0.4
-    ob = owned.object("overview", "Overview", data, root)
-    ob.matrix_world = Matrix(object_matrix(camera).tolist())
-    return ob
-
-
 def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.Scene:
-    """Open a file, its screens too, and choose the scene that has the lift, else the one that was worked
-    in. Raises JobError, which tells of the option that the file was ``named_by``.
+    """Open a file with its screens, and return the scene that has the lift, else the scene that was worked in. Raises
+    PlgsError with ``named_by``, the option that named the file.
     """
     try:
         bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=True, use_scripts=False)
     except RuntimeError as error:
         fix = f"Check that it is a Blender file of this version or an older one, or name another with {named_by}."
-        raise JobError(f"cannot be opened ({str(error).strip()})", blend, fix) from error
+        raise PlgsError(f"cannot be opened ({str(error).strip()})", blend, fix) from error
     scenes = [s for s in bpy.data.scenes if s.library is None and KEY not in s]
     holding = [s for s in scenes if any(is_same_place(text_of(root, FOLDER), lift) for root in lifts_in(s))]
     current = [bpy.context.scene] if bpy.context.scene in scenes else []
     chosen = [*holding, *current, *scenes]
     if not chosen:
-        raise JobError("has no scene to put the lift into", blend, f"Name another file with {named_by}.")
+        raise PlgsError("has no scene to put the lift into", blend, f"Name another file with {named_by}.")
     return chosen[0]
 
 
 def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
-    """The first sight of a file that we started: the whole room from the overview camera, at frame 0."""
+    """Let a file that we started show the whole room from the overview camera, at frame 0."""
     overview = overview_of(root)
     assert overview is not None
     scene.frame_start, scene.frame_end = 0, max(marker.frame for marker in scene.timeline_markers)
@@ -198,12 +188,8 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
 
 def _middle_of_points(root: bpy.types.Collection) -> Vector:
     """The middle of the clouds' bounding boxes, metres."""
-    corners = [
-        ob.matrix_world @ Vector(corner)
-        for ob in root.all_objects
-        if ob.type == "POINTCLOUD"
-        for corner in ob.bound_box
-    ]
+    clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD"]
+    corners = [ob.matrix_world @ Vector(corner) for ob in clouds for corner in ob.bound_box]
     low = Vector(min(corner[axis] for corner in corners) for axis in range(3))
     high = Vector(max(corner[axis] for corner in corners) for axis in range(3))
     return (low + high) / 2.0

@@ -1,4 +1,5 @@
-"""Where an engine puts what Blender cannot make of a scene's frames, and what lies there already."""
+"""The pictures and the cloud that an engine makes of a scene's frames where Blender cannot: their folder and content.
+"""
 
 from __future__ import annotations
 
@@ -10,49 +11,49 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.job import JobError
+from ..engine.errors import PlgsError
+from ..engine.job.environment import notes_folder
 from ..engine.job.made_frames import MadeFrame, MadeFrames, is_newer, made_of
-from ..engine.job.scene_source import SceneSource
-from ..engine.job.user_cache import notes_folder
-from ..engine.scene import Camera, ClassTable, Frame, Scene, SceneError, Size
+from ..engine.scene import Camera, ClassTable, Frame, Scene, Size
 from ..engine.scene.array_file import read_npz
+from ..engine.scene_source import SceneSource
 
 _MOST_BESIDE = 9
+"""At most this many folders of frames lie beside a scene."""
 
 
 def frames_folder(source: SceneSource) -> Path:
-    """Beside the scene, as lifts are: "room_frames", or "room_frames_2" where that holds another's; where nothing can
-    be written there, in the user's cache. It may not be there yet. Raises JobError when no place is left.
+    """The folder for a scene's pictures, which may not be there yet. It lies beside the scene, as lifts do:
+    "room_frames", or "room_frames_2" where that holds another scene's. Where nothing can be written beside the scene,
+    it lies in the user's cache. Raises PlgsError when no place is left.
     """
     for folder in _candidates(source):
         try:
             made_of(folder, source)
-        except JobError:
+        except PlgsError:
             continue
         return folder
     fix = "Delete the folders of frames beside the scene that nobody needs."
-    raise JobError("there are too many folders of frames", source.scene.parent, fix)
+    raise PlgsError("there are too many folders of frames", source.scene.parent, fix)
 
 
 def made_before(source: SceneSource) -> MadeFrames | None:
-    """What an earlier run made of this scene; None when there is nothing. Raises JobError."""
+    """What an earlier run made of this scene; None when there is nothing. Raises PlgsError."""
     return made_of(frames_folder(source), source)
 
 
 def photos(made: MadeFrames | None, frames: Iterable[Frame] = ()) -> dict[str, Path]:
-    """The pictures that were made, by frame name. Left out are those that are gone, and those of ``frames`` whose
-    source is newer.
+    """The pictures that were made, by frame name. Pictures that are gone, and those older than the source of their
+    frame in ``frames``, are left out.
     """
     known = {} if made is None else made.frames
     found = {name: each.colour for name, each in known.items() if each.colour is not None and each.colour.is_file()}
-    for frame in frames:
-        if frame.name in found and not is_newer(found[frame.name], frame.colour_path):
-            del found[frame.name]
-    return found
+    sources = {frame.name: frame.colour_path for frame in frames}
+    return {name: path for name, path in found.items() if name not in sources or is_newer(path, sources[name])}
 
 
 def cloud_of(made: MadeFrames | None, frames: Iterable[Frame]) -> Path | None:
-    """The cloud that was made; None where there is none, or the depth of ``frames`` is newer."""
+    """The cloud that was made; None where there is none, or where the depth of ``frames`` is newer."""
     if made is None or made.cloud is None or not made.cloud.is_file():
         return None
     sources = {frame.depth_path for frame in frames if frame.depth_path is not None}
@@ -60,7 +61,7 @@ def cloud_of(made: MadeFrames | None, frames: Iterable[Frame]) -> Path | None:
 
 
 def scene_of(made: MadeFrames) -> Scene:
-    """The frames of a scene that Blender cannot open, as an engine that can has left them: cameras and pictures."""
+    """The frames of a scene that Blender cannot open, from what an engine made of it: cameras and pictures."""
     frames = tuple(_frame(name, each, made.folder) for name, each in made.frames.items())
     return Scene(made.source.scene, frames, ClassTable(()))
 
@@ -82,19 +83,19 @@ def _frame(name: str, made: MadeFrame, folder: Path) -> Frame:
 
 
 def _refuse(size: Size | None) -> NDArray[np.uint8]:
-    raise SceneError("Blender cannot read this scene's pixels", "the scene", "Let the engine make its pictures.")
+    raise PlgsError("Blender cannot read this scene's pixels", "the scene", "Let the engine make its pictures.")
 
 
 def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """xyz float32 [N, 3] metres and rgb uint8 [N, 3] of a cloud. Raises JobError."""
+    """A cloud's xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB. Raises PlgsError."""
     fix = "Delete the file and import the scene again."
     try:
         stored = read_npz(path, fix, ("xyz", "rgb"))
-    except SceneError as error:
-        raise JobError(error.what, path, fix) from error
+    except PlgsError as error:
+        raise PlgsError(error.what, path, fix) from error
     xyz, rgb = stored["xyz"], stored["rgb"]
     if xyz.dtype != np.float32 or rgb.dtype != np.uint8 or xyz.shape != rgb.shape or xyz.shape[1:] != (3,):
-        raise JobError("is no coloured cloud", path, fix)
+        raise PlgsError("is no coloured cloud", path, fix)
     return xyz, rgb
 
 

@@ -1,26 +1,52 @@
-"""The materials of a lift. Points and boxes are unlit: photos bring their light with them, and boxes are drawings."""
+"""The colours and materials of a lift.
+
+Points and boxes are unlit: photos bring their light with them, and boxes are drawings.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from .compat import use_nodes
 from .owned import OwnedDataBlocks
 
 CLASS_COLOURS, RELIEF = "Class colours", "Relief"
-"""Labels of the value nodes of the points' material, 0..1: class colour instead of the photo's, and shading
-by normal.
+"""Labels of two value nodes of the points' material, 0..1: the share of the class's colour in place of the photo's, and
+the strength of shading by the normal.
 """
+UNKNOWN = (96, 96, 96)
+"""sRGB colour of points without a class."""
+LIGHT = (0.35, -0.25, 0.9)
+"""Direction to the light that shades points, in the world."""
+SHADE, SHADE_CONTRAST = 0.74, 0.3
+"""Lightness of a point: SHADE + SHADE_CONTRAST * (LIGHT · normal)."""
 
-_LIGHT = (0.35, -0.25, 0.9)
-_MIDDLE, _CONTRAST = 0.74, 0.3
+_BYTES = np.arange(256) / 255.0
+_LINEAR = np.where(_BYTES <= 0.04045, _BYTES / 12.92, ((_BYTES + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def linear_rgba(srgb: ArrayLike) -> NDArray[np.float32]:
+    """sRGB bytes 0..255 [..., 3] as linear colours with alpha 1, float32 [..., 4] (IEC 61966-2-1)."""
+    value = np.asarray(srgb)
+    rgba = np.ones((*value.shape[:-1], 4), np.float32)
+    rgba[..., :3] = _LINEAR[value]
+    return rgba
+
+
+def object_colour(srgb: Sequence[int]) -> tuple[float, float, float, float]:
+    """One sRGB colour as an object's viewport colour, linear RGBA."""
+    red, green, blue, alpha = linear_rgba(srgb).tolist()
+    return red, green, blue, alpha
 
 
 def point_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """Shows the attribute Col or, by CLASS_COLOURS, the object's colour; RELIEF shades it by the attribute
-    normal.
+    """The points' material. It shows the attribute Col or, by CLASS_COLOURS, the object's colour. RELIEF shades it by
+    the attribute normal.
     """
     material = owned.block("materials", "points", lambda: bpy.data.materials.new("PLGS points"))
     tree = use_nodes(material)
@@ -30,7 +56,7 @@ def point_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 
 
 def box_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """Shows the object's colour."""
+    """The boxes' material. It shows the object's colour."""
     material = owned.block("materials", "boxes", lambda: bpy.data.materials.new("PLGS boxes"))
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeObjectInfo" for node in tree.nodes):
@@ -42,7 +68,7 @@ def box_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 
 
 def surface_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """Matt, lit by the scene's lights, in the colour of the attribute Col."""
+    """The meshes' material: matt, lit by the scene's lights, in the colour of the attribute Col."""
     material = owned.block("materials", "surfaces", lambda: bpy.data.materials.new("PLGS surfaces"))
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeAttribute" for node in tree.nodes):
@@ -72,11 +98,11 @@ def _build_points(tree: bpy.types.NodeTree) -> None:
     switch.outputs[0].default_value = relief.outputs[0].default_value = 0.0
     colour = _mix(tree, 1, 0, "MIX", switch.outputs[0], photo.outputs["Color"], own.outputs["Color"])
     facing = _node(tree, "ShaderNodeVectorMath", 1, -400)
-    facing.operation, facing.inputs[1].default_value = "DOT_PRODUCT", _LIGHT
+    facing.operation, facing.inputs[1].default_value = "DOT_PRODUCT", LIGHT
     tree.links.new(normal.outputs["Vector"], facing.inputs[0])
     shade = _node(tree, "ShaderNodeMath", 2, -400)
     shade.operation = "MULTIPLY_ADD"
-    shade.inputs[1].default_value, shade.inputs[2].default_value = _CONTRAST, _MIDDLE
+    shade.inputs[1].default_value, shade.inputs[2].default_value = SHADE_CONTRAST, SHADE
     tree.links.new(facing.outputs["Value"], shade.inputs[0])
     _emit(tree, _mix(tree, 3, 0, "MULTIPLY", relief.outputs[0], colour, shade.outputs[0]))
 
@@ -84,7 +110,7 @@ def _build_points(tree: bpy.types.NodeTree) -> None:
 def _mix(
     tree: bpy.types.NodeTree, column: int, row: int, blend: str, factor: Any, first: Any, second: Any
 ) -> Any:
-    """Mix two colours; returns the socket of the result."""
+    """Mix two colours and return the socket of the result."""
     node = _node(tree, "ShaderNodeMix", column, row)
     node.data_type, node.blend_type = "RGBA", blend
     for output, target in zip((factor, first, second), [s for s in node.inputs if s.enabled], strict=True):
@@ -93,12 +119,10 @@ def _mix(
 
 
 def _emit(tree: bpy.types.NodeTree, colour: Any) -> None:
-    """Let the surface emit this colour, to the right of everything."""
+    """Let the surface emit this colour. The new nodes stand to the right of all others."""
     column = max(node.location.x for node in tree.nodes) // 220 + 1
-    light, end = (
-        _node(tree, "ShaderNodeEmission", column, 0),
-        _node(tree, "ShaderNodeOutputMaterial", column + 1, 0),
-    )
+    light = _node(tree, "ShaderNodeEmission", column, 0)
+    end = _node(tree, "ShaderNodeOutputMaterial", column + 1, 0)
     tree.links.new(colour, light.inputs["Color"])
     tree.links.new(light.outputs[0], end.inputs["Surface"])
 

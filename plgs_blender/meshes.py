@@ -7,30 +7,26 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..engine.job import JobError
-from .colour import linear_rgba, object_colour
-from .lift_collection import FOLDER, child_collection, is_same_place, lifts_in, scene_to_fill
-from .materials import surface_material
-from .mesh_table import LabelledSurface, read_surface
-from .owned import LIFT, OwnedDataBlocks
-from .results import LiftResult, read_result
-
-COLLECTION = "Meshes"
+from ..engine.scene.labelled_surface import LabelledSurface, read_surface
+from .lift_collection import child_collection
+from .materials import linear_rgba, object_colour, surface_material
+from .owned import OwnedDataBlocks
+from .results import LiftResult
 
 
 def mesh_folder(lift: Path) -> Path:
-    """Where the engine exports a lift's meshes to when they are made for Blender."""
+    """The folder into which the engine exports a lift's meshes for Blender."""
     return lift / "exports" / "mesh"
 
 
 def place_meshes(owned: OwnedDataBlocks, root: bpy.types.Collection, result: LiftResult) -> list[bpy.types.Object]:
-    """The meshes that were made of the lift; none when none were. Raises JobError for a damaged file."""
+    """Place the meshes that were made of the lift, if there are any. Raises PlgsError for a damaged file."""
     path = mesh_folder(result.folder) / "mesh.ply"
     if not path.is_file():
         return []
     surface = read_surface(path)
     instances = {one.id: one for one in result.instances}
-    top, placed = child_collection(root, COLLECTION), []
+    top, placed = child_collection(root, "Meshes"), []
     for (class_id, instance_id), triangles in surface.parts().items():
         if class_id not in result.classes or (instance_id and instance_id not in instances):
             continue
@@ -47,26 +43,9 @@ def place_meshes(owned: OwnedDataBlocks, root: bpy.types.Collection, result: Lif
     return placed
 
 
-def place_meshes_anew(lift: Path, scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """After meshes were made: put them beside the lift that is placed in `scene`. Raises JobError, SceneError."""
-    result = read_result(lift)
-    scene = scene_to_fill(scene)
-    root = root_of_placed(lift, scene)
-    return place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
-
-
-def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of the lift that is placed in `scene`. Raises JobError, SceneError."""
-    folder = read_result(lift).folder
-    for root in lifts_in(scene_to_fill(scene)):
-        if is_same_place(root.get(FOLDER, ""), folder):
-            return root
-    raise JobError("is not in this scene", lift, "Show the lift's result first.")
-
-
 def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) -> bpy.types.Mesh:
-    """Vertices with Col, class_id and instance_id; smooth triangles."""
-    mesh: bpy.types.Mesh = owned.data_of(key) or owned.new_data(bpy.data.meshes.new(name), key)
+    """Our mesh `key` with smooth triangles, and Col, class_id and instance_id at its vertices."""
+    mesh: bpy.types.Mesh = owned.data(key, lambda: bpy.data.meshes.new(name))
     mesh.clear_geometry()
     count = len(part.triangles)
     mesh.vertices.add(len(part.xyz))

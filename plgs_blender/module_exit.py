@@ -1,4 +1,4 @@
-"""The end of a script for which Blender is a module of Python, and not the program."""
+"""Ending a process that uses Blender as a module of Python."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import bpy
 
 
 def end_process(code: int) -> NoReturn:
-    """End with this exit code. Within Blender's own program as ever.
+    """End with this exit code, as `sys.exit` does within Blender's own program.
 
-    As a module Blender is closed with the last reference to bpy. Where one is left over, as by a traceback, C++'s
-    destructors run instead, and that of Blender's sound waits for ever: so they are not run.
+    As a module, Blender is closed with the last reference to bpy. A reference that is left over, as by a traceback,
+    leaves it open. Then C++'s destructors run, and that of Blender's sound waits for ever: so they are not run.
     """
     if bpy.app.binary_path:
         sys.exit(code)
@@ -26,7 +26,8 @@ def end_process(code: int) -> NoReturn:
 
 
 def drop_session_folder(folder: Path) -> None:
-    """Delete Blender's folder for temporary files of this session, as it does itself where it is closed. Where it could
-    make none, ``folder`` is that of all programs, and stays."""
+    """Delete Blender's folder for temporary files of this session, as closing Blender does. When Blender could make
+    none, ``folder`` is that of all programs, and stays.
+    """
     if folder.name.startswith("blender_"):
         shutil.rmtree(folder, ignore_errors=True)

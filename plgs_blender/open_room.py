@@ -1,5 +1,4 @@
-"""A modifier that takes away what stands between us and the room: points that turn their back on the active
-camera.
+"""A modifier that hides the points between the active camera and the room: those that face away from it.
 
 From outside, the near walls and the ceiling vanish and the room lies open, like a doll's house; from a
 frame's own camera nothing is missing, for what a camera sees faces it. It is an ordinary modifier on the

@@ -1,10 +1,9 @@
 """Which data-blocks are ours.
 
-Each block we make carries two custom properties: the lift it belongs to and what it is there ("frame:0012",
-"instance:3"). Names serve people only; users rename. A second placement finds the blocks by these properties
-and fills them anew, so that whatever points at them (the active camera, a constraint, a marker) keeps
-pointing, and `sweep` removes what the new result no longer has. Blocks without our properties are never
-touched.
+Each block we make carries two custom properties: the lift it belongs to and its key there ("frame:0012", "instance:3").
+Names serve people only, who may change them. A second placement finds the blocks by these properties and fills them
+anew. So whatever points at them (the active camera, a constraint, a marker) keeps pointing. `sweep` removes what the
+new result no longer has. Blocks without our properties are never touched.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import bpy
 LIFT = "plgs_lift"
 KEY = "plgs_key"
 
-# Users before what they use: a background image is free only when its camera is gone.
+# Users stand before what they use: a background image is free only when its camera is gone.
 _DATA = ("cameras", "pointclouds", "meshes", "materials", "node_groups", "images", "actions")
 
 
@@ -35,21 +34,21 @@ def untag(block: Any) -> None:
 
 
 def key_of(block: Any, lift: str) -> str | None:
-    """What a block is in this lift, or None when it is not ours (or linked from another file)."""
+    """A block's key in this lift; None when it is not the lift's, or linked from another file."""
     if getattr(block, "library", None) is not None or text_of(block, LIFT) != lift:
         return None
     return text_of(block, KEY) or None
 
 
 def text_of(block: Any, name: str) -> str:
-    """A custom property; empty when there is none, or somebody made it something else than a text."""
+    """A custom property; empty when there is none, or when it is no text."""
     value = block.get(name)
     return value if isinstance(value, str) else ""
 
 
 def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.types.Object]:
-    """The lift's objects by what they are there. Of an object and its duplicates, which carry the same properties,
-    the one that was there first; the others are the user's.
+    """The lift's objects by key. Duplicates carry the same properties as their original: they are the user's, and left
+    out.
     """
     found: dict[str, bpy.types.Object] = {}
     for ob in objects:
@@ -62,8 +61,10 @@ def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.t
 
 
 def _age(ob: bpy.types.Object) -> tuple[bool, int, int, bool, int]:
-    """Smaller for an original than for its duplicates: Blender numbers the names of copies, and those of the meshes
-    and cameras that it copies with them, which people hardly ever rename.
+    """A rank that is smaller for an original than for its duplicates.
+
+    Blender numbers the names of copies, and the names of the meshes and cameras that it copies with them, which people
+    hardly ever rename. `session_uid` alone would do until the file is loaded: loading numbers it anew, by name.
     """
     is_astray = not any(LIFT in collection for collection in ob.users_collection)
     data = _copy_number(ob.data.name) if ob.data is not None else 0
@@ -89,11 +90,9 @@ class OwnedDataBlocks:
             if ob != self._objects[ob[KEY]]:  # the user duplicated one of ours: the copy is theirs
                 untag(ob)
 
-    def object(
-        self, key: str, name: str, data: bpy.types.ID, parent: bpy.types.Collection
-    ) -> bpy.types.Object:
-        """Our object `key` with this name and data, in our collection `parent` if it is new or in no collection of
-        the scene. Where the user moved it to another, it stays there.
+    def object(self, key: str, name: str, data: bpy.types.ID, parent: bpy.types.Collection) -> bpy.types.Object:
+        """Our object `key` with this name and data. It is put into our collection `parent` if it is in no collection of
+        the scene. If the user moved it to another, it stays there.
         """
         ob = self._objects.get(key)
         if ob is None or ob.type != _object_type(data):
@@ -107,17 +106,14 @@ class OwnedDataBlocks:
         self._kept.add(ob)
         return ob
 
-    def data_of(self, key: str) -> Any | None:
-        """The data of our object `key`, to be filled anew; None when there is none, or it is shared with the
-        user.
+    def data(self, key: str, create: Callable[[], Any]) -> Any:
+        """The data of our object `key`, to be filled anew; made by `create` when there is none, or when the user uses
+        it too.
         """
         ob = self._objects.get(key)
-        if ob is None or ob.data is None or key_of(ob.data, self.lift) is None or ob.data.users > 1:
-            return None
-        return ob.data
-
-    def new_data(self, data: Any, key: str) -> Any:
-        """Mark fresh data for our object `key`."""
+        if ob is not None and ob.data is not None and ob.data.users <= 1 and key_of(ob.data, self.lift) is not None:
+            return ob.data
+        data = create()
         tag(data, self.lift, key)
         return data
 
@@ -152,8 +148,8 @@ class OwnedDataBlocks:
                     blocks.remove(block)
 
     def sweep_clouds(self, prefix: str) -> None:
-        """Remove the lift's point clouds whose key begins so and that this placement did not use, and data of replaced
-        ones: `sweep` for a placement that leaves all else as it is.
+        """Remove the lift's objects whose key begins so and that this placement did not use, then clouds without users:
+        `sweep` for a placement that leaves all else as it is.
         """
         for ob in self._own_objects():
             if ob[KEY].startswith(prefix) and ob not in self._kept:
@@ -170,11 +166,8 @@ class OwnedDataBlocks:
 
     def _own_objects(self) -> list[bpy.types.Object]:
         """Ours in this scene or in none. A full copy of the scene keeps its copies of our objects."""
-        return [
-            ob
-            for ob in bpy.data.objects
-            if key_of(ob, self.lift) is not None and (ob in self._in_scene or not ob.users_scene)
-        ]
+        ours = [ob for ob in bpy.data.objects if key_of(ob, self.lift) is not None]
+        return [ob for ob in ours if ob in self._in_scene or not ob.users_scene]
 
 
 def _object_type(data: bpy.types.ID) -> str:

@@ -1,7 +1,8 @@
 """The compositor's node group "PLGS Panoptic": a matte by class or instance, and what artists do with one.
 
-In order: the ids' colours over the picture, the matte's pixels in another hue, a line around the matte, and the rest
-(or the matte itself) cut out. All controls are inputs of the group, so they can be linked and animated.
+It lays the ids' colours over the picture, gives the matte's pixels another hue, draws a line around the matte, and cuts
+out the rest or the matte itself, in this order. All controls are inputs of the group, so they can be linked and
+animated.
 """
 
 from __future__ import annotations
@@ -17,17 +18,16 @@ from .owned import KEY
 NAME = "PLGS Panoptic"
 MARK = "panoptic group"
 LINE_PIXELS = 2
-"""Width of the outline."""
+"""Width of the outline, pixels."""
 _OUTLINE, _RECOLOUR = (1.0, 0.6, 0.05, 1.0), (0.05, 0.25, 0.9, 1.0)
 
 
 @dataclass(frozen=True)
 class Control:
-    """A factor of the group, 0 to 1."""
+    """A factor of the group, 0 to 1, which begins as 0."""
 
     name: str
-    tells: str
-    value: float = 0.0
+    description: str
 
 
 CONTROLS = (
@@ -44,13 +44,13 @@ COLOURS = {"Outline colour": _OUTLINE, "Recolour to": _RECOLOUR}
 
 
 def panoptic_group() -> bpy.types.NodeTree:
-    """The file's group, made where there is none; one that was linked in, or that lacks an input, is left alone."""
+    """The file's group, made where there is none. A group that was linked in, or that lacks an input, is left alone."""
     wanted = {*PICTURES, *MATTES, *COLOURS, *(control.name for control in CONTROLS)}
     for group in bpy.data.node_groups:
         if group.get(KEY) == MARK and group.library is None:
             if wanted <= {item.name for item in group.interface.items_tree}:
                 return group
-    group = compat.new_compositor_group(NAME)
+    group = bpy.data.node_groups.new(NAME, "CompositorNodeTree")
     group[KEY] = MARK
     _declare(group)
     _Wiring(group).build()
@@ -58,7 +58,7 @@ def panoptic_group() -> bpy.types.NodeTree:
 
 
 def _declare(group: bpy.types.NodeTree) -> None:
-    """The group's sockets, in the order in which they are shown."""
+    """Make the group's sockets, in the order in which they are shown."""
     face = group.interface
     for name in ("Image", "Matte", "Outline"):
         kind = "NodeSocketColor" if name == "Image" else "NodeSocketFloat"
@@ -71,13 +71,13 @@ def _declare(group: bpy.types.NodeTree) -> None:
     for control in CONTROLS:
         socket = face.new_socket(control.name, in_out="INPUT", socket_type="NodeSocketFloat")
         socket.subtype, socket.min_value, socket.max_value = "FACTOR", 0.0, 1.0
-        socket.default_value, socket.description = control.value, control.tells
+        socket.default_value, socket.description = 0.0, control.description
     for name, colour in COLOURS.items():
         face.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor").default_value = colour
 
 
 class _Wiring:
-    """The nodes inside."""
+    """Builds the nodes inside the group."""
 
     def __init__(self, group: bpy.types.NodeTree) -> None:
         self._group, self._column = group, 0
@@ -104,7 +104,7 @@ class _Wiring:
         return self._math("ADD", instances, self._product(difference, self._in["By class"]))
 
     def _ring(self, matte: Any) -> Any:
-        """What lies around the matte: as it has grown, less itself."""
+        """The line around the matte: the grown matte less the matte."""
         node = self._place(compat.new_dilation(self._group, LINE_PIXELS))
         self._group.links.new(matte, node.inputs[0])
         return self._math("SUBTRACT", node.outputs[0], matte)
@@ -146,7 +146,7 @@ class _Wiring:
         return node.outputs[0]
 
     def _place(self, node: bpy.types.Node) -> bpy.types.Node:
-        """In rows of six, in the order of the work."""
+        """Move a node to its place. Nodes stand in rows of six, in the order in which they were made."""
         self._column += 1
         node.location = (200 * (self._column % 6), -220 * (self._column // 6))
         return node

@@ -1,6 +1,4 @@
-"""The compositor nodes of a passes scene. Nodes are found by their tag, so users may move, rename and link
-on.
-"""
+"""The compositor nodes of a passes scene. Nodes are found by their tag, so users may move, rename and link them."""
 
 from __future__ import annotations
 
@@ -16,7 +14,19 @@ from .panoptic_group import NAME, panoptic_group
 LAYER = "PLGS"
 PASSES, INSTANCES, CLASSES, PANOPTIC = "passes", "CryptoInstance", "CryptoClass", "panoptic"
 _STRENGTH = 0.55
-"""How strongly the instances' colours lie over the picture."""
+"""Opacity of the instances' colours over the picture."""
+
+
+_OUTPUTS = {
+    "Instance colours": ("Instance colours", "Image"),
+    "Class colours": ("Class colours", "Image"),
+    "Instance matte": (INSTANCES, "Matte"),
+    "Class matte": (CLASSES, "Matte"),
+    "Overlay": (PANOPTIC, "Image"),
+    "Matte": (PANOPTIC, "Matte"),
+    "Outline": (PANOPTIC, "Outline"),
+}
+"""Node and socket of the outputs that are no layers."""
 
 
 def node_of(tree: bpy.types.NodeTree, key: str) -> bpy.types.Node:
@@ -28,7 +38,7 @@ def node_of(tree: bpy.types.NodeTree, key: str) -> bpy.types.Node:
 
 
 def has_nodes(tree: bpy.types.NodeTree | None) -> bool:
-    """Whether these nodes were built there before, and none that we fill is missing."""
+    """Whether these nodes were built there before, and no node that we fill is missing."""
     keys = {node.get(KEY) for node in tree.nodes} if tree is not None else set()
     filled = {f"{what} {part}" for what in ("Instance", "Class") for part in ("palette", "scale")}
     return {PASSES, INSTANCES, CLASSES, *filled} <= keys
@@ -38,15 +48,7 @@ def output_of(tree: bpy.types.NodeTree, name: str) -> Any:
     """An output socket to link from: a layer ("Depth", "Semantic", ...), "Instance colours", "Class colours",
     "Instance matte", "Class matte", "Overlay" (the group's picture), "Matte" or "Outline". KeyError when there is none.
     """
-    key, output = {
-        "Instance colours": ("Instance colours", "Image"),
-        "Class colours": ("Class colours", "Image"),
-        "Instance matte": (INSTANCES, "Matte"),
-        "Class matte": (CLASSES, "Matte"),
-        "Overlay": (PANOPTIC, "Image"),
-        "Matte": (PANOPTIC, "Matte"),
-        "Outline": (PANOPTIC, "Outline"),
-    }.get(name, (PASSES, name))
+    key, output = _OUTPUTS.get(name, (PASSES, name))
     for socket in node_of(tree, key).outputs:
         if socket.enabled and output == socket.name:
             return socket
@@ -67,7 +69,7 @@ def reading_nodes(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Node]:
     return (node_of(tree, key) for key in (PASSES, INSTANCES, CLASSES))
 
 
-class NodeBuilder:
+class _NodeBuilder:
     """Adds tagged nodes in a tidy arrangement: columns of 220 units."""
 
     def __init__(self, tree: bpy.types.NodeTree, lift: str) -> None:
@@ -86,8 +88,8 @@ class NodeBuilder:
 
 
 def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
-    """All nodes and links, reading `image`; the result shows the instances' colours over the picture."""
-    make = NodeBuilder(tree, lift)
+    """Build all nodes and links, which read `image`. The result shows the instances' colours over the picture."""
+    make = _NodeBuilder(tree, lift)
     make.add(PASSES, "PLGS passes", 0, 200, "CompositorNodeImage")
     for key, label, row in ((INSTANCES, "Matte of instances", -320), (CLASSES, "Matte of classes", -720)):
         make.add(key, label, 0, row, "CompositorNodeCryptomatteV2").source = "IMAGE"
@@ -99,10 +101,8 @@ def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
     _show_panoptic(make)
 
 
-def _colour_code(make: NodeBuilder, what: str, layer: str, row: float) -> None:
-    """Ids to colours: the id is a place in a palette, one pixel high, from which the nearest pixel is
-    taken.
-    """
+def _colour_code(make: _NodeBuilder, what: str, layer: str, row: float) -> None:
+    """Turn ids into colours: the id is a place in a palette one pixel high, whose nearest pixel is the colour."""
     palette = make.add(f"{what} palette", f"{what} palette", 1.5, row - 170, "CompositorNodeImage")
     scale = make.add(f"{what} scale", "Id to place", 1.5, row, "ShaderNodeMath", "CompositorNodeMath")
     scale.operation = "MULTIPLY_ADD"
@@ -121,8 +121,8 @@ def panoptic_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
     return node_of(tree, PANOPTIC)
 
 
-def _show_panoptic(make: NodeBuilder) -> None:
-    """All that the group wants, and what it makes: to the render result and the viewer."""
+def _show_panoptic(make: _NodeBuilder) -> None:
+    """Link the group's inputs, and its picture to the render result and the viewer."""
     node = make.add(PANOPTIC, NAME, 4.1, 200, "CompositorNodeGroup")
     node.node_tree, node.width = panoptic_group(), 200.0
     for name in ("Instance colours", "Class colours", "Instance matte", "Class matte", "Instance"):

@@ -1,15 +1,17 @@
-"""Scenes of their own in which the baked passes arrive as layers in the compositor: one for the lift's frames, and one
-for each camera that more was baked from.
+"""Scenes in which the baked passes are layers in the compositor: one for the lift's frames, and one for each camera of
+the user's that was baked.
 
-One frame of the first one's timeline is one view. The EXR files are read as an image sequence whose numbers have gaps:
-a keyed offset leads from frame to file. Views whose names are not numbered cannot be a sequence; `show_view` then swaps
-images.
+In the scene of the lift's frames, each frame of the timeline is one view. The EXR files are read as an image sequence
+whose numbers have gaps: a keyed offset leads from frame to file. Views whose names are not numbered cannot be a
+sequence; `show_view` then swaps images.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -17,21 +19,53 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.scene.matte_names import matte_names
+from ..engine.errors import PlgsError
+from ..engine.job.cameras import LARGEST_SIDE
+from ..engine.job.manifest import MAKE_ANEW
+from ..engine.scene.classes import matte_names
+from ..engine.scene.exr_file import read_exr_header
 from . import compat
-from .colour import linear_rgba
-from .exr_header import size_of
-from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag
+from .lift_collection import lifts_in
+from .materials import linear_rgba
+from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag, text_of
 from .pass_nodes import CLASSES, INSTANCES, PASSES, build, has_nodes, node_of, reading_nodes, use_image
 from .results import LiftResult
-from .sequence import NumberedNames, numbered, sequences
 
 SHOT = "shot:"
-"""Begins the key of a scene whose passes were baked from a camera of the user's."""
+"""Start of the key of a scene whose passes were baked from a camera of the user's."""
+_LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
+_LARGEST_NUMBER = 2**31 - 1
+_NEEDED = {"PLGS.Combined.R", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.V"} | {
+    "CryptoInstance00.r",
+    "CryptoClass00.r",
+}
+
+
+def check_layers(files: Iterable[Path]) -> None:
+    """Raise PlgsError when one of the passes' files is no EXR or lacks a layer that the compositor reads.
+
+    Blender itself only says that the image of a damaged file has no size, and its nodes then get no layer.
+    """
+    for path in files:
+        try:
+            missing = _NEEDED - {*read_exr_header(path).channels}
+        except PlgsError as error:
+            raise PlgsError(f"is damaged ({error.what})", path, MAKE_ANEW) from error
+        if missing:
+            raise PlgsError(f"has no layer {min(missing)}", path, MAKE_ANEW)
+
+
+def size_of(path: Path) -> tuple[int, int]:
+    """Width and height in pixels of a passes' file; 0, 0 when it is no EXR, or too large for a picture."""
+    try:
+        size = read_exr_header(path).size
+    except PlgsError:
+        return 0, 0
+    return size if max(size) <= LARGEST_SIDE else (0, 0)
 
 
 def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene | None:
-    """Make or refill the scene "PLGS <name> passes"; None, and no scene, when no frame of the lift has passes."""
+    """Make or refill the scene "PLGS <name> passes". Without passes of the lift's frames there is no scene: None."""
     if not result.passes:
         owned.drop("scenes", PASSES)
         return None
@@ -44,8 +78,9 @@ def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene 
 
 
 def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.types.Scene) -> list[bpy.types.Scene]:
-    """Make or refill a scene "PLGS <name> <camera>" for each camera that more was baked from. Its frames are those of
-    `shot_scene`, in which the camera moves: whose rate and pixel aspect it takes."""
+    """Make or refill a scene "PLGS <name> <camera>" for each camera of the user's that was baked. It takes the frames,
+    the rate and the pixel aspect of `shot_scene`, in which the camera moves.
+    """
     groups = sequences(list(result.shots))
     for scene in list(bpy.data.scenes):
         key = key_of(scene, owned.lift) or ""
@@ -66,7 +101,7 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
 def _fill_scene(
     owned: OwnedDataBlocks, result: LiftResult, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> tuple[bpy.types.Scene, bpy.types.NodeTree]:
-    """A scene for these files, and its nodes; made where it is missing."""
+    """The scene for these files and its nodes, made where they are missing."""
     name = f"PLGS {result.name} {key.removeprefix(SHOT)}"
     scene = owned.block("scenes", key, lambda: _new_scene(name))
     scene.name = name
@@ -87,17 +122,8 @@ def _fill_scene(
     return scene, tree
 
 
-def show_view(scene: bpy.types.Scene, name: str) -> None:
-    """Bring the passes of the view `name` up in a passes scene. KeyError when it has no such view."""
-    frames = {marker.name: marker.frame for marker in scene.timeline_markers}
-    scene.frame_set(frames[name])
-    for image in bpy.data.images:
-        if image.get(LIFT) == scene[LIFT] and image.get(KEY) == f"passes:{name}":
-            use_image(compat.compositor_tree(scene), image)
-
-
 def _new_scene(name: str) -> bpy.types.Scene:
-    """Composites only: no camera, nothing rendered, colours as they are."""
+    """A scene that only composites: no camera, nothing rendered, colours as they are."""
     scene = bpy.data.scenes.new(name)
     scene.view_settings.view_transform = "Standard"
     scene.render.use_compositing, scene.render.use_sequencer = True, False
@@ -109,7 +135,7 @@ def _new_scene(name: str) -> bpy.types.Scene:
 def _images(
     owned: OwnedDataBlocks, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> list[bpy.types.Image]:
-    """The EXR files as data-blocks: one that counts through all of them, or one each."""
+    """The EXR files as images: one image that counts through all of them, or one image each."""
     if sequence is not None:
         files = {"": files[sequence.first]}
     images = []
@@ -119,7 +145,7 @@ def _images(
         image.source = "FILE"
         image.filepath = str(path)
         image.reload()
-        # Blender learns what layers a file has by reading it, and must before a node can name one.
+        # Blender must read a file before a node can name one of its layers.
         _ = image.size[:]
         images.append(image)
     return images
@@ -143,11 +169,10 @@ def _count_on(tree: bpy.types.NodeTree, first: int, last: int) -> None:
     node_of(tree, PASSES).use_auto_refresh = True
 
 
-def _take_after(
-    scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]
-) -> None:
-    """The frames, rate and pixels of the scene in which the shot was made. ``size`` is its files': of images with
-    layers Blender does not always tell it."""
+def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]) -> None:
+    """Take the frames, rate and pixel aspect of the scene in which the shot was made. ``size`` is the files': Blender
+    does not always know it of images with layers.
+    """
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1
     scene.frame_set(min(numbers))
@@ -161,12 +186,11 @@ def _take_after(
 def _fill_palette(
     owned: OwnedDataBlocks, tree: bpy.types.NodeTree, what: str, colours: Mapping[int, tuple[int, int, int]]
 ) -> None:
-    """Write the colours, sRGB by id, into the palette image, linear, and scale ids to its width; id 0 is
-    black.
-    """
+    """Write the colours, sRGB by id, into the linear palette image, and scale ids to its width. Id 0 is black."""
     width = max(colours, default=0) + 1
+    name, new = f"PLGS {what.lower()} palette", bpy.data.images.new
     image = owned.block(
-        "images", f"{what} palette", lambda: _new_palette(f"PLGS {what.lower()} palette", width)
+        "images", f"{what} palette", lambda: new(name, width, 1, alpha=True, float_buffer=True, is_data=True)
     )
     if image.size[0] != width:
         image.scale(width, 1)
@@ -182,12 +206,8 @@ def _fill_palette(
     scale.inputs[1].default_value, scale.inputs[2].default_value = 1.0 / width, compat.IN_A_PIXEL / width
 
 
-def _new_palette(name: str, width: int) -> bpy.types.Image:
-    return bpy.data.images.new(name, width, 1, alpha=True, float_buffer=True, is_data=True)
-
-
 def _first_mattes(tree: bpy.types.NodeTree, result: LiftResult) -> None:
-    """Something to see in the matte nodes at first sight."""
+    """Let the matte nodes show the first instance and its class."""
     if result.instances:
         first = result.instances[0]
         node_of(tree, INSTANCES).matte_id = matte_names({each.id: each.name for each in result.instances})[first.id]
@@ -196,7 +216,7 @@ def _first_mattes(tree: bpy.types.NodeTree, result: LiftResult) -> None:
 
 
 def _set_timeline(scene: bpy.types.Scene, result: LiftResult) -> None:
-    """A frame and a marker for each view; the picture's size is the first view's."""
+    """Give each view a frame and a marker, and the picture the size of the first view."""
     scene.timeline_markers.clear()
     for frame, name in enumerate(result.passes, start=1):
         scene.timeline_markers.new(name, frame=frame)
@@ -204,3 +224,74 @@ def _set_timeline(scene: bpy.types.Scene, result: LiftResult) -> None:
     sizes = {frame.name: frame.size for frame in result.scene.frames}
     scene.render.resolution_x, scene.render.resolution_y = sizes[next(iter(result.passes))]
     scene.render.resolution_percentage = 100
+
+
+def open_passes(scene: bpy.types.Scene) -> bpy.types.Scene:
+    """The passes scene, brought to the view of the active camera where that was baked. Raises PlgsError."""
+    passes = passes_scene_of(scene)
+    if passes is None:
+        raise PlgsError("has no passes", scene.name, "Bake them in the panel Passes.")
+    camera = scene.camera
+    frame = text_of(camera, "frame") if camera is not None else ""
+    if frame in {marker.name for marker in passes.timeline_markers}:
+        show_view(passes, frame)
+    return passes
+
+
+def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
+    """The passes scene of the first lift in the scene that has one; the scene itself when it is one."""
+    if text_of(scene, LIFT) and key_of(scene, scene[LIFT]) == PASSES:
+        return scene
+    scenes = ((root, other) for root in lifts_in(scene) for other in bpy.data.scenes)
+    return next((other for root, other in scenes if key_of(other, root[LIFT]) == PASSES), None)
+
+
+def show_view(scene: bpy.types.Scene, name: str) -> None:
+    """Bring the passes of the view `name` up in a passes scene. KeyError when it has no such view."""
+    frames = {marker.name: marker.frame for marker in scene.timeline_markers}
+    scene.frame_set(frames[name])
+    for image in bpy.data.images:
+        if image.get(LIFT) == scene[LIFT] and image.get(KEY) == f"{PASSES}:{name}":
+            use_image(compat.compositor_tree(scene), image)
+
+
+@dataclass(frozen=True)
+class NumberedNames:
+    """Names that Blender can count through: `first` is the name to open, and `numbers[i]` in place of its number gives
+    the i-th name.
+    """
+
+    first: str
+    numbers: tuple[int, ...]
+
+
+def numbered(names: Sequence[str]) -> NumberedNames | None:
+    """The names as one numbered sequence, gaps allowed; None when they are none.
+
+    Blender replaces the last number in a name, and pads it to the width that it has in the opened file. So all names
+    must have the same text around that number, and the padding of the shortest must give all the others.
+    """
+    parts = [_LAST_NUMBER.fullmatch(name) for name in names]
+    if not parts or any(part is None for part in parts):
+        return None
+    split = [part.groups() for part in parts if part is not None]
+    head, digits, tail = min(split, key=lambda each: len(each[1]))
+    numbers = tuple(int(number) for _, number, _ in split)
+    counted = [f"{head}{number:0{len(digits)}d}{tail}" for number in numbers]
+    if counted != [*names] or max(numbers) > _LARGEST_NUMBER:
+        return None
+    return NumberedNames(head + digits + tail, numbers)
+
+
+def sequences(names: Sequence[str]) -> dict[str, list[str]]:
+    """Names in groups that Blender can count through, by the text before the number: "shot" of "shot.0001" and
+    "shot.0002". A name that fits in no group is a group by itself.
+    """
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        parts = _LAST_NUMBER.fullmatch(name)
+        groups.setdefault(parts[1].rstrip(" ._-") if parts is not None else name, []).append(name)
+    found: dict[str, list[str]] = {}
+    for stem, group in groups.items():
+        found |= {stem or group[0]: group} if numbered(group) else {name: [name] for name in group}
+    return found

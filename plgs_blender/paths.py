@@ -1,4 +1,4 @@
-"""Paths as users type them into Blender."""
+"""Paths as users type them into Blender, and new folders beside theirs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ def absolute(path: str) -> Path:
     return Path(bpy.path.abspath(path)).absolute()
 
 
-def free_lift_folder(scene_folder: Path) -> Path:
-    """A folder beside the scene's that is not there yet: "room_lift", or "room_lift_2" and so on."""
-    base = scene_folder.with_name(f"{scene_folder.name}_lift")
-    number, folder = 1, base
+def free_folder(beside: Path, ending: str) -> Path:
+    """A folder that is not there yet: ``beside`` with the ending "lift" is "room_lift", or "room_lift_2" and so on."""
+    number, folder = 1, beside.with_name(f"{beside.name}_{ending}")
     while folder.exists():
         number += 1
-        folder = base.with_name(f"{base.name}_{number}")
+        folder = beside.with_name(f"{beside.name}_{ending}_{number}")
     return folder

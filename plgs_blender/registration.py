@@ -1,4 +1,4 @@
-"""Switching modules on and off: each lists its `CLASSES`, and may have a `register` and `unregister` of its own."""
+"""Switching modules on and off. Each lists its `CLASSES` and may have a `register` and `unregister` of its own."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def register_modules(modules: Sequence[ModuleType]) -> None:
 
 
 def unregister_modules(modules: Sequence[ModuleType]) -> None:
-    """The same, backwards: nothing refers to a class any more when it goes."""
+    """Undo `register_modules` in reverse order, so that nothing refers to a class that goes."""
     for module in reversed(modules):
         if hasattr(module, "unregister"):
             module.unregister()

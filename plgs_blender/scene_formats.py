@@ -8,28 +8,9 @@ from ..engine.scene.mask_formats import MASK_FORMATS
 AUTOMATIC = "auto"
 """What the user chooses to leave the format to the scene's looks."""
 
-_LABELS = {
-    "scannet": "ScanNet folders",
-    "nerfstudio": "transforms.json (nerfstudio)",
-    "colmap": "COLMAP",
-    "tum": "TUM RGB-D",
-    "icl": "ICL-NUIM",
-    "7scenes": "7-Scenes",
-    "tsdf-fusion": "tsdf-fusion, 3DMatch",
-    "replica": "Replica (NICE-SLAM)",
-    "vmap": "Replica (vMAP)",
-    "sens": "ScanNet .sens",
-    "polycam": "Polycam",
-    "record3d": "Record3D .r3d",
-    "stray": "Stray Scanner",
-    "scannetpp": "ScanNet++ iPhone",
-    "hypersim": "Hypersim",
-    "open3d": "Open3D trajectory",
-}
-
 FORMAT_ITEMS = [
     (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
-    *((each.name, _LABELS.get(each.name, each.name), each.looks_for) for each in FORMATS),
+    *((each.name, each.label, each.looks_for) for each in FORMATS),
 ]
 """For an EnumProperty."""
 MASK_FORMAT_ITEMS = [
@@ -44,7 +25,7 @@ FILE_SUFFIXES = (".json", ".txt", ".jsonl", ".sens", ".r3d", ".log", ".bin", ".c
 
 def label_of(name: str) -> str:
     """What people call a format."""
-    return _LABELS.get(name, name)
+    return next((each.label for each in FORMATS if each.name == name), name)
 
 
 def chosen_format(choice: str) -> str | None:

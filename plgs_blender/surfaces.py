@@ -1,8 +1,6 @@
-"""Points on surfaces: how close they lie and which way they face, which lets us look into a room from
-outside.
+"""The spacing and the normals of points on surfaces, which let us look into a room from outside. NumPy only.
 
-Plain numpy. Everything is read off one grid of small cells instead of neighbours: a million points take a
-moment.
+Everything comes from one grid of small cells instead of neighbours, so a million points take a moment.
 """
 
 from __future__ import annotations
@@ -13,22 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 _CELL = 4.0
-"""Side of a cell in point spacings: some sixteen points in each, enough for a plane."""
+"""Side of a cell in point spacings. A cell then holds about sixteen points, enough for a plane."""
 _TOUCHING = 0.75
-"""Radius in spacings with which neighbours touch: over a half, since points are not evenly spread."""
+"""Radius in spacings with which neighbours touch. It is over a half because points are not evenly spread."""
 _AT_ONCE = 8192
-"""Cells to measure distances from at once: what the processor keeps at hand."""
+"""Cells whose distances are measured at once, so that they fit into the processor's cache."""
 _THICKNESS = 0.3
-"""Where the second axis of a cell's points is not clearly longer than the third, there is no plane."""
+"""Largest ratio of the variances along the third and the second axis of a cell's points that lie in a plane."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceGrid:
-    """Points float [N, 3] sorted into cells: `cell` int [N] is each point's, `count` int [C] the points of
-    each cell.
+    """Points `xyz` float [N, 3] sorted into cells: `cell` int [N] of each point, `count` int [C] points of each cell.
 
-    `side` is the cells', in the points' unit; 0 when there are too few points to have a spacing: then all is
-    one cell.
+    `side` is the side of a cell in the points' unit. It is 0 when there are too few points to have a spacing: then all
+    are in one cell.
     """
 
     xyz: NDArray[np.floating]
@@ -51,20 +48,19 @@ class SurfaceGrid:
         return self.side / _CELL
 
     def radii(self, smallest: float, largest: float) -> NDArray[np.float32]:
-        """Radii float32 [N] with which points just touch, larger where they are rarer; limits in the points'
-        unit.
+        """Radii float32 [N] with which points just touch, larger where points are rarer, within limits, all in the
+        points' unit.
         """
         # A surface crosses a cell with about a face's area. Cells that it only grazes have few points.
         local = np.minimum(self.side / np.sqrt(np.maximum(self.count, 1)), 2.0 * self.spacing)
         return np.clip(_TOUCHING * local, smallest, largest).astype(np.float32)[self.cell]
 
     def normals(self, viewpoints: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Unit normals float32 [N, 3] of points that were seen from viewpoints [V, 3]; zeros when there are
-        none.
+        """Unit normals float32 [N, 3] of points that were seen from viewpoints [V, 3]; zeros without viewpoints.
 
-        Fits a plane to the points of each cell and turns it towards the nearest viewpoint: scanned surfaces
-        face their cameras. Where there is no plane, the direction to that viewpoint stands for it. Coarse,
-        but a wall's outside is told from its inside.
+        A plane is fitted to the points of each cell and turned towards the nearest viewpoint, because scanned surfaces
+        face their cameras. Where there is no plane, the normal is the direction to that viewpoint. This is coarse, but
+        it separates a wall's outside from its inside.
         """
         if self.side == 0.0 or not len(viewpoints):
             return np.zeros((len(self.xyz), 3), np.float32)
@@ -92,8 +88,7 @@ class SurfaceGrid:
 
 
 def _point_spacing(xyz: NDArray[np.floating]) -> float:
-    """Typical distance between neighbours, by counting the cells that the surfaces cross; 0 when all is one
-    point.
+    """Typical distance between neighbours, from the number of cells that the surfaces cross; 0 when all is one point.
     """
     if len(xyz) < 2:
         return 0.0
@@ -108,7 +103,7 @@ def _point_spacing(xyz: NDArray[np.floating]) -> float:
 
 
 def _cell_numbers(xyz: NDArray[np.floating], side: float) -> NDArray[np.int64]:
-    """One number per point [N]: equal numbers, same cell of a grid with this side."""
+    """The number of each point's cell [N] in a grid with this side."""
     numbers = np.zeros(len(xyz), np.int64)
     for axis in range(3):
         column = xyz[:, axis]

@@ -1,24 +1,30 @@
-"""How a file that we start looks when it is opened. Files of the user's keep their looks."""
+"""What editors show: the first look of a file that we start, 3D views that show a lift, a picture in an image editor.
+
+Files of the user's keep their looks.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import bpy
 from mathutils import Vector
 
+from .cameras import OVERVIEW_SIZE
 from .compat import composite_without_gpu, use_nodes
 
 
 def start_file() -> bpy.types.Scene:
-    """Begin an empty file in metres; what is rendered is unlit, so Cycles needs few rays on any machine."""
+    """Begin an empty file in metres. A lift is unlit, so Cycles is set to few rays."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
     scene.view_settings.view_transform = "Standard"
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces = 16, False, 0
-    scene.render.resolution_x, scene.render.resolution_y = 1280, 800
+    scene.render.resolution_x, scene.render.resolution_y = OVERVIEW_SIZE
     composite_without_gpu(scene)
     show_object_colours(scene.display.shading)
     scene.world = bpy.data.worlds.new("World")
@@ -27,13 +33,13 @@ def start_file() -> bpy.types.Scene:
 
 
 def set_ground(world: bpy.types.World) -> None:
-    """A dark, neutral ground on which all colours stand out."""
+    """Give the world a dark, neutral ground on which all colours stand out."""
     background = next(node for node in use_nodes(world).nodes if node.bl_idname == "ShaderNodeBackground")
     background.inputs["Color"].default_value = (0.016, 0.018, 0.022, 1.0)
 
 
 def show_object_colours(shading: Any) -> None:
-    """Solid shading in which clouds have the colour of their class and boxes that of their instance."""
+    """Let Solid shading show clouds in the colour of their class and boxes in that of their instance."""
     # Flat: on a million little balls, light and shadow are nothing but noise.
     shading.light, shading.color_type = "FLAT", "OBJECT"
     shading.show_cavity = shading.show_shadows = shading.show_object_outline = False
@@ -47,17 +53,23 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
 
 
 def show_lift_colours_at_first(view: bpy.types.SpaceView3D) -> None:
-    """The same in a view that is still as Blender starts it, where a lift would be nothing but grey; others keep their
-    looks.
+    """`show_lift_colours` in a view that is still as Blender starts it, where a lift would be nothing but grey. Other
+    views keep their looks.
     """
     if view.shading.type == "SOLID" and view.shading.color_type == "MATERIAL" and view.shading.light == "STUDIO":
         show_lift_colours(view)
 
 
+def show_lift_colours_in(scene: bpy.types.Scene) -> None:
+    """The same in all 3D views of windows that show this scene."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas if window.scene == scene else ():
+            if area.type == "VIEW_3D":
+                show_lift_colours_at_first(area.spaces.active)
+
+
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:
-    """The 3D view somebody works in, else the largest of the screen, and its width by its height; None when there is
-    none.
-    """
+    """The 3D view that somebody works in, else the largest of the screen, else None; and its width by its height."""
     areas = [area for area in context.screen.areas if area.type == "VIEW_3D"] if context.screen is not None else []
     if context.area is not None and context.area.type == "VIEW_3D":
         areas = [context.area]
@@ -84,3 +96,24 @@ def look_from(scene: bpy.types.Scene, camera: bpy.types.Object, target: Vector) 
                 view = space.region_3d
                 view.view_perspective = "PERSP"
                 view.view_location, view.view_rotation, view.view_distance = target, rotation, distance
+
+
+def show_finding(picture: Path, screens: Iterable[bpy.types.Screen]) -> tuple[bpy.types.Image, bool]:
+    """Load the picture of a finding in place of an earlier one of that name, and show it in the largest image editor.
+    Returns the image, and whether there is such an editor. The image is packed, because the next diagnosis deletes its
+    file. Raises OSError when the file is gone.
+    """
+    if not picture.is_file():
+        raise OSError(f"the picture is gone, diagnose again: {picture}")
+    image = bpy.data.images.load(str(picture), check_existing=False)
+    image.pack()
+    name = f"PLGS finding {picture.stem}"
+    earlier = bpy.data.images.get(name)
+    if earlier is not None:
+        earlier.user_remap(image)
+        bpy.data.images.remove(earlier)
+    image.name = name
+    editors = [area for screen in screens for area in screen.areas if area.type == "IMAGE_EDITOR"]
+    if editors:
+        max(editors, key=lambda area: area.width * area.height).spaces.active.image = image
+    return image, bool(editors)

@@ -1,7 +1,7 @@
-"""What a hand-held camera does to colour and poses: it amplifies, tints, blurs, leaves borders black, and drifts.
+"""What a hand-held camera does to colour and poses: gain, tint, motion blur, black borders, drift.
 
-Every function is pure: the same values and the same random stream give the same result. ``depth_sensor.py`` does the
-same for depth. Colour is linear light here, float32 [H, W, 3] with 1 = white; ``linear`` and ``srgb`` convert.
+``depth_sensor.py`` does the same for depth. All functions are pure: the same values and the same random stream give the
+same result. Colour is linear light, float32 [H, W, 3] with 1 = white. ``linear`` and ``srgb`` convert it.
 """
 
 from __future__ import annotations
@@ -20,52 +20,52 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class CaptureNoise:
-    """How far a capture is from a rendering. Lengths over frames are correlation lengths; the rest is metres."""
+    """How much a capture differs from a rendering. ``*_frames`` are correlation lengths in frames."""
 
     gain: float = 2.0
-    """Exposure and white balance together brighten or darken linear light by no more than this."""
+    """Largest factor by which exposure and white balance together brighten or darken linear light."""
     exposure_frames: float = 10.0
     white_balance: float = 0.12
-    """Largest change of a channel beside the exposure's."""
+    """Largest relative change of a channel beside the exposure."""
     white_balance_frames: float = 20.0
     blurred: float = 0.1
     """Share of the frames with motion blur."""
     blur_length: tuple[float, float] = (5.0, 11.0)
     """Pixels of a picture 640 wide."""
     border: tuple[float, float] = (0.01, 0.025)
-    """Narrowest and widest black border, in shares of the width."""
+    """Narrowest and widest black border, as shares of the width."""
     pose_shift: float = 0.005
     """Root mean square over the frames, metres."""
     pose_turn: float = 0.3
     """Root mean square over the frames, degrees."""
     pose_frames: float = 15.0
     depth_floor: float = 0.0012
-    """Standard deviation of depth at ``depth_nearest``."""
+    """Metres, the standard deviation of depth at ``depth_nearest``."""
     depth_growth: float = 0.0019
-    """How it grows: times the square of the metres beyond ``depth_nearest``."""
+    """Growth of the standard deviation with the square of the metres beyond ``depth_nearest``."""
     depth_nearest: float = 0.4
     depth_grain: float = 1.5
-    """Over how many pixels of a depth image 320 wide its noise is correlated (the blur's standard deviation)."""
+    """Pixels of a depth image 320 wide over which its noise is correlated (the blur's standard deviation)."""
     focal_baseline: float = 43.5
-    """Pixels times metres: a focal length of 580 and a baseline of 7.5 cm, as in the first Kinect."""
+    """Pixels times metres. The first Kinect has a focal length of 580 and a baseline of 7.5 cm."""
     disparity_step: float = 0.125
-    """Pixels: what the sensor tells apart."""
+    """Pixels, the sensor's resolution."""
     dark: tuple[float, float] = (0.006, 0.03)
-    """Linear luminance at which nearly nothing, and at which everything comes back."""
+    """Linear luminance up to which nearly nothing, and from which everything comes back."""
     highlight: tuple[float, float] = (0.5, 0.15)
     """Linear luminance of a highlight, and how far it is above what surrounds it."""
     polished: float = 0.02
     """Share of the surfaces that mirror the sensor's light away."""
     polished_size: float = 0.3
-    """Metres: about the size of such a patch."""
+    """Metres, about the size of such a patch."""
     grazing: tuple[float, float] = (0.1, 0.25)
-    """Cosine between the line of sight and the normal at which nothing, and at which everything comes back."""
+    """Cosine between line of sight and normal up to which nothing, and from which everything comes back."""
     reach: tuple[float, float] = (6.0, 8.0)
-    """Metres: up to here everything, from here on nearly nothing comes back."""
+    """Metres up to which everything, and from which nearly nothing comes back."""
     lost: float = 0.97
-    """Chance of a hole where the causes above are at their worst."""
+    """Chance of a hole where one of the causes above is at its worst."""
     hole_grain: float = 3.0
-    """Over how many pixels of a depth image 320 wide a hole's outline is correlated."""
+    """Pixels of a depth image 320 wide over which a hole's outline is correlated."""
     edge: float = 0.04
     """Relative step of 1 / depth that counts as an edge."""
     flying: float = 0.4
@@ -75,7 +75,7 @@ class CaptureNoise:
 def drift(count: int, channels: int, length: float, random: np.random.Generator) -> Floats:
     """Smooth random functions of the frame number, float64 [count, channels], about normal with deviation 1.
 
-    Random Fourier features of a Gaussian kernel: hands, auto exposure and trackers err slowly, not frame by frame.
+    They are random Fourier features of a Gaussian kernel. Hands, auto exposure and trackers err slowly.
     """
     waves = 16
     frequencies = random.normal(size=(channels, waves)) / length
@@ -84,10 +84,10 @@ def drift(count: int, channels: int, length: float, random: np.random.Generator)
 
 
 def colour_gains(count: int, noise: CaptureNoise, random: np.random.Generator) -> Floats:
-    """What each frame's linear light is multiplied by, float64 [count, 3] (red, green, blue), within 1 / gain to gain.
+    """The factors of each frame's linear light, float64 [count, 3] (red, green, blue), from 1 / gain to gain.
 
-    Auto exposure makes dark places bright and bright ones dark; automatic white balance does so for each channel.
-    Both are logarithmic: one stop up is as likely as one down.
+    Auto exposure changes all channels together, automatic white balance each one. Both are logarithmic, so one stop up
+    is as likely as one stop down.
     """
     tint = np.log1p(noise.white_balance)
     exposures = np.tanh(drift(count, 1, noise.exposure_frames, random)) * (np.log(noise.gain) - tint)
@@ -96,9 +96,9 @@ def colour_gains(count: int, noise: CaptureNoise, random: np.random.Generator) -
 
 
 def blurred_frames(count: int, noise: CaptureNoise, random: np.random.Generator) -> dict[int, Floats]:
-    """Motion in shares of the width, float64 [2] (right, down), of the frames that are blurred, by frame number.
+    """The motion of the blurred frames, float64 [2] (right, down) in shares of the width, by frame number.
 
-    The hand's unrest is a line while the shutter is open: of any direction, and of ``blur_length``.
+    The hand moves along a line while the shutter is open, in any direction, by ``blur_length``.
     """
     chosen = sorted(random.choice(count, round(noise.blurred * count), replace=False).tolist())
     lengths = random.uniform(*noise.blur_length, len(chosen)) / 640.0
@@ -108,7 +108,7 @@ def blurred_frames(count: int, noise: CaptureNoise, random: np.random.Generator)
 
 
 def motion_blur(light: Pixels, motion: Floats) -> Pixels:
-    """The mean of linear light [H, W, 3] over a straight motion, float64 [2] pixels, about where it was."""
+    """The mean of linear light [H, W, 3] over a straight motion, float64 [2] pixels, centred on the pixel."""
     reach = int(np.ceil(np.abs(motion).max() / 2.0)) + 1
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
     for share in np.linspace(-0.5, 0.5, 64):
@@ -120,10 +120,10 @@ def motion_blur(light: Pixels, motion: Floats) -> Pixels:
 
 
 def border_mask(size: Size, noise: CaptureNoise, random: np.random.Generator) -> NDArray[np.bool_]:
-    """The pixels that undistortion has nothing for, bool [H, W].
+    """The pixels that undistortion leaves black, bool [H, W].
 
-    Straightening a lens's curves moves the picture's edges inwards by a parabola of the place along the edge, another
-    one on each side as lenses are not quite centred; a slight wave is the interpolation's.
+    Undistortion moves the picture's edges inwards by a parabola. It differs on each side, as lenses are not quite
+    centred. Interpolation adds a slight wave.
     """
     width, height = size
     narrow, wide = noise.border[0] * width, noise.border[1] * width
@@ -140,9 +140,9 @@ def border_mask(size: Size, noise: CaptureNoise, random: np.random.Generator) ->
 
 
 def pose_errors(count: int, noise: CaptureNoise, random: np.random.Generator) -> tuple[Floats, Floats]:
-    """What the tracker is wrong by: shifts float64 [count, 3] in metres, turns float64 [count, 3] (axis times radians).
+    """The tracker's errors: shifts float64 [count, 3] in metres, turns float64 [count, 3] (axis times radians).
 
-    Low frequency along the path, as a tracker drifts and finds back; the root mean squares are those of ``noise``.
+    They change slowly along the path, as trackers drift and correct themselves. ``noise`` has their root mean squares.
     """
     shifts = drift(count, 3, noise.pose_frames, random)
     turns = drift(count, 3, noise.pose_frames, random)
@@ -150,7 +150,7 @@ def pose_errors(count: int, noise: CaptureNoise, random: np.random.Generator) ->
 
 
 def _with_rms(values: Floats, target: float) -> Floats:
-    """Vectors [count, 3] about their mean, which would only move the world, scaled to a root mean square length."""
+    """Vectors [count, 3] without their mean, scaled to a root mean square length. A mean would move the world."""
     centred = values - values.mean(0)
     return centred * (target / max(float(np.sqrt((centred**2).sum(-1).mean())), 1e-9))
 
@@ -171,7 +171,7 @@ def linear(colour: NDArray[np.uint8]) -> Pixels:
 
 
 def srgb(light: Pixels) -> NDArray[np.uint8]:
-    """8-bit sRGB of linear light; what is brighter than white is cut off, as a sensor's full wells are."""
+    """8-bit sRGB of linear light. Light brighter than white is clipped, as by a sensor's full wells."""
     value = light.clip(0.0, 1.0)
     curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-9) ** (1.0 / 2.4) - 0.055)
     return (curve * 255.0 + 0.5).astype(np.uint8)

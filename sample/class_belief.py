@@ -1,8 +1,8 @@
-"""What class a detector believes a region to be: right mostly, and wrong in the way detectors are wrong.
+"""The class that a network believes a region to be. It is mostly right, and wrong as networks are wrong.
 
-A detector does not toss a coin for every frame. It mistakes a sofa for a bed from *this* side, while it is small, over
-a stretch of neighbouring views, and then sees it right again. So the belief in each class is a smooth random function
-of the direction of view, the size in the picture and the place, fixed for each object by the seed, plus some flicker.
+A network does not toss a coin for every frame. It takes a sofa for a bed from one side, while it is small, over a
+stretch of neighbouring views, and then sees it right again. So the belief in each class is a smooth random function of
+the direction of view, the size in the picture and the place. The seed fixes it for each object. Flicker is added.
 """
 
 from __future__ import annotations
@@ -33,42 +33,42 @@ CONFUSIONS: dict[str, dict[str, float]] = {
     "appliance": {"cabinet": 1.2, "door": 0.8},
     "object": {"lamp": 0.6, "bin": 0.5, "picture": 0.3, "chair": 0.3},
 }
-"""For each true class the classes it is taken for; 1 is an ordinary rival, more a tempting one."""
+"""For each true class the classes it is taken for, with their weights. 1 is the ordinary weight."""
 
 
 @dataclass(frozen=True)
 class BeliefNoise:
-    """How unsure the detector is of classes. Logits are in nats."""
+    """How unsure the network is of classes. Logits are in nats."""
 
     thing_margin: float = 2.4
-    """By how much the true class of a thing of ordinary size is ahead of an ordinary rival."""
+    """Lead of the true class over an ordinary wrong one, for a thing of ordinary size."""
     stuff_margin: float = 2.1
     """The same for stuff."""
     size_gain: float = 0.2
-    """Added to the margin for each doubling of the area over ``ordinary_area`` (and taken away for each halving)."""
+    """Added to the margin for each doubling of the area over ``ordinary_area``, taken away for each halving."""
     ordinary_area: float = 0.02
     """Share of the picture."""
     size_gain_limit: float = 0.5
-    """No size adds or takes more than this."""
+    """Most that size adds or takes away."""
     hardness: float = 0.4
-    """Standard deviation over objects: some are hard from everywhere."""
+    """Standard deviation over objects. Some are hard from everywhere."""
     swing: float = 1.6
-    """Standard deviation over views of the belief in each rival: the part that depends on direction, size and place."""
+    """Standard deviation over views of the belief in each wrong class, as direction, size and place change."""
     flicker: float = 0.6
-    """Standard deviation of what is new in each frame."""
+    """Standard deviation of the part that is drawn anew for each frame."""
     direction_scale: float = 0.5
-    """How far the direction of view (a unit vector) must change for the swing to be another one."""
+    """Change of the direction of view (a unit vector) after which the swing is another one."""
     size_scale: float = 1.2
     """The same for size, in doublings of the area."""
     place_scale: float = 2.0
-    """The same for the place of a piece of stuff, in metres. A thing is one object wherever it is seen."""
+    """The same for the place of a piece of stuff, in metres. The place of a thing does not matter."""
     score_noise: float = 0.08
-    """Standard deviation of the error of the score."""
+    """Standard deviation of the score's error."""
 
 
 @dataclass(frozen=True)
 class Sight:
-    """One region as one view shows it: its ``key`` is the same in all views, ``place`` is in world metres."""
+    """One region in one view. Its ``key`` is the same in all views, ``place`` is in world metres."""
 
     key: str
     class_name: str
@@ -79,20 +79,20 @@ class Sight:
 
 
 def stream(*parts: object) -> np.random.Generator:
-    """A random stream of its own for everything that ``parts`` name, so that no draw depends on another's order."""
+    """A random stream for the name ``parts``. No draw depends on the order of others."""
     return np.random.default_rng(zlib.crc32("/".join(map(str, parts)).encode()))
 
 
 def believe(sight: Sight, noise: BeliefNoise, seed: int, frame: str) -> tuple[str, float]:
-    """The class the detector believes in, and its score in (0, 1)."""
-    rivals = CONFUSIONS[sight.class_name]
+    """The class that the network believes in, and its score in (0, 1)."""
+    others = CONFUSIONS[sight.class_name]
     doublings = float(np.log2(max(sight.area, 1e-6) / noise.ordinary_area))
     gain = float(np.clip(noise.size_gain * doublings, -noise.size_gain_limit, noise.size_gain_limit))
     margin = noise.thing_margin if sight.is_thing else noise.stuff_margin
-    names = [sight.class_name, *rivals]
+    names = [sight.class_name, *others]
     logits = [margin + gain + noise.hardness * float(stream(seed, "hardness", sight.key).normal())]
-    for rival, temptation in rivals.items():
-        logits.append(float(np.log(temptation)) + noise.swing * _swing(sight, rival, doublings, noise, seed))
+    for other, weight in others.items():
+        logits.append(float(np.log(weight)) + noise.swing * _swing(sight, other, doublings, noise, seed))
     fresh = stream(seed, "flicker", sight.key, frame)
     total = np.round(np.array(logits) + noise.flicker * fresh.normal(size=len(logits)), 6)
     winner = int(total.argmax())
@@ -101,10 +101,10 @@ def believe(sight: Sight, noise: BeliefNoise, seed: int, frame: str) -> tuple[st
     return names[winner], round(score, 4)
 
 
-def _swing(sight: Sight, rival: str, doublings: float, noise: BeliefNoise, seed: int) -> float:
+def _swing(sight: Sight, other: str, doublings: float, noise: BeliefNoise, seed: int) -> float:
     """A smooth random function of the view, mean 0, deviation 1 (random Fourier features of a Gaussian kernel)."""
     waves = 12
-    draw = stream(seed, "swing", sight.key, rival)
+    draw = stream(seed, "swing", sight.key, other)
     place = np.zeros(3) if sight.is_thing else np.array(sight.place) / noise.place_scale
     at: NDArray[np.float64] = np.array(
         [*(np.array(sight.direction) / noise.direction_scale), doublings / noise.size_scale, *place]

@@ -1,8 +1,8 @@
-"""What a structured-light sensor makes of exact depth: coarser, noisy, quantised, torn at edges, and full of holes.
+"""What a structured-light sensor makes of exact depth: coarse, noisy, quantised, torn at edges, and full of holes.
 
-Depth is planar z in metres, float64 [H, W], 0 = none. Disparity is what such a sensor measures: focal length times
-baseline over depth. So errors grow with the square of depth (Khoshelham and Elberink 2012; Nguyen, Izadi and Lovell
-2012 for the constants of the Kinect).
+Depth is planar z in metres, float64 [H, W], 0 = none. Such a sensor measures disparity: focal length times baseline
+over depth. So errors grow with the square of depth (Khoshelham and Elberink 2012). The constants of the Kinect are
+those of Nguyen, Izadi and Lovell 2012.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 def half_size(depth: Floats, noise: CaptureNoise) -> Floats:
-    """Depth at half the size: the sensor has fewer pixels than the camera.
+    """Depth at half the size, as the sensor has fewer pixels than the camera.
 
-    A plane is linear in 1 / z, so pixels of one surface are averaged there. Of a block of two surfaces the nearest
-    counts, and of one with a hole what there is.
+    Pixels of one surface are averaged in 1 / z, in which planes are linear. In a block with two surfaces the nearest
+    one counts. Holes do not count.
     """
     height, width = depth.shape
     even = np.pad(depth, ((0, height % 2), (0, width % 2)), mode="edge")
@@ -35,7 +35,7 @@ def half_size(depth: Floats, noise: CaptureNoise) -> Floats:
 
 
 def flying_pixels(depth: Floats, noise: CaptureNoise, random: np.random.Generator) -> Floats:
-    """Depth with values between both sides of an edge: a pixel there receives light of the two surfaces."""
+    """Depth with values between the two sides of an edge, where a pixel receives light from both surfaces."""
     square = np.ones((3, 3), np.uint8)
     nearest = cv2.erode(np.where(depth > 0.0, depth, np.inf), square)
     farthest = cv2.dilate(depth, square)
@@ -45,7 +45,7 @@ def flying_pixels(depth: Floats, noise: CaptureNoise, random: np.random.Generato
 
 
 def at_edges(depth: Floats, noise: CaptureNoise) -> Bools:
-    """Where depth jumps, bool [H, W]. 1 / z is linear on any plane, so a slant is no edge, however steep."""
+    """Where depth jumps, bool [H, W]. 1 / z is linear on any plane, so slanted surfaces have no edges."""
     inverse = _inverse(depth)
     jumps = np.zeros(depth.shape, bool)
     for axis in (0, 1):
@@ -56,25 +56,25 @@ def at_edges(depth: Floats, noise: CaptureNoise) -> Bools:
 
 
 def deviation(depth: Floats, noise: CaptureNoise) -> Floats:
-    """Standard deviation of measured depth in metres, float64 [H, W]: it grows with the square of depth."""
+    """The standard deviation of measured depth in metres, float64 [H, W]. It grows with the square of depth."""
     return noise.depth_floor + noise.depth_growth * (depth - noise.depth_nearest) ** 2
 
 
 def noisy(depth: Floats, noise: CaptureNoise, random: np.random.Generator) -> Floats:
-    """Depth with axial noise. It is correlated over some pixels, as a window of the pattern is matched for each."""
+    """Depth with axial noise. Neighbours' noise is correlated, as the sensor matches windows of its pattern."""
     field = smooth_field(depth.shape, noise.depth_grain, random)
     return np.where(depth > 0.0, np.maximum(depth + deviation(depth, noise) * field, 0.01), 0.0)
 
 
 def quantised(depth: Floats, noise: CaptureNoise) -> Floats:
-    """Depth whose disparity is a whole number of the sensor's steps: 3 mm apart at 1 m, 46 mm at 4 m."""
+    """Depth at whole steps of the sensor's disparity: 3 mm apart at 1 m, 46 mm at 4 m."""
     scale = noise.focal_baseline / noise.disparity_step
     steps = np.maximum(np.round(scale / np.maximum(depth, 1e-6)), 1.0)
     return np.where(depth > 0.0, scale / steps, 0.0)
 
 
 def holes(chance: Floats, noise: CaptureNoise, random: np.random.Generator) -> Bools:
-    """Where nothing comes back, bool [H, W], for a chance, float64 [H, W]: blots rather than single pixels."""
+    """Where nothing comes back, bool [H, W], for a chance float64 [H, W]. Holes are blots, not single pixels."""
     field = smooth_field(chance.shape, noise.hole_grain, random)
     uniform = 1.0 / (1.0 + np.exp(-1.702 * field))  # the logistic curve is within 0.01 of the normal distribution's
     return uniform < chance
@@ -83,10 +83,10 @@ def holes(chance: Floats, noise: CaptureNoise, random: np.random.Generator) -> B
 def chance_of_holes(
     depth: Floats, light: Pixels, rays: Floats, points: Floats, noise: CaptureNoise, waves: Floats
 ) -> Floats:
-    """Chance of a hole, float64 [H, W]; causes are independent of each other.
+    """The chance of a hole, float64 [H, W], from independent causes.
 
-    ``light`` is linear colour at full exposure, float32 [H, W, 3]; ``rays`` the lines of sight with z = 1, float64
-    [H, W, 3]; ``points`` the surface in the world; ``waves`` as ``polish_waves`` draws them.
+    ``light`` float32 [H, W, 3] is linear colour at full exposure, ``rays`` float64 [H, W, 3] are lines of sight with
+    z = 1, ``points`` the surface in the world, and ``waves`` those of ``polish_waves``.
     """
     causes = (
         darkness(light, noise),
@@ -102,13 +102,13 @@ def chance_of_holes(
 
 
 def darkness(light: Pixels, noise: CaptureNoise) -> Floats:
-    """0..1, 1 where a surface swallows light. The sensor's own lamp lights it, so the camera's exposure has no say."""
+    """0..1, 1 where a surface swallows light. The sensor's own lamp lights it, so exposure does not matter."""
     nothing, everything = noise.dark
     return _ramp((light @ LUMINANCE).astype(np.float64), everything, nothing)
 
 
 def highlights(light: Pixels, noise: CaptureNoise) -> Floats:
-    """0 or 1: bright, colourless and brighter than what surrounds it, as a lamp's mirror image is (or the lamp)."""
+    """0 or 1, 1 at lamps and their mirror images: bright, colourless, and brighter than what surrounds them."""
     level, above = noise.highlight
     luminance = light @ LUMINANCE
     around = cv2.GaussianBlur(luminance, (0, 0), 0.05 * light.shape[1])
@@ -117,14 +117,14 @@ def highlights(light: Pixels, noise: CaptureNoise) -> Floats:
 
 
 def polish_waves(noise: CaptureNoise, random: np.random.Generator) -> Floats:
-    """What says which places of the world are polished, float64 [16, 4]: directions in 1 / metres, and phases."""
+    """Waves that make places of the world polished, float64 [16, 4]: directions in 1 / metres, and phases."""
     count = 16
     directions = random.normal(size=(count, 3)) / noise.polished_size
     return np.concatenate([directions, random.random((count, 1)) * 2.0 * np.pi], -1)
 
 
 def polish(points: Floats, waves: Floats, noise: CaptureNoise) -> Floats:
-    """0 or 1: smooth patches of the world's surfaces, the same in all frames, which mirror the sensor's light away."""
+    """0 or 1, 1 on smooth patches that mirror the sensor's light away. They are the same in all frames."""
     value = np.cos(points @ waves[:, :3].T + waves[:, 3]).sum(-1) * np.sqrt(2.0 / len(waves))
     return (value > NormalDist().inv_cdf(1.0 - noise.polished)).astype(np.float64)
 
@@ -132,8 +132,8 @@ def polish(points: Floats, waves: Floats, noise: CaptureNoise) -> Floats:
 def slant(depth: Floats, rays: Floats, noise: CaptureNoise) -> Floats:
     """0..1, 1 where the line of sight grazes the surface, so that the pattern is stretched and dim.
 
-    The normal is that of the plane a x + b y + c = 1 / z through the pixel. An edge is not a slant: of the gradients
-    to both sides the smaller counts.
+    The normal is that of the plane a x + b y + c = 1 / z through the pixel. The smaller of the gradients to both sides
+    counts, so that an edge is not a slant.
     """
     inverse = _inverse(depth)
     step_x, step_y = rays[0, 1, 0] - rays[0, 0, 0], rays[1, 0, 1] - rays[0, 0, 1]
@@ -146,7 +146,7 @@ def slant(depth: Floats, rays: Floats, noise: CaptureNoise) -> Floats:
 
 
 def distance(depth: Floats, noise: CaptureNoise) -> Floats:
-    """0..1, 1 beyond the sensor's reach: the pattern's light falls with the square of depth."""
+    """0..1, 1 beyond the sensor's reach. The pattern's light falls with the square of depth."""
     return _ramp(depth, *noise.reach)
 
 
@@ -161,7 +161,7 @@ def smooth_field(shape: tuple[int, ...], grain: float, random: np.random.Generat
 
 
 def _ramp(values: Floats, zero: float, one: float) -> Floats:
-    """0 at ``zero``, 1 at ``one``, straight in between, whichever is larger."""
+    """0 at ``zero``, 1 at ``one``, linear in between. Either one may be larger."""
     return ((values - zero) / (one - zero)).clip(0.0, 1.0)
 
 
@@ -172,7 +172,7 @@ def _lesser_gradient(values: Floats, axis: int) -> Floats:
 
 
 def _gradients(values: Floats, axis: int) -> tuple[Floats, Floats]:
-    """The differences to the neighbours before and after along ``axis``; at the rim, where one is missing, the same."""
+    """The differences to the neighbours before and after along ``axis``. At the rim both are the same."""
     steps = np.diff(values, axis=axis)
     return np.concatenate([steps.take([0], axis), steps], axis), np.concatenate([steps, steps.take([-1], axis)], axis)
 

@@ -1,10 +1,9 @@
 """Make a scene look hand-held: ``python sample/hand_held.py SCENE OUT [--seed N]``.
 
-SCENE is a rendered scene, exact in colour, depth and poses. OUT is the same scene as a hand-held camera with a
-structured-light sensor would have it: exposure and white balance drift, some frames are blurred, undistortion leaves
-black borders, poses are a little wrong, depth is coarse, noisy, quantised and full of holes. All else is copied as it
-is: ground truth, masks, split and intrinsics. ``hand_held.json`` says what was done to each frame. How much goes wrong
-is in ``capture_noise.CaptureNoise``.
+SCENE is a rendered scene, exact in colour, depth and poses. OUT is its twin from a hand-held camera with a
+structured-light sensor: exposure and white balance drift, some frames are blurred, undistortion leaves black borders,
+poses are a little wrong, depth is coarse, noisy, quantised and full of holes. Ground truth, masks, split and intrinsics
+are copied. ``hand_held.json`` says what was done to each frame. ``capture_noise.CaptureNoise`` says how much.
 """
 
 from __future__ import annotations
@@ -34,28 +33,25 @@ from capture_noise import (
 from class_belief import stream
 from depth_sensor import chance_of_holes, flying_pixels, half_size, holes, noisy, polish_waves, quantised
 from numpy.typing import NDArray
+from scene_files import PlgsError, run, write_image
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from engine.scene import Camera, Frame, SceneError, open_scene  # noqa: E402
+from engine.scene import Camera, Frame, open_scene
 
 JPEG = (cv2.IMWRITE_JPEG_QUALITY, 98, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
-"""Coarser JPEG rings up to 60 grey levels into the black border; this leaves 10 at most. PNG keeps it exactly black."""
+"""Coarser JPEG rings up to 60 grey levels into the black border. This leaves 10 at most, and PNG none."""
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scene", type=Path, help="scene folder, rendered or otherwise exact")
     parser.add_argument("out", type=Path, help="scene folder to make; an existing one is refused")
     parser.add_argument("--seed", type=int, default=0, help="other seeds, other faults (default 0)")
     options = parser.parse_args()
-    try:
-        write_hand_held(options.scene, options.out, options.seed)
-    except SceneError as error:
-        raise SystemExit(str(error)) from error
+    return run(lambda: write_hand_held(options.scene, options.out, options.seed))
 
 
-def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | None = None) -> None:
-    """Write the folder ``out``. Raises SceneError when there is no scene, or when ``out`` cannot be made."""
+def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | None = None) -> str:
+    """Write the folder ``out``, and return a line about it. Raises PlgsError, OSError."""
     noise = noise or CaptureNoise()
     frames = open_scene(scene).frames
     _copy(scene, out)
@@ -69,8 +65,9 @@ def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | Non
         black = border_mask(frame.size, noise, stream(seed, "border"))
         hand_held = exposed(linear(colour), gains[index], blurred.get(index), black)
         pose = misplaced(frame.camera.camera_to_world, shifts[index], turns[index])
-        _write_image(out / "color" / frame.colour_path.name, hand_held[..., ::-1])
-        _write_image(out / "depth" / frame.depth_path.name, np.round(depth * 1000.0).clip(0, 65535).astype(np.uint16))
+        is_jpeg = frame.colour_path.suffix.lower() in (".jpg", ".jpeg")
+        write_image(out / "color" / frame.colour_path.name, hand_held[..., ::-1], JPEG if is_jpeg else ())
+        write_image(out / "depth" / frame.depth_path.name, np.round(depth * 1000.0).clip(0, 65535).astype(np.uint16))
         np.savetxt(out / f"pose/{frame.name}.txt", pose, "%.9f")
     still = np.zeros(2)
     faults = [
@@ -82,12 +79,13 @@ def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | Non
         for index, frame in enumerate(frames)
     ]
     _write_faults(out / "hand_held.json", seed, noise, faults)
+    return f"{len(frames)} frames in {out}"
 
 
 def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """The picture, uint8 [H, W, 3], of linear light: blurred by the shutter, amplified, cut off, undistorted.
+    """The picture, uint8 [H, W, 3], of linear light after the shutter's blur, amplification, clipping and undistortion.
 
-    ``gains`` float64 [3], ``motion`` float64 [2] in shares of the width or None, ``black`` bool [H, W] the border.
+    ``gains`` float64 [3], ``motion`` float64 [2] in shares of the width or None, ``black`` bool [H, W] is the border.
     """
     if motion is not None:
         light = motion_blur(light, motion * light.shape[1])
@@ -97,13 +95,11 @@ def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[
 
 
 def sensed_depth(frame: Frame, light: Pixels, waves: Floats, noise: CaptureNoise, seed: int) -> Floats:
-    """Depth as the sensor has it, float64 [H / 2, W / 2] metres, 0 = none."""
+    """Depth as the sensor measures it, float64 [H / 2, W / 2] metres, 0 = none."""
     exact = half_size(frame.read_depth(None).astype(np.float64), noise)
     height, width = exact.shape
     camera = frame.camera.resized(width, height)
-    rays = lines_of_sight(camera)
-    rotation, centre = camera.camera_to_world[:3, :3], camera.centre
-    points = (rays * exact[..., None]) @ rotation.T + centre
+    rays, points = lines_of_sight(camera), camera.unproject(exact)
     seen = cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA)
     chance = chance_of_holes(exact, seen, rays, points, noise, waves)
     random = stream(seed, "depth", frame.name)
@@ -120,22 +116,16 @@ def lines_of_sight(camera: Camera) -> Floats:
 
 
 def _copy(scene: Path, out: Path) -> None:
-    """Copy what stays as it is; frames that nothing reads (without a pose, or in neither split) stay too."""
+    """Copy the folder, with frames that nothing reads (without a pose, or in neither split)."""
     if out.exists():
-        raise SceneError("this exists already", out, "Name a folder that is not there yet.")
+        raise PlgsError("this exists already", out, "Name a folder that is not there yet.")
     if out.resolve().is_relative_to(scene.resolve()):
-        raise SceneError("this lies within the scene itself", out, "Name a folder elsewhere.")
+        raise PlgsError("this lies within the scene itself", out, "Name a folder elsewhere.")
     try:
-        # Depth is written on the colour's lens, so it needs none of its own.
+        # Depth is written for the colour's lens, so it needs no lens of its own.
         shutil.copytree(scene, out, copy_function=shutil.copyfile, ignore=shutil.ignore_patterns("intrinsic_depth.txt"))
     except OSError as error:
-        raise SceneError(f"the scene cannot be copied ({error})", out, "See that the folder can be written.") from error
-
-
-def _write_image(path: Path, pixels: NDArray[np.generic]) -> None:
-    quality = JPEG if path.suffix.lower() in (".jpg", ".jpeg") else ()
-    if not cv2.imwrite(str(path), np.ascontiguousarray(pixels), quality):
-        raise SceneError("the image cannot be written", path, "See that there is room.")
+        raise PlgsError(f"the scene cannot be copied ({error})", out, "See that the folder can be written.") from error
 
 
 def _write_faults(path: Path, seed: int, noise: CaptureNoise, faults: list[dict[str, object]]) -> None:
@@ -147,4 +137,4 @@ def _write_faults(path: Path, seed: int, noise: CaptureNoise, faults: list[dict[
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,13 +1,13 @@
 """Make a long capture out of the sample: ``python sample/long_capture.py OUT --frames N [--seed N]``.
 
-The bundled room is fused into a mesh (a truncated signed distance volume of its 72 frames), every corner of which is
-given the class and the object that the ground truth shows there. Then a camera walks the sample's way again, lap after
-lap, each lap a little aside of the last, and photographs the mesh N times. So a long capture needs nothing but what
-the repository holds. It is no better than its source: what no frame of the sample sees is a hole, and colour is that
-of the fused corners. It measures time and memory; quality only against itself.
+The 72 frames of the bundled room are fused into a mesh (a truncated signed distance volume). Each corner gets the class
+and the object that the ground truth shows there. Then a camera walks the sample's way again, lap after lap, each lap a
+little aside of the last, and photographs the mesh N times. So a long capture needs nothing but this repository. It is
+no better than its source: what no frame of the sample sees is a hole, and colour is that of the fused corners. It
+measures time and memory. Its quality can be compared with its own only.
 
 Pictures are cast at 324x242 and enlarged: colour and masks to 1296x968, depth to 648x484, as a phone's are. The masks
-are those of ``machine_masks``. Ground truth stays in ``gt/`` at 324x242. ``splits.json`` holds HELD_OUT frames out.
+are those of ``network_masks``. Ground truth stays in ``gt/`` at 324x242. ``splits.json`` holds HELD_OUT frames out.
 """
 
 from __future__ import annotations
@@ -15,28 +15,41 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 import open3d as o3d
-from machine_masks import mask_of_frame, readable
 from mask_noise import MaskNoise
+from network_masks import mask_of_frame
 from numpy.typing import NDArray
+from scene_files import (
+    FOLDERS,
+    PlgsError,
+    mask_pixels,
+    pose_towards,
+    run,
+    write_image,
+    write_intrinsics,
+    write_mask_table,
+    write_split,
+)
 
 ROOM = Path(__file__).resolve().parent / "room"
 WIDTH, HEIGHT = 324, 242
 ENLARGED, DEPTH_ENLARGED = 4, 2
 VOXEL = 0.03
-"""Metres, of the fused volume."""
+"""Metres, the edge of a voxel of the fused volume."""
 REACH = 9.0
-"""Metres: what is further away in the sample is left out."""
+"""Metres. Depth beyond is left out."""
 LAP = 300
 """Frames a lap."""
 ASIDE = 0.15
-"""Metres that laps lie aside of each other, root mean square."""
+"""Metres between laps, root mean square."""
 HELD_OUT = 8
+"""Frames held out."""
 SAME_SURFACE = 0.06
 """Metres between a corner and a frame's depth within which the frame shows the corner."""
 
@@ -45,8 +58,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LabelledMesh:
-    """``caster`` casts rays at the triangles uint32 [T, 3]; the corners' ``colour`` float32 [V, 3] in [0, 1], and
-    ``label`` int64 [V], class * 65536 + object."""
+    """``caster`` casts rays at the ``triangles`` uint32 [T, 3]. Each corner has a ``colour`` float32 [V, 3], 0..1,
+    and a ``label`` int64 [V], class * 65536 + object.
+    """
 
     caster: o3d.t.geometry.RaycastingScene
     triangles: NDArray[np.uint32]
@@ -54,48 +68,45 @@ class LabelledMesh:
     label: NDArray[np.int64]
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("out", type=Path, help="scene folder to make; an existing one is refused")
-    parser.add_argument("--frames", type=int, required=True, help="how many")
+    parser.add_argument("--frames", type=int, required=True, help="number of frames")
     parser.add_argument("--seed", type=int, default=0, help="seed of the laps' offsets and of the masks (default 0)")
     options = parser.parse_args()
-    if options.out.exists():
-        raise SystemExit(f"this exists already: {options.out}. Name a folder that is not there yet.")
-    write_long_capture(options.out, options.frames, options.seed)
+    return run(lambda: write_long_capture(options.out, options.frames, options.seed))
 
 
-def write_long_capture(out: Path, frames: int, seed: int) -> None:
-    """Write the folder ``out``, which appears when it is whole."""
+def write_long_capture(out: Path, frames: int, seed: int) -> str:
+    """Write the folder ``out`` as a whole, and return a line about it. Raises PlgsError, OSError."""
+    if out.exists():
+        raise PlgsError("this exists already", out, "Name a folder that is not there yet.")
     poses, intrinsic = room_cameras()
     mesh = fuse(poses, intrinsic)
     focal = intrinsic[0, 0] * WIDTH / 320
     building = out.with_name(f"{out.name}.part")
     shutil.rmtree(building, ignore_errors=True)
-    for name in ("color", "depth", "pose", "intrinsic", "panoptic", "gt/semantic", "gt/instance"):
+    for name in FOLDERS:
         (building / name).mkdir(parents=True)
-    small, large = (_intrinsics(focal * scale, WIDTH * scale, HEIGHT * scale) for scale in (1, ENLARGED))
     shutil.copyfile(ROOM / "gt/classes.json", building / "gt/classes.json")
-    (building / "splits.json").write_text(json.dumps(split(frames)))
+    names = [f"{number:05d}" for number in range(frames)]
+    write_split(building, names, held_out(frames))
     categories = json.loads((ROOM / "gt/classes.json").read_text())["categories"]
-    images, annotations = [], []
-    for number, pose in enumerate(laps(poses, frames, seed)):
-        name = f"{number:05d}"
+    masks = {}
+    # network_masks reads depth and intrinsics at the size of the ground truth.
+    _write_lens(building, focal, 1)
+    for name, pose in zip(names, laps(poses, frames, seed), strict=True):
         photograph(mesh, pose, focal, building, name)
-        # The masks' program takes depth and intrinsics of the size of the ground truth.
-        np.savetxt(building / "intrinsic/intrinsic_color.txt", small, "%.9f")
-        ids, segments = mask_of_frame(building, name, categories, seed, MaskNoise())
+        ids, masks[name] = mask_of_frame(building, name, categories, seed, MaskNoise())
         write_enlarged(building, name, ids)
-        images.append({"id": name, "file_name": f"{name}.jpg", "width": ids.shape[1], "height": ids.shape[0]})
-        annotations.append({"image_id": name, "file_name": f"{name}.png", "segments_info": segments})
-    table = {"images": images, "annotations": annotations, "categories": categories}
-    (building / "panoptic.json").write_text(readable(table))
-    np.savetxt(building / "intrinsic/intrinsic_color.txt", large, "%.9f")
+    _write_lens(building, focal, ENLARGED)
+    write_mask_table(building / "panoptic.json", masks, categories)
     building.rename(out)
+    return f"{frames} frames in {out}"
 
 
 def room_cameras() -> tuple[list[Floats], Floats]:
-    """The sample's poses, camera-to-world float64 [4, 4], and its intrinsics for pixel centres at integers."""
+    """The sample's poses, camera-to-world float64 [4, 4], and its intrinsics, for pixel centres at whole numbers."""
     poses = [np.loadtxt(path) for path in sorted((ROOM / "pose").glob("*.txt"))]
     return poses, np.loadtxt(ROOM / "intrinsic/intrinsic_color.txt")[:3, :3]
 
@@ -123,7 +134,7 @@ def fuse(poses: list[Floats], intrinsic: Floats) -> LabelledMesh:
 
 
 def corner_labels(corners: Floats, poses: list[Floats], intrinsic: Floats) -> NDArray[np.int64]:
-    """What the frame nearest to each corner, of those that see it, shows there; int64 [V], 0 where none does."""
+    """The label that the nearest of the frames that see a corner shows there, int64 [V]; 0 where none sees it."""
     label = np.zeros(len(corners), np.int64)
     nearest = np.full(len(corners), np.inf)
     for number, pose in enumerate(poses):
@@ -144,7 +155,7 @@ def corner_labels(corners: Floats, poses: list[Floats], intrinsic: Floats) -> ND
 
 
 def laps(poses: list[Floats], frames: int, seed: int) -> list[Floats]:
-    """``frames`` poses along the sample's way there and back, lap after lap, each aside of the others."""
+    """``frames`` poses along the sample's way and back, lap after lap, each lap aside of the others."""
     random = np.random.default_rng(seed)
     centres = np.array([pose[:3, 3] for pose in poses])
     looks = np.array([pose[:3, 2] for pose in poses])
@@ -157,22 +168,13 @@ def laps(poses: list[Floats], frames: int, seed: int) -> list[Floats]:
         for stop in along:
             eye = np.array([np.interp(stop, range(len(poses)), centres[:, axis]) for axis in range(3)])
             look = np.array([np.interp(stop, range(len(poses)), looks[:, axis]) for axis in range(3)])
-            found.append(_pose(eye + aside + random.normal(0.0, 0.01, 3), look + random.normal(0.0, 0.01, 3)))
+            eye, look = eye + aside + random.normal(0.0, 0.01, 3), look + random.normal(0.0, 0.01, 3)
+            found.append(pose_towards(eye, look / np.linalg.norm(look), (0.0, 0.0, 1.0)))
     return found[:frames]
 
 
-def _pose(eye: Floats, look: Floats) -> Floats:
-    """Camera-to-world of a camera held level."""
-    forward = look / np.linalg.norm(look)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.stack([right, np.cross(forward, right), forward], 1), eye
-    return pose
-
-
 def photograph(mesh: LabelledMesh, pose: Floats, focal: float, out: Path, name: str) -> None:
-    """Colour, depth and ground truth of one frame; depth is small as yet."""
+    """Write colour, depth and ground truth of one frame. Depth is not enlarged yet."""
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5 - WIDTH / 2, np.arange(HEIGHT) + 0.5 - HEIGHT / 2)
     rays = np.stack([x / focal, y / focal, np.ones_like(x)], -1) @ pose[:3, :3].T  # length 1 along the optical axis
     origin = np.broadcast_to(pose[:3, 3], rays.shape)
@@ -185,35 +187,29 @@ def photograph(mesh: LabelledMesh, pose: Floats, focal: float, out: Path, name: 
     label = np.where(hit, mesh.label[np.take_along_axis(corners, weight.argmax(-1)[..., None], -1)[..., 0]], 0)
     large = cv2.resize(colour, (ENLARGED * WIDTH, ENLARGED * HEIGHT), interpolation=cv2.INTER_CUBIC)
     pixels = (large.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
-    cv2.imwrite(str(out / f"color/{name}.jpg"), pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
+    write_image(out / f"color/{name}.jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
     millimetres = np.where(hit, np.clip(np.round(distance * 1000), 0, 65535), 0).astype(np.uint16)
-    cv2.imwrite(str(out / f"depth/{name}.png"), millimetres)
-    cv2.imwrite(str(out / f"gt/semantic/{name}.png"), (label >> 16).astype(np.uint16))
-    cv2.imwrite(str(out / f"gt/instance/{name}.png"), (label & 65535).astype(np.uint16))
+    write_image(out / f"depth/{name}.png", millimetres)
+    write_image(out / f"gt/semantic/{name}.png", (label >> 16).astype(np.uint16))
+    write_image(out / f"gt/instance/{name}.png", (label & 65535).astype(np.uint16))
     np.savetxt(out / f"pose/{name}.txt", pose, fmt="%.9f")
 
 
 def write_enlarged(out: Path, name: str, ids: NDArray[np.int32]) -> None:
-    """The mask int32 [H, W], and the depth that is there, as large as the capture has them."""
-    colour = np.stack([ids >> 16, (ids >> 8) & 255, ids & 255], -1).astype(np.uint8)  # OpenCV writes B, G, R
-    large = colour.repeat(ENLARGED, 0).repeat(ENLARGED, 1)
-    cv2.imwrite(str(out / f"panoptic/{name}.png"), large, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    """Write the mask int32 [H, W], and the depth that is there, at the sizes of the capture."""
+    large = mask_pixels(ids).repeat(ENLARGED, 0).repeat(ENLARGED, 1)
+    write_image(out / f"panoptic/{name}.png", large, [cv2.IMWRITE_PNG_COMPRESSION, 3])
     depth = _png(out / f"depth/{name}.png").repeat(DEPTH_ENLARGED, 0).repeat(DEPTH_ENLARGED, 1)
-    cv2.imwrite(str(out / f"depth/{name}.png"), depth)
+    write_image(out / f"depth/{name}.png", depth)
 
 
-def split(frames: int) -> dict[str, list[str]]:
-    """HELD_OUT frames, evenly spread, are held out."""
-    stems = [f"{number:05d}" for number in range(frames)]
-    test = [stems[place] for place in np.linspace(0, frames - 1, min(HELD_OUT, frames) + 2).astype(int)[1:-1]]
-    return {"train": [stem for stem in stems if stem not in set(test)], "test": test}
+def held_out(frames: int) -> list[int]:
+    """The numbers of HELD_OUT frames, evenly spread."""
+    return [int(place) for place in np.linspace(0, frames - 1, min(HELD_OUT, frames) + 2).astype(int)[1:-1]]
 
 
-def _intrinsics(focal: float, width: int, height: int) -> Floats:
-    """As ScanNet: 4x4, for pixel centres at integers, hence the half pixel."""
-    matrix = np.diag([focal, focal, 1.0, 1.0])
-    matrix[:2, 2] = width / 2 - 0.5, height / 2 - 0.5
-    return matrix
+def _write_lens(out: Path, focal: float, scale: int) -> None:
+    write_intrinsics(out, focal * scale, (WIDTH * scale / 2 - 0.5, HEIGHT * scale / 2 - 0.5))
 
 
 def _png(path: Path) -> NDArray[np.uint16]:
@@ -221,4 +217,4 @@ def _png(path: Path) -> NDArray[np.uint16]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

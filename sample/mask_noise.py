@@ -1,7 +1,6 @@
-"""From the true regions of one view to the regions a detector would draw: missed, split, merged, invented, ragged.
+"""The regions that a network would draw for the true regions of a view: missed, split, merged, invented, ragged.
 
-Everything is counted in plain numpy arithmetic, term by term and rounded before it is compared, so that the same seed
-gives the same pixels on every machine.
+All arithmetic is numpy's, term by term, and rounded before comparisons. So a seed gives the same pixels everywhere.
 """
 
 from __future__ import annotations
@@ -18,35 +17,35 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MaskNoise:
-    """Rates of a detector's faults. Lengths are in pixels of the view, chances per segment unless said otherwise."""
+    """Rates of a network's faults. Lengths are in pixels of the view, chances are per segment unless noted."""
 
     belief: BeliefNoise = field(default_factory=BeliefNoise)
     smallest_segment: int = 60
-    """Things with fewer pixels in a view are not found at all (they become part of what surrounds them)."""
+    """Least pixels of a thing that is found. Smaller ones become part of what surrounds them."""
     missed: float = 0.07
-    """Chance that a thing of ordinary size is missed; small ones are missed more often (up to three times)."""
+    """Chance that a thing of ordinary size is missed. It is up to three times as high for small ones."""
     missed_as_void: float = 0.6
-    """How many of the missed leave a hole; the rest is swallowed by the neighbour with the longest common border."""
+    """Share of the missed things that leave a hole. The neighbour with the longest border swallows the others."""
     split: float = 0.10
     """Chance that a segment falls in two."""
     split_disagrees: float = 0.4
-    """Chance that the second part gets a belief of its own, as if it were something else."""
+    """Chance that the second part gets its own class, as if it were another thing."""
     merged: float = 0.35
-    """Chance, for each two touching things taken for the same class, that they are drawn as one."""
+    """Chance that two touching things of the same class are drawn as one."""
     invented: float = 0.6
-    """Mean number of segments a frame for which there is nothing."""
+    """Mean number of segments in a frame that show nothing."""
     invented_radius: tuple[float, float] = (8.0, 24.0)
     invented_score: tuple[float, float] = (0.25, 0.65)
     cell: int = 4
-    """The detector draws at 1/cell of the resolution."""
+    """The network draws at 1/cell of the resolution."""
     edge_warp: float = 1.6
     """Standard deviation by which edges wander."""
     edge_warp_length: int = 12
-    """Over what length they do."""
+    """Length over which the wandering is correlated."""
     bleed: float = 0.12
-    """Standard deviation over segments of their greed (0.5 would move an edge by half a cell and more)."""
+    """Standard deviation over segments of a bonus to their share. 0.5 moves an edge by half a cell or more."""
     unsure_below: float = 0.42
-    """Pixels for which no segment's share reaches this become void."""
+    """Least share of a segment in a pixel. Pixels without such a segment become void."""
     stuff_void: float = 0.06
     """Share of stuff that is left void, in blots."""
     stuff_void_length: int = 24
@@ -54,7 +53,7 @@ class MaskNoise:
 
 @dataclass(frozen=True)
 class Region:
-    """A segment in the making: which pixels (bool [H, W]) and what it is taken for."""
+    """A segment in the making: its pixels, bool [H, W], and the class it is taken for."""
 
     pixels: Bools
     class_name: str
@@ -64,7 +63,7 @@ class Region:
 
 @dataclass(frozen=True)
 class TrueRegion:
-    """A thing, or a connected piece of stuff, as the ground truth has it in this view."""
+    """A thing or a connected piece of stuff of the ground truth in a view."""
 
     pixels: Bools
     sight: Sight
@@ -73,16 +72,16 @@ class TrueRegion:
 def detect(
     regions: list[TrueRegion], is_thing: dict[str, bool], noise: MaskNoise, seed: int, frame: str
 ) -> tuple[Ids, list[Region]]:
-    """Segment ids, int32 [H, W] with 0 = void and k + 1 for the k-th of the regions, which are what the machine sees.
+    """Segment ids, int32 [H, W], and the regions that the network sees. 0 is void, k + 1 is the k-th of them.
 
-    ``is_thing`` names all classes the machine knows.
+    ``is_thing`` has all classes that the network knows.
     """
     random = stream(seed, "frame", frame)
     height, width = regions[0].pixels.shape
     kept, holes = _miss(regions, noise, random)
     seen: list[Region] = []
     for region in kept:
-        seen.extend(_look(region, is_thing, noise, seed, frame, random))
+        seen.extend(_classified(region, is_thing, noise, seed, frame, random))
     seen = _merge(seen, noise, random)
     ids = _draw(seen, holes, noise, random)
     stuff = np.array([False, *(not region.is_thing for region in seen)])
@@ -95,7 +94,7 @@ def detect(
 
 
 def _miss(regions: list[TrueRegion], noise: MaskNoise, random: np.random.Generator) -> tuple[list[TrueRegion], Bools]:
-    """What is found, and the holes (bool [H, W]) that some of the missed leave; a neighbour swallows the others."""
+    """The regions that are found, and the holes, bool [H, W], of missed ones. Neighbours swallow the other ones."""
     found: list[TrueRegion] = []
     swallowed: list[Bools] = []
     holes = np.zeros_like(regions[0].pixels)
@@ -119,10 +118,10 @@ def _miss(regions: list[TrueRegion], noise: MaskNoise, random: np.random.Generat
     return found, holes
 
 
-def _look(
+def _classified(
     region: TrueRegion, is_thing: dict[str, bool], noise: MaskNoise, seed: int, frame: str, random: np.random.Generator
 ) -> list[Region]:
-    """One region, or its two halves, with the class each is taken for."""
+    """One region, or its two parts, with the class of each."""
     name, score = believe(region.sight, noise.belief, seed, frame)
     halves = random.random() < noise.split
     angle, shift, disagrees = random.random() * np.pi, random.normal() * 0.5, random.random() < noise.split_disagrees
@@ -143,7 +142,7 @@ def _look(
 
 
 def _merge(seen: list[Region], noise: MaskNoise, random: np.random.Generator) -> list[Region]:
-    """All stuff of one class is one segment; touching things of one class are, sometimes."""
+    """All stuff of one class becomes one segment, and sometimes touching things of one class do."""
     merged: list[Region] = []
     for region in seen:
         partner = None
@@ -168,7 +167,7 @@ def _touch(a: Bools, b: Bools) -> bool:
 
 
 def _grown(pixels: Bools, by: int = 2) -> Bools:
-    """The region and all that is within ``by`` pixels of it, to the sides and diagonally."""
+    """The region and all pixels within ``by`` of it, to the sides and diagonally."""
     height, width = pixels.shape
     wide = np.pad(pixels, by)
     grown = np.zeros_like(pixels)
@@ -179,15 +178,15 @@ def _grown(pixels: Bools, by: int = 2) -> Bools:
 
 
 def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.Generator) -> Ids:
-    """Paint as a low-resolution network does: shares of coarse cells, read at wandering places, the strongest wins."""
+    """Draw as a low-resolution network does: shares of coarse cells, read at wandering places. The largest wins."""
     height, width = holes.shape
     shares = [_coarse(holes, noise.cell), *(_coarse(region.pixels, noise.cell) for region in seen)]
-    greed = np.concatenate([[0.0], random.normal(size=len(seen)) * noise.bleed])
+    bonuses = np.concatenate([[0.0], random.normal(size=len(seen)) * noise.bleed])
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     x += noise.edge_warp * _smooth_noise(height, width, noise.edge_warp_length, random)
     y += noise.edge_warp * _smooth_noise(height, width, noise.edge_warp_length, random)
     best, ids = np.full((height, width), noise.unsure_below), np.zeros((height, width), np.int32)
-    for index, (share, bonus) in enumerate(zip(shares, greed, strict=True)):
+    for index, (share, bonus) in enumerate(zip(shares, bonuses, strict=True)):
         strength = _read(share, (x + 0.5) / noise.cell - 0.5, (y + 0.5) / noise.cell - 0.5)
         strength = np.round(np.where(strength > 0.05, strength + bonus, 0.0), 6)
         wins = strength > best
@@ -196,7 +195,7 @@ def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.
 
 
 def _coarse(pixels: Bools, cell: int) -> NDArray[np.float64]:
-    """Share of each coarse cell that is covered, float64, slightly blurred as by a network's last layers."""
+    """The share of each coarse cell that is covered, float64, slightly blurred as by a network's last layers."""
     height, width = pixels.shape
     rows, columns = -(-height // cell), -(-width // cell)
     padded = np.pad(pixels, ((0, rows * cell - height), (0, columns * cell - width)), mode="edge")
@@ -210,7 +209,7 @@ def _coarse(pixels: Bools, cell: int) -> NDArray[np.float64]:
 
 
 def _read(field_: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bilinear reading of ``field_`` at column x and row y, clamped to its edges."""
+    """``field_`` at columns x and rows y, bilinear and clamped to its edges."""
     x, y = np.clip(x, 0, field_.shape[1] - 1), np.clip(y, 0, field_.shape[0] - 1)
     left, top = np.minimum(x.astype(int), field_.shape[1] - 2), np.minimum(y.astype(int), field_.shape[0] - 2)
     fx, fy = x - left, y - top
@@ -220,7 +219,7 @@ def _read(field_: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.flo
 
 
 def _smooth_noise(height: int, width: int, length: int, random: np.random.Generator) -> NDArray[np.float64]:
-    """Random field [H, W] that varies over ``length`` pixels, of deviation about 1, rounded to 1/64."""
+    """A random field [H, W] that varies over ``length`` pixels, with deviation about 1, rounded to 1/64."""
     coarse = random.normal(size=(height // length + 3, width // length + 3))
     y, x = np.mgrid[0:height, 0:width] / float(length) + random.random()
     return np.round(_read(coarse, x, y) * 1.5 * 64) / 64
@@ -229,7 +228,7 @@ def _smooth_noise(height: int, width: int, length: int, random: np.random.Genera
 def _invent(
     height: int, width: int, is_thing: dict[str, bool], noise: MaskNoise, random: np.random.Generator
 ) -> list[Region]:
-    """Things that are not there: tilted ellipses."""
+    """Things that are not there, drawn as tilted ellipses."""
     things = [name for name, thing in is_thing.items() if thing]
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     invented = []
@@ -245,7 +244,7 @@ def _invent(
 
 
 def _renumber(ids: Ids, seen: list[Region], random: np.random.Generator) -> tuple[Ids, list[Region]]:
-    """Drop segments without a pixel left and number the others in random order: ids mean nothing across views."""
+    """Drop segments without pixels and number the others in random order, as ids mean nothing across views."""
     present = [index for index in range(len(seen)) if (ids == index + 1).any()]
     order = [present[int(each)] for each in random.permutation(len(present))]
     table = np.zeros(len(seen) + 1, np.int32)

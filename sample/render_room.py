@@ -1,9 +1,9 @@
 """Render the sample room: ``python sample/render_room.py HOUSE.glb OUT [--samples N] [--every N]``.
 
-Takes the AWS RoboMaker "small house" as one glTF file (one node a placed object, each with a property "category") and
-writes posed RGB-D frames with ground truth: ``color/ depth/ pose/ intrinsic/ splits.json gt/``. Colour is path-traced
-by Cycles, depth and ids are cast by Open3D against the very same triangles, so they are exact. Needs bpy, open3d and
-cv2. Its output is part of the repository; nobody has to run this to use the sample.
+HOUSE.glb is the AWS RoboMaker "small house" as one glTF file: one node for each object, with a property "category".
+Written are posed RGB-D frames with ground truth: ``color/ depth/ pose/ intrinsic/ splits.json gt/``. Cycles path-traces
+colour. Open3D casts depth and ids against the same triangles, so they are exact. The result is part of the repository:
+nobody has to run this program to use the sample. It needs bpy, open3d and cv2.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ import open3d as o3d
 from mathutils import Matrix
 from numpy.typing import NDArray
 from room_plan import CATEGORIES, CLASS_OF_MODEL, MOVES, STANDS_ON, walk
+from scene_files import write_image, write_intrinsics, write_split
 
 WIDTH, HEIGHT = 320, 240
 FOCAL = WIDTH / 2 / math.tan(math.radians(75) / 2)  # pixels; 75 degrees across, as wide as a phone's camera
-FLOOR_TOP = 0.02  # metres: the wall's mesh contains a floor below this height
-RAREST = 2000  # an object with fewer pixels in all frames together becomes void
+FLOOR_TOP = 0.02  # metres; the wall's mesh contains a floor below this height
+RAREST = 2000  # pixels; an object with fewer in all frames together becomes void
 HELD_OUT_EVERY = 8
 JPEG_QUALITY = 92
 EXPOSURE = -0.9  # stops
@@ -62,10 +63,10 @@ def main() -> None:
     for index, pose in enumerate(poses):
         depth, ids = cast(caster, objects, pose)
         seen.append(ids)
-        cv2.imwrite(str(options.out / f"depth/{index:04d}.png"), depth, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        write_image(options.out / f"depth/{index:04d}.png", depth, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         np.savetxt(options.out / f"pose/{index:04d}.txt", pose, fmt="%.9f")
-    write_intrinsics(options.out)
-    write_splits(options.out, len(poses))
+    write_intrinsics(options.out, FOCAL, (WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5))
+    write_split(options.out, [f"{index:04d}" for index in range(len(poses))], range(0, len(poses), HELD_OUT_EVERY))
     write_ground_truth(options.out, seen)
     for index, pose in enumerate(poses):
         started = time.time()
@@ -79,7 +80,7 @@ def load_house(path: Path) -> None:
 
 
 def furnish() -> None:
-    """Carry the furniture to where MOVES wants it."""
+    """Move the furniture as MOVES says."""
     for name, move in MOVES.items():
         item = bpy.data.objects[name]
         x, y, z = move.to
@@ -93,7 +94,7 @@ def furnish() -> None:
 
 
 def light() -> None:
-    """Soft light from under the ceiling and a little from everywhere, in place of the model's bare bulbs."""
+    """Soft light from the ceiling and a little from everywhere, in place of the model's bulbs."""
     for lamp in [item for item in bpy.data.objects if item.type == "LIGHT"]:
         bpy.data.objects.remove(lamp)
     for x, y, size, watts in LAMPS:
@@ -114,7 +115,7 @@ def set_up_camera(samples: int) -> bpy.types.Object:
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.diffuse_bounces = samples, 4, 3
-    scene.cycles.use_light_tree = False  # eight lamps: not worth its time
+    scene.cycles.use_light_tree = False  # it costs more than it saves with eight lamps
     scene.cycles.use_denoising, scene.cycles.denoiser = True, "OPENIMAGEDENOISE"
     scene.view_settings.view_transform, scene.view_settings.look = "AgX", "AgX - Medium High Contrast"
     scene.view_settings.exposure = EXPOSURE
@@ -138,7 +139,7 @@ def photograph(camera: bpy.types.Object, pose: NDArray[np.float64], seed: int, p
 
 
 def build_caster() -> tuple[o3d.t.geometry.RaycastingScene, list[str]]:
-    """All triangles of the house for ray casting, and the object's name by geometry id."""
+    """All triangles of the house for ray casting, and the objects' names by geometry id."""
     caster = o3d.t.geometry.RaycastingScene()
     names: list[str] = []
     for item in bpy.context.scene.objects:
@@ -177,22 +178,8 @@ def cast(
     return np.where(hit, np.clip(np.round(distance * 1000), 0, 65535), 0).astype(np.uint16), owner
 
 
-def write_intrinsics(out: Path) -> None:
-    """As ScanNet: 4x4, for pixel centres at integers, hence the half pixel."""
-    matrix = np.diag([FOCAL, FOCAL, 1.0, 1.0])
-    matrix[:2, 2] = WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5
-    np.savetxt(out / "intrinsic/intrinsic_color.txt", matrix, fmt="%.9f")
-
-
-def write_splits(out: Path, count: int) -> None:
-    stems = [f"{index:04d}" for index in range(count)]
-    test = stems[::HELD_OUT_EVERY]
-    split = {"train": [stem for stem in stems if stem not in test], "test": test}
-    (out / "splits.json").write_text(json.dumps(split, indent=1) + "\n")
-
-
 def write_ground_truth(out: Path, seen: list[NDArray[np.str_]]) -> None:
-    """Class ids and scene-global instance ids (1.. for things, 0 for stuff), 16-bit PNGs, and their tables as JSON."""
+    """Write class ids and instance ids of the scene (1.. for things, 0 for stuff) as 16-bit PNGs, and their tables."""
     class_id = {name: number for number, name, _ in CATEGORIES}
     is_thing = {number: thing for number, _, thing in CATEGORIES}
     carriers = [np.vectorize(STANDS_ON.get)(ids, ids) for ids in seen]
@@ -209,8 +196,8 @@ def write_ground_truth(out: Path, seen: list[NDArray[np.str_]]) -> None:
         shape = (HEIGHT, WIDTH)
         semantic = np.array([class_of[str(name)] for name in found], np.uint16)[inverse].reshape(shape)
         instance = np.array([instance_of.get(str(name), 0) for name in found], np.uint16)[inverse].reshape(shape)
-        cv2.imwrite(str(out / f"gt/semantic/{index:04d}.png"), semantic, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-        cv2.imwrite(str(out / f"gt/instance/{index:04d}.png"), instance, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        write_image(out / f"gt/semantic/{index:04d}.png", semantic, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        write_image(out / f"gt/instance/{index:04d}.png", instance, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     categories = [{"id": number, "name": name, "isthing": int(thing)} for number, name, thing in CATEGORIES]
     instances = [{"id": index, "category_id": class_of[name], "name": name} for name, index in instance_of.items()]
     table = {"categories": categories, "instances": instances}

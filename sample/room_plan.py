@@ -1,7 +1,7 @@
-"""What the sample room is made of: its classes, its furniture, and the walk of the camera through it.
+"""The sample room: its classes, its furniture, and the camera's walk through it.
 
-The house is one open floor of 19 x 11 m. To get one room-sized scene the dining table with its chairs, a chandelier
-and a few more pieces are carried next to the sofa; everything else stays where its makers put it.
+The house is one open floor of 19 x 11 m. The dining table with its chairs, a chandelier and a few more pieces are moved
+next to the sofa, so that they make one room. Everything else stays where it was.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scene_files import pose_towards
 
 CATEGORIES: tuple[tuple[int, str, bool], ...] = (
     (1, "wall", False),
@@ -31,7 +32,7 @@ CATEGORIES: tuple[tuple[int, str, bool], ...] = (
     (17, "appliance", True),
     (18, "object", True),
 )
-"""(id, name, is thing). Nobody stands near the bed, but a detector has such a class and believes in it at times."""
+"""(id, name, is thing). No frame shows the bed, but networks have such a class and see it at times."""
 
 CLASS_OF_MODEL: dict[str, str] = {
     "HouseWallB": "wall", "RoomWall": "wall", "FloorB": "floor", "RoomCeiling": "ceiling", "RoomWindow": "window",
@@ -45,7 +46,7 @@ CLASS_OF_MODEL: dict[str, str] = {
     "Tableware": "object", "Tablet": "object", "Dumbbell": "object", "FitnessEquipment": "object",
     "DeskPortraitB": "object",
 }  # fmt: skip
-"""Class of a model by its "category" property. Models that are missing here belong to what they stand on: see below."""
+"""Class of a model by its "category" property. Models that are missing are in ``STANDS_ON``."""
 
 STANDS_ON: dict[str, str] = {
     "DeskPortraitA_01": "TVCabinet_01_001",
@@ -61,12 +62,12 @@ STANDS_ON: dict[str, str] = {
     "KitchenUtensils_01_001": "KitchenCabinet_01_001",
     "SeasoningBox_01_001": "KitchenCabinet_01_001",
 }
-"""Things of a hand's size, counted as part of the larger object that carries them."""
+"""Small things, and the larger object that each counts as."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """Carry an object to ``to`` (x, y, z of its origin, metres; None keeps z), turned by ``turn`` degrees about z."""
+    """Move an object's origin to ``to`` (x, y, z in metres; None keeps z), and turn it by ``turn`` degrees about z."""
 
     to: tuple[float, float, float | None]
     turn: float = 0.0
@@ -112,7 +113,7 @@ WALK: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] 
 )
 
 STEP_METRES, STEP_DEGREES = 0.8, 15.0
-"""Between two frames the camera goes at most about this far or turns by this much (the two add up)."""
+"""The camera moves or turns by this much between two frames. Parts of both add up."""
 
 
 def _spline(knots: NDArray[np.float64], per_piece: int) -> NDArray[np.float64]:
@@ -126,7 +127,7 @@ def _spline(knots: NDArray[np.float64], per_piece: int) -> NDArray[np.float64]:
 
 
 def walk(seed: int) -> list[NDArray[np.float64]]:
-    """Poses along WALK, float64 [4, 4] camera-to-world, OpenCV axes, with the small unrest of a hand from ``seed``."""
+    """Poses along WALK, float64 [4, 4] camera-to-world, OpenCV axes, with the tremor of a hand drawn from ``seed``."""
     dense = _spline(np.array(WALK).reshape(len(WALK), 6), 100)
     eye, look = dense[:, :3], dense[:, 3:] - dense[:, :3]
     look /= np.linalg.norm(look, axis=1, keepdims=True)
@@ -140,11 +141,6 @@ def walk(seed: int) -> list[NDArray[np.float64]]:
         position = eye[stop] + random.normal(0, 0.015, 3)
         forward = look[stop] + random.normal(0, 0.012, 3)
         forward /= np.linalg.norm(forward)
-        up = np.array([0.0, 0.0, 1.0]) + random.normal(0, 0.015, 3)  # nobody holds a phone quite level
-        right = np.cross(forward, up)
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
-        pose[:3, 3] = position
-        poses.append(pose)
+        up = np.array([0.0, 0.0, 1.0]) + random.normal(0, 0.015, 3)  # a hand does not hold a phone quite level
+        poses.append(pose_towards(position, forward, up))
     return poses

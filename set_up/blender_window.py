@@ -3,8 +3,8 @@
     python set_up/blender_window.py trixie      # Blender 4.3, in build/blender-trixie
     python set_up/blender_window.py sid         # Blender 5.2, in build/blender-sid
 
-Run as root on a Debian; packages come from where this machine's own come from. A tree counts as complete when its
-stamp, written last, names the very packages it was made with; any other one is made anew.
+Run it as root on a Debian. Packages come from the machine's own sources. A tree is complete when its stamp, which is
+written last, names the present packages. Any other one is made anew.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PACKAGES = (
     *LIBRARIES.values(),  # the engine runs in the tree too, with this machine's environment
 )
 TOOLS = {"debootstrap": "debootstrap", "unshare": "util-linux", "nsenter": "util-linux", "mount": "mount"}
-# Half of the time would go into flushing files to the disk, and into manuals and translations that nobody reads here.
+# Flushing files to the disk, manuals and translations would take half of the time.
 DPKG_OPTIONS = """force-unsafe-io
 path-exclude=/usr/share/doc/*
 path-exclude=/usr/share/man/*
@@ -47,7 +47,7 @@ def stamp_text(suite: str) -> str:
 
 
 def is_complete(suite: str) -> bool:
-    """Whether the tree was made to its end, with these very packages."""
+    """Whether the tree was made to its end, with the present packages."""
     stamp = tree_of(suite) / STAMP
     return stamp.is_file() and stamp.read_text() == stamp_text(suite)
 
@@ -72,7 +72,7 @@ def make(suite: str) -> None:
         say(f"{tree.name} is incomplete or of other packages: making it anew")
         shutil.rmtree(tree)
     missing = sorted({package for tool, package in TOOLS.items() if shutil.which(tool) is None})
-    # Always: it also refreshes the lists that tell the mirror.
+    # This also refreshes the lists that name the mirror, so it runs even if nothing is missing.
     install_packages(missing or ["debootstrap"])
     say(f"making {tree.name}, a Debian with Blender and a virtual screen (2 minutes, 1 GB)")
     run(["debootstrap", "--variant=minbase", suite, str(tree), mirror()], f"{tree.name} could not be made", cwd=ROOT)
@@ -80,7 +80,7 @@ def make(suite: str) -> None:
     install = ["apt-get", "install", "-y", "--no-install-recommends", *PACKAGES]
     in_tree(tree, install, "Blender could not be installed", strict=suite != "sid")
     if suite == "sid":
-        # Where packages of one day do not fit together yet, a second look often mends what the first left undone.
+        # Packages of one day may not fit together yet. A second attempt often completes the first.
         in_tree(tree, ["dpkg", "--configure", "-a"], "Blender could not be configured")
         in_tree(tree, install, "Blender could not be installed")
     in_tree(tree, ["apt-get", "clean"], "the downloaded packages could not be removed")

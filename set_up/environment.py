@@ -4,8 +4,8 @@
     python set_up/environment.py make .venv        # with the Python that the environment shall have
 
 `.venv` runs everything. `.venv-next` is for tests of the Blender side on the next Blender; it has no torch, because the
-engine runs in an environment of its own. An environment counts as complete when its stamp, written last, names the very
-requirements that it was made from; any other one, such as one whose making was cut off, is made anew.
+engine runs in an environment of its own. An environment is complete when its stamp, which is written last, names the
+present requirements. Any other one is made anew.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ LIBRARIES = {
     "libidn2.so.0": "libidn2-0",
 }
 _USER = re.compile(r"(?<=://)[^/@\s]+@")
-"""A name and password in the address of an index: nothing for a log."""
+"""A name and password in the address of an index. They do not belong in a log."""
 
 
 class Recipe(NamedTuple):
-    """What goes into an environment: requirement files, one pip call each, and the modules that must import then."""
+    """What an environment holds: requirement files for each call of pip, and modules that must import in the end."""
 
     pip_calls: tuple[tuple[str, ...], ...]
     modules: tuple[str, ...]
@@ -70,12 +70,12 @@ def recipe(environment: str, version: tuple[int, int]) -> Recipe:
 
 
 def constraints(version: tuple[int, int]) -> str:
-    """The file that pins what the requirements bring with them."""
+    """The file that pins the requirements' own dependencies."""
     return f"constraints-{version[0]}.{version[1]}.txt"
 
 
 def stamp_text(environment: str, version: tuple[int, int], requirements: Path) -> str:
-    """What the stamp says: the Python version and the SHA-256 of each requirement file."""
+    """The text of the stamp: the Python version and the SHA-256 of each requirement file."""
     names = [name for call in recipe(environment, version).pip_calls for name in call] + [constraints(version)]
     lines = [f"{hashlib.sha256((requirements / name).read_bytes()).hexdigest()}  {name}" for name in names]
     return "\n".join([f"Python {version[0]}.{version[1]}", *lines, ""])
@@ -122,7 +122,7 @@ def install_packages(packages: list[str]) -> None:
 def pip_environment() -> dict[str, str]:
     """The caller's environment without the pip and Python settings that would send packages elsewhere."""
     elsewhere = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_CONSTRAINT", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
-    # What Python compiles here, it shall keep: every later start reads it.
+    # Python keeps what it compiles here, for all later starts.
     left_out = (*elsewhere, "PYTHONDONTWRITEBYTECODE")
     kept = {key: value for key, value in os.environ.items() if key not in left_out}
     ours = {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
@@ -130,8 +130,8 @@ def pip_environment() -> dict[str, str]:
 
 
 def pip_options(files: tuple[str, ...]) -> list[str]:
-    """Options of one `pip install` call; torch alone is looked for in the index of CPU builds that the user named."""
-    # Most of the packages' files are never imported: Python compiles those that are, the first time.
+    """Options of one `pip install` call. The index of CPU builds that the user named is for torch alone."""
+    # Most files of the packages are never imported. Python compiles the others at their first import.
     options = ["--no-compile", "--constraint", constraints(sys.version_info[:2])]
     for name in files:
         options += ["--requirement", name]
@@ -152,13 +152,13 @@ def make(folder: Path) -> None:
         say(f"{folder.name} is incomplete or of older requirements: making it anew")
         shutil.rmtree(folder)
     say(f"making {folder.name} for Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable})")
-    # A process of its own: ensurepip may have been installed a moment ago, after this one started.
+    # In a process of its own, as ensurepip may have been installed after this one started.
     run([sys.executable, "-I", "-m", "venv", str(folder)], f"{folder.name} could not be made")
     python = str(folder / "bin" / "python")
     for files in wanted.pip_calls:
         say(f"installing {', '.join(file.removesuffix('.txt') for file in files)} (this takes a minute or more)")
         run([python, "-m", "pip", "install", *pip_options(files)], "pip could not install the requirements")
-    # Only what imports is complete: this finds a missing system library now, not in the middle of a lift.
+    # This finds a missing system library now, and not in the middle of a lift.
     run([python, "-c", f"import {', '.join(wanted.modules)}"], "an installed module does not import")
     if folder.name == ".venv":
         say("compiling the engine's kernels for this machine (half a minute; a lift would do it otherwise)")
@@ -168,21 +168,21 @@ def make(folder: Path) -> None:
 
 
 def write_stamp(folder: Path) -> None:
-    """Declare the environment complete, by rename, so that a stamp is there whole or not at all."""
+    """Declare the environment complete. The stamp is renamed into place, so it is whole or absent."""
     temporary = folder / f"{STAMP}.tmp"
     temporary.write_text(stamp_text(folder.name, sys.version_info[:2], ROOT / "requirements"))
-    os.sync()  # what pip wrote, above all: after a power cut nothing may be complete that is not there
+    os.sync()  # after a power cut, the stamp must not outlive the files that pip wrote
     temporary.replace(folder / STAMP)
 
 
 def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", strict: bool = True) -> None:
-    """Run a command, its output to build/set-up.log; when it fails, show the end of that and stop (if `strict`)."""
+    """Run a command with its output in build/set-up.log. If it fails, show its end, and stop if `strict`."""
     log_path = ROOT / "build" / "set-up.log"
     with log_path.open("ab") as log:
         log.write(_USER.sub("****@", f"\n$ {' '.join(command)}\n").encode())
         log.flush()
         begin = log.tell()
-        # The lock is handed on (close_fds=False): should this process be killed, it stays held until pip has ended too.
+        # The lock is passed on (close_fds=False). If this process is killed, it stays held until pip has ended too.
         code = subprocess.run(
             command, cwd=cwd, env=pip_environment(), stdin=subprocess.DEVNULL,
             stdout=log, stderr=subprocess.STDOUT, close_fds=False, check=False,
@@ -200,7 +200,7 @@ def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", 
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """Hold this folder's set-up lock; wait for it where another set-up is running."""
+    """Hold this folder's set-up lock. Wait for another set-up that holds it."""
     (ROOT / "build").mkdir(exist_ok=True)
     with (ROOT / "build" / "set-up.lock").open("w") as lock:
         os.set_inheritable(lock.fileno(), True)

@@ -2,7 +2,7 @@
 
     python set_up/extension.py FOLDER           # makes FOLDER/plgs-<version>.zip
 
-The tool is that of the `blender` on PATH; where there is none, that of the bpy module of the Python that runs this.
+The tool belongs to the `blender` on PATH or, without one, to the bpy module of the Python that runs this program.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def tool() -> list[str]:
-    """The command of Blender's extension tool; SystemExit where there is neither a Blender nor its module."""
+    """The command of Blender's extension tool. SystemExit if there is neither a Blender nor its module."""
     blender = shutil.which("blender")
     if blender:
         return [blender, "--command", "extension"]
-    # Found, not imported: that takes a second, and the tool is a plain script.
+    # bpy is found and not imported: importing takes a second, and the tool is a script.
     module = importlib.util.find_spec("bpy")
     if module is None or module.origin is None:
         raise SystemExit("extension: no blender on PATH, and this Python has no bpy module: run make set-up")
@@ -30,7 +30,7 @@ def tool() -> list[str]:
 
 
 def build(folder: Path) -> Path:
-    """Build the zip into `folder` and let the tool judge it; returns its path. SystemExit when the tool refuses."""
+    """Build the zip into `folder`, validate it, and return its path. SystemExit if the tool refuses it."""
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("plgs-*.zip"):
         old.unlink()
@@ -41,7 +41,7 @@ def build(folder: Path) -> Path:
 
 
 def ask(command: list[str]) -> None:
-    """Run the tool; when it fails, show what it says and stop."""
+    """Run the tool. If it fails, show its output and stop."""
     process = subprocess.run(command, capture_output=True, text=True, check=False)
     if process.returncode != 0:
         raise SystemExit(f"extension: {' '.join(command)}\n{process.stdout}{process.stderr}")

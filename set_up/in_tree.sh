@@ -1,10 +1,10 @@
 #!/bin/sh
-# Run a command inside a Debian tree, as root. Folders and files of this machine that it shall see lie at their own paths.
+# Run a command inside a Debian tree, as root. The folders and files PATH of this machine appear there at the same paths.
 #
 #   sh set_up/in_tree.sh TREE [PATH...] -- COMMAND [ARGUMENT...]
 #
-# Mounts and processes have namespaces of their own: whatever way the command ends, and if this script is killed, all of
-# them are gone with it, and nothing stays mounted in the tree.
+# Mounts and processes have their own namespaces. They end with the command, also if this script is killed, so nothing
+# stays mounted in the tree.
 set -eu
 tree=$1
 shift

@@ -100,7 +100,7 @@ def serve(scene: Path, lift: Path) -> None:
     os.fsync = lambda descriptor: None
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    request = LiftRequest(scene=scene, steps=2, options={"warm_start.steps": 1})
+    request = LiftRequest(scene=scene, options={"steps": 2, "warm_start": False})
     answers.write(f"{int(run_engine(LiftFolder.create(lift, request)))}\n")
     OpenEXR.set_global_thread_count(0)  # its threads do not follow into a fork, which would wait for them
     gc.freeze()  # a fork does not copy what its collector would touch

@@ -19,42 +19,54 @@ ROOT = Path(__file__).resolve().parent.parent
 ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "": set(),
     "gates": set(),
-    "scene": {"gates"},
-    "job": {"gates"},
+    "errors": {"gates"},
+    "json_file": {"errors", "gates"},
+    "presets": {"errors", "gates", "json_file"},
+    "scene_source": {"json_file"},
+    "scene": {"errors", "gates", "json_file", "scene_source"},
+    "job": {"errors", "gates", "json_file", "presets", "scene_source"},
+    "result_files": {"errors", "json_file", "scene", "job"},
     "machine": set(),
     "raster": {"machine"},
     "semantics": {"scene", "machine"},
-    "instances": {"scene", "machine"},
-    "metrics": {"scene"},
-    "model": {"gates", "scene", "job", "machine", "raster", "instances"},
-    "train": {"scene", "job", "machine", "raster", "semantics", "instances", "model"},
-    "passes": {"gates", "scene", "job", "machine", "raster", "instances", "model"},
-    "lift": {"scene", "job", "machine", "raster", "semantics", "instances", "metrics", "model", "train", "passes"},
-    "diagnosis": {"scene", "job"},
-    "export": {"scene", "job", "passes", "lift"},
-    "frames": {"scene", "job"},
-    "experiments": {"scene", "job", "metrics", "passes", "export"},
-    "segment": {"scene", "job"},
+    "instances": {"scene", "machine", "presets"},
+    "metrics": {"errors", "scene"},
+    "model": {"result_files", "gates", "presets", "scene", "job", "machine", "raster", "instances"},
+    "train": {"presets", "scene", "job", "machine", "raster", "semantics", "instances", "model"},
+    "passes": {"errors", "gates", "scene", "job", "machine", "instances", "model"},
+    "lift": {
+        "errors", "json_file", "presets", "result_files", "scene", "job", "machine", "raster", "semantics", "instances",
+        "metrics", "model", "train", "passes",
+    },
+    "diagnosis": {"errors", "scene", "job"},
+    "export": {"errors", "result_files", "scene", "job", "passes", "lift"},
+    "frames": {"errors", "scene_source", "scene", "job"},
+    "segment": {"errors", "json_file", "scene", "job"},
+    "set_up": {"errors", "gates", "job"},
     "command_line": {
+        "errors",
         "gates",
+        "json_file",
+        "presets",
+        "scene_source",
         "scene",
         "job",
         "diagnosis",
-        "raster",
         "metrics",
-        "passes",
-        "train",
         "lift",
         "export",
-        "experiments",
         "frames",
         "segment",
+        "set_up",
     },
     "__main__": {"command_line"},
 }
-# Each part of the extension, the same way. `engine` means gates, scene and job only: the rest runs in its own process.
+# Each part of the extension, the same way. The engine's other parts run in a process of their own.
 EXTENSION_MAY_IMPORT: dict[str, set[str]] = {
-    "plgs_blender": {"engine.gates", "engine.scene", "engine.job"},
+    "plgs_blender": {
+        "engine.errors", "engine.presets", "engine.scene_source", "engine.scene", "engine.job",
+        "engine.result_files",
+    },
     "operators": {"plgs_blender"},
     "ui": {"plgs_blender"},
     "__init__": {"plgs_blender", "operators", "ui"},
@@ -206,18 +218,38 @@ def test_no_cycles() -> None:
     for path in modules_under("engine", *EXTENSION):
         name = dotted(path)
         graph[name] = {i.module for i in imports_of(path) if i.is_relative} - {name}
+    assert _cycle_in({name: sorted(targets) for name, targets in graph.items()}) == []
+
+
+def test_no_cycles_between_folders_and_files() -> None:
+    """Beside each other in one folder, wherever an import stands: a folder counts as one, with all that is in it."""
+    found: dict[tuple[str, ...], dict[str, set[str]]] = {}
+    for path in modules_under("engine", *EXTENSION):
+        source = path.relative_to(ROOT).with_suffix("").parts
+        for each in imports_of(path):
+            target = tuple(each.module.split("."))
+            pairs = zip(source, target, strict=False)
+            shared = next((depth for depth, pair in enumerate(pairs) if pair[0] != pair[1]), None)
+            if each.is_relative and shared:  # one of them is not just the other's package
+                found.setdefault(source[:shared], {}).setdefault(source[shared], set()).add(target[shared])
+    for folder, graph in found.items():
+        arrows = {name: sorted(names) for name, names in graph.items() if name != "__init__"}
+        assert _cycle_in(arrows) == [], "/".join(folder)
+
+
+def _cycle_in(arrows: dict[str, list[str]]) -> list[str]:
+    """The names along a cycle; none where there is no cycle."""
     done: set[str] = set()
 
-    def visit(name: str, way: tuple[str, ...]) -> None:
-        assert name not in way, " -> ".join([*way[way.index(name) :], name])
-        if name in done or name not in graph:
-            return
-        for target in sorted(graph[name]):
-            visit(target, (*way, name))
+    def visit(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name in done:
+            return []
         done.add(name)
+        return next((cycle for target in arrows.get(name, []) if (cycle := visit(target, [*way, name]))), [])
 
-    for name in sorted(graph):
-        visit(name, ())
+    return next((cycle for name in arrows if (cycle := visit(name, []))), [])
 
 
 def test_arrows_between_the_parts_of_the_extension_run_one_way() -> None:
@@ -252,7 +284,7 @@ def test_no_threads_in_blender() -> None:
 
 def test_job_needs_the_standard_library_only() -> None:
     wrong = [
-        i.line for path in modules_under("engine/job") for i in imports_of(path)
+        i.line for path in modules_under("engine/job", "engine/presets") for i in imports_of(path)
         if not i.is_relative and first(i.module) not in sys.stdlib_module_names
     ]  # fmt: skip
     assert wrong == []
@@ -268,10 +300,22 @@ def test_scene_needs_numpy_only_until_it_reads_pixels_or_a_format_of_its_own() -
     assert wrong == []
 
 
+def test_research_imports_the_engine_and_nothing_imports_research() -> None:
+    """It runs from the repository alone, so the engine has its own name there."""
+    ours = {"plgs_blender", "operators", "ui", "plgs", "run_plgs"}
+    wrong = [
+        i.line for path in modules_under("research") for i in imports_of(path)
+        if first(i.module) in ours or (i.is_relative and first(i.module) != "research")
+    ]  # fmt: skip
+    others = modules_under("engine", *EXTENSION, "run_plgs.py", "sample", "set_up")
+    wrong += [i.line for path in others for i in imports_of(path) if first(i.module) == "research"]
+    assert wrong == []
+
+
 def test_no_pickles() -> None:
     """Neither the module nor the calls that hide one."""
     wrong = []
-    for path in modules_under("engine", "plgs_blender", "operators", "ui", "run_plgs.py", "sample", "__init__.py"):
+    for path in modules_under("engine", "research", *EXTENSION, "run_plgs.py", "sample"):
         wrong += [i.line for i in imports_of(path) if first(i.module) in PICKLES]
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.Call):

@@ -35,7 +35,7 @@ print("all is well")
 def package(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The zip, built and judged by Blender's own tool."""
     folder = tmp_path_factory.mktemp("extension")
-    # Without a blender on PATH, so that the tool is that of the Blender which runs this test.
+    # Without a blender on PATH, the tool is that of the bpy module that runs this test.
     command = [sys.executable, str(root / "set_up" / "extension.py"), str(folder)]
     process = subprocess.run(
         command, env=os.environ | {"PATH": "/nonexistent"}, capture_output=True, text=True, timeout=120

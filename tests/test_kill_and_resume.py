@@ -69,7 +69,7 @@ def run(at: int, counted: Path, lift: Path) -> int:
 
 def lift_of(folder: Path, scene: Path) -> Path:
     """As short as a lift can be that does all that a long one does: it is done many times."""
-    request = LiftRequest(scene=scene, steps=STEPS, options={"warm_start.steps": 4})
+    request = LiftRequest(scene=scene, options={"steps": STEPS, "warm_start": False})
     return LiftFolder.create(folder, request).path
 
 

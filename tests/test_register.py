@@ -74,8 +74,8 @@ def test_the_root_imports_without_blender(root: Path) -> None:
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=120)
 
 
-def test_the_readme_names_every_operator(plgs: ModuleType, root: Path) -> None:
-    text = (root / "README.md").read_text(encoding="utf-8")
+def test_the_page_on_scripting_names_every_operator(plgs: ModuleType, root: Path) -> None:
+    text = (root / "docs" / "scripting.md").read_text(encoding="utf-8")
     rows = text.split("| operator `plgs.` |", 1)[1].split("\n\n", 1)[0].splitlines()[2:]
     named = [name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])]
     plgs.register()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.job import LiftFolder, LiftRequest, verify
-from engine.passes import read_exr
+from engine.passes.exr import read_exr
 from tests.test_run_plgs import run_script
 from tests.tiny_scene import tiny_pose, write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as

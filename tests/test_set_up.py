@@ -81,7 +81,7 @@ def test_complete_means_stamped_with_these_very_requirements(tmp_path: Path) -> 
 
 @pytest.fixture
 def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """A repository root of its own, a machine that lacks nothing, and commands that are noted, not run."""
+    """A temporary repository root on a machine that lacks nothing. Commands are recorded and not run."""
     commands: list[list[str]] = []
 
     def note(command: list[str], failure: str, **options: object) -> None:

@@ -6,21 +6,7 @@ Nothing here looks at the disk while it draws.
 from __future__ import annotations
 
 from ..plgs_blender.registration import register_modules, unregister_modules
-from . import (
-    classes_panel,
-    diagnosis_panel,
-    export_panel,
-    file_menu,
-    frames_panel,
-    lift_panel,
-    lists,
-    overlay,
-    passes_panel,
-    preferences,
-    result_panel,
-    scene_panel,
-    sidebar,
-)
+from . import export_panel, lift_panel, lists, overlay, passes_panel, preferences, result_panel, scene_panel, sidebar
 
 _MODULES = (
     preferences,
@@ -30,12 +16,8 @@ _MODULES = (
     passes_panel,
     export_panel,
     scene_panel,
-    classes_panel,
-    diagnosis_panel,
-    frames_panel,
     result_panel,
     overlay,
-    file_menu,
 )
 
 

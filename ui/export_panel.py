@@ -6,25 +6,25 @@ from typing import Any
 
 import bpy
 
-from ..plgs_blender.running import exports
-from .sidebar import Step, tell
+from ..plgs_blender.running.exports import FORMS, Export
+from ..plgs_blender.tasks import registry
+from .sidebar import Step, draw_task, tell
 
 
 class PLGS_PT_export(Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order, bl_options = "PLGS_PT_export", "5  Export", 5, {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, export = self.layout, exports.latest()
-        if export is not None and not export.ended:
-            counted = f"{export.done} of {export.total} frames" if export.total else "..."
-            layout.label(text=export.message, icon="EXPORT")
-            layout.progress(factor=export.done / max(1, export.total), type="BAR", text=counted)
-            layout.operator("plgs.cancel_export", icon="CANCEL")
+        layout, export = self.layout, registry.latest(Export)
+        if export is not None and export.is_running:
+            draw_task(layout, context, export)
             return
         layout.operator("plgs.make_meshes", icon="MESH_DATA")
         _draw_forms(layout.column(align=True))
         if export is not None:
-            tell(layout, context, export.message, "ERROR" if export.error else "INFO")
+            draw_task(layout, context, export)
+            if export.error is None:
+                tell(layout, context, export.message, "INFO")
 
 
 class PLGS_MT_export(bpy.types.Menu):
@@ -36,7 +36,7 @@ class PLGS_MT_export(bpy.types.Menu):
 
 def _draw_forms(layout: bpy.types.UILayout) -> None:
     layout.operator_context = "INVOKE_DEFAULT"
-    for form, (label, _) in exports.FORMS.items():
+    for form, (label, _) in FORMS.items():
         layout.operator("plgs.export_lift", text=f"{label} ...").form = form
 
 

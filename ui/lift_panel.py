@@ -5,13 +5,14 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender import engine_environment
+from ..plgs_blender.errors import PlgsError
 from ..plgs_blender.frames import camera_seen
-from ..plgs_blender.running import lifts, recents
+from ..plgs_blender.running import lifts
 from ..plgs_blender.running.estimate import estimate_of
-from ..plgs_blender.running.lifts import LiftState, Watch
-from ..plgs_blender.running.start import followed_lift
+from ..plgs_blender.running.lifting import followed_lift
+from ..plgs_blender.running.lifts import Lift, LiftState
 from ..plgs_blender.settings import chosen_lift, shown_preset, why_no_options
-from .sidebar import Sidebar, Step, duration, from_panel, tell
+from .sidebar import Sidebar, Step, draw_error, draw_log, draw_task, duration, from_panel, tell
 
 _LOG_LINES = 8
 _ICONS = {LiftState.RUNNING: "RENDER_ANIMATION", LiftState.FINISHED: "CHECKMARK", LiftState.FAILED: "ERROR"}
@@ -28,7 +29,10 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
             if other is not followed:
                 _draw_other(layout, other)
         if followed is not None and followed.is_running:
-            _draw_progress(layout, context, followed)
+            draw_task(layout, context, followed)
+            layout.prop(settings, "live_preview")
+            if settings.live_preview:
+                _draw_preview_hint(layout, context)
             return
         layout.prop(settings, "preset", expand=True)
         estimate = estimate_of(settings)
@@ -42,8 +46,8 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
         if followed is not None:
             _draw_ending(layout, context, followed)
         elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
-            tell(layout, context, str(refusal), "ERROR")
-        elif folder is not None:  # of a file that was opened: nothing there is looked at unasked
+            tell(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
+        elif folder is not None:  # a file that was opened names it: nothing there is looked at unasked
             from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
 
 
@@ -89,7 +93,7 @@ class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        lately = recents.recent()
+        lately = lifts.recent()
         for lift in lately:
             row = layout.row(align=True)
             row.label(text=f"{lift.folder.path.name}: {lift.state.value}", icon=_ICONS.get(lift.state, "FILE_FOLDER"))
@@ -99,15 +103,15 @@ class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
         layout.operator("plgs.refresh_lifts", icon="FILE_REFRESH")
 
 
-def _draw_other(layout: bpy.types.UILayout, other: Watch) -> None:
-    """A lift that goes on while the panel is set to another, or to none after an undo."""
+def _draw_other(layout: bpy.types.UILayout, other: Lift) -> None:
+    """Draw a lift that continues while the panel is set to another, or to none after an undo."""
     row = layout.row()
-    row.label(text=f"{other.folder.path.name}: {other.status.label}", icon="RENDER_ANIMATION")
+    row.label(text=f"{other.folder.path.name}: {other.progress.label}", icon="RENDER_ANIMATION")
     row.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Nothing when an engine answers; otherwise what is wrong and the way to the button that mends it."""
+    """Draw what is wrong with the engine and the way to the button that mends it; nothing when it answers."""
     engine = engine_environment.status()
     if engine.is_usable:
         return
@@ -116,28 +120,8 @@ def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     box.operator("plgs.show_preferences", icon="PREFERENCES")
 
 
-def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Watch) -> None:
-    status = followed.status
-    stages = f"{status.stage_index}/{status.stage_count}  " if status.stage_count else ""
-    layout.label(text=f"{stages}{status.label}", icon="RENDER_ANIMATION")
-    share = status.step / status.steps if status.steps else 0.0
-    layout.progress(factor=share, type="BAR", text=f"{status.step} of {status.steps}" if status.steps else "...")
-    told = [] if status.loss is None else [f"Loss {status.loss:.4f}"]
-    if status.eta_s is not None:
-        told.append(f"{duration(status.eta_s)} left")
-    layout.label(text=", ".join(told) or " ")
-    for warning in status.warnings[-2:]:
-        tell(layout, context, warning, "ERROR")
-    row = layout.row()
-    row.scale_y = 1.4
-    row.operator("plgs.cancel_lift", icon="CANCEL").lift_folder = str(followed.folder.path)
-    layout.prop(context.scene.plgs, "live_preview")
-    if context.scene.plgs.live_preview:
-        _draw_preview_hint(layout, context)
-
-
 def _draw_preview_hint(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """What is still to be done to see the live preview."""
+    """Say what is missing to see the live preview."""
     view = getattr(context.space_data, "region_3d", None)
     if camera_seen(context.scene) is None:
         tell(layout, context, "To see it grow, give the scene a camera in perspective", "INFO")
@@ -145,25 +129,22 @@ def _draw_preview_hint(layout: bpy.types.UILayout, context: bpy.types.Context) -
         tell(layout, context, "To see it grow, look through the scene's camera (numpad 0)", "INFO")
 
 
-def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Watch) -> None:
-    """How the lift of the panel ended, and what can be done about it."""
-    outcome = followed.outcome
-    assert outcome is not None
-    path = str(followed.folder.path)
-    box = layout.box()
-    box.alert = outcome.error is not None
-    tell(box, context, lifts.message_for(followed), "ERROR" if outcome.error else "INFO")
-    row = layout.row(align=True)
+def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
+    """Draw how the lift of the panel ended, and the buttons for what can be done now."""
+    path, error = str(followed.folder.path), followed.error
+    if error is None:
+        box = layout.box()
+        tell(box, context, followed.message, "INFO")
+    else:
+        box = draw_error(layout, context, error)
+    row = box.row(align=True)
     if followed.is_finished:
         row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path
     if followed.can_be_resumed:
         row.operator("plgs.resume_lift", icon="FILE_REFRESH").lift_folder = path
-    if outcome.error is not None:
+    if error is not None:
         row.operator("plgs.open_log", icon="TEXT").lift_folder = path
-    column = layout.column(align=True)
-    column.scale_y = 0.7
-    for line in outcome.log_lines[-_LOG_LINES:]:
-        column.label(text=line)
+        draw_log(box, followed.follower.log_lines[-_LOG_LINES:])
 
 
 CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_all_options, PLGS_PT_recent_lifts)

@@ -15,11 +15,11 @@ _SORTS = [
 
 
 class Searchable:
-    """A list with a choice of orders. What is searched for stands in the lift's `<list>_search`."""
+    """A list with a choice of orders. The lift's `<list>_search` holds the words that are searched for."""
 
     order: Any
     bitflag_filter_item: int
-    """Blender's: what marks a row that is shown."""
+    """Blender's mark of a row that is shown."""
 
     def draw_filter(self, _context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         row = layout.row(align=True)
@@ -33,7 +33,7 @@ class Searchable:
 
 
 def shown_rows(names: list[str], search: str, flag: int) -> list[int]:
-    """For each name `flag` where it holds all the words that are searched for, in any case, else 0."""
+    """`flag` for each name that holds all words of `search`, in any case, and 0 for the others."""
     words = search.casefold().split()
     return [flag if all(word in name.casefold() for word in words) else 0 for name in names]
 
@@ -53,7 +53,7 @@ def _by_name(row: Any) -> tuple[str, int]:
 
 
 def _swatch_name_numbers(layout: Any, row: Any) -> Any:
-    """What rows of instances and of classes begin with; the layout for the rest."""
+    """Draw the beginning of a row of instances or of classes; the layout for the rest."""
     line = layout.row(align=True)
     swatch = line.row()
     swatch.ui_units_x = 0.9

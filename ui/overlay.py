@@ -74,7 +74,7 @@ def _draw_on_top() -> None:
 
 
 def _draw_preview(context: bpy.types.Context) -> None:
-    """What the engine sees in the unfinished model, over the frame of the scene's camera while one looks through it."""
+    """Draw the live preview over the frame of the scene's camera while somebody looks through it."""
     space, scene = context.space_data, context.scene
     looks = space.camera if space.use_local_camera else scene.camera
     if context.region_data.view_perspective != "CAMERA" or looks != scene.camera:
@@ -88,7 +88,7 @@ def _draw_preview(context: bpy.types.Context) -> None:
 
 
 def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> None:
-    """The rectangle of the chosen mask, while one looks through the camera of its frame."""
+    """Draw the rectangle of the chosen mask while somebody looks through the camera of its frame."""
     lists, camera = root.plgs, context.scene.camera
     if context.region_data.view_perspective != "CAMERA" or not 0 <= lists.instance_index < len(lists.instances):
         return

@@ -44,7 +44,7 @@ class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
 
 
 def _size(render: bpy.types.RenderSettings) -> str:
-    """Of the pictures, in pixels."""
+    """The size of the pictures in pixels, such as "1920 x 1080"."""
     sides = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
     return " x ".join(map(str, sides))
 

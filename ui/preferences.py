@@ -5,9 +5,11 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
-from ..plgs_blender.engine_environment import EngineState, session
+from ..plgs_blender.engine_environment import EngineState, status, tasks
 from ..plgs_blender.engine_environment.choices import EXTENSION, TORCH_BUILDS
-from .sidebar import duration, tell
+from ..plgs_blender.engine_environment.tasks import SetUp
+from ..plgs_blender.tasks import registry
+from .sidebar import draw_log, draw_task, tell
 
 _ICONS = {
     EngineState.UNKNOWN: "QUESTION",
@@ -16,15 +18,14 @@ _ICONS = {
     EngineState.MISSING: "ERROR",
     EngineState.FAILED: "CANCEL",
 }
-_MEGABYTE = 10**6
 
 
 def _ask_again(preferences: bpy.types.AddonPreferences, context: bpy.types.Context) -> None:
-    session.check()
+    tasks.check()
 
 
 class PLGS_AP_preferences(bpy.types.AddonPreferences):
-    """Kept with Blender's own preferences."""
+    """Blender keeps these with its own preferences."""
 
     bl_idname = EXTENSION
 
@@ -50,14 +51,15 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        _draw_status(layout, context)
-        if session.progress() is None:
+        set_up = registry.latest(SetUp)
+        is_running = set_up is not None and set_up.is_running
+        _draw_status(layout, context, is_running)
+        if not is_running:
             row = layout.row()
             row.operator("plgs.set_up_engine", icon="IMPORT")
             row.operator("plgs.check_engine", icon="FILE_REFRESH")
-        else:
-            _draw_progress(layout, context)
-        _draw_error(layout, context)
+        if set_up is not None:
+            _draw_set_up(layout, context, set_up)
         self._draw_choices(layout)
 
     def _draw_choices(self, layout: bpy.types.UILayout) -> None:
@@ -76,11 +78,11 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
         row.operator("plgs.remove_engine", icon="TRASH")
 
 
-def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    engine = session.status()
+def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, is_set_up_running: bool) -> None:
+    engine = status()
     tell(layout, context, engine.message, _ICONS[engine.state])
-    # Why its button is grey, where it is wanted.
-    obstacle = session.why_no_set_up() if not engine.is_usable and session.progress() is None else None
+    # The reason why the button is grey, where somebody needs it.
+    obstacle = None if engine.is_usable or is_set_up_running else tasks.why_no_set_up()
     for text in (engine.fix, engine.note, obstacle):
         if text:
             tell(layout, context, text, "INFO")
@@ -88,35 +90,10 @@ def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         tell(layout, context, str(engine.python), "BLANK1")
 
 
-def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    progress = session.progress()
-    assert progress is not None
-    row = layout.split(factor=0.8)
-    text = f"{progress.step}/{progress.steps}  {progress.label}"
-    row.progress(factor=progress.fraction, type="BAR", text=text)
-    row.operator("plgs.cancel_engine_set_up", icon="CANCEL", text="Cancel")
-    amount = f"{progress.bytes_on_disk / _MEGABYTE:,.0f} MB on disk, {duration(progress.elapsed_s)}"
-    tell(layout, context, f"{progress.detail}: {amount}" if progress.detail else amount)
-    _draw_log(layout)
-
-
-def _draw_error(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    error = session.set_up_error()
-    if error is None:
-        return
-    box = layout.box()
-    tell(box, context, f"The set-up stopped: {error.what}. {error.fix}", "ERROR")
-    _draw_log(box)
-    box.operator("plgs.open_set_up_log", icon="TEXT")
-
-
-def _draw_log(layout: bpy.types.UILayout) -> None:
-    column = layout.column(align=True)
-    column.scale_y = 0.7
-    column.active = False
-    column.label(text=str(session.log_path()))
-    for line in session.log_lines():
-        column.label(text=line)
+def _draw_set_up(layout: bpy.types.UILayout, context: bpy.types.Context, set_up: SetUp) -> None:
+    draw_task(layout, context, set_up)
+    if set_up.is_running or set_up.error is not None:
+        draw_log(layout, (str(tasks.log_path()), *set_up.log_lines))
 
 
 CLASSES = (PLGS_AP_preferences,)

@@ -11,7 +11,7 @@ from .sidebar import Sidebar, Step, from_panel, tell
 
 
 def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
-    """The lift that the panels tell of, None when nothing was lifted yet."""
+    """The lift that the panels show, None when nothing was lifted yet."""
     root = active_lift(context.scene, context.active_object)
     return root if root is not None and len(root.plgs.classes) else None
 
@@ -47,7 +47,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
 
 
 class OfResult(Sidebar):
-    """A closed part of the result's panel, there once something was lifted."""
+    """A closed part of the result's panel, shown once something was lifted."""
 
     bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
 

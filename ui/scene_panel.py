@@ -1,17 +1,24 @@
-"""1 Scene: which folder, what is in it, and its cameras and images into Blender."""
+"""1 Scene: which folder, what is in it and what is wrong with it, its masks, its cameras and images into Blender."""
 
 from __future__ import annotations
 
 import bpy
 
 from ..plgs_blender.engine_environment import status
-from ..plgs_blender.possibilities import possibilities
+from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
+from ..plgs_blender.frames import PHOTO, SHOWN
+from ..plgs_blender.owned import LIFT
+from ..plgs_blender.running.diagnosis import Diagnosis, diagnosis_of
+from ..plgs_blender.running.importing import FrameMaking
+from ..plgs_blender.running.masks import MaskMaking
+from ..plgs_blender.running.survey import SceneLook, Survey, possibilities, survey_of
 from ..plgs_blender.scene_formats import AUTOMATIC, label_of
-from ..plgs_blender.scene_survey import Survey, survey_of
-from ..plgs_blender.settings import place_of
-from .sidebar import Sidebar, Step, from_panel, tell
+from ..plgs_blender.settings import chosen_scene
+from ..plgs_blender.tasks import registry
+from .sidebar import Sidebar, Step, draw_error, draw_task, from_panel, tell
 
 _MOST_WARNINGS = 4
+_PICTURES = ((PHOTO, "Photo", "IMAGE_DATA"), (DEPTH, "Depth", "EMPTY_SINGLE_ARROW"), (MASKS, "Masks", "COLOR"))
 
 
 class PLGS_PT_scene(Step, bpy.types.Panel):
@@ -23,11 +30,16 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
         row.prop(settings, "scene_folder", text="")
         row.operator("plgs.look_at_scene", text="", icon="FILE_REFRESH")
         row.operator("plgs.browse_scene", text="", icon="IMPORT")
-        survey = survey_of(place_of(settings)) if settings.scene_folder else None
+        survey = _survey(context)
         if not settings.scene_folder:
             tell(layout, context, "Choose a capture's folder or file (import), or drop one of its files here", "INFO")
         elif survey is None:
             layout.label(text="Not looked at yet", icon="QUESTION")
+        elif survey.error is not None:
+            draw_error(layout, context, survey.error)
+        elif survey.is_looking:
+            for look in registry.running(SceneLook):
+                draw_task(layout, context, look)
         else:
             _draw_survey(layout, context, survey)
         from_panel(layout.row(), context).operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
@@ -42,7 +54,7 @@ class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(settings, "format")
         layout.prop(settings, "masks")
-        survey = survey_of(place_of(settings)) if settings.scene_folder else None
+        survey = _survey(context)
         given = settings.masks or settings.classes_table or settings.mask_format != AUTOMATIC
         if given or (survey is not None and survey.has_masks):
             layout.prop(settings, "mask_format")
@@ -52,16 +64,91 @@ class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
         layout.prop(settings, "up")
 
 
+class PLGS_UL_mask_classes(bpy.types.UIList):
+    """Name of a class, the class that it counts as, and whether that is a thing."""
+
+    def draw_item(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, data: object, item: bpy.types.PropertyGroup,
+        icon: int, active_data: object, active_property: str, index: int = 0, flag: int = 0,
+    ) -> None:  # fmt: skip
+        row = layout.row(align=True)
+        row.prop(item, "name", text="", emboss=False)
+        row.prop(item, "into", text="", icon="FORWARD")
+        row.prop(item, "is_thing", text="")
+
+
+class PLGS_PT_scene_masks(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_scene_masks", "Masks and classes"
+    bl_parent_id, bl_options = "PLGS_PT_scene", {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings, masks = self.layout, context.scene.plgs, context.scene.plgs_masks
+        making = registry.latest(MaskMaking)
+        if making is not None and making.is_running:
+            draw_task(layout, context, making)
+        else:
+            if making is not None and settings.scene_folder and making.error_for(chosen_scene(settings)) is not None:
+                draw_task(layout, context, making)
+            layout.prop(masks, "model")
+            from_panel(layout.row(), context).operator("plgs.make_masks", icon="MOD_MASK")
+        row = layout.row(align=True)
+        row.operator("plgs.read_classes", icon="FILE_REFRESH")
+        row.operator_menu_enum("plgs.read_classes", "table", text="", icon="DOWNARROW_HLT")
+        if len(masks.classes):
+            layout.template_list("PLGS_UL_mask_classes", "", masks, "classes", masks, "active", rows=5)
+            layout.operator("plgs.write_classes", icon="FILE_TICK")
+
+
+class PLGS_PT_diagnosis(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_diagnosis", "Diagnosis"
+    bl_parent_id, bl_options = "PLGS_PT_scene", {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.plgs
+        known = diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
+        row = from_panel(layout.row(align=True), context)
+        row.operator("plgs.diagnose", icon="VIEWZOOM")
+        row.operator("plgs.fix_scene", icon="TOOL_SETTINGS")
+        if known is None:
+            tell(layout, context, "Measures whether poses, depth and lens fit together", "INFO")
+            return
+        draw_task(layout, context, known)
+        if not known.is_running:
+            _draw_findings(layout, context, known)
+
+
+class PLGS_PT_frames(Sidebar, bpy.types.Panel):
+    bl_idname, bl_label, bl_parent_id = "PLGS_PT_frames", "Frames", "PLGS_PT_scene"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return why_no_picture(context.scene) is None or _frame_making(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, ob = self.layout, context.scene.camera
+        making = _frame_making(context)
+        if making is not None:
+            draw_task(layout, context, making)
+        if why_no_picture(context.scene) is not None:
+            return
+        row = layout.row(align=True)
+        for what, label, icon in _PICTURES:
+            button = row.operator(
+                "plgs.show_picture", text=label, icon=icon, depress=ob.get(SHOWN, PHOTO) == what
+            )  # fmt: skip
+            button.what = what
+        span = range_shown(ob)
+        if span is not None:
+            layout.label(text=f"{span[0]:.2f} m (light) to {span[1]:.2f} m (dark)", icon="BLANK1")
+
+
+def _survey(context: bpy.types.Context) -> Survey | None:
+    """What is known of the panel's scene."""
+    settings = context.scene.plgs
+    return survey_of(chosen_scene(settings)) if settings.scene_folder else None
+
+
 def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey) -> None:
-    if survey.error is not None:
-        box = layout.box()
-        box.alert = True
-        tell(box, context, survey.error, "ERROR")
-        tell(box, context, survey.fix)
-        return
-    if survey.is_looking:
-        layout.label(text="Looking at the frames ...", icon="SORTTIME")
-        return
     box = layout.box()
     column = box.column(align=True)
     column.label(text=label_of(survey.format), icon="FILEBROWSER")
@@ -87,4 +174,46 @@ def _depth(survey: Survey) -> str:
     return "Depth: known once an engine is set up" if survey.has_depth else "No depth"
 
 
-CLASSES = (PLGS_PT_scene, PLGS_PT_scene_options)
+def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known: Diagnosis) -> None:
+    if not known.findings and known.error is None:
+        tell(layout, context, f"Nothing is wrong in {known.looked} of {known.frames} frames", "CHECKMARK")
+    for number, finding in enumerate(known.findings):
+        box = layout.box()
+        row = box.row()
+        row.label(text=finding.cause.capitalize(), icon="ERROR" if finding.is_wrong else "INFO")
+        if finding.picture is not None:
+            row.operator("plgs.show_finding", text="", icon="IMAGE_DATA").number = number
+        tell(box, context, finding.text)
+        tell(box, context, finding.option, "TOOL_SETTINGS" if finding.is_mended else "BLANK1")
+
+
+def _frame_making(context: bpy.types.Context) -> FrameMaking | None:
+    """The task that makes frames, or that failed with frames of the panel's scene or of the active camera's."""
+    making, settings, ob = registry.latest(FrameMaking), context.scene.plgs, context.scene.camera
+    if making is None or making.is_running:
+        return making
+    chosen = chosen_scene(settings) if settings.scene_folder else None
+    error = making.error_for(chosen, "" if ob is None else ob.get(LIFT, ""))
+    return making if error is not None else None
+
+
+def _draw_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.operator("plgs.browse_scene", text="PLGS Scene (ScanNet, COLMAP, transforms.json, .sens, .r3d ...)")
+
+
+CLASSES = (
+    PLGS_PT_scene,
+    PLGS_PT_frames,
+    PLGS_PT_scene_options,
+    PLGS_UL_mask_classes,
+    PLGS_PT_scene_masks,
+    PLGS_PT_diagnosis,
+)
+
+
+def register() -> None:
+    bpy.types.TOPBAR_MT_file_import.append(_draw_import_menu)
+
+
+def unregister() -> None:
+    bpy.types.TOPBAR_MT_file_import.remove(_draw_import_menu)

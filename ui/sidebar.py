@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import textwrap
+import time
 
 import bpy
 
-from ..plgs_blender.panel_words import in_panel_words
+from ..plgs_blender.errors import ErrorCode, PlgsError, field_of_option, with_field_names
+from ..plgs_blender.tasks.registry import Task
 
 _PIXELS_A_LETTER = 7.0
-"""Of the interface's font at scale 1, on average."""
+"""Mean width in pixels of a letter of the interface's font at scale 1."""
+_MENDING_OPERATORS = {
+    ErrorCode.NO_ENGINE: "plgs.show_preferences",
+    ErrorCode.NO_MASKS: "plgs.make_masks",
+}
+"""The operator whose button mends an error of this code."""
 
 
 class Sidebar:
-    """Where a panel of ours lies."""
+    """The place of our panels."""
 
     bl_space_type, bl_region_type, bl_category = "VIEW_3D", "UI", "PLGS"
 
@@ -22,7 +29,7 @@ class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_lift_panoptic_masks", "Lift Panoptic Masks"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Nothing: the steps below it are panels of their own."""
+        """Draw nothing: the steps below are panels of their own."""
 
 
 class Step(Sidebar):
@@ -31,20 +38,72 @@ class Step(Sidebar):
     bl_parent_id = PLGS_PT_lift_panoptic_masks.bl_idname
 
 
-def tell(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
-    """A text of any length, wrapped to the sidebar's width: Blender's own labels are cut off. What the engine advises
-    is told in the panel's words."""
+def tell(
+    layout: bpy.types.UILayout, context: bpy.types.Context, text: str | PlgsError | OSError, icon: str = "NONE"
+) -> None:
+    """Draw a text of any length, wrapped to the sidebar's width, with the names of fields in place of options."""
     scale = context.preferences.system.ui_scale
     letters = max(20, int(context.region.width / (_PIXELS_A_LETTER * scale)) - 5)
     column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(in_panel_words(text), letters) or [""]):
+    for number, line in enumerate(textwrap.wrap(with_field_names(text), letters) or [""]):
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
+def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
+    """Draw any task: its progress with Cancel while it runs, its error with what mends it afterwards."""
+    if task.is_running:
+        _draw_progress(layout, context, task)
+    elif task.error is not None:
+        draw_error(layout, context, task.error)
+
+
+def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: PlgsError) -> bpy.types.UILayout:
+    """Draw an error with the field that it names and the button that mends it, and return their box."""
+    box = layout.box()
+    box.alert = True
+    tell(box, context, error, "ERROR")
+    field = field_of_option(error.option)
+    if field is not None:
+        box.prop(context.scene.plgs, field)
+    if error.code in _MENDING_OPERATORS:
+        from_panel(box.row(), context).operator(_MENDING_OPERATORS[error.code])
+    return box
+
+
+def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
+    progress = task.progress
+    stages = f"{progress.stage_index}/{progress.stage_count}  " if progress.stage_count > 1 else ""
+    tell(layout, context, f"{stages}{progress.label if progress.stage else task.label}", "SORTTIME")
+    share = progress.step / progress.steps if progress.steps else 0.0
+    counted = f"{progress.step} of {progress.steps}" if task.counts_steps else f"{100 * share:.0f} %"
+    layout.progress(factor=share, type="BAR", text=counted if progress.steps else "...")
+    about = [] if progress.loss is None else [f"Loss {progress.loss:.4f}"]
+    took = time.monotonic() - task.began
+    about.append(duration(took) if progress.eta_s is None else f"{duration(progress.eta_s)} left")
+    layout.label(text=", ".join(about))
+    for warning in progress.warnings[-2:]:
+        tell(layout, context, warning, "ERROR")
+    if task.cancel_operator:
+        row = layout.row()
+        row.scale_y = 1.4
+        cancel = row.operator(task.cancel_operator, icon="CANCEL")
+        if task.lift_folder is not None:
+            cancel.lift_folder = str(task.lift_folder)
+
+
 def from_panel(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
-    """Let the buttons in a layout be grey for what the panel is set to; a script's arguments may say otherwise."""
+    """Let the panel's settings decide whether buttons in a layout are grey. For a script its arguments decide."""
     layout.context_pointer_set("plgs_panel", context.scene.plgs)
     return layout
+
+
+def draw_log(layout: bpy.types.UILayout, lines: tuple[str, ...]) -> None:
+    """Draw the end of a log, in small lines."""
+    column = layout.column(align=True)
+    column.scale_y = 0.7
+    column.active = False
+    for line in lines:
+        column.label(text=line)
 
 
 def duration(seconds: float) -> str:

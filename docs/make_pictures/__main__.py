@@ -10,16 +10,16 @@ from pathlib import Path
 import cv2
 from plgs.plgs_blender.results import LiftResult, read_result
 
-from .compositor import group_picture, matte_picture, shot_picture
-from .layers import layers_picture, mask_picture
+from .blender import group_picture, matte_picture, shot_picture, write_camera
+from .layers import layers_picture, mask_picture, strip_picture
 from .meshes import catcher_picture, meshes_picture
 from .sheets import Picture
-from .shot import write_camera
 
 PICTURES = Path(__file__).resolve().parent.parent / "pictures"
 JPEG_QUALITY = 82
 
 MAKERS: dict[str, Callable[[LiftResult], Picture]] = {
+    "strip": strip_picture,
     "mask": mask_picture,
     "layers": layers_picture,
     "shot": shot_picture,
@@ -31,7 +31,7 @@ MAKERS: dict[str, Callable[[LiftResult], Picture]] = {
 
 
 def save(name: str, picture: Picture) -> None:
-    path = PICTURES / f"passes_{name}.jpg"
+    path = PICTURES / ("strip.jpg" if name == "strip" else f"passes_{name}.jpg")
     if not cv2.imwrite(str(path), picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]):
         raise OSError(f"{path} cannot be written")
     print(f"{path}: {picture.shape[1]}x{picture.shape[0]}, {path.stat().st_size // 1000} kB")
@@ -39,7 +39,7 @@ def save(name: str, picture: Picture) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """The command line; its exit code."""
-    parser = argparse.ArgumentParser(description="Make the pictures of docs/passes.md.")
+    parser = argparse.ArgumentParser(description="Make the pictures of docs/passes.md, and the strip of README.")
     parser.add_argument("what", nargs="+", choices=["camera", "all", *MAKERS], metavar="PICTURE")
     parser.add_argument("lift", type=Path, help="a finished lift of the sample")
     options = parser.parse_args(arguments)

@@ -9,19 +9,20 @@ from mathutils import Vector
 from plgs.engine.passes.exr import read_exr
 from plgs.engine.passes.previews import colour_picture
 from plgs.plgs_blender import compat
-from plgs.plgs_blender.meshes import place_meshes_anew
+from plgs.plgs_blender.lift_scene import place_meshes_anew
 from plgs.plgs_blender.results import LiftResult
 
-from .sheets import Picture, over, tiled, whiten
-from .shot import CAMERA, SHOT_FRAME, open_lift, rendered
+from .blender import CAMERA, SHOT_FRAME, open_lift, rendered
+from .sheets import Picture, over, tiled
 
 CATCHER_SIZE = (640, 360)
 ROOM = np.s_[55:375, 130:490]
-"""Where the room is in the picture of the overview camera, 600x375 pixels."""
+"""The room's part of the picture of the overview camera, 600x375 pixels."""
+LIGHT_GROUND = np.full(3, 214.0)
 
 
 def meshes_picture(result: LiftResult) -> Picture:
-    """The meshes seen from above, in the photos' colours, and in those of the objects and classes."""
+    """The meshes from above, in the photos' colours, and in those of the objects and classes."""
     scene = open_lift(result.folder)
     meshes = only_meshes(result, scene)
     light(scene, sun=2.2, sky=0.75)
@@ -29,14 +30,14 @@ def meshes_picture(result: LiftResult) -> Picture:
     scene.render.resolution_x, scene.render.resolution_y = 600, 375
     material = meshes[0].material_slots[0].material
     see_through_backs(material)
-    photo = rendered(scene)
+    photos = rendered(scene)
     show_object_colours(material)
-    tiles = {"Col, of the photos": whiten(photo), "objects and classes": whiten(rendered(scene))}
-    return tiled({name: tile[ROOM] for name, tile in tiles.items()}, 2, 480)
+    tiles = {"Col, from the photos": photos, "objects and classes": rendered(scene)}
+    return tiled({name: over(tile[ROOM], LIGHT_GROUND) for name, tile in tiles.items()}, 2, 480)
 
 
 def catcher_picture(result: LiftResult) -> Picture:
-    """Two things that were never there, before the baked picture: meshes take their shadows and hide what is behind."""
+    """Two new things before the baked picture. The meshes take their shadows and hide what is behind."""
     scene = open_lift(result.folder, "shot.blend")
     for ob in only_meshes(result, scene):
         ob.is_shadow_catcher = True
@@ -50,7 +51,7 @@ def catcher_picture(result: LiftResult) -> Picture:
 
 
 def only_meshes(result: LiftResult, scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The lift's exported meshes, everything else hidden. SystemExit when there are none."""
+    """The lift's exported meshes, with everything else hidden. SystemExit if there are none."""
     meshes = place_meshes_anew(result.folder, scene)
     if not meshes:
         raise SystemExit("the lift has no meshes: export them first, see docs/passes.md")
@@ -95,7 +96,7 @@ def light(scene: bpy.types.Scene, sun: float, sky: float) -> None:
 
 
 def see_through_backs(material: bpy.types.Material) -> None:
-    """Look into the room from outside: walls and ceiling are seen from within alone."""
+    """Make walls and ceiling visible from within only, to look into the room from outside."""
     tree = material.node_tree
     end = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
     front = end.inputs["Surface"].links[0].from_socket
@@ -107,7 +108,7 @@ def see_through_backs(material: bpy.types.Material) -> None:
 
 
 def show_object_colours(material: bpy.types.Material) -> None:
-    """The meshes' own colours instead of the photos'."""
+    """Show the objects' colours instead of the photos'."""
     tree = material.node_tree
     shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
     tree.links.new(tree.nodes.new("ShaderNodeObjectInfo").outputs["Color"], shader.inputs["Base Color"])

@@ -1,4 +1,4 @@
-"""Pictures beside each other, under their captions, and before a ground."""
+"""Sheets of pictures under their captions, and pictures before a ground."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GAP, BAR = 6, 30
 
 
 def tiled(tiles: Mapping[str, Picture], columns: int, width: int) -> Picture:
-    """A sheet: each picture under its caption, ``width`` pixels wide."""
+    """A sheet of pictures under their captions, each ``width`` pixels wide."""
     cells = [_captioned(caption, picture, width) for caption, picture in tiles.items()]
     height = max(len(cell) for cell in cells)
     rows = -(-len(cells) // columns)
@@ -37,19 +37,13 @@ def _captioned(caption: str, picture: Picture, width: int) -> Picture:
 def before_ground(picture: NDArray[np.uint8], square: int = 20) -> Picture:
     """A picture with alpha before grey squares."""
     rows, columns = np.indices(picture.shape[:2]) // square
-    ground = np.where((rows + columns) % 2, 96.0, 70.0)[..., None]
-    return over(picture, np.repeat(ground, 3, axis=-1))
+    return over(picture, np.where((rows + columns) % 2, 96.0, 70.0)[..., None])
 
 
 def over(picture: NDArray[np.uint8], ground: NDArray[np.floating] | Picture) -> Picture:
-    """A picture with alpha, uint8 [H, W, 4], before another, [H, W, 3]."""
+    """A picture with alpha, uint8 [H, W, 4], before another one, [H, W, 3], or one colour."""
     alpha = picture[..., 3:] / 255.0
     return np.asarray(np.rint(alpha * picture[..., :3] + (1.0 - alpha) * ground), np.uint8)
-
-
-def whiten(picture: NDArray[np.uint8]) -> Picture:
-    """Before a plain light ground."""
-    return over(picture, np.full((*picture.shape[:2], 3), 214.0))
 
 
 def grey(values: NDArray[np.floating]) -> Picture:

@@ -1,48 +1,188 @@
-"""What each command runs. Their modules load numpy and more, so each is imported when it is wanted: --help and a typing
-error need none of it."""
+"""What each command runs. The modules behind it load numpy and more, so they are imported when a command runs, not for
+--help or a typing error."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import sys
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-from ..job import ExitCode, JobError
-from ..job.options import source_of
-from ..job.stop import end_with_parent
+from ..errors import ErrorCode, PlgsError
+from ..job import EventWriter, ExitCode, LiftFolder, StopSignal, verify
+from ..job.options import given_lift_options, source_of
+from ..job.task import TaskPlace
+from ..json_file import Json
 
 
 def lift(options: argparse.Namespace) -> int:
-    from . import lift
+    """With -o a second process is the engine, and this one shows it. Without it this process is the engine."""
+    if options.output:
+        return _lift_in_terminal(options)
+    from .run_engine import run_engine
 
-    return lift.lift_scene(options) if options.output else lift.run_folder(options)
+    given = given_lift_options(options)
+    if given:
+        fix = "Leave them out, or lift a scene into a new folder with -o."
+        raise PlgsError("a lift's request never changes", ", ".join(given), fix)
+    folder = LiftFolder.open(options.scene)
+    return run_engine(folder, resume=options.resume, parent_pipe=_parent_pipe(options, folder))
+
+
+def _lift_in_terminal(options: argparse.Namespace) -> int:
+    from ..job.report import made_files, metrics_text, read_metrics
+    from ..job.session import lift_in_terminal
+    from ..job.terminal import Interrupted, Interrupts
+    from ..scene import open_scene_to_lift
+
+    try:
+        with Interrupts() as interrupts:
+            lift, code = lift_in_terminal(options, interrupts, open_scene_to_lift)
+    except Interrupted as error:
+        print(f"Stopped. Give the same command with --resume to go on: {options.output}", file=sys.stderr)
+        return error.exit_code
+    if code is ExitCode.FINISHED:
+        print(metrics_text(read_metrics(lift)), "", *made_files(lift), sep="\n")
+    return code
 
 
 def bake(options: argparse.Namespace) -> ExitCode:
-    from . import lift
+    """This process is the engine."""
+    from ..job import read_cameras
+    from .run_engine import run_bake
 
-    return lift.bake_in_folder(options)
+    folder = LiftFolder.open(options.lift)
+    frames = options.frames if options.frames or options.cameras else ["all"]
+    if options.cameras is not None:
+        if not options.cameras.is_file():  # perhaps a camera's name, as "--camera NAME" gives it to "--cameras"
+            fix = "--help says what such a file holds; cameras of a .blend are baked by run_plgs.py --bake camera."
+            raise PlgsError("there is no such file of cameras", options.cameras, fix)
+        read_cameras(options.cameras)  # what is wrong is said at once, not after the model was read
+    place = None if options.events is None else TaskPlace.at(options.events)
+    pipe = _parent_pipe(options, folder)
+    return run_bake(folder, frames, cameras=options.cameras, parent_pipe=pipe, place=place)
 
 
-def export(options: argparse.Namespace) -> ExitCode:
-    _stay_with_parent(options)
-    from .export import export_lift
+def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:
+    if options.stay_with_parent:
+        return sys.stdin.fileno()
+    print(f"The engine's output goes to {folder.log_path}", flush=True)
+    return None
 
-    return export_lift(options)
+
+def export(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from ..export.run import export
+
+    folder = LiftFolder.open(options.lift)
+    events.stage("export", 1, 1, "Exporting")
+    progress = _progress("export", events, stop)
+    export(folder, options.to, options.output, options.frames, progress)
+    events.answer({"output": options.output}, f"Exported to {options.output}")
 
 
-def evaluate(options: argparse.Namespace) -> ExitCode:
-    from .evaluate import evaluate, evaluate_folders
+def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    """Answer with a whole lift's metrics.json, or with the same figures of the labels in two folders."""
+    from ..job.report import metrics_text, read_metrics
 
-    folders = [options.predictions, options.truth]
+    folders = (options.predictions, options.truth)
     if (options.lift is None) == (None in folders) or (options.lift is not None and any(folders)):
-        raise JobError("give either LIFT, or --predictions and --truth", "evaluate", "--help tells more.")
+        raise PlgsError("give either LIFT, or --predictions and --truth", "evaluate", "--help says more.")
     if options.lift is not None:
-        return evaluate(options.lift, per_class=options.classes, as_json=options.json)
-    return evaluate_folders(
-        *folders, per_class=options.classes, ids_per_frame=options.ids_per_frame, as_json=options.json
-    )
+        lift = LiftFolder.open(options.lift)
+        verify(lift.result_path)
+        metrics: Mapping[str, Any] = read_metrics(lift)
+    else:
+        from ..metrics.folders import score_folders, unscored
+        from ..scene.label_folders import open_label_folder
+
+        predicted = open_label_folder(options.predictions, is_truth=False)
+        true = open_label_folder(options.truth, is_truth=True)
+        metrics = score_folders(predicted, true, ids_per_frame=options.ids_per_frame)
+        if left := unscored(predicted, true):
+            events.warning(f"{left} frames with ground truth are not predicted: they are not scored.")
+    events.answer(metrics, metrics_text(metrics, per_class=options.classes))
+
+
+def inspect(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from .inspect_scene import inspect_scene
+
+    inspect_scene(source_of(options), events, stop, preset=options.preset, findings=options.output, fix=options.fix)
+
+
+def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from ..frames import make_frames
+    from ..scene import open_asked
+
+    source = source_of(options)
+    scene = open_asked(source)
+    events.stage("frames", 1, 1, "Making frames")
+    progress, output = _progress("frames", events, stop), options.output.resolve()
+    try:
+        made = make_frames(scene, source.resolved, output, options.make, options.frames, progress)
+    except OSError as error:
+        fix = "Name a folder that you may write to, on a disk with space."
+        raise PlgsError(f"cannot be written ({error.strerror})", error.filename or options.output, fix) from error
+    answer = {"folder": made.folder, "frames": len(made.frames)}
+    events.answer(answer, f"{len(made.frames)} frames in {made.folder}")
+
+
+def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    """Make the masks, or continue where they were left."""
+    from ..scene import open_scene
+    from ..segment import begin_job, load_model, make_masks
+
+    place: Path = options.scene
+    scene = open_scene(place, None, options.up or "z", options.scene_format)
+    folder: Path = options.output or (place if place.is_dir() else place.with_suffix(""))
+    name = str(Path(options.model).resolve()) if Path(options.model).is_dir() else options.model
+    job = begin_job(folder, name, len(scene.frames))
+    answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames)}
+    if job.is_finished:
+        events.answer(answer, f"These masks are finished already: {folder}")
+        return
+    try:
+        network = load_model(name, download=options.download)
+    except PlgsError:
+        job.discard_if_empty()
+        raise
+    events.stage("segment", 1, 1, "Making masks")
+    progress = _progress("segment", events, stop)
+    try:
+        make_masks(scene, job, network, progress)
+    except OSError as error:
+        fix = "Make room there, then go on."
+        raise PlgsError(
+            f"masks cannot be written ({error.strerror})", job.folder, fix, code=ErrorCode.DISK_FULL
+        ) from error
+    events.answer(answer, f"Masks of {len(scene.frames)} frames: {folder}")
+
+
+def handshake(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from .handshake import answer
+
+    events.answer(answer().to_json())
+
+
+def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    """Packages come from the index of the variable PLGS_INDEX_URL, where it is set: it may hold a password."""
+    from ..set_up import SetUp, SetUpRequest, remove_environments
+
+    if options.remove:
+        remove_environments(options.folder)
+        events.answer({}, f"No environment is left in {options.folder}")
+        return
+    request = SetUpRequest(options.base_python, options.torch, os.environ.get("PLGS_INDEX_URL", ""))
+    python = SetUp(request, events, stop, folder=options.folder).run()
+    events.answer({"python": python}, f"The engine's Python: {python}")
+
+
+def warm_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from ..lift import warm_up
+
+    warm_up()
 
 
 def presets(options: argparse.Namespace) -> ExitCode:
@@ -51,85 +191,17 @@ def presets(options: argparse.Namespace) -> ExitCode:
     return presets(options.name, options.set, as_json=options.json)
 
 
-def segment(options: argparse.Namespace) -> int:
-    from .segment import segment
+def _progress(stage: str, events: EventWriter, stop: StopSignal) -> Callable[..., None]:
+    """Called with the steps done, their number and, where some were done by an earlier run, those of this run: it
+    writes progress with the time left, and raises Cancelled when the command shall stop.
+    """
+    stop.check()
+    began = time.monotonic()
 
-    return segment(options)
+    def progress(done: int, steps: int, made: int | None = None) -> None:
+        made = done if made is None else made
+        eta = None if made == 0 else (time.monotonic() - began) / made * (steps - done)
+        events.progress(stage, done, steps, eta_s=eta)
+        stop.check()
 
-
-def experiments(options: argparse.Namespace) -> int:
-    from .experiments import experiments
-
-    return experiments(options)
-
-
-def inspect(options: argparse.Namespace) -> ExitCode:
-    _stay_with_parent(options)
-    from .inspect_scene import inspect_scene
-
-    return inspect_scene(
-        source_of(options),
-        as_json=options.json,
-        preset=options.preset,
-        findings=options.output,
-        fix=options.fix,
-    )
-
-
-def frames(options: argparse.Namespace) -> ExitCode:
-    _stay_with_parent(options)
-    from .frames import write_frames
-
-    return write_frames(options)
-
-
-def handshake(options: argparse.Namespace) -> ExitCode:
-    from .handshake import answer
-
-    sys.stdout.buffer.write(answer().to_line())  # UTF-8 on every system, as a path may need
-    return ExitCode.FINISHED
-
-
-def warm_up(options: argparse.Namespace) -> ExitCode:
-    from ..lift import warm_up
-
-    warm_up()
-    return ExitCode.FINISHED
-
-
-def bench(options: argparse.Namespace) -> ExitCode:
-    if options.json is not None:
-        _refuse_unwritable(options.json)
-    if options.what == "raster":
-        from ..raster.bench import bench_raster
-
-        bench_raster(options.json)
-    elif options.what == "bake":
-        from ..passes.bench import bench_bake
-
-        bench_bake(options.json)
-    elif options.what == "long":
-        from ..lift.bench_long import bench_long
-
-        bench_long(options.frames, options.output, options.preset, options.json)
-    else:
-        from ..lift.bench import bench_step
-
-        bench_step(options.json)
-    return ExitCode.FINISHED
-
-
-def _stay_with_parent(options: argparse.Namespace) -> None:
-    """Of the commands that may end at any time; the others have a ``Watchdog``."""
-    if options.stay_with_parent:
-        end_with_parent(sys.stdin.fileno())
-
-
-def _refuse_unwritable(file: Path) -> None:
-    """Before minutes of work: raise JobError when ``file`` could not be written."""
-    if file.is_dir():
-        raise JobError("the figures need a file, this is a folder", file, "Name a file in it.")
-    if not file.parent.is_dir():
-        raise JobError("there is no such folder to write the figures to", file.parent, "Make it, or name another file.")
-    if not os.access(file if file.exists() else file.parent, os.W_OK):
-        raise JobError("this cannot be written", file, "Name a file in a folder of yours.")
+    return progress

@@ -1,4 +1,4 @@
-"""What this engine is and what it lacks. Nothing heavy is imported: the answer takes a few tenths of a second."""
+"""What this engine is and what it lacks. It imports nothing heavy and takes a few tenths of a second."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)
 
 
 def answer(root: Path = ROOT) -> EngineAnswer:
-    """Look at this Python. Raises JobError when the requirements cannot be read."""
+    """Look at this Python. Raises PlgsError when the requirements cannot be read."""
     wanted = needed_packages(root, sys.version_info[:2])
     return EngineAnswer(
         version=__version__,

@@ -2,84 +2,73 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
 from ..diagnosis import Diagnosis, diagnose, write_findings, write_mended
-from ..diagnosis.written import as_json as diagnosis_as_json
-from ..job import ExitCode
-from ..job.effort import chosen_effort
+from ..errors import PlgsError
+from ..job import EventWriter, StopSignal
 from ..job.prediction import USUAL_CLASSES, USUAL_MASKS, machine_slowness, predict
-from ..scene import AskedScene, Scene, SceneError, SceneReport, Size, describe, open_asked
+from ..presets.preset import PRESETS
+from ..scene import Scene, SceneReport, Size, describe, open_asked
+from ..scene_source import SceneSource
 
 
 def inspect_scene(
-    asked: AskedScene,
+    asked: SceneSource,
+    events: EventWriter,
+    stop: StopSignal,
     *,
-    as_json: bool = False,
     preset: str | None = None,
     findings: Path | None = None,
     fix: Path | None = None,
-) -> ExitCode:
-    """Decode every frame and print what is there and what is wrong with it, for people or as one line of JSON. For
-    people also what a lift with ``preset`` would take.
+) -> None:
+    """Decode every frame and answer what is there and what is wrong with it. The text also says what a lift with
+    ``preset`` would take.
 
     ``findings`` is a folder for the findings and their pictures, ``fix`` a new one for the mended scene. Raises
-    SceneError for the first thing that a lift would refuse, after the findings that may explain it.
+    PlgsError for the first thing that a lift would refuse, after an answer with the findings that may explain it.
     """
     if fix is not None and fix.exists():
-        raise SceneError("the folder for the mended scene exists", fix, "Name one that does not.")
+        raise PlgsError("the folder for the mended scene exists", fix, "Name one that does not.")
+    events.stage("inspect", 1, 2, "Looking at the scene")
     scene = open_asked(asked)
+    report, refusal = None, None
     try:
         report = describe(scene)
-    except SceneError as error:
-        diagnosis = _explanation(scene, error)
-        _tell(None, diagnosis, as_json, findings)
-        if fix is None or not diagnosis.mending.is_needed:
-            raise
-        return _mend(scene, diagnosis, fix, as_json)
-    diagnosis = diagnose(scene)
-    _tell(report, diagnosis, as_json, findings)
-    if preset is not None and not as_json:
-        print(_prediction(report, preset))
-    return ExitCode.FINISHED if fix is None else _mend(scene, diagnosis, fix, as_json)
+    except PlgsError as error:
+        refusal = error
+    stop.check()
+    events.stage("diagnose", 2, 2, "Measuring what is wrong")
+    diagnosis = diagnose(scene) if refusal is None else _explanation(scene, refusal)
+    stop.check()
+    found = diagnosis.as_json() if findings is None else write_findings(diagnosis, findings)
+    lines = [] if report is None else list(_lines(report))
+    lines += _finding_lines(diagnosis, findings)
+    if preset is not None and report is not None:
+        lines.append(_prediction(report, preset))
+    if fix is not None and diagnosis.mending.is_needed:
+        write_mended(scene, diagnosis, fix)
+        mended = [finding.cause for finding in diagnosis.findings if finding.is_mended]
+        lines.append(f"mended    {', '.join(mended)}: {fix}")
+    elif fix is not None and refusal is None:
+        lines.append("mended    nothing: no finding can be mended without a doubt, and no folder is written")
+    answer: dict[str, object] = {} if report is None else asdict(report)
+    events.answer({**answer, "diagnosis": found}, "\n".join(lines))
+    if refusal is not None and (fix is None or not diagnosis.mending.is_needed):
+        raise refusal
 
 
-def _explanation(scene: Scene, refusal: SceneError) -> Diagnosis:
-    """What explains that a scene is refused. Raises the refusal where nothing does."""
+def _explanation(scene: Scene, refusal: PlgsError) -> Diagnosis:
+    """The diagnosis that explains why a scene is refused. Raises the refusal when nothing explains it."""
     try:
         diagnosis = diagnose(scene)
-    except SceneError:
+    except PlgsError:
         raise refusal from None
     if not any(finding.severity == "wrong" for finding in diagnosis.findings):
         raise refusal
     return diagnosis
-
-
-def _tell(report: SceneReport | None, diagnosis: Diagnosis, as_json: bool, folder: Path | None) -> None:
-    if folder is not None:
-        write_findings(diagnosis, folder)
-    if as_json:
-        told = {} if report is None else asdict(report)
-        print(json.dumps({**told, "diagnosis": diagnosis_as_json(diagnosis)}, default=str))
-        return
-    if report is not None:
-        print(*_lines(report), sep="\n")
-    print(*_finding_lines(diagnosis, folder), sep="\n")
-
-
-def _mend(scene: Scene, diagnosis: Diagnosis, fix: Path, as_json: bool) -> ExitCode:
-    if not diagnosis.mending.is_needed:
-        if not as_json:
-            print("mended    nothing: no finding can be mended without a doubt, and no folder is written")
-        return ExitCode.FINISHED
-    write_mended(scene, diagnosis, fix)
-    if not as_json:
-        mended = [finding.cause for finding in diagnosis.findings if finding.is_mended]
-        print(f"mended    {', '.join(mended)}: {fix}")
-    return ExitCode.FINISHED
 
 
 def _finding_lines(diagnosis: Diagnosis, folder: Path | None) -> Iterator[str]:
@@ -127,10 +116,10 @@ def _lines(report: SceneReport) -> Iterator[str]:
 
 def _prediction(report: SceneReport, preset: str) -> str:
     """Such as "preview   about 3 min and 1.0 GB of memory"."""
-    size, effort, slowness = report.colour_sizes[0][0], chosen_effort(preset), machine_slowness()
+    size, slowness = report.colour_sizes[0][0], machine_slowness()
     masks = USUAL_MASKS if report.segments_per_frame is None else report.segments_per_frame[1]
     counts, classes = (report.train_frames, report.test_frames), len(report.classes) or USUAL_CLASSES
-    lift = predict(*counts, size, effort, slowness=slowness, masks_a_frame=masks, classes=classes)
+    lift = predict(*counts, size, PRESETS[preset], slowness=slowness, masks_a_frame=masks, classes=classes)
     minutes = lift.seconds / 60
     time = f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"
     return f"{preset:<9} about {time} and {lift.peak_bytes / 1e9:.1f} GB of memory"

@@ -1,4 +1,4 @@
-"""Everything a process says, native libraries included, into one file."""
+"""All output of a process, native libraries included, goes into one file."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ..gates import open_to_append
 
 @contextmanager
 def output_to(log: Path) -> Iterator[TextIO]:
-    """Append all that is said meanwhile to ``log``; yields the real standard error, for the few lines that are for it.
+    """Append all output to ``log`` meanwhile. Yields the real standard error, for the few lines that are for people.
 
-    Python's streams and its logging go there, and the file descriptors below them: so what C++ prints lands there too,
-    and the Python lines that led to a crash in it.
+    Python's streams and its logging go there, and the file descriptors below them: output of C++ lands there too, and
+    the Python lines that led to a crash in it.
     """
     sys.stdout.flush()
     sys.stderr.flush()
@@ -41,7 +41,7 @@ def output_to(log: Path) -> Iterator[TextIO]:
 
 
 class _BestEffortFile(io.FileIO):
-    """What finds no room on a full disk is lost: the lift must not fail, nor its error be hidden, for want of a log."""
+    """Output that finds no room on a full disk is lost: a log must neither make a lift fail nor hide its error."""
 
     def write(self, data: Any) -> int:
         try:

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
+from ..errors import PlgsError
 from ..gates import printable
-from ..job import ExitCode, JobError
+from ..job import ExitCode
 from ..job.options import readable
-from . import commands
+from ..job.task import TaskPlace
 from .parser import make_parser
+from .runner import Task, run_task
 
 READER_GONE = 141
-"""The shell's number of a command whose reader wants no more of it, such as ``head``."""
+"""The shell's exit status of a command whose reader has ended, such as ``head``."""
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser] = make_parser) -> int:
     """Run a command and return its exit code. Bad arguments end with SystemExit(2), as argparse has it."""
     try:
         try:
-            return _run(arguments)
+            return _run(arguments, parser())
         finally:
             sys.stdout.flush()  # here, where a reader that is gone is no error yet
     except BrokenPipeError:
@@ -32,20 +36,21 @@ def main(arguments: Sequence[str]) -> int:
         return ExitCode.BAD_INPUT
 
 
-def _run(arguments: Sequence[str]) -> int:
-    options = make_parser().parse_args(readable(arguments))
-    # The handshake tells of numpy when it is missing, and --help does not wait for it.
-    errors: tuple[type[Exception], ...] = (JobError,)
-    if options.run is not commands.handshake:
-        from ..scene import SceneError
-
-        errors = (JobError, SceneError)
+def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
+    options = parser.parse_args(readable(arguments))
     try:
-        code: int = options.run(options)
-    except errors as error:
+        code: int = _run_task(options) if vars(options).get("is_task") else options.run(options)
+    except PlgsError as error:
         print(f"error: {error}", file=sys.stderr)
-        return ExitCode.BAD_INPUT
-    except KeyboardInterrupt:  # of commands that have nothing to go on with
+        return error.exit_code
+    except KeyboardInterrupt:  # of commands that leave nothing to continue
         print("Stopped.", file=sys.stderr)
         return ExitCode.INTERRUPTED
     return code
+
+
+def _run_task(options: argparse.Namespace) -> int:
+    place = None if options.events is None else TaskPlace.at(options.events)
+    task = Task(options.command, partial(options.run, options), when_stopped=options.when_stopped)
+    pipe = sys.stdin.fileno() if options.stay_with_parent else None
+    return run_task(task, place, as_json=options.json, parent_pipe=pipe)

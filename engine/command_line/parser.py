@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import re
+from collections.abc import Callable
 from pathlib import Path
 
 from .. import __version__
-from ..job import PRESETS, UPS
+from ..job import EventWriter, StopSignal
 from ..job.options import (
     add_capture_options,
-    add_format_option,
-    add_label_options,
     add_lift_options,
     add_scene_options,
     add_set_option,
     preset_or_file,
 )
+from ..presets.preset import PRESETS
 from . import commands
 
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
 SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
-FEWEST_OF_A_CAPTURE = 10
-"""Frames of a long capture: 8 of them are held out."""
+Run = Callable[[argparse.Namespace, EventWriter, StopSignal], object]
 EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh", "depth")
 
 
@@ -31,7 +29,7 @@ def make_parser() -> argparse.ArgumentParser:
         prog="python -m engine", description="Panoptic lifting with structured 3D Gaussians, without Blender."
     )
     parser.add_argument("--version", action="version", version=__version__)
-    known = parser.add_subparsers(required=True, metavar="COMMAND")
+    known = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_lift(known.add_parser("lift", help="lift posed RGB-D frames and their masks"))
     _add_bake(known.add_parser("bake", help="render more frames of a finished lift, or any cameras, as passes"))
     _add_export(known.add_parser("export", help="write a finished lift in a form that other programs read"))
@@ -39,15 +37,14 @@ def make_parser() -> argparse.ArgumentParser:
     _add_inspect(known.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
     _add_frames(known.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
     _add_segment(known.add_parser("segment", help="make masks for a scene that has none"))
-    _add_experiments(known.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     _add_presets(known.add_parser("presets", help="show the presets and all their options"))
     handshake = known.add_parser("handshake", help="tell at once what this engine is and what it lacks")
     handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to mend it."
-    handshake.set_defaults(run=commands.handshake)
+    _make_task(handshake, commands.handshake)
+    _add_set_up(known.add_parser("set-up", help="make a Python environment that has all that the engine needs"))
     warm_up = known.add_parser("warm-up", help="compile what a lift runs, so that the first one starts at once")
     warm_up.description = "Compile for this machine what a lift runs: half a minute, once. The set-up does it."
-    warm_up.set_defaults(run=commands.warm_up)
-    _add_bench(known.add_parser("bench", help="measure this machine"))
+    _make_task(warm_up, commands.warm_up)
     return parser
 
 
@@ -79,11 +76,7 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         help="names of frames, test (those held out), or all (default, without --cameras)",
     )  # fmt: skip
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")
-    parser.add_argument(
-        "--events", type=Path, metavar="FILE.jsonl",
-        help="tell of it here, not in the lift's events: beside another process that bakes; FILE.cancel stops it",
-    )  # fmt: skip
-    _add_stay_with_parent(parser)
+    _add_place_options(parser)
     parser.set_defaults(run=commands.bake)
 
 
@@ -101,9 +94,22 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames", nargs="+", default=["all"], metavar="FRAME", help="names of frames, test (those held out), or all"
     )
-    parser.add_argument("--progress", action="store_true", help="print a line after each frame, for programs")
+    _make_task(parser, commands.export, "What was exported so far is there.")
+
+
+def _make_task(parser: argparse.ArgumentParser, run: Run, when_stopped: str = "") -> None:
+    """Let a command run as a task that other programs can follow. ``when_stopped`` is what is left then."""
+    parser.add_argument("--json", action="store_true", help="print the answer as one line of JSON, for programs")
+    _add_place_options(parser)
+    parser.set_defaults(run=run, is_task=True, when_stopped=when_stopped)
+
+
+def _add_place_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--events", type=Path, metavar="FILE.jsonl",
+        help="write progress and the answer there as events, and all output to FILE.log; FILE.cancel stops it",
+    )  # fmt: skip
     _add_stay_with_parent(parser)
-    parser.set_defaults(run=commands.export)
 
 
 def _add_stay_with_parent(parser: argparse.ArgumentParser) -> None:
@@ -125,8 +131,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
         "--ids-per-frame", action="store_true", help="instance ids of the predictions mean nothing across frames"
     )
     parser.add_argument("--classes", action="store_true", help="also class by class")
-    parser.add_argument("--json", action="store_true", help="one line of JSON, class by class, for programs")
-    parser.set_defaults(run=commands.evaluate)
+    _make_task(parser, commands.evaluate)
 
 
 def _add_inspect(parser: argparse.ArgumentParser) -> None:
@@ -136,12 +141,10 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder")
     add_scene_options(parser)
-    parser.add_argument("--json", action="store_true", help="one line of JSON, for programs")
     parser.add_argument("--preset", choices=PRESETS, help="also predict what a lift with this preset would take")
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="write findings and their pictures there")
     parser.add_argument("--fix", type=Path, metavar="OUT", help="write the scene to a new folder, mended where safe")
-    _add_stay_with_parent(parser)
-    parser.set_defaults(run=commands.inspect)
+    _make_task(parser, commands.inspect)
 
 
 def _add_frames(parser: argparse.ArgumentParser) -> None:
@@ -155,8 +158,7 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--make", nargs="+", choices=FRAME_FILES, default=list(FRAME_FILES), help="what (default: all)")
     parser.add_argument("--frames", nargs="+", metavar="FRAME", help="only these frames; the cloud is of all")
     add_scene_options(parser)
-    _add_stay_with_parent(parser)
-    parser.set_defaults(run=commands.frames)
+    _make_task(parser, commands.frames, "What is made already is kept: the same command goes on.")
 
 
 def _add_segment(parser: argparse.ArgumentParser) -> None:
@@ -177,39 +179,19 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, metavar="FOLDER", help="where the masks go (default: the scene's folder)"
     )
     add_capture_options(parser)
-    _add_stay_with_parent(parser)
-    parser.set_defaults(run=commands.segment)
+    _make_task(parser, commands.segment, "The same command goes on.")
 
 
-def _add_experiments(parser: argparse.ArgumentParser) -> None:
+def _add_set_up(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Lift every scene in the ways of the rows, each in a process of its own and without passes, and print the "
-        "paper's tables in Markdown: rivals, ablations, departures. What is finished in FOLDER is not lifted again, "
-        "what was stopped goes on."
+        "Make an environment in FOLDER with the pinned packages, about 1.3 GB, and compile what a lift runs. Any "
+        "Python that PLGS supports can run this. What was stopped or cut off goes on with the same command."
     )
-    about = f"a scene's folder; AXIS is one of {', '.join(UPS)}"
-    parser.add_argument("scenes", nargs="*", metavar="SCENE[:up=AXIS]", help=f"{about} (default: sample/room)")
-    parser.add_argument("--scenes", nargs="+", dest="named_scenes", metavar="SCENE[:up=AXIS]", help="the same")
-    parser.add_argument("--names", type=_names, metavar="A,B,..", help="what to call them (default: as their folders)")
-    parser.add_argument("--only", nargs="+", default=[], metavar="ROW|TABLE", help="these rows, or the rows of a table")
-    parser.add_argument("--list", action="store_true", help="tell which tables and rows there are")
-    parser.add_argument(
-        "--preset", type=preset_or_file, default="preview", metavar="NAME|FILE.toml",
-        help="as for lift (default: preview)",
-    )  # fmt: skip
-    add_set_option(parser)
-    add_label_options(parser)
-    add_format_option(parser)
-    parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
-    parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="starts of chance (default: 0)")
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",
-        help="where lifts, results.json, .csv and .md, plots and sheets go (default: lifts/experiments)",
-    )  # fmt: skip
-    parser.add_argument("--report", type=Path, metavar="FILE.md", help="a page whose tables are brought up to date")
-    parser.add_argument("--finished", action="store_true", help="lift nothing more: the tables of what is finished")
-    parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier results.json: before -> after")
-    parser.set_defaults(run=commands.experiments)
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where environments, their log and lock lie")
+    parser.add_argument("--base-python", type=Path, metavar="PYTHON", help="make it from this Python")
+    parser.add_argument("--torch", choices=("cpu", "cuda"), default="cpu", help="the build of torch (default: cpu)")
+    parser.add_argument("--remove", action="store_true", help="delete the environments in FOLDER instead")
+    _make_task(parser, commands.set_up, "What was downloaded is kept: the same command goes on.")
 
 
 def _add_presets(parser: argparse.ArgumentParser) -> None:
@@ -221,46 +203,3 @@ def _add_presets(parser: argparse.ArgumentParser) -> None:
     add_set_option(parser)
     parser.add_argument("--json", action="store_true", help="for programs: the table of all options, or NAME's values")
     parser.set_defaults(run=commands.presets)
-
-
-def _add_bench(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak. "
-        "step: a training step of a lift of the sample, by part, and the drawing of what was lifted. "
-        "bake: a baked frame, by part, and its memory. "
-        "long: lifts of long captures made of the sample, by stage, with their memory."
-    )
-    parser.add_argument("what", choices=("raster", "step", "bake", "long"))
-    parser.add_argument(
-        "--frames",
-        type=_enough_frames,
-        nargs="+",
-        default=[100, 300],
-        metavar="N",
-        help="long: of how many (default: 100 300)",
-    )
-    parser.add_argument("--preset", choices=PRESETS, default="preview", help="long: as for lift (default: preview)")
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("lifts/long"), metavar="FOLDER",
-        help="long: where the captures are kept (default: lifts/long)",
-    )  # fmt: skip
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
-    parser.set_defaults(run=commands.bench)
-
-
-def _names(text: str) -> list[str]:
-    return text.split(",")
-
-
-def _seeds(text: str) -> list[int]:
-    seeds = text.split(",")
-    if not all(seed.isdecimal() for seed in seeds):
-        raise argparse.ArgumentTypeError(f"{text!r} are no whole numbers with commas between, such as 0,1,2")
-    return list(dict.fromkeys(map(int, seeds)))
-
-
-def _enough_frames(text: str) -> int:
-    """For a long capture; for argparse, so it raises ArgumentTypeError."""
-    if not re.fullmatch(r"[0-9]{1,7}", text) or int(text) < FEWEST_OF_A_CAPTURE:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of frames from {FEWEST_OF_A_CAPTURE} on")
-    return int(text)

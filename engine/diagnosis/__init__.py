@@ -1,10 +1,9 @@
-"""What is wrong with a scene? Measured: depth reprojected into other views, edges, normals, pictures, labels."""
+"""What is wrong with a scene? Depth is carried into other views; edges, normals, pictures and labels are compared."""
 
 from __future__ import annotations
 
-from .finding import Diagnosis, Finding
+from .findings import Diagnosis, Finding, write_findings
 from .mend import write_mended
 from .run import diagnose
-from .written import write_findings
 
 __all__ = ["Diagnosis", "Finding", "diagnose", "write_findings", "write_mended"]

@@ -1,4 +1,4 @@
-"""Findings on pictures: blur and exposure."""
+"""Findings on photos: blur, exposure, and pixels that are black or white."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene.layout import listed
-from .examined import Examined
-from .finding import Finding
-from .photos import Photo, neighbours_of, relative_sharpness
+from .findings import Finding
+from .looks import Floats, Photo, values_at
 from .pictures import side_by_side
-from .reprojection import Assumption, Floats
+from .reprojection import Assumption, Examined
 
+_NEIGHBOURS = 4
+"""Photos before and after that a photo is compared with."""
 _BLURRED, _BLURRED_SURFACE = 0.8, 0.88
-"""Of the neighbours' detail, in the whole picture and on the same surfaces: turned away from, these lose a tenth."""
+"""Shares of the neighbours' detail, in the whole picture and on the same surfaces. Turning away costs a tenth."""
 _VERY_BLURRED, _BLURRED_BY_ITSELF = 0.35, 0.3
 _EXPOSURE = 1.5
-"""Times brighter and darker that frames show the same surface, from the 5th to the 95th percentile."""
+"""Factor between bright and dark frames of one surface, from the 5th to the 95th percentile."""
 _CLIPPED = 0.5
 _SAME_DISTANCE = 0.15
-"""Logarithm: what is nearer shows its texture larger, which is no blur."""
+"""Largest logarithm of the ratio of two distances. A nearer surface shows its texture larger, which is no blur."""
 _GRAIN = 9
-"""Pixels of a picture 320 wide over which detail is measured."""
+"""Pixels of a picture 320 wide over which detail is averaged."""
 _NO_DETAIL, _DETAIL = 13.0, 1500.0
 _LEAST_FRAMES = 5
 _FEWEST_POINTS = 100
@@ -51,24 +52,24 @@ def clipped_findings(photos: dict[int, Photo]) -> list[Finding]:
 
 
 def blur_findings(photos: dict[int, Photo]) -> list[Finding]:
-    """Frames with far less detail than their neighbours, where there is no depth to tell what they show."""
+    """Frames with far less detail than their neighbours. For scenes without depth."""
     shots = list(photos.values())
-    return _of_blur(shots, relative_sharpness(shots), np.ones(len(shots), bool), _BLURRED_BY_ITSELF)
+    return _blur_findings(shots, np.ones(len(shots), bool), _BLURRED_BY_ITSELF)
 
 
 def blur_findings_on_surfaces(examined: Examined, assumed: Assumption) -> list[Finding]:
-    """Frames with less detail than their neighbours, also on the very surfaces that those show: a bare wall is no
-    blur.
-    """
-    shots = [_photo(examined, row) for row in range(len(examined.looks))]
-    details = relative_details(examined, assumed)
+    """Frames with less detail than their neighbours, also on the surfaces that both show. A bare wall is no blur."""
+    shots = [examined.photo(row) for row in range(len(examined.looks))]
+    details = _relative_details(examined, assumed)
     if details is None:
         return []
-    beside = np.exp(details - np.array([np.median(around) for around in neighbours_of(details)]))
-    return _of_blur(shots, relative_sharpness(shots), beside < _BLURRED_SURFACE, _BLURRED)
+    beside = np.exp(details - _neighbour_medians(details))
+    return _blur_findings(shots, beside < _BLURRED_SURFACE, _BLURRED)
 
 
-def _of_blur(shots: Sequence[Photo], sharpness: Floats, may_be: NDArray[np.bool_], threshold: float) -> list[Finding]:
+def _blur_findings(shots: Sequence[Photo], may_be: NDArray[np.bool_], threshold: float) -> list[Finding]:
+    detail = np.array([shot.detail for shot in shots])
+    sharpness = detail / np.maximum(_neighbour_medians(detail), 1e-6)
     found = sorted((float(sharpness[row]), int(row)) for row in np.flatnonzero(may_be & (sharpness < threshold)))
     if not found or len(shots) < _LEAST_FRAMES:
         return []
@@ -83,7 +84,7 @@ def _of_blur(shots: Sequence[Photo], sharpness: Floats, may_be: NDArray[np.bool_
             severity="note",
             text=f"{len(found)} of {len(shots)} frames are less sharp than their neighbours, the worst with "
             f"{worst:.0%} of their detail: {listed(names)}{more}",
-            option="none is needed: a lift counts them less; leave the worst out with a splits.json",
+            option="none is needed, as a lift counts them less; leave the worst out with a splits.json",
             figures={"frames": float(len(found)), "least_detail": worst},
             frames=names,
             picture=side_by_side([(beside.name, beside.grey), (shots[row].name, shots[row].grey)]),
@@ -91,9 +92,22 @@ def _of_blur(shots: Sequence[Photo], sharpness: Floats, may_be: NDArray[np.bool_
     ]
 
 
+def _neighbour_medians(values: Floats) -> Floats:
+    """The median of the four values before and the four after each one, float64 [N] in recording order."""
+    if len(values) < 2:
+        return values
+    return np.array(
+        [
+            np.median(np.concatenate([values[max(0, i - _NEIGHBOURS) : i], values[i + 1 : i + 1 + _NEIGHBOURS]]))
+            for i in range(len(values))
+        ]
+    )
+
+
 def exposure_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     """How much brighter some frames show a surface than others do."""
-    gains = relative_gains(examined, assumed)
+    greys = [examined.photo(row).grey for row in range(len(examined.looks))]
+    gains = _relative_levels(examined, assumed, greys)
     if gains is None:
         return []
     low, high = np.quantile(gains, [0.05, 0.95])
@@ -101,37 +115,30 @@ def exposure_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     if spread < _EXPOSURE:
         return []
     dark, bright = int(np.argmin(gains)), int(np.argmax(gains))
-    shown = [(examined.name(row), examined.photos[examined.looks[row].number].grey) for row in (dark, bright)]
     return [
         Finding(
             cause="exposure",
             severity="note",
             text=f"exposure varies: some frames show the same surface {spread:.1f} times as bright as others "
             f"(darkest {examined.name(dark)}, brightest {examined.name(bright)})",
-            option="none is needed: a lift fits each frame's exposure; lock it when you record again",
+            option="none is needed, as a lift fits each frame's exposure; lock it when you record again",
             figures={"times": spread},
-            picture=side_by_side(shown),
+            picture=side_by_side([(examined.name(row), greys[row]) for row in (dark, bright)]),
         )
     ]
 
 
-def relative_gains(examined: Examined, assumed: Assumption) -> Floats | None:
-    """The logarithm of how bright each look shows surfaces beside the others, float64 [F], of mean 0."""
-    return _relative_levels(examined, assumed, [_photo(examined, row).grey for row in range(len(examined.looks))])
-
-
-def relative_details(examined: Examined, assumed: Assumption) -> Floats | None:
-    """The logarithm of how much detail each look shows on surfaces beside the others, float64 [F], of median 0."""
+def _relative_details(examined: Examined, assumed: Assumption) -> Floats | None:
+    """The logarithm of each look's detail on surfaces, relative to the others there, float64 [F] with median 0."""
     import cv2
 
     maps = []
     for row in range(len(examined.looks)):
-        grey = _photo(examined, row).grey
+        grey = examined.photo(row).grey
         detail = cv2.blur(np.abs(cv2.Laplacian(grey, cv2.CV_32F)), (_GRAIN, _GRAIN))
-        # Exposure multiplies both; where there is next to none, it is noise.
-        maps.append(
-            _NO_DETAIL + _DETAIL * detail / np.maximum(cv2.blur(grey.astype(np.float32), (_GRAIN, _GRAIN)), 1.0)
-        )
+        brightness = cv2.blur(grey.astype(np.float32), (_GRAIN, _GRAIN))
+        # Exposure multiplies both. Dark pixels have next to no detail but noise.
+        maps.append(_NO_DETAIL + _DETAIL * detail / np.maximum(brightness, 1.0))
     levels = _relative_levels(examined, assumed, maps, _SAME_DISTANCE)
     return None if levels is None else levels - np.median(levels)
 
@@ -139,9 +146,10 @@ def relative_details(examined: Examined, assumed: Assumption) -> Floats | None:
 def _relative_levels(
     examined: Examined, assumed: Assumption, maps: Sequence[NDArray[Any]], nearly: float = np.inf
 ) -> Floats | None:
-    """The logarithm of each look's values on surfaces beside those of the others there, float64 [F], of mean 0: least
-    squares over the median ratios of the pairs; None where too few pairs see the same. Values of 12 to 243 count, of
-    surfaces whose distances to both cameras differ by ``nearly`` (logarithm) at most.
+    """The logarithm of each look's values on surfaces, relative to the others there, float64 [F] with mean 0.
+
+    This is a least-squares fit to the median ratios of the pairs; None where too few pairs see the same surface. Values
+    of 12 to 243 count, on surfaces whose distances to both cameras differ by at most ``nearly`` (logarithm).
     """
     comparison = examined.views.compare(examined.pairs, assumed)
     rows, ratios = [], []
@@ -150,8 +158,8 @@ def _relative_levels(
         same[same] &= np.abs(np.log(comparison.scale[row][same])) < nearly
         if same.sum() < _FEWEST_POINTS / 2:
             continue
-        ours = _at(maps[one], examined.views.places[one][same])
-        theirs = _at(maps[other], comparison.place[row][same])
+        ours = values_at(maps[one], examined.views.places[one][same]).astype(np.float64)
+        theirs = values_at(maps[other], comparison.place[row][same]).astype(np.float64)
         fair = (ours > 12) & (ours < 243) & (theirs > 12) & (theirs < 243)
         if fair.sum() >= _FEWEST_POINTS / 4:
             rows.append((one, other))
@@ -163,14 +171,3 @@ def _relative_levels(
     system[np.arange(len(rows)), [other for _, other in rows]] = 1.0
     levels = np.linalg.lstsq(system, np.array(ratios), rcond=1e-6)[0]
     return levels - levels.mean()
-
-
-def _at(pixels: NDArray[Any], places: Floats) -> Floats:
-    height, width = pixels.shape
-    columns = np.clip((places[:, 0] * width).astype(np.int64), 0, width - 1)
-    rows = np.clip((places[:, 1] * height).astype(np.int64), 0, height - 1)
-    return pixels[rows, columns].astype(np.float64)
-
-
-def _photo(examined: Examined, row: int) -> Photo:
-    return examined.photos[examined.looks[row].number]

@@ -1,7 +1,7 @@
-"""How far off lens, depth unit and ray length are: a robust least-squares fit to all reprojected depth.
+"""How far off are lens, depth unit and ray length? A robust least-squares fit to all reprojected depth.
 
-Every point that another view shows nearly where it is expected says a little of what would make both agree. Errors of
-one frame's pose sit in all of its pairs, so the fit's uncertainty counts frames, not points.
+Every point that another view shows nearly where it is expected is one equation of the fit. An error in one frame's pose
+is in all of its pairs, so the uncertainty counts frames and not points.
 """
 
 from __future__ import annotations
@@ -11,24 +11,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .reprojection import Assumption, Floats, Views
+from .looks import Floats
+from .reprojection import Assumption, Views
 
-PARAMETERS = ("unit", "focal", "aspect", "x", "y", "ray")
+_PARAMETERS = ("unit", "focal", "aspect", "x", "y", "ray")
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])
-"""How far each is moved to see what it does: far less than what changes which points agree."""
+"""Step of each parameter for the slopes. It hardly changes which points agree."""
 _PRIOR = np.array([0.3, 0.3, 0.3, 0.1, 0.1, 1.0])
-"""About what each may be off by. It decides where views say nothing: cameras all at one height leave fy open."""
+"""Deviation expected of each. It decides where views say nothing: cameras at one height leave fy open."""
 _ROUNDS = 8
 _LEAST_TERMS = 200
 _FINEST = 2e-4
-"""Relative error of depth below which rounding to millimetres hides all."""
+"""Relative error of depth that rounding to millimetres makes. Smaller ones cannot be measured."""
 _STEEPEST = 5.0
+"""Largest slope of a point on a surface. A larger one means that the point crossed an edge."""
 
 
 class Calibration(NamedTuple):
-    """``values`` float64 [6] beside what was assumed, in the order of ``PARAMETERS``: logarithms of the factors of
-    depth, of the focal lengths and of fx alone; the principal point's shift in shares of width and height; the part of
-    the ray's length in depth. ``deviations`` are their standard errors.
+    """``values`` float64 [6] beside the assumption, in the order of ``_PARAMETERS``, with their standard errors.
+
+    They are the logarithms of the factors of depth, of the focal lengths and of fx alone, the principal point's shift
+    in shares of width and height, and the part of the ray's length that is in depth.
     """
 
     values: Floats
@@ -36,19 +39,19 @@ class Calibration(NamedTuple):
 
     def of(self, name: str) -> float:
         """One of the values, by its name."""
-        return float(self.values[PARAMETERS.index(name)])
+        return float(self.values[_PARAMETERS.index(name)])
 
     def deviation(self, name: str) -> float:
         """The standard error of one of the values."""
-        return float(self.deviations[PARAMETERS.index(name)])
+        return float(self.deviations[_PARAMETERS.index(name)])
 
     def is_sure_of(self, name: str, least: float, sigmas: float = 5.0) -> bool:
-        """Whether a value is at least ``least``, up or down, and so many standard errors."""
+        """Whether a value is at least ``least`` and ``sigmas`` standard errors, up or down."""
         return abs(self.of(name)) >= max(least, sigmas * self.deviation(name))
 
 
 class _Linear(NamedTuple):
-    """Errors [n], what each parameter would take off them [n, p], weights [n], the frames [n, 2] they are between."""
+    """``errors`` [n], their ``slopes`` [n, p] by parameter, ``weights`` [n], and the two ``frames`` [n, 2] of each."""
 
     errors: Floats
     slopes: Floats
@@ -72,12 +75,12 @@ def calibrate(
     views: Views,
     pairs: NDArray[np.int64],
     base: Assumption,
-    free: tuple[str, ...] = PARAMETERS,
+    free: tuple[str, ...] = _PARAMETERS,
     points: int | None = None,
 ) -> Calibration | None:
-    """Fit the ``free`` parameters; None when too few points agree to say anything."""
-    columns = [PARAMETERS.index(name) for name in free]
-    values, deviations = np.zeros(len(PARAMETERS)), np.full(len(PARAMETERS), np.inf)
+    """Fit the ``free`` parameters. None where too few points agree."""
+    columns = [_PARAMETERS.index(name) for name in free]
+    values, deviations = np.zeros(len(_PARAMETERS)), np.full(len(_PARAMETERS), np.inf)
     for _ in range(_ROUNDS):
         linear = _linearised(views, pairs, moved(base, values), columns, points)
         if linear is None:
@@ -96,12 +99,11 @@ def _linearised(
     centre = views.compare(pairs, at, points)
     found = []
     for column in columns:
-        step = np.zeros(len(PARAMETERS))
+        step = np.zeros(len(_PARAMETERS))
         step[column] = _STEPS[column]
         after = views.compare(pairs, moved(at, step), points)
         found.append((centre.error - after.error) / _STEPS[column])
     slopes = np.stack(found, -1)
-    # Where a parameter seems to do much, the point went over an edge.
     usable = (centre.agrees > 0.0) & np.isfinite(slopes).all(-1) & (np.abs(slopes) < _STEEPEST).all(-1)
     if usable.sum() < _LEAST_TERMS:
         return None
@@ -110,9 +112,9 @@ def _linearised(
 
 
 def _solve(linear: _Linear, values: Floats, prior: Floats) -> tuple[Floats, Floats]:
-    """The step of weighted least squares from ``values`` [p], ``prior`` [p] their precisions, and standard errors [p].
+    """The step [p] of weighted least squares from ``values`` [p] with precisions ``prior`` [p], and its errors [p].
 
-    Errors within a frame hang together, so pairs that share one are not independent.
+    Errors within a frame are correlated, so the errors are summed by frame.
     """
     noise = float(np.sqrt((linear.weights * linear.errors**2).sum() / linear.weights.sum()))
     precision = max(noise, _FINEST) ** -2

@@ -1,4 +1,4 @@
-"""Do the views call the same surface the same? The labels of points that two views see, compared."""
+"""Do the views call the same surface the same? Masks and classes that contradict each other between views."""
 
 from __future__ import annotations
 
@@ -8,36 +8,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import VOID
+from ..scene.layout import listed
 from ..scene.pixels import resize_nearest
-from .reprojection import Assumption, Floats, Views
+from .findings import Finding
+from .looks import Floats, values_at
+from .pictures import side_by_side
+from .reprojection import Assumption, Examined
 
 _WIDTH = 320
+"""Pixels across of the masks that are compared."""
 _SAME_SURFACE = 0.5
-"""Of the agreement in depth, 0..1: about 2.7 % of the depth."""
+"""Least agreement in depth, 0..1, of two views of one surface: about 2.7 % of the depth."""
+_FEWEST_POINTS = 100
+_UNRELATED = 0.5
+_CONFUSED, _CONFUSED_SHARE = 0.25, 0.01
+"""A class is contradicted if another class takes this share of its points, and this share of all points."""
 
 
 class LabelAgreement(NamedTuple):
-    """``counts`` float64 [C, C]: how many points have the one class in one view and the other in another; rows and
-    columns in the order of ``class_ids``, void left out. ``by_look`` float64 [F]: the share of a look's points that are
-    called the same by the others, nan where there are too few. ``by_class`` float64 [C] alike.
+    """``counts`` float64 [C, C]: points of one class in one view and of another in the other view. Rows and columns are
+    in the order of ``class_ids``, without void. ``by_look`` float64 [F]: share of a look's points that other views call
+    the same, nan where there are too few.
     """
 
     class_ids: tuple[int, ...]
     counts: Floats
     by_look: Floats
-    by_class: Floats
 
     @property
     def share(self) -> float:
-        """Of all points that both views name: how many they name the same."""
+        """The share of all points named by both views that they name the same."""
         return float(np.trace(self.counts) / max(self.counts.sum(), 1.0))
 
 
-def measure_labels(views: Views, pairs: NDArray[np.int64], assumed: Assumption, least: int) -> LabelAgreement | None:
-    """Compare labels of points whose depth agrees; shares of fewer than ``least`` points are nan. Raises SceneError."""
+def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | None:
+    """Compare the labels of points whose depth agrees. Raises PlgsError."""
+    views, pairs = examined.views, examined.pairs
     if any(look.frame.read_mask is None for look in views.looks):
         return None
-    maps = [_small(look.frame.mask(None).class_map()) for look in views.looks]
+    maps = [_reduced(look.frame.mask(None).class_map()) for look in views.looks]
     ids = tuple(sorted({*np.concatenate([np.unique(each) for each in maps]).tolist()} - {VOID}))
     if not ids:
         return None
@@ -48,7 +57,8 @@ def measure_labels(views: Views, pairs: NDArray[np.int64], assumed: Assumption, 
     same, total = np.zeros(len(views.looks)), np.zeros(len(views.looks))
     for row, (one, other) in enumerate(pairs.tolist()):
         agrees = comparison.agrees[row] > _SAME_SURFACE
-        ours, theirs = _at(maps[one], views.places[one][agrees]), _at(maps[other], comparison.place[row][agrees])
+        ours = values_at(maps[one], views.places[one][agrees])
+        theirs = values_at(maps[other], comparison.place[row][agrees])
         named = (ours != VOID) & (theirs != VOID)
         a, b = row_of[ours[named]], row_of[theirs[named]]
         np.add.at(counts, (a, b), 1.0)
@@ -56,21 +66,86 @@ def measure_labels(views: Views, pairs: NDArray[np.int64], assumed: Assumption, 
         for look in (one, other):
             same[look] += float((a == b).sum())
             total[look] += len(a)
-    by_class = _share(np.diag(counts), counts.sum(1), 2 * least)
-    return LabelAgreement(ids, counts, _share(same, total, least), by_class)
+    return LabelAgreement(ids, counts, np.where(total >= _FEWEST_POINTS, same / np.maximum(total, 1.0), np.nan))
 
 
-def _small(classes: NDArray[np.int32]) -> NDArray[np.int32]:
+def _reduced(classes: NDArray[np.int32]) -> NDArray[np.int32]:
     height, width = classes.shape
     return resize_nearest(classes, (_WIDTH, max(1, round(height * _WIDTH / width)))) if width > _WIDTH else classes
 
 
-def _at(classes: NDArray[np.int32], places: Floats) -> NDArray[np.int32]:
-    height, width = classes.shape
-    columns = np.clip((places[:, 0] * width).astype(np.int64), 0, width - 1)
-    rows = np.clip((places[:, 1] * height).astype(np.int64), 0, height - 1)
-    return classes[rows, columns]
+def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
+    """Masks that contradict each other where views see the same surface. Raises PlgsError."""
+    labels = measure_labels(examined, assumed)
+    if labels is None or labels.counts.sum() < 10 * _FEWEST_POINTS:
+        return []
+    if labels.share < _UNRELATED:
+        return [_unrelated_masks(examined, labels)]
+    middle = float(np.nanmedian(labels.by_look))
+    odd = [row for row, share in enumerate(labels.by_look.tolist()) if share < _UNRELATED * middle]
+    return [*([_odd_masks(examined, labels, odd, middle)] if odd else []), *_confused_classes(examined, labels)]
 
 
-def _share(part: Floats, whole: Floats, least: int) -> Floats:
-    return np.where(whole >= least, part / np.maximum(whole, 1.0), np.nan)
+def _unrelated_masks(examined: Examined, labels: LabelAgreement) -> Finding:
+    return Finding(
+        cause="contradicting masks",
+        severity="wrong",
+        text=f"two views give the same class to only {labels.share:.0%} of the points that both see",
+        option="see that each mask belongs to its frame, and that all have the same class table",
+        figures={"share": labels.share},
+        picture=_masks_shown(examined, [0, 1]),
+    )
+
+
+def _odd_masks(examined: Examined, labels: LabelAgreement, rows: list[int], middle: float) -> Finding:
+    names = tuple(examined.name(row) for row in rows)
+    worst = float(min(labels.by_look[row] for row in rows))
+    return Finding(
+        cause="contradicting masks",
+        severity="wrong",
+        text=f"the masks of {listed(names)} contradict those of the other views: {worst:.0%} of their points have the "
+        f"same class there; the median of all frames is {middle:.0%}",
+        option="see that these masks belong to these frames, or leave the frames out with a splits.json",
+        figures={"share": worst, "middle": middle},
+        frames=names,
+        picture=_masks_shown(examined, [max(rows[0] - 1, 0), rows[0]]),
+    )
+
+
+def _confused_classes(examined: Examined, labels: LabelAgreement) -> list[Finding]:
+    """Pairs of classes that views exchange, the most frequent first."""
+    total = labels.counts.sum()
+    found = []
+    for row, column in zip(*np.nonzero(labels.counts), strict=True):
+        part = float(labels.counts[row, column] / labels.counts[row].sum())
+        is_much = labels.counts[row, column] > _CONFUSED_SHARE * total
+        if row != column and part > _CONFUSED and is_much:
+            ids = [labels.class_ids[each] for each in (row, column)]
+            one, other = (examined.scene.classes[each].name for each in ids)
+            finding = Finding(
+                cause="contradicting classes",
+                severity="note",
+                text=f"views contradict each other: {part:.0%} of what one calls {one} another calls {other}",
+                option="none is needed, as a lift votes; see that the class table is the same for all masks",
+                figures={"share": part, "class": one, "other": other},
+                picture=_masks_shown(examined, [_look_with_most(examined, each) for each in ids]),
+            )
+            found.append((float(labels.counts[row, column]), finding))
+    return [finding for _, finding in sorted(found, key=lambda each: -each[0])]
+
+
+def _look_with_most(examined: Examined, class_id: int) -> int:
+    """The look that shows most of a class."""
+    return int(np.argmax([(look.frame.mask(None).class_map() == class_id).mean() for look in examined.looks]))
+
+
+def _masks_shown(examined: Examined, rows: list[int]) -> NDArray[np.uint8]:
+    shown = []
+    for row in rows:
+        classes = examined.looks[row].frame.mask(None).class_map()
+        colours = np.zeros((int(classes.max()) + 1, 3), np.uint8)
+        for category in examined.scene.classes.categories:
+            if category.id < len(colours):
+                colours[category.id] = category.colour
+        shown.append((examined.name(row), colours[classes]))
+    return side_by_side(shown)

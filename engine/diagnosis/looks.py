@@ -1,32 +1,43 @@
-"""The frames that a diagnosis looks at, at most 120 of a scene, and the pairs of them that it compares."""
+"""What is loaded for a diagnosis: depth ("looks") and photos of at most 120 frames, and which looks are compared."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import Camera, Frame
 
-MOST_LOOKS = 120
+Floats = NDArray[np.float64]
+
+_MOST_LOOKS = 120
 _SPREAD = 24
-_GROUP = 5
+"""Places of the recording that are compared with each other. Each has a group of frames."""
+_GROUP_STEPS = (0, 1, 3, 7, 15)
+"""Frames of a group, counted from its first."""
 _NEXT = 3
+"""Looks that each look is compared with, counted in recording order."""
 _WIDEST = 640
+"""Pixels across that depth and pictures are reduced to."""
+_PHOTO_WIDTH = 320
 _POINTS = 400
+"""Points that each look compares with other views."""
 _SMOOTH = 1.05
-"""Largest ratio of the depths around a point: beyond it the pixels lie on both sides of an edge."""
+"""Largest ratio of the depths around a point. Above it, the pixels lie on both sides of an edge."""
+_DARK, _BRIGHT = 8, 247
+"""Grey levels below and above which a pixel is clipped."""
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
     """A frame whose depth is loaded. ``number`` is its place in the scene's frames.
 
-    ``depth`` float32 [H, W] metres as the scene has it, 0 = none; ``camera`` is of its size. ``points`` int32 [N, 2]
-    are (column, row) of pixels on smooth surfaces, spread over the picture, which are compared with other views.
+    ``depth`` float32 [H, W] is in the scene's metres, 0 = none; ``camera`` has its size. ``points`` int32 [N, 2]
+    (column, row) lie on smooth surfaces, spread over the picture. They are compared with other views.
     """
 
     number: int
@@ -36,15 +47,32 @@ class Look:
     points: NDArray[np.int32]
 
 
-def chosen_numbers(count: int) -> list[int]:
-    """Which of ``count`` frames are looked at: all, or 24 places spread over the recording with the frames that follow
-    them: near views tell small errors, far ones that see the same tell large ones.
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A frame's picture. ``grey`` uint8 [H, W] is at most 320 pixels wide. ``detail`` is the mean Laplacian over the
+    mean brightness of the picture at most 640 wide, so exposure does not change it.
     """
-    if count <= MOST_LOOKS:
+
+    number: int
+    name: str
+    grey: NDArray[np.uint8]
+    detail: float
+
+    @property
+    def clipped(self) -> float:
+        """The share of pixels that are black or white."""
+        return float(((self.grey < _DARK) | (self.grey > _BRIGHT)).mean())
+
+
+def chosen_numbers(count: int) -> list[int]:
+    """Which of ``count`` frames are examined: all, or 24 groups spread over the recording.
+
+    Neighbours show small errors. Distant views of the same surface show large ones.
+    """
+    if count <= _MOST_LOOKS:
         return [*range(count)]
     starts = np.linspace(0, count - 1, _SPREAD).round().astype(int)
-    steps = np.cumsum([0, 1, 2, 4, 8])[:_GROUP]
-    return sorted({int(min(start + step, count - 1)) for start in starts for step in steps})
+    return sorted({int(min(start + step, count - 1)) for start in starts for step in _GROUP_STEPS})
 
 
 def pairs_of(count: int) -> NDArray[np.int64]:
@@ -52,35 +80,60 @@ def pairs_of(count: int) -> NDArray[np.int64]:
     spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
     pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
     pairs |= {*combinations(spread, 2)}
-    # Either direction in turn: each frame's points are looked at, and its depth is.
+    # Directions alternate, so that the points of each look are used, and its depth is.
     return np.array([(i, j) if (i + j) % 2 else (j, i) for i, j in sorted(pairs)], np.int64).reshape(-1, 2)
 
 
 def load_looks(frames: Sequence[Frame]) -> list[Look]:
-    """Load the depth of the chosen frames that have any. Raises SceneError for files that are bad."""
-    looks = []
-    for number in chosen_numbers(len(frames)):
-        look = None if frames[number].read_depth is None else _load(number, frames[number])
-        if look is not None:
-            looks.append(look)
-    return looks
+    """Load the depth of the chosen frames that have depth. Raises PlgsError for bad files."""
+    with_depth = [number for number in chosen_numbers(len(frames)) if frames[number].read_depth is not None]
+    return [look for number in with_depth if (look := _load_look(number, frames[number])) is not None]
 
 
-def _load(number: int, frame: Frame) -> Look | None:
+def _load_look(number: int, frame: Frame) -> Look | None:
     depth = frame.depth(None)
-    depth = thinned(depth, stride_for(depth.shape[1]))
+    depth = _thinned(depth, _stride_for(depth.shape[1]))
     height, width = depth.shape
     points = _smooth_points(depth, np.random.default_rng(number))
     return Look(number, frame, frame.camera.resized(width, height), depth, points) if len(points) else None
 
 
-def stride_for(width: int) -> int:
-    """The odd step between pixels that brings a picture's width to 640 at most."""
+def load_photos(frames: Sequence[Frame]) -> dict[int, Photo]:
+    """The pictures of the chosen frames, by the frames' numbers. Raises PlgsError."""
+    return {number: _load_photo(number, frames[number]) for number in chosen_numbers(len(frames))}
+
+
+def _load_photo(number: int, frame: Frame) -> Photo:
+    import cv2
+
+    grey = cv2.cvtColor(frame.read_colour(None), cv2.COLOR_RGB2GRAY)
+    height, width = grey.shape
+    step = _stride_for(width)
+    if step > 1:
+        grey = cv2.resize(grey, (width // step, height // step), interpolation=cv2.INTER_AREA)
+    detail = float(np.abs(cv2.Laplacian(grey, cv2.CV_32F)).mean()) / max(float(grey.mean()), 1.0)
+    height, width = grey.shape
+    if width > _PHOTO_WIDTH:
+        size = (_PHOTO_WIDTH, round(height * _PHOTO_WIDTH / width))
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return Photo(number, frame.name, grey.astype(np.uint8), detail)
+
+
+def values_at(pixels: NDArray[Any], places: Floats) -> NDArray[Any]:
+    """The pixels of an array [H, W] at places, float64 [N, 2], in shares of its width and height."""
+    height, width = pixels.shape
+    columns = np.clip((places[:, 0] * width).astype(np.int64), 0, width - 1)
+    rows = np.clip((places[:, 1] * height).astype(np.int64), 0, height - 1)
+    return pixels[rows, columns]
+
+
+def _stride_for(width: int) -> int:
+    """The odd step between pixels that reduces a picture to at most 640 across."""
     step = -(-width // _WIDEST)
     return step + 1 - step % 2
 
 
-def thinned(pixels: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+def _thinned(pixels: NDArray[np.float32], step: int) -> NDArray[np.float32]:
     """Every ``step``-th (odd) row and column: the middle pixel of each block, so that nothing moves by half a pixel."""
     if step == 1:
         return pixels

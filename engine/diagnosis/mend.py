@@ -1,4 +1,4 @@
-"""A new scene folder in the present layout, mended where a diagnosis is sure. The user's files stay as they are."""
+"""Writes a new scene folder, mended where a diagnosis is sure. The user's files stay as they are."""
 
 from __future__ import annotations
 
@@ -12,29 +12,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PlgsError
 from ..job.atomic import PART, write_atomically
-from ..scene import Camera, ClassTable, Frame, Scene, SceneError
+from ..scene import Camera, ClassTable, Frame, Scene
 from ..scene.depth import MILLIMETRES
-from .finding import Diagnosis, Mending
-from .reprojection import Assumption, Floats, assumed_poses, lens_under, planar
+from .findings import Diagnosis, Mending
+from .looks import Floats
+from .pictures import png_bytes
+from .reprojection import Assumption, assumed_poses, lens_under, planar
 
 _DEEPEST = 65535
-_MASKS = "panoptic.json"
+"""Largest depth of the layout, in millimetres."""
 
 
 def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> None:
-    """Write the mended scene to the folder ``out``, which must not exist: as a whole or not at all.
+    """Write the mended scene to the folder ``out``, which must not exist. It is written as a whole or not at all.
 
-    Colour images are linked where they are files of their own, and else written as PNGs; depth is written in
-    millimetres, masks as COCO panoptic, ground truth as images of classes and instances. Raises SceneError.
+    Colour images are hard links where they are files of their own, and PNGs otherwise. Depth is in millimetres, masks
+    are COCO panoptic, and ground truth is images of classes and instances. Raises PlgsError.
     """
     if out.exists():
-        raise SceneError("the folder for the mended scene exists", out, "Name one that does not.")
+        raise PlgsError("the folder for the mended scene exists", out, "Name one that does not.")
     if out.resolve().is_relative_to(scene.folder.resolve()):
-        raise SceneError("the mended scene would lie inside the scene itself", out, "Name a folder outside of it.")
+        raise PlgsError("the mended scene would lie inside the scene itself", out, "Name a folder outside of it.")
     frames = [frame for frame in scene.frames if frame.name not in diagnosis.mending.dropped]
     if not any(not frame.held_out for frame in frames):
-        raise SceneError("no frame to train on would be left", scene.folder, "Give more frames.")
+        raise PlgsError("no frame to train on would be left", scene.folder, "Give more frames.")
     part = out.with_name(PART + out.name)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -46,7 +49,7 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> None:
     except OSError as error:
         shutil.rmtree(part, ignore_errors=True)
         where = error.filename or out
-        raise SceneError(f"this cannot be written ({error.strerror})", where, "Choose another folder.") from error
+        raise PlgsError(f"this cannot be written ({error.strerror})", where, "Choose another folder.") from error
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
@@ -55,12 +58,7 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> None:
 def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path) -> None:
     for name in ("color", "pose", "intrinsic"):
         (folder / name).mkdir()
-    cameras = {
-        frame.name: camera
-        for frame, camera in zip(frames, mended_cameras(scene, frames, diagnosis.mending), strict=True)
-    }
-    for frame in frames:
-        camera = cameras[frame.name]
+    for frame, camera in zip(frames, _mended_cameras(scene, frames, diagnosis.mending), strict=True):
         _write_colour(frame, folder / "color")
         np.savetxt(folder / "pose" / f"{frame.name}.txt", camera.camera_to_world, "%.12g")
         np.savetxt(folder / "intrinsic" / f"{frame.name}.txt", _matrix(camera), "%.12g")
@@ -82,8 +80,8 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
     write_atomically(folder / "mended.json", json.dumps(said, indent=1))
 
 
-def mended_cameras(scene: Scene, frames: list[Frame], mending: Mending) -> list[Camera]:
-    """The frames' cameras as they are meant."""
+def _mended_cameras(scene: Scene, frames: list[Frame], mending: Mending) -> list[Camera]:
+    """The frames' cameras with the right numbers."""
     assumed = mending.assumed
     turn = np.eye(3) if scene.turn is None else scene.turn
     poses = assumed_poses(np.stack([frame.camera.camera_to_world for frame in frames]), turn, assumed)
@@ -102,7 +100,7 @@ def mended_cameras(scene: Scene, frames: list[Frame], mending: Mending) -> list[
 
 
 def _lens(camera: Camera, assumed: Assumption) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy in shares of the picture as they are meant."""
+    """The right fx, fy, cx, cy, in shares of the picture."""
     given = np.array(
         [[camera.fx / camera.width, camera.fy / camera.height, camera.cx / camera.width, camera.cy / camera.height]]
     )
@@ -111,7 +109,7 @@ def _lens(camera: Camera, assumed: Assumption) -> tuple[float, float, float, flo
 
 
 def _matrix(camera: Camera) -> Floats:
-    """The intrinsics with integer pixel centres, as the layout has them."""
+    """The intrinsics as the layout has them: float64 [4, 4], for pixel centres at integers."""
     matrix = np.eye(4)
     matrix[:3, :3] = camera.K
     matrix[:2, 2] -= 0.5
@@ -123,11 +121,11 @@ def _write_colour(frame: Frame, folder: Path) -> None:
     if frame.file_shows_colour and source.suffix.lower() in (".jpg", ".jpeg", ".png"):
         _link_or_copy(source.resolve(), folder / f"{frame.name}{source.suffix.lower()}")
     else:
-        _write_image(folder / f"{frame.name}.png", np.ascontiguousarray(frame.read_colour(None)[..., ::-1]))
+        _write_image(folder / f"{frame.name}.png", frame.read_colour(None)[..., ::-1])
 
 
 def _link_or_copy(source: Path, target: Path) -> None:
-    """A second name for the same file where the file system can, so that nothing breaks when the first is deleted."""
+    """Make a hard link where the file system can, so that the first file may be deleted. Copy otherwise."""
     try:
         os.link(source, target)
     except OSError:
@@ -135,42 +133,34 @@ def _link_or_copy(source: Path, target: Path) -> None:
 
 
 def _write_depth(frame: Frame, mending: Mending, folder: Path) -> None:
-    metres = mended_depth(frame, mending)
-    millimetres = np.round(metres / MILLIMETRES)
-    millimetres[millimetres > _DEEPEST] = 0  # farther than the layout can say
+    millimetres = np.round(_mended_depth(frame, mending) / MILLIMETRES)
+    millimetres[millimetres > _DEEPEST] = 0
     _write_image(folder / f"{frame.name}.png", millimetres.astype(np.uint16))
 
 
-def mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
-    """Planar depth in metres, float64 [H, W], as it is meant."""
+def _mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
+    """The right planar depth in metres, float64 [H, W]."""
     depth = frame.depth(None).astype(np.float64)
     height, width = depth.shape
-    assumed = mending.assumed
-    if assumed.ray:
-        x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-        places = np.stack([x, y], -1).reshape(1, -1, 2)
-        depth = planar(depth.reshape(1, -1), places, np.array([_lens(frame.camera, assumed)]), assumed)
-        depth = depth.reshape(height, width)
-    else:
-        depth = depth * assumed.unit
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    places = np.stack([x, y], -1).reshape(1, -1, 2)
+    lens = np.array([_lens(frame.camera, mending.assumed)])
+    depth = planar(depth.reshape(1, -1), places, lens, mending.assumed).reshape(height, width)
     return _moved(depth, round(mending.depth_shift[0] * width), round(mending.depth_shift[1] * height))
 
 
 def _moved(depth: NDArray[np.float64], right: int, down: int) -> NDArray[np.float64]:
-    """Depth moved by whole pixels; 0 where nothing comes in."""
+    """Depth moved by whole pixels, with 0 where it came from outside."""
     moved = np.zeros_like(depth)
     height, width = depth.shape
-    rows, columns = slice(max(down, 0), height + min(down, 0)), slice(max(right, 0), width + min(right, 0))
-    from_rows, from_columns = (
-        slice(max(-down, 0), height + min(-down, 0)),
-        slice(max(-right, 0), width + min(-right, 0)),
-    )
-    moved[rows, columns] = depth[from_rows, from_columns]
+    moved[max(down, 0) : height + min(down, 0), max(right, 0) : width + min(right, 0)] = depth[
+        max(-down, 0) : height - max(down, 0), max(-right, 0) : width - max(right, 0)
+    ]
     return moved
 
 
 def _link_group_masks(scene: Scene, frames: list[Frame], folder: Path) -> bool:
-    """COCO panoptic cannot say that a segment may be several objects: masks that can are taken as they are."""
+    """Link masks whose segments may be several objects, as COCO panoptic cannot say that. False without such masks."""
     theirs = [path for path in scene.folder.glob("m2f_*") if path.is_dir()] if scene.folder.is_dir() else []
     if not theirs or not any(segment.is_group for frame in frames for segment in frame.mask(None).segments):
         return False
@@ -187,7 +177,7 @@ def _write_masks(frames: list[Frame], classes: ClassTable, folder: Path) -> None
     for frame in frames:
         mask = frame.mask(None)
         rgb = np.stack([mask.ids % 256, mask.ids // 256 % 256, mask.ids // 65536], -1).astype(np.uint8)
-        _write_image(folder / "panoptic" / f"{frame.name}.png", np.ascontiguousarray(rgb[..., ::-1]))
+        _write_image(folder / "panoptic" / f"{frame.name}.png", rgb[..., ::-1])
         segments = [
             {
                 "id": segment.id,
@@ -202,14 +192,10 @@ def _write_masks(frames: list[Frame], classes: ClassTable, folder: Path) -> None
         {"id": each.id, "name": each.name, "isthing": int(each.is_thing), "color": list(each.colour)}
         for each in classes.categories
     ]
-    (folder / _MASKS).write_text(json.dumps({"annotations": annotations, "categories": categories}), encoding="utf-8")
+    table = {"annotations": annotations, "categories": categories}
+    (folder / "panoptic.json").write_text(json.dumps(table), encoding="utf-8")
 
 
 def _write_image(path: Path, pixels: NDArray[np.integer[Any]]) -> None:
-    import cv2
-
     path.parent.mkdir(parents=True, exist_ok=True)
-    written, encoded = cv2.imencode(".png", pixels)
-    if not written:
-        raise OSError(0, "the image cannot be encoded", str(path))
-    path.write_bytes(encoded.tobytes())
+    path.write_bytes(png_bytes(pixels))

@@ -1,99 +1,245 @@
-"""Findings on the numbers of a scene: what poses, depth and intrinsics mean."""
+"""Findings on poses, depth and intrinsics: causes that trials found, and numbers that a fit found a little off."""
 
 from __future__ import annotations
 
+from fractions import Fraction
+from typing import NamedTuple
+
 import numpy as np
 
-from .calibration import Calibration, calibrate
-from .causes import FIX, cause_finding
-from .examined import Examined
-from .finding import Finding
-from .pictures import edges_on
-from .registration import Registration, depth_edges, measure_registration
-from .reprojection import Assumption
-from .small_errors import calibration_findings
-from .trials import find_causes
+from .calibration import Calibration, calibrate, moved
+from .findings import FIX, Finding
+from .pictures import depth_errors
+from .registration import Shift, measure_registration, registration_findings
+from .reprojection import Assumption, Examined
+from .trials import Agreement, FoundCause, agreement, find_causes
 
-_CERTAIN = 5.0
-"""Standard errors among the frames."""
-_MOVED, _SCALED = 0.0075, 0.03
-"""Of the width: colour and depth of one sensor are seldom registered better than to a few pixels of 640."""
-_GAIN = 0.1
-"""Standard deviations of the pictures' contrast, by which depth's edges fit better elsewhere."""
-_CORROBORATED = 4.0
-"""Standard errors that are enough where depth's own geometry says the same."""
+_OFF_UNIT, _OFF_FOCAL = 0.025, 0.03
+"""Logarithms. Sensors' own scales and calibrations differ by one or two per cent."""
+_OFF_RAY = 0.3
+"""Part of the ray's length that is in depth."""
+_OFF_PIXELS = 0.3
+_ABOVE_NOISE = 2.0
+"""Median errors that a shift of the principal point must move surfaces by."""
+_HALF, _NEARLY = 0.5, 0.1
+"""Pixels: a shift of half a pixel, and its tolerance."""
+_MORE, _LESS = 1.03, 0.7
+"""A fit explains the error if this many times as many points agree, or if this part of the error is left."""
+_RAY = "the length of the ray ((u - cx) / fx, (v - cy) / fy, 1)"
 
-Shift = tuple[float, float]
+Figures = dict[str, float | str]
+
+
+class _CauseWords(NamedTuple):
+    """How a cause is called, the caption of the mended picture, the sentence, and what the user can do in the files.
+
+    ``text`` and ``option`` are empty where figures belong into them.
+    """
+
+    name: str
+    caption: str
+    text: str = ""
+    option: str = ""
+
+
+_WORDS = {
+    "inverted": _CauseWords(
+        "inverted poses",
+        "poses inverted",
+        "poses are world-to-camera and are read as camera-to-world",
+        "invert them",
+    ),
+    "opengl": _CauseWords(
+        "wrong axes",
+        "y down and z forward",
+        "poses have y up and z backward, as in OpenGL and Blender",
+        "negate their second and third columns",
+    ),
+    "inverted opengl": _CauseWords(
+        "inverted poses and wrong axes",
+        "poses inverted, y down and z forward",
+        "poses are world-to-camera, of cameras with y up and z backward",
+        "invert them, then negate their second and third columns",
+    ),
+    "unit": _CauseWords("depth unit", "another unit of depth"),
+    "ray": _CauseWords(
+        "ray depth",
+        "depth along the axis",
+        "depth is the distance to the camera's centre, not along its axis",
+        f"divide it by {_RAY}",
+    ),
+    "not ray": _CauseWords(
+        "depth divided by the ray",
+        "depth along the axis",
+        "depth was divided by the length of the ray, though it was along the axis already",
+        f"multiply it by {_RAY}",
+    ),
+    "swapped": _CauseWords(
+        "swapped focal lengths", "fx and fy swapped", "fx and fy have changed places", "swap them"
+    ),
+    "lens size": _CauseWords("intrinsics of another size", "intrinsics scaled"),
+    "focal": _CauseWords("focal length", "another focal length"),
+    "centre": _CauseWords("principal point", "another principal point"),
+}  # fmt: skip
 
 
 def number_findings(examined: Examined) -> tuple[list[Finding], Assumption, Shift]:
     """Findings, what the numbers mean, and the shift that depth needs, in shares of the picture."""
     causes, assumed = find_causes(examined.views, examined.pairs)
-    findings = []
-    for number, cause in enumerate(causes):
-        before = Assumption() if number == 0 else causes[number - 1].assumed
-        findings.append(cause_finding(examined, cause, before))
+    befores = [Assumption(), *(cause.assumed for cause in causes)]
+    findings = [_cause_finding(examined, cause, before) for cause, before in zip(causes, befores, strict=False)]
     calibration = calibrate(examined.views, examined.pairs, assumed, points=200)
     registration = measure_registration(examined.looks, examined.photos)
-    shift: Shift = (0.0, 0.0)
-    if registration is not None:
-        moved = None if calibration is None else _depth_moved_by(examined, registration, calibration)
-        if moved is not None:
-            shift = moved
-            findings.append(_of_registration(examined, registration._replace(scale=1.0, shift=moved), is_depth=True))
-        elif _lies_aside(registration):
-            findings.append(_of_registration(examined, registration, is_depth=False))
+    more, shift = registration_findings(examined, registration, calibration)
+    findings += more
     if calibration is not None:
-        more, assumed = calibration_findings(examined, calibration, assumed, may_move=shift == (0.0, 0.0))
-        findings.extend(more)
+        more, assumed = _calibration_findings(examined, calibration, assumed, may_move=shift == (0.0, 0.0))
+        findings += more
     return findings, assumed, shift
 
 
-def _lies_aside(found: Registration) -> bool:
-    width_moved = max(abs(found.shift[0]), abs(found.shift[1]))
-    displaced = width_moved >= _MOVED or abs(found.scale - 1.0) >= _SCALED
-    return displaced and found.certainty >= _CERTAIN and found.gain >= _GAIN
-
-
-def _depth_moved_by(examined: Examined, registration: Registration, calibration: Calibration) -> Shift | None:
-    """The shift that depth needs, in shares of the picture, where its own geometry and the pictures' edges both say
-    that it was moved: the edges fit better nearer to where geometry has it than to where it lies.
-    """
-    if abs(registration.scale - 1.0) >= _SCALED or registration.certainty < _CORROBORATED:
-        return None
-    shift = -np.array([calibration.of("x"), calibration.of("y")])
-    pixel = 1.0 / examined.views.size[0]
-    if not any(calibration.is_sure_of(name, float(least)) for name, least in zip("xy", 0.75 * pixel, strict=True)):
-        return None
-    if np.linalg.norm(np.array(registration.shift) - shift) > 0.5 * np.linalg.norm(shift):
-        return None
-    return float(shift[0]), float(shift[1])
-
-
-def _of_registration(examined: Examined, found: Registration, is_depth: bool) -> Finding:
-    width, height = examined.scene.frames[0].size
-    x, y = found.shift[0] * width, found.shift[1] * height
-    rows = range(0, len(examined.looks), max(1, len(examined.looks) // 12))
-    row = max(rows, key=lambda row: len(depth_edges(examined.looks[row].depth)))
-    look = examined.looks[row]
-    edges = depth_edges(look.depth)
-    fitted = (edges - 0.5) * found.scale + 0.5 + found.shift
-    sides = [(abs(x), "to the left" if x > 0.0 else "to the right"), (abs(y), "above" if y > 0.0 else "below")]
-    how = " and ".join(f"{pixels:.1f} px {side}" for pixels, side in sides if pixels >= 0.1)
-    if is_depth:
-        text, option = f"depth lies {how} of where the colour images have it", f"move it; {FIX}"
-    else:
-        text = (
-            f"depth is not registered to the colour images: its edges fit them scaled by {found.scale:.3f} and moved "
-        )
-        text += f"by {x:.1f}, {y:.1f} px; the intrinsics are the depth camera's"
-        option = "bring depth to the colour camera with the sensor's calibration, or use its registered images"
+def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) -> Finding:
+    words = _WORDS[cause.cause]
+    text, option, figures = _cause_texts(examined, cause, before)
+    after = _agreement_figures(cause.before, cause.after)
+    one, other = examined.telling_pair(cause.assumed)
+    assumptions = [("as it is", before), (f"with {words.caption}", cause.assumed)]
     return Finding(
-        cause="colour-to-depth shift",
+        cause=words.name,
         severity="wrong",
-        text=f"{text} ({found.certainty:.0f} standard errors, {found.frames} frames)",
-        option=option,
-        figures={"x_px": x, "y_px": y, "scale": found.scale, "gain": found.gain, "certainty": found.certainty},
-        is_mended=is_depth,
-        picture=edges_on(examined.photos[look.number].grey, edges, fitted),
+        text=f"{text}: of the points carried into other views {after['agreeing_after']:.0%} lie on the depth there, "
+        f"and {after['agreeing_before']:.0%} as the scene is",
+        option=f"{option}; {FIX}",
+        figures={**figures, **after},
+        is_mended=True,
+        picture=depth_errors(examined.views, one, other, assumptions),
     )
+
+
+def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> tuple[str, str, Figures]:
+    """What is wrong, what to do about it in the user's files, and the figures."""
+    now = cause.assumed
+    width, height = examined.scene.frames[0].size
+    if cause.cause == "unit":
+        factor = now.unit / before.unit
+        steps = 1.0 / factor
+        known = f"{1000 * steps:.0f} steps a metre" if steps >= 0.3 else f"{1000 * steps:.3g} steps a metre"
+        text = f"depth is in another unit, {steps:.4g} times too long (as if written with {known} and read with 1000)"
+        return text, f"multiply depth by {factor:.4g}", {"factor": factor}
+    if cause.cause == "lens size":
+        scale = now.lens_scale / before.lens_scale
+        text = f"the intrinsics belong to pictures of {width / scale:.0f}x{height / scale:.0f}, not {width}x{height}"
+        return text, f"multiply fx, fy, cx and cy by {Fraction(scale).limit_denominator(12)}", {"factor": scale}
+    if cause.cause == "focal":
+        factor = now.focal / before.focal
+        return f"fx and fy are {1 / factor:.3f} times too long", f"multiply them by {factor:.4f}", {"factor": factor}
+    if cause.cause == "centre":
+        x, y = (np.median(examined.views.lens_of(now)[:, 2:], axis=0) * (width, height)).tolist()
+        return "the principal point is wrong", f"set cx, cy to {x:.1f}, {y:.1f}", {"cx": x, "cy": y}
+    return _WORDS[cause.cause].text, _WORDS[cause.cause].option, {}
+
+
+def _agreement_figures(before: Agreement, after: Agreement) -> dict[str, float]:
+    """The shares of all points that agree, whether the other view shows them or not, and the errors."""
+    return {
+        "agreeing_before": before.seen * before.share,
+        "agreeing_after": after.seen * after.share,
+        "error_before": before.error,
+        "error_after": after.error,
+    }
+
+
+def _calibration_findings(
+    examined: Examined, found: Calibration, assumed: Assumption, may_move: bool
+) -> tuple[list[Finding], Assumption]:
+    """What the fit says beyond the causes. ``may_move``: no shift of depth explains the principal point."""
+    free = _values_off(examined, found, moved(assumed, found.values), may_move)
+    again = calibrate(examined.views, examined.pairs, assumed, free, points=200) if free else None
+    if again is None:
+        return [], assumed
+    mended = moved(assumed, again.values)
+    before, after = (agreement(examined.views, examined.pairs, each) for each in (assumed, mended))
+    if not _explains(before, after):
+        return [], assumed
+    one, other = examined.telling_pair(mended)
+    picture = depth_errors(examined.views, one, other, [("as it is", assumed), ("with the numbers measured", mended)])
+    findings = [
+        Finding(
+            cause=cause,
+            severity="wrong",
+            text=f"{text}; the median error of depth falls from {before.error:.2%} to {after.error:.2%}",
+            option=f"{option}; {FIX}",
+            figures={**figures, **_agreement_figures(before, after)},
+            is_mended=True,
+            picture=picture,
+        )
+        for cause, text, option, figures in _measured(examined, again, {*free})
+    ]
+    return findings, mended
+
+
+def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_move: bool) -> tuple[str, ...]:
+    """The names of the values that are off beyond doubt."""
+    left = agreement(examined.views, examined.pairs, mended).error
+    wrong = {
+        "unit": found.is_sure_of("unit", _OFF_UNIT),
+        "focal": found.is_sure_of("focal", _OFF_FOCAL),
+        "aspect": found.is_sure_of("aspect", _OFF_FOCAL),
+        "x": may_move and _is_moved(examined, found, "x", left),
+        "y": may_move and _is_moved(examined, found, "y", left),
+        "ray": found.is_sure_of("ray", _OFF_RAY),
+    }
+    names = tuple(name for name, is_wrong in wrong.items() if is_wrong)
+    return tuple(dict.fromkeys((*names, "x", "y"))) if {"x", "y"} & {*names} else names
+
+
+def _explains(before: Agreement, after: Agreement) -> bool:
+    """Whether most of the error goes, or many more points agree. Drifting poses bend every number a little without."""
+    return after.mean > _MORE * before.mean or (after.mean >= before.mean and after.error < _LESS * before.error)
+
+
+def _is_moved(examined: Examined, found: Calibration, axis: str, left: float) -> bool:
+    column = "xy".index(axis)
+    pixels = examined.looks[0].frame.size[column]
+    focal = float(np.median(examined.views.lens[:, column]))
+    return found.is_sure_of(axis, max(_OFF_PIXELS / pixels, _ABOVE_NOISE * left * focal))
+
+
+def _measured(examined: Examined, found: Calibration, free: set[str]) -> list[tuple[str, str, str, Figures]]:
+    """(cause, sentence, what to do, figures) of each number that is off."""
+    measured: list[tuple[str, str, str, Figures]] = []
+    if "unit" in free:
+        factor = float(np.exp(found.of("unit")))
+        text = f"depth is {1 / factor:.3f} times too long (within {found.deviation('unit'):.1%})"
+        measured.append(("depth unit", text, f"multiply it by {factor:.4f}", {"factor": factor}))
+    if free & {"focal", "aspect"}:
+        fy = float(np.exp(found.of("focal") if "focal" in free else 0.0))
+        fx = fy * float(np.exp(found.of("aspect") if "aspect" in free else 0.0))
+        text = f"fx is {1 / fx:.3f} and fy {1 / fy:.3f} times too long"
+        measured.append(("focal length", text, f"multiply them by {fx:.4f} and {fy:.4f}", {"fx": fx, "fy": fy}))
+    if "x" in free:
+        measured.append(_measured_principal_point(examined, found))
+    if "ray" in free:
+        share = -found.of("ray")
+        text = f"depth is along the axis but for {share:.0%} of the ray's length"
+        measured.append(("ray depth", text, "write depth along the axis", {"share": share}))
+    return measured
+
+
+def _measured_principal_point(examined: Examined, found: Calibration) -> tuple[str, str, str, Figures]:
+    look = examined.looks[0]
+    off = np.array([found.of("x"), found.of("y")])
+    errors = np.array([found.deviation("x"), found.deviation("y")])
+    x, y = (off * look.frame.size).tolist()
+    figures: Figures = {"x_px": x, "y_px": y}
+    for whose, size in (("colour", look.frame.size), ("depth", (look.camera.width, look.camera.height))):
+        pixels, within = off * size, errors * size
+        near = np.abs(np.abs(pixels) - _HALF) < _NEARLY + 3.0 * within
+        if near.all() and pixels[0] * pixels[1] > 0.0 and (within < _NEARLY).all():
+            sign = "+" if pixels[0] > 0.0 else "-"
+            text = f"the principal point is half a {whose} pixel off ({x:+.2f}, {y:+.2f} px, within {within.max():.2f})"
+            meant = "pixels' centres are not where the format has them"
+            return "half a pixel", f"{text}: {meant}", f"add {sign}0.5 to cx and cy", figures
+    within = errors * look.frame.size
+    text = f"the principal point is {-x:+.2f}, {-y:+.2f} px off (within {within[0]:.2f}, {within[1]:.2f})"
+    return "principal point", text, f"add {x:+.2f} to cx and {y:+.2f} to cy", figures

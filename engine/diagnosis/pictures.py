@@ -1,15 +1,16 @@
-"""Pictures of findings, uint8 [H, W, 3] RGB: what one sees at once."""
+"""Pictures of findings, uint8 [H, W, 3] RGB."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .looks import Look
-from .reprojection import Assumption, Floats, Views
+from .looks import Floats, Look
+from .reprojection import Assumption, Views
 
 Picture = NDArray[np.uint8]
 _WIDTH = 480
@@ -19,8 +20,9 @@ _WORST = 0.2
 
 
 def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str, Assumption]]) -> Picture:
-    """A look's surfaces as they agree with another's depth, once for each assumption with its caption: green where
-    they do, yellow to red where they do not, dark where the other view does not see them."""
+    """How well a look's surfaces agree with another's depth, once for each assumption under its caption. Green agrees,
+    yellow and red do not, and dark is not seen by the other view.
+    """
     look = views.looks[one]
     height, width = look.depth.shape
     step = max(1, width // 240)
@@ -32,12 +34,12 @@ def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str
     for caption, assumption in assumed:
         error = np.full(rows.shape, np.nan)
         error[known] = np.abs(pair.compare(np.array([[0, 1]]), assumption).error[0, : len(points)])
-        panels.append(_captioned(_fitted(error_colours(error)), caption))
+        panels.append(_captioned(_fitted(_error_colours(error)), caption))
     return np.concatenate(panels, axis=1)
 
 
-def error_colours(error: Floats) -> Picture:
-    """Green for no error, yellow, then red at 20 % and more; dark where it is nan. uint8 [H, W, 3]."""
+def _error_colours(error: Floats) -> Picture:
+    """Green for no error, then yellow, red at 20 % and more, dark for nan. uint8 [H, W, 3]."""
     share = np.clip(np.nan_to_num(error, nan=0.0) / _WORST, 0.0, 1.0)
     red, green = np.clip(share * 4.0, 0.0, 1.0), np.clip(1.5 - 1.5 * share, 0.0, 0.75)
     colours = np.stack([red * 230, green * 255, np.full(share.shape, 40.0)], -1)
@@ -45,7 +47,7 @@ def error_colours(error: Floats) -> Picture:
 
 
 def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
-    """Depth's edges, float64 [N, 2] in shares of the picture, on the picture: where they lie, and where they fit."""
+    """Depth's edges, float64 [N, 2] in shares of the picture, drawn where they lie and where they fit."""
     panels = []
     for caption, places in (("depth's edges as they lie", edges), ("where they fit", moved)):
         panel = np.repeat(_fitted(grey)[..., None] // 2 + 40, 3, axis=2)
@@ -58,7 +60,7 @@ def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
 
 
 def level_surfaces(look: Look, cosine: Floats, caption: str) -> Picture:
-    """A look's points, coloured by the cosine of their normals with up, float64 [N]: level green, upright blue."""
+    """A look's points by the cosine of their normals with up, float64 [N]: level is green, upright blue."""
     height, width = look.depth.shape
     far = max(float(look.depth.max()), 1e-6)
     panel = np.repeat((60.0 + 120.0 * look.depth[..., None] / far).astype(np.uint8), 3, axis=2)
@@ -70,7 +72,7 @@ def level_surfaces(look: Look, cosine: Floats, caption: str) -> Picture:
 
 
 def side_by_side(pictures: Sequence[tuple[str, NDArray[np.uint8]]]) -> Picture:
-    """Pictures [H, W] or [H, W, 3] with captions in a row."""
+    """Pictures [H, W] or [H, W, 3] in a row, under their captions."""
     panels = [_captioned(_fitted(picture), caption) for caption, picture in pictures]
     height = max(len(panel) for panel in panels)
     return np.concatenate([np.pad(p, ((0, height - len(p)), (0, 0), (0, 0))) for p in panels], axis=1)
@@ -92,8 +94,18 @@ def scatter(x: Floats, y: Floats, caption: str) -> Picture:
     return _captioned(panel, caption)
 
 
+def png_bytes(pixels: NDArray[np.integer[Any]]) -> bytes:
+    """Pixels in OpenCV's order of channels as a PNG. Raises OSError."""
+    import cv2
+
+    written, encoded = cv2.imencode(".png", np.ascontiguousarray(pixels))
+    if not written:
+        raise OSError(0, "a picture cannot be encoded")
+    return encoded.tobytes()
+
+
 def _fitted(picture: NDArray[np.uint8]) -> Picture:
-    """At most 480 wide, three channels where it has them."""
+    """The picture 480 pixels wide."""
     import cv2
 
     height, width = picture.shape[:2]

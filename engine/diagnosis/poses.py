@@ -1,4 +1,4 @@
-"""What pairs of views say about the poses of single frames: drift over time, and frames whose pose is off."""
+"""Are single poses wrong? Drift over time, and frames whose pose is off."""
 
 from __future__ import annotations
 
@@ -7,25 +7,37 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .reprojection import Assumption, Floats, Views
+from ..scene.layout import listed
+from .findings import Finding
+from .looks import Floats
+from .pictures import scatter, side_by_side
+from .reprojection import Assumption, Examined, Views
 
 _WIDE = 0.15
-"""Of the depth: what is further off is another surface."""
+"""Share of the depth. A surface farther off is another surface."""
 _LEAST_POINTS = 40
 _QUANTILE = 0.3
-"""Of the distances of a pair: some points of any two views lie on surfaces that one of them alone sees."""
+"""Quantile of a pair's distances. Some points of any two views lie on surfaces that only one of them sees."""
 _LEAST_PAIRS, _LEAST_LAGS, _LEAST_EACH = 30, 6, 8
 _NEAR = 3
+"""Frames between two looks that count as neighbours."""
 _HALF, _ENOUGH = 0.5, 0.2
+_DRIFTED = 0.02
+"""Least metres of drift, or ..."""
+_DRIFTED_SHARE = 0.0075
+"""... this share of the median depth where that is more. Sensors' own noise stays below."""
+_GROWN = 4.0
+"""Least factor between the distances of distant frames and of neighbours."""
+_CERTAIN = 5.0
+"""Standard errors."""
 
 
 class Drift(NamedTuple):
     """How far the surfaces of two looks are apart, by the frames between the looks.
 
-    ``near`` and ``far``: metres, the medians of the pairs of neighbours and of those at least half as far apart in
-    time as any that see the same.
-    ``certainty``: the rank correlation of distance and time, in its standard errors for so many looks. ``lags`` and
-    ``distances`` float64 [P] are those of the pairs.
+    ``near`` and ``far`` are medians in metres: over the pairs of neighbours, and over the pairs at least half as far
+    apart in time as any pair that sees the same surface. ``certainty`` is the rank correlation of distance and time in
+    standard errors. ``lags`` and ``distances`` float64 [P] are those of the pairs.
     """
 
     near: float
@@ -35,25 +47,36 @@ class Drift(NamedTuple):
     distances: Floats
 
 
-def surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> Floats:
-    """How far, in metres along the normal, the surfaces are apart that both looks of a pair see, float64 [P]; nan where
-    they see too little in common.
+def pose_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
+    """Drift, and single frames whose pose is off. The frames have to be in order."""
+    distances = _surface_distances(examined.views, examined.pairs, assumed)
+    numbers = np.array([look.number for look in examined.looks])
+    lags = np.abs(numbers[examined.pairs[:, 0]] - numbers[examined.pairs[:, 1]]).astype(np.float64)
+    drift = _measure_drift(distances, lags, len(examined.looks))
+    depth = float(np.median(examined.views.values[examined.views.values > 0.0])) * assumed.unit
+    found = [_drift_finding(drift)] if drift is not None and _is_drifting(drift, depth) else []
+    rows = _misplaced_looks(examined.views, examined.pairs, assumed)
+    return [*found, *([_misplaced_finding(examined, rows)] if rows else [])]
+
+
+def _surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> Floats:
+    """Metres along the normal between the surfaces that both looks of a pair see, float64 [P]. nan where they see too
+    little in common.
     """
     lens, poses = views.lens_of(assumed), views.poses_of(assumed)
     world, known = views.world_points(assumed, lens, poses)
     found = np.full(len(pairs), np.nan)
     for row, (one, other) in enumerate(pairs.tolist()):
         local = (world[one][known[one]] - poses[other, :3, 3]) @ poses[other, :3, :3]
-        surface = views.surface_at(other, local, assumed, lens[other])
-        distance = np.abs(surface.distance)
+        distance = np.abs(views.surface_at(other, local, assumed, lens[other]).distance)
         near = np.isfinite(distance) & (distance < _WIDE * np.abs(local[:, 2]))
         if near.sum() >= _LEAST_POINTS:
             found[row] = np.quantile(distance[near], _QUANTILE)
     return found
 
 
-def measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
-    """How the distances of pairs go with the frames between them, float64 [P] each; None with too few pairs."""
+def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
+    """How the distances of pairs grow with the frames between them, float64 [P] each. None with too few pairs."""
     good = np.isfinite(distances)
     distance, lag = distances[good], lags[good]
     if len(lag) < _LEAST_PAIRS or len(np.unique(lag)) < _LEAST_LAGS:
@@ -68,14 +91,31 @@ def measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
 
 
 def _ranks(values: Floats) -> Floats:
-    """The place of each value in their order; equal values share the mean of their places."""
+    """The rank of each value. Equal values share the mean of their ranks."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     ends = np.cumsum(counts)
     return (ends - (counts - 1) / 2.0)[inverse]
 
 
-def misplaced_looks(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> list[int]:
-    """Looks (rows) that agree with none of those beside them, while these agree with each other across them."""
+def _is_drifting(drift: Drift, depth: float) -> bool:
+    least = max(_DRIFTED, _DRIFTED_SHARE * depth)
+    return drift.far > least and drift.far > _GROWN * drift.near and drift.certainty > _CERTAIN
+
+
+def _drift_finding(drift: Drift) -> Finding:
+    return Finding(
+        cause="drift",
+        severity="wrong",
+        text=f"poses drift: surfaces that two frames see are {drift.near * 100:.1f} cm apart between neighbours and "
+        f"{drift.far * 100:.1f} cm between frames far apart in time ({drift.certainty:.0f} standard errors)",
+        option="register the frames again with loops closed, or lift parts of the recording by a splits.json",
+        figures={"near_m": drift.near, "far_m": drift.far, "certainty": drift.certainty},
+        picture=scatter(drift.lags, drift.distances, "across: frames between two views, up: distance of surfaces"),
+    )
+
+
+def _misplaced_looks(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> list[int]:
+    """Looks (rows) that agree with none of their neighbours, while these agree with each other."""
     comparison = views.compare(pairs, assumed)
     share = comparison.agrees.sum(1) / np.maximum(comparison.known.sum(1), 1)
     by_pair = {(min(pair), max(pair)): float(value) for pair, value in zip(pairs.tolist(), share, strict=True)}
@@ -87,3 +127,19 @@ def misplaced_looks(views: Views, pairs: NDArray[np.int64], assumed: Assumption)
         if across > _ENOUGH and own < _HALF * across:
             found.append(row)
     return found
+
+
+def _misplaced_finding(examined: Examined, rows: list[int]) -> Finding:
+    names = tuple(examined.name(row) for row in rows)
+    agrees = "1 frame agrees" if len(rows) == 1 else f"{len(rows)} frames agree"
+    beside = (max(rows[0] - 1, 0), rows[0])
+    return Finding(
+        cause="frames out of place",
+        severity="wrong",
+        text=f"{agrees} with no neighbour, while the neighbours agree with each other: {listed(names)}",
+        option="leave them out; --fix OUT does",
+        figures={"frames": float(len(rows))},
+        is_mended=True,
+        frames=names,
+        picture=side_by_side([(examined.name(row), examined.photo(row).grey) for row in beside]),
+    )

@@ -1,4 +1,4 @@
-"""Does depth lie on the colour images? Depth's edges are laid over the picture's gradients, moved and scaled."""
+"""Does depth lie on the colour images? Depth's edges are moved and scaled over the pictures' gradients."""
 
 from __future__ import annotations
 
@@ -7,43 +7,56 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .looks import Look
-from .photos import Photo
-
-Floats = NDArray[np.float64]
+from .calibration import Calibration
+from .findings import FIX, Finding
+from .looks import Floats, Look, Photo
+from .pictures import edges_on
+from .reprojection import Examined
 
 _MOST = 32
+"""Looks that are used at most."""
 _WIDTH = 160
 _FARTHEST = 0.12
-"""Largest shift looked for, in shares of the width."""
+"""Largest shift that is tried, in shares of the width."""
 _SCALES = (1.0, 0.97, 1.03, 0.94, 1.06, 0.91, 1.1, 0.88, 1.14, 0.84, 1.19, 0.8, 1.25)
 _JUMP = 0.06
-"""Relative step of depth from one pixel to the next, beyond what the surface's slant makes, that is an edge."""
+"""Least relative step of depth between two pixels at an edge, beyond the step of a slanted surface."""
 _LEAST_EDGES = 60
 _LEAST_LOOKS = 5
 _AHEAD, _APART = 2.0, 0.1
-"""Metres: looks are of another place where the points so far ahead of their cameras are so far apart."""
+"""Metres. Looks show different places if the points 2 m ahead of their cameras are over 0.1 m apart."""
+_CERTAIN = 5.0
+"""Standard errors among the frames."""
+_CORROBORATED = 4.0
+"""Standard errors that are enough where depth's own geometry says the same."""
+_MOVED, _SCALED = 0.0075, 0.03
+"""Shift in shares of the width, and scale. Sensors register colour and depth to a few pixels of 640."""
+_GAIN = 0.1
+"""Least gain of a fit, in standard deviations of the pictures' contrast."""
+
+Shift = tuple[float, float]
+"""x, y in shares of the picture."""
 
 
 class Registration(NamedTuple):
     """Where depth's edges fit the pictures best: an edge at place p (shares of the picture) belongs to
     (p - 0.5) * ``scale`` + 0.5 + ``shift``.
 
-    ``gain``: how much better the pictures' gradients fit there than where depth lies now, in standard deviations of
-    the gradient; ``certainty``: that over its standard error among the frames. ``frames``: how many had edges.
+    ``gain`` is how much stronger the pictures' contrast is there than where depth lies, in standard deviations.
+    ``certainty`` is the gain over its standard error among the ``frames`` that have edges.
     """
 
     scale: float
-    shift: tuple[float, float]
+    shift: Shift
     gain: float
     certainty: float
     frames: int
 
 
 def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registration | None:
-    """Find the scale and shift that bring depth's edges onto those of the pictures; None with too few edges."""
+    """The scale and shift that bring depth's edges onto those of the pictures. None with too few edges."""
     chosen = _distinct([look for look in looks if look.number in photos])
-    pairs = [(depth_edges(look.depth), contrast(photos[look.number].grey)) for look in chosen]
+    pairs = [(_depth_edges(look.depth), _contrast(photos[look.number].grey)) for look in chosen]
     pairs = [(edges, picture) for edges, picture in pairs if len(edges) >= _LEAST_EDGES]
     if len(pairs) < _LEAST_LOOKS:
         return None
@@ -55,7 +68,7 @@ def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registr
 
 
 def _distinct(looks: list[Look]) -> list[Look]:
-    """At most 32 looks spread over the recording, each of another place: the same view twice tells nothing more."""
+    """At most 32 looks spread over the recording, each of another place."""
     rows = np.unique(np.linspace(0, len(looks) - 1, min(len(looks), _MOST)).round().astype(int))
     kept: list[Look] = []
     seen: list[Floats] = []
@@ -68,7 +81,7 @@ def _distinct(looks: list[Look]) -> list[Look]:
     return kept
 
 
-def depth_edges(depth: NDArray[np.float32]) -> Floats:
+def _depth_edges(depth: NDArray[np.float32]) -> Floats:
     """Where depth jumps between two pixels, float64 [N, 2] in shares of the picture."""
     height, width = depth.shape
     found = []
@@ -84,8 +97,8 @@ def depth_edges(depth: NDArray[np.float32]) -> Floats:
     return np.concatenate(found)
 
 
-def contrast(grey: NDArray[np.uint8]) -> Floats:
-    """How strong a picture's edges are at each pixel, of mean 0 and deviation 1; strong ones do not outweigh all."""
+def _contrast(grey: NDArray[np.uint8]) -> Floats:
+    """Strength of a picture's edges, with mean 0 and deviation 1. Roots keep strong edges from outweighing the rest."""
     import cv2
 
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8)
@@ -95,8 +108,8 @@ def contrast(grey: NDArray[np.uint8]) -> Floats:
     return (strength - strength.mean()) / max(float(strength.std()), 1e-6)
 
 
-def _coarse(pairs: list[tuple[Floats, Floats]], scale: float) -> tuple[float, float, tuple[float, float]]:
-    """The best fit at a scale, the scale, and the shift, over all shifts on a grid 160 wide."""
+def _coarse(pairs: list[tuple[Floats, Floats]], scale: float) -> tuple[float, float, Shift]:
+    """The best fit over all shifts on a grid 160 wide, with the scale and the shift."""
     import cv2
 
     height = max(8, round(_WIDTH * pairs[0][1].shape[0] / pairs[0][1].shape[1]))
@@ -116,9 +129,7 @@ def _coarse(pairs: list[tuple[Floats, Floats]], scale: float) -> tuple[float, fl
     return float(window[row, column]) / len(pairs), scale, (float(steps[column]) / _WIDTH, float(steps[row]) / height)
 
 
-def _refined(
-    pairs: list[tuple[Floats, Floats]], scale: float, shift: tuple[float, float]
-) -> tuple[float, tuple[float, float]]:
+def _refined(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> tuple[float, Shift]:
     """The best fit nearby, to a tenth of a pixel of a picture 320 wide."""
     best = np.array([scale, *shift])
     for step in (1 / 160, 1 / 320, 1 / 640, 1 / 1280, 1 / 3200):
@@ -129,8 +140,8 @@ def _refined(
     return float(best[0]), (float(best[1]), float(best[2]))
 
 
-def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: tuple[float, float]) -> Floats:
-    """The mean contrast of the pictures under depth's edges, one value a frame; 0 for edges outside."""
+def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> Floats:
+    """The mean contrast under depth's edges for each picture; edges outside count as 0."""
     import cv2
 
     values = []
@@ -143,3 +154,59 @@ def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: tuple[float, 
         )  # fmt: skip
         values.append(float(under.mean()))
     return np.array(values)
+
+
+def registration_findings(
+    examined: Examined, found: Registration | None, calibration: Calibration | None
+) -> tuple[list[Finding], Shift]:
+    """Whether depth lies beside the pictures, and the shift that mends it where depth's own geometry agrees."""
+    if found is None:
+        return [], (0.0, 0.0)
+    shift = None if calibration is None else _depth_shift(examined, found, calibration)
+    if shift is not None:
+        return [_registration_finding(examined, found._replace(scale=1.0, shift=shift), is_depth=True)], shift
+    displaced = max(map(abs, found.shift)) >= _MOVED or abs(found.scale - 1.0) >= _SCALED
+    if displaced and found.certainty >= _CERTAIN and found.gain >= _GAIN:
+        return [_registration_finding(examined, found, is_depth=False)], (0.0, 0.0)
+    return [], (0.0, 0.0)
+
+
+def _depth_shift(examined: Examined, found: Registration, calibration: Calibration) -> Shift | None:
+    """The shift that depth needs, where its geometry and the pictures' edges both say that it was moved: the edges fit
+    better near the place that geometry gives than where they lie.
+    """
+    if abs(found.scale - 1.0) >= _SCALED or found.certainty < _CORROBORATED:
+        return None
+    shift = -np.array([calibration.of("x"), calibration.of("y")])
+    pixel = 1.0 / examined.views.size[0]
+    if not any(calibration.is_sure_of(name, float(least)) for name, least in zip("xy", 0.75 * pixel, strict=True)):
+        return None
+    if np.linalg.norm(np.array(found.shift) - shift) > 0.5 * np.linalg.norm(shift):
+        return None
+    return float(shift[0]), float(shift[1])
+
+
+def _registration_finding(examined: Examined, found: Registration, is_depth: bool) -> Finding:
+    width, height = examined.scene.frames[0].size
+    x, y = found.shift[0] * width, found.shift[1] * height
+    rows = range(0, len(examined.looks), max(1, len(examined.looks) // 12))
+    edges, row = max(((_depth_edges(examined.looks[row].depth), row) for row in rows), key=lambda each: len(each[0]))
+    if is_depth:
+        sides = [(abs(x), "to the left" if x > 0.0 else "to the right"), (abs(y), "above" if y > 0.0 else "below")]
+        how = " and ".join(f"{pixels:.1f} px {side}" for pixels, side in sides if pixels >= 0.1)
+        text, option = f"depth lies {how} of where the colour images have it", f"move it; {FIX}"
+    else:
+        text = (
+            f"depth is not registered to the colour images: its edges fit them scaled by {found.scale:.3f} and moved "
+            f"by {x:.1f}, {y:.1f} px; the intrinsics are the depth camera's"
+        )
+        option = "bring depth to the colour camera with the sensor's calibration, or use its registered images"
+    return Finding(
+        cause="colour-to-depth shift",
+        severity="wrong",
+        text=f"{text} ({found.certainty:.0f} standard errors, {found.frames} frames)",
+        option=option,
+        figures={"x_px": x, "y_px": y, "scale": found.scale, "gain": found.gain, "certainty": found.certainty},
+        is_mended=is_depth,
+        picture=edges_on(examined.photo(row).grey, edges, (edges - 0.5) * found.scale + 0.5 + found.shift),
+    )

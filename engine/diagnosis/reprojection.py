@@ -1,35 +1,37 @@
-"""Depth reprojected into other views under an assumption about what the scene's numbers mean."""
+"""Depth is carried into other views under an assumption about what the scene's numbers mean."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .looks import Look
+from ..scene import Scene
+from .looks import Floats, Look, Photo, load_looks, load_photos, pairs_of
 
-Floats = NDArray[np.float64]
 Lens = Floats
 """fx, fy, cx, cy in shares of the picture's width and height: float64 [..., 4]."""
 
-AGREES_WITHIN = 0.05
-"""Of the depth: what differs more shows another surface, or is wrong."""
+_AGREES_WITHIN = 0.05
+"""Share of the depth. A larger difference shows another surface, or an error."""
 _SMOOTH = 1.1
+"""Largest ratio of the depths between which depth is interpolated."""
 _NORMAL_GRAIN = 160
-"""A normal is that of the surface within a 160th of the picture's width and height to each side."""
-FLIP = np.diag([1.0, -1.0, -1.0])
+"""A normal is measured over a 160th of the picture's width and height to each side."""
+_OPENGL = np.diag([1.0, -1.0, -1.0])
 
 
 class Assumption(NamedTuple):
-    """What the numbers of a scene might mean; the default is what they are taken for.
+    """What the numbers of a scene might mean. The defaults are how the scene was read.
 
-    ``inverted``: poses are world-to-camera. ``opengl``: y up and z backward. ``unit``: what depth has to be multiplied
-    by. ``ray``: 1 when depth is the distance to the camera, -1 when it was divided as if it were.
-    ``lens_scale``: of fx, fy, cx, cy. ``focal``: of fx and fy beside. ``aspect``: of fx alone. ``swapped``: fx and fy
-    change places. ``centred``: the principal point is in the middle. ``shift``: added to the principal point, in
-    shares of the picture.
+    ``inverted``: poses are world-to-camera. ``opengl``: cameras have y up and z backward. ``unit``: factor of depth.
+    ``ray``: 1 when depth is the distance to the camera, -1 when it was divided by the ray's length needlessly.
+    ``lens_scale``: factor of fx, fy, cx, cy. ``focal``: further factor of fx and fy. ``aspect``: further factor of fx.
+    ``swapped``: fx and fy are exchanged. ``centred``: the principal point is in the middle. ``shift``: added to the
+    principal point, in shares of the picture.
     """
 
     inverted: bool = False
@@ -45,12 +47,12 @@ class Assumption(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """What became of the points: [P, M] each; P pairs, M points.
+    """Where the points of P pairs, M each, fall in the other view. Arrays are [P, M].
 
-    ``error`` float64: logarithm of the depth seen over the depth expected, nan where the other view shows nothing
-    there. ``agrees`` float64: 1 for no error, 0 from 5 % on and where nothing is seen. ``known`` bool: there is such a
-    point. ``place`` float64 [P, M, 2]: where it falls in the other picture, in shares of that; nan behind it.
-    ``scale`` float64: how many times as far from the other camera it is.
+    ``error`` float64: logarithm of the depth seen over the depth expected, nan where the other view shows nothing.
+    ``agrees`` float64: 1 for no error, 0 from 5 % on and where nothing is seen. ``known`` bool: the point exists.
+    ``place`` float64 [P, M, 2]: in shares of the other picture, nan behind its camera. ``scale`` float64: distance
+    to the other camera over distance to the own one.
     """
 
     error: Floats
@@ -61,8 +63,8 @@ class Comparison(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """What a look shows where points are projected to: ``distance`` float64 [N], metres of the points above it along
-    its ``normal`` float64 [N, 3] in the camera's axes; nan where there is none.
+    """The surface that a look shows where points are projected to. ``distance`` float64 [N]: metres of the points
+    above it along its ``normal`` float64 [N, 3], in the camera's axes. nan where there is none.
     """
 
     distance: Floats
@@ -70,10 +72,10 @@ class Surface(NamedTuple):
 
 
 class Views:
-    """The looks as arrays: all pairs are compared in one go.
+    """The looks as arrays, so that all pairs are compared at once.
 
-    ``turn``, float64 [3, 3], is how the world was turned upright when the scene was opened: what the poses mean is
-    told of the poses as they were written.
+    ``turn`` float64 [3, 3] is the rotation that made the world upright when the scene was opened. Assumptions about
+    poses are about the poses as they were written, before that rotation.
     """
 
     def __init__(self, looks: Sequence[Look], turn: Floats) -> None:
@@ -95,7 +97,7 @@ class Views:
         self._pixels = np.concatenate([look.depth.ravel() for look in looks])
 
     def lens_of(self, assumed: Assumption) -> Lens:
-        """What the lenses are under an assumption, float64 [F, 4]."""
+        """The lenses under an assumption, float64 [F, 4]."""
         return lens_under(self.lens, self.size[:, 0] / self.size[:, 1], assumed)
 
     def poses_of(self, assumed: Assumption) -> Floats:
@@ -103,7 +105,7 @@ class Views:
         return assumed_poses(self.poses, self.turn, assumed)
 
     def compare(self, pairs: NDArray[np.int64], assumed: Assumption, points: int | None = None) -> Comparison:
-        """Carry the first ``points`` points of each pair's one look into the other, int64 [P, 2]."""
+        """Carry the first ``points`` points of each pair's first look into the second; pairs int64 [P, 2]."""
         lens, poses = self.lens_of(assumed), self.poses_of(assumed)
         one, other = pairs[:, 0], pairs[:, 1]
         world, known = self.world_points(assumed, lens, poses, points)
@@ -117,7 +119,7 @@ class Views:
         seen = planar(seen, place, lens[other], assumed)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.where(seen > 0.0, np.log(seen / safe), np.nan)
-        share = np.square(np.nan_to_num(error, nan=1.0) / AGREES_WITHIN)
+        share = np.square(np.nan_to_num(error, nan=1.0) / _AGREES_WITHIN)
         agrees = np.square(np.clip(1.0 - share, 0.0, 1.0))
         own = np.where(known, planar(self.values[:, :points], self.places[:, :points], lens, assumed), 1.0)
         place = np.where(front[..., None], place, np.nan)
@@ -126,7 +128,7 @@ class Views:
     def world_points(
         self, assumed: Assumption, lens: Lens, poses: Floats, points: int | None = None
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """The looks' points in the world, float64 [F, M, 3], and which there are, bool [F, M]."""
+        """The looks' points in the world, float64 [F, M, 3], and which of them exist, bool [F, M]."""
         places, values = self.places[:, :points], self.values[:, :points]
         depth = planar(values, places, lens, assumed)
         rays = (places - lens[:, None, 2:]) / lens[:, None, :2]
@@ -134,7 +136,7 @@ class Views:
         return np.matmul(local, poses[:, :3, :3].swapaxes(1, 2)) + poses[:, None, :3, 3], values > 0.0
 
     def depth_at(self, looks: NDArray[np.int64], place: Floats, wanted: NDArray[np.bool_]) -> Floats:
-        """Depth at places [P, M, 2] of pictures [P], between pixels' centres interpolated; 0 at edges and outside."""
+        """Depth at places [P, M, 2] of pictures [P], interpolated between pixels; 0 at edges and outside."""
         found = np.zeros(wanted.shape)
         width, height = self.size[looks, 0].astype(np.int64)[:, None], self.size[looks, 1].astype(np.int64)[:, None]
         x, y = place[..., 0] * width - 0.5, place[..., 1] * height - 0.5
@@ -154,7 +156,7 @@ class Views:
         return found
 
     def surface_at(self, look: int, local: Floats, assumed: Assumption, lens: Lens) -> Surface:
-        """The surface of a look that points, float64 [N, 3] in its camera's axes, are projected to."""
+        """The surface of a look where points, float64 [N, 3] in its camera's axes, are projected to."""
         safe = np.where(local[:, 2] > 1e-6, local[:, 2], 1.0)
         place = local[:, :2] / safe[:, None] * lens[:2] + lens[2:]
         step = np.maximum(1.0, np.round(self.size[look] / _NORMAL_GRAIN)) / self.size[look]
@@ -173,7 +175,7 @@ class Views:
 
 
 def lens_under(lens: Lens, aspect: Floats, assumed: Assumption) -> Lens:
-    """What lenses [F, 4] of pictures with an ``aspect`` [F] (width over height) are under an assumption."""
+    """Lenses [F, 4] of pictures with an ``aspect`` [F] (width over height), under an assumption."""
     meant = lens.copy()
     if assumed.swapped:
         meant[:, 0], meant[:, 1] = lens[:, 1] / aspect, lens[:, 0] * aspect
@@ -187,7 +189,7 @@ def lens_under(lens: Lens, aspect: Floats, assumed: Assumption) -> Lens:
 
 
 def assumed_poses(poses: Floats, turn: Floats, assumed: Assumption) -> Floats:
-    """Camera-to-world poses [F, 4, 4] as they are meant under an assumption, see ``Views`` for ``turn``."""
+    """Camera-to-world poses [F, 4, 4] under an assumption. ``turn`` is that of ``Views``."""
     if not (assumed.inverted or assumed.opengl):
         return poses
     rotation, centre = turn.T @ poses[:, :3, :3], poses[:, :3, 3] @ turn
@@ -195,16 +197,53 @@ def assumed_poses(poses: Floats, turn: Floats, assumed: Assumption) -> Floats:
         rotation = rotation.swapaxes(1, 2)
         centre = -np.einsum("fij,fj->fi", rotation, centre)
     if assumed.opengl:
-        rotation = rotation @ FLIP
+        rotation = rotation @ _OPENGL
     meant = poses.copy()
     meant[:, :3, :3], meant[:, :3, 3] = turn @ rotation, centre @ turn.T
     return meant
 
 
 def planar(depth: Floats, place: Floats, lens: Lens, assumed: Assumption) -> Floats:
-    """Depth along the axis, metres, of a scene's values [..., M] at places [..., M, 2] under an assumption."""
+    """Depth along the axis in metres: a scene's values [..., M] at places [..., M, 2], under an assumption."""
     if assumed.ray:
         rays = (place - lens[:, None, 2:]) / lens[:, None, :2]
         length = np.sqrt((rays**2).sum(-1) + 1.0)
         depth = depth * length ** (-assumed.ray)
     return depth * assumed.unit
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """The loaded part of a scene. ``looks`` are compared in ``pairs`` int64 [P, 2]; ``photos`` is by frame number."""
+
+    scene: Scene
+    looks: list[Look]
+    views: Views
+    pairs: NDArray[np.int64]
+    photos: dict[int, Photo]
+
+    def name(self, row: int) -> str:
+        """The name of a look's frame."""
+        return self.looks[row].frame.name
+
+    def photo(self, row: int) -> Photo:
+        """A look's photo."""
+        return self.photos[self.looks[row].number]
+
+    def telling_pair(self, assumed: Assumption) -> tuple[int, int]:
+        """Two looks for a picture. They show much of the same surface, from places as far apart as that allows."""
+        comparison = self.views.compare(self.pairs, assumed)
+        share = comparison.agrees.sum(1) / np.maximum(comparison.known.sum(1), 1)
+        centres = self.views.poses_of(assumed)[:, :3, 3]
+        apart = np.linalg.norm(centres[self.pairs[:, 0]] - centres[self.pairs[:, 1]], axis=1)
+        best = int(np.argmax(share * np.sqrt(apart + 1e-9)))
+        return int(self.pairs[best, 0]), int(self.pairs[best, 1])
+
+
+def examine(scene: Scene) -> Examined | None:
+    """Load what is compared. None where fewer than three frames have depth. Raises PlgsError."""
+    looks = load_looks(scene.frames)
+    if len(looks) < 3:
+        return None
+    turn = np.eye(3) if scene.turn is None else scene.turn
+    return Examined(scene, looks, Views(looks, turn), pairs_of(len(looks)), load_photos(scene.frames))

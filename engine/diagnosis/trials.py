@@ -1,4 +1,4 @@
-"""Which assumption about a scene's numbers makes its views agree best? Each is tried on the same points."""
+"""Which assumption about a scene's numbers makes its views agree best? Each one is tried on the same points."""
 
 from __future__ import annotations
 
@@ -9,31 +9,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .calibration import calibrate, moved
-from .reprojection import Assumption, Floats, Views
+from .looks import Floats
+from .reprojection import Assumption, Views
 
-UNITS = (1000.0, 100.0, 10.0, 6.5535, 5.0, 4.0, 2.54, 2.0, 1.6, 1.3107, 0.76295, 0.625, 0.5, 0.393701, 0.25, 0.2,
+_UNITS = (1000.0, 100.0, 10.0, 6.5535, 5.0, 4.0, 2.54, 2.0, 1.6, 1.3107, 0.76295, 0.625, 0.5, 0.393701, 0.25, 0.2,
          1 / 6.5535, 0.1, 0.01, 0.001)  # fmt: skip
-"""Metres in place of millimetres, 5000, 6553.5 or 4000 steps a metre in place of 1000, inches; and steps between."""
-_ROUND = 0.02
-"""Logarithm: a fitted unit this close to a known one is that one, if views agree as well with it."""
-_AS_WELL = 0.995
+"""Factors of depth. They cover metres for millimetres, 5000, 6553.5 or 4000 steps a metre for 1000, and inches."""
+_AS_GOOD = 0.995
+"""A fitted value replaces a tried one where views agree at least this many times as well."""
 _SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 _FOCALS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.12, 1.25, 1.45, 1.7, 2.0)
 _POINTS = 150
 _BETTER = 1.15
-"""How many times as well views must agree under another assumption for it to be preferred, beside ..."""
+"""Least factor by which views must agree better under another assumption."""
 _CERTAIN = 5.0
-"""... the frames' mean gain in its standard errors. True scenes have no better assumption at all."""
+"""Least mean gain of the frames, in its standard errors."""
 _MOST_CAUSES = 4
 _POOR = 0.4
-"""Of what two views see: where fewer agree, something is wrong that may need two causes to be explained."""
-POSES = ("inverted", "opengl", "inverted opengl")
+"""Share of the points seen by two views. Where fewer agree, two causes at once are tried."""
+_POSE_CAUSES = ("inverted", "opengl", "inverted opengl")
 _ASIDE = 0.1
+"""Share of the picture. A principal point farther from the middle may belong to pictures of another size."""
 _KINDS_COMPARED = 4
 
 
 class Trial(NamedTuple):
-    """A ``cause`` and the assumption that takes it into account. ``free``: what is fitted when it is the best."""
+    """A ``cause`` and the assumption that it leads to. ``free`` names the values to fit if this is the best trial."""
 
     cause: str
     assumed: Assumption
@@ -41,10 +42,11 @@ class Trial(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """``by_frame`` float64 [F]: the mean agreement of each look's points with the views they were carried into, 0..1.
+    """How well views agree.
 
-    ``mean`` is that of all points, ``seen`` the share of points where the other view shows depth, ``share`` the share
-    of these that agree within 5 %, ``error`` the median relative error of those.
+    ``by_frame`` float64 [F] is the mean agreement, 0..1, of each look's points with the other views; ``mean`` is over
+    all points. ``seen`` is the share of points where the other view shows depth. Of these, ``share`` agree within 5 %,
+    with the median relative error ``error``.
     """
 
     by_frame: Floats
@@ -54,8 +56,8 @@ class Agreement(NamedTuple):
     error: float
 
 
-class Found(NamedTuple):
-    """A cause that was found: the assumption with it, and how views agree without it and with it."""
+class FoundCause(NamedTuple):
+    """A cause that was found, the assumption with it, and how views agree before and after."""
 
     cause: str
     assumed: Assumption
@@ -83,9 +85,9 @@ def agreement(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> Ag
     )
 
 
-def find_causes(views: Views, pairs: NDArray[np.int64]) -> tuple[list[Found], Assumption]:
-    """What is wrong with the numbers of a scene, one cause after the other, and the assumption with all of them."""
-    assumed, found = Assumption(), list[Found]()
+def find_causes(views: Views, pairs: NDArray[np.int64]) -> tuple[list[FoundCause], Assumption]:
+    """The causes that explain the numbers of a scene, one after the other, and the assumption with all of them."""
+    assumed, found = Assumption(), list[FoundCause]()
     before = agreement(views, pairs, assumed)
     for _ in range(_MOST_CAUSES):
         best = _best(views, pairs, assumed, before, {each.cause for each in found})
@@ -99,18 +101,18 @@ def find_causes(views: Views, pairs: NDArray[np.int64]) -> tuple[list[Found], As
     return found, assumed
 
 
-def _two_at_once(views: Views, pairs: NDArray[np.int64], before: Agreement) -> list[Found]:
-    """Poses and another number may both be wrong, so that either alone makes nothing better."""
-    best: tuple[Found, Found] | None = None
-    for pose in (trial for trial in _trials(views, Assumption()) if trial.cause in POSES):
-        found = _best(views, pairs, pose.assumed, before, {*POSES})
+def _two_at_once(views: Views, pairs: NDArray[np.int64], before: Agreement) -> list[FoundCause]:
+    """Poses and another number may both be wrong. Then mending either one alone improves nothing."""
+    best: tuple[FoundCause, FoundCause] | None = None
+    for pose in (trial for trial in _trials(views, Assumption()) if trial.cause in _POSE_CAUSES):
+        found = _best(views, pairs, pose.assumed, before, {*_POSE_CAUSES})
         if found is not None and (best is None or found.after.mean > best[1].after.mean):
-            best = Found(pose.cause, pose.assumed, before, found.after), found
+            best = FoundCause(pose.cause, pose.assumed, before, found.after), found
     return [] if best is None else [*best]
 
 
-def is_better(after: Agreement, before: Agreement) -> bool:
-    """Whether views agree clearly better: by a sixth, and so that chance is out of the question."""
+def _is_better(after: Agreement, before: Agreement) -> bool:
+    """Whether views agree clearly better: by 15 %, and beyond chance."""
     gains = after.by_frame - before.by_frame
     error = float(gains.std(ddof=1)) / np.sqrt(len(gains)) if len(gains) > 1 else np.inf
     return after.mean > _BETTER * before.mean and float(gains.mean()) > _CERTAIN * max(error, 1e-9)
@@ -118,7 +120,7 @@ def is_better(after: Agreement, before: Agreement) -> bool:
 
 def _best(
     views: Views, pairs: NDArray[np.int64], assumed: Assumption, before: Agreement, done: set[str]
-) -> Found | None:
+) -> FoundCause | None:
     tried = [
         (agreement(views, pairs, trial.assumed), trial) for trial in _trials(views, assumed) if trial.cause not in done
     ]
@@ -131,24 +133,24 @@ def _best(
     if not fitted:
         return None
     after, trial = max(fitted, key=lambda each: each[0].mean)
-    return Found(trial.cause, trial.assumed, before, after) if is_better(after, before) else None
+    return FoundCause(trial.cause, trial.assumed, before, after) if _is_better(after, before) else None
 
 
 def _fitted(views: Views, pairs: NDArray[np.int64], after: Agreement, trial: Trial) -> tuple[Agreement, Trial]:
-    """A trial with its free parameters fitted, where that makes it better."""
+    """A trial with its free values fitted, where that makes it no worse."""
     calibration = calibrate(views, pairs, trial.assumed, trial.free, _POINTS) if trial.free else None
     if calibration is None:
         return after, trial
     refined = trial._replace(assumed=moved(trial.assumed, calibration.values))
     again = agreement(views, pairs, refined.assumed)
-    return (again, refined) if again.mean * _AS_WELL > after.mean else (after, trial)
+    return (again, refined) if again.mean * _AS_GOOD > after.mean else (after, trial)
 
 
 def _trials(views: Views, now: Assumption) -> Iterator[Trial]:
     yield Trial("inverted", now._replace(inverted=not now.inverted))
     yield Trial("opengl", now._replace(opengl=not now.opengl))
     yield Trial("inverted opengl", now._replace(inverted=not now.inverted, opengl=not now.opengl))
-    for unit in UNITS:
+    for unit in _UNITS:
         yield Trial("unit", now._replace(unit=now.unit * unit), ("unit",))
     yield Trial("ray", now._replace(ray=now.ray + 1.0))
     yield Trial("not ray", now._replace(ray=now.ray - 1.0))

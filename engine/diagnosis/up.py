@@ -1,4 +1,4 @@
-"""Which way is up? Floors, ceilings and table tops say so: their normals, about the cameras' own up."""
+"""Which way is up? Floors, ceilings and table tops show it: most of their normals point along it."""
 
 from __future__ import annotations
 
@@ -7,21 +7,28 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .reprojection import Assumption, Floats, Views
+from ..scene.up_axis import shortest_rotation
+from .findings import Finding
+from .looks import Floats
+from .pictures import level_surfaces
+from .reprojection import Assumption, Examined, Views
 
 _CLEARLY_UP = 0.6
 _CONES = (40.0, 25.0, 15.0, 8.0, 5.0, 5.0, 5.0)
-"""Degrees about the axis within which normals count, from the cameras' up to that of the surfaces."""
+"""Degrees about the axis within which normals count, one round after the other."""
 _LEAST_SHARE = 0.08
 _LEVEL = 5.0
-"""Degrees: normals this close to the axis are level surfaces', and this close to a right angle walls'."""
+"""Degrees. Normals this close to the axis belong to level surfaces, and this close to a right angle to walls."""
+_TILTED, _CERTAIN = 5.0, 5.0
+"""Degrees and standard errors. Floors are level to a degree, and so are scanners' worlds."""
+_NAMED_WITHIN = 8.0
+"""Degrees from an axis of the poses, within which the axis is named."""
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 class UpAxis(NamedTuple):
-    """``axis`` float64 [3]: up in the scene's world, a unit vector. ``tilt``: degrees between it and z.
-
-    ``level`` and ``walls``: the shares of normals along the axis, and at right angles to it. ``deviation``: standard
-    error of the axis in degrees. ``normals`` float64 [N, 3] are those that it was measured with.
+    """``axis`` float64 [3] is up in the scene's world, ``tilt`` the degrees between it and z. ``level`` and ``walls``
+    are the shares of normals along it and at right angles to it. ``deviation`` is its standard error in degrees.
     """
 
     axis: Floats
@@ -29,16 +36,21 @@ class UpAxis(NamedTuple):
     level: float
     walls: float
     deviation: float
-    normals: Floats
 
 
-def measure_up(views: Views, assumed: Assumption) -> UpAxis | None:
-    """Up as the surfaces have it; None where cameras lie on their sides, or where few surfaces are level."""
-    poses = views.poses_of(assumed)
-    held = -poses[:, :3, 1].mean(0)
+def measure_tilt(views: Views, assumed: Assumption) -> UpAxis | None:
+    """The axis that is up, if it clearly differs from z. None also where surfaces or cameras do not show it."""
+    up = _measure_up(views, assumed)
+    return up if up is not None and up.tilt > max(_TILTED, _CERTAIN * up.deviation) else None
+
+
+def _measure_up(views: Views, assumed: Assumption) -> UpAxis | None:
+    held = -views.poses_of(assumed)[:, :3, 1].mean(0)
     if np.linalg.norm(held) < _CLEARLY_UP:
         return None
-    normals, frames = world_normals(views, assumed)
+    by_look = _world_normals(views, assumed)
+    normals = np.concatenate([normals[known] for normals, known in by_look])
+    frames = np.repeat(np.arange(len(by_look)), [known.sum() for _, known in by_look])
     axis = held / np.linalg.norm(held)
     for cone in _CONES:
         near = np.abs(normals @ axis) > np.cos(np.radians(cone))
@@ -55,19 +67,52 @@ def measure_up(views: Views, assumed: Assumption) -> UpAxis | None:
         level=float((cosine > np.cos(np.radians(_LEVEL))).mean()),
         walls=float((cosine < np.sin(np.radians(_LEVEL))).mean()),
         deviation=float(np.degrees(np.sqrt((scatter**2).mean() / len(means)))),
-        normals=normals,
     )
 
 
-def world_normals(views: Views, assumed: Assumption) -> tuple[Floats, NDArray[np.int64]]:
-    """Normals of the looks' points in the world, float64 [N, 3], and the look that each is of, int64 [N]."""
+def _world_normals(views: Views, assumed: Assumption) -> list[tuple[Floats, NDArray[np.bool_]]]:
+    """For each look the normals of its points in the world, float64 [N, 3], and which are known, bool [N]."""
     lens, poses = views.lens_of(assumed), views.poses_of(assumed)
     world, known = views.world_points(assumed, lens, poses)
-    normals, frames = [], []
+    found = []
     for row in range(len(views.looks)):
         local = (world[row][known[row]] - poses[row, :3, 3]) @ poses[row, :3, :3]
         surface = views.surface_at(row, local, assumed, lens[row])
-        good = np.isfinite(surface.distance)
-        normals.append(surface.normal[good] @ poses[row, :3, :3].T)
-        frames.append(np.full(int(good.sum()), row))
-    return np.concatenate(normals), np.concatenate(frames)
+        found.append((surface.normal @ poses[row, :3, :3].T, np.isfinite(surface.distance)))
+    return found
+
+
+def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding:
+    """That the world is tilted, with the option that mends it."""
+    turn = np.eye(3) if examined.scene.turn is None else examined.scene.turn
+    written = turn.T @ up.axis  # in the poses' own world, as --up has it
+    axis = max(_AXES, key=lambda name: abs(float(written @ _AXES[name])))
+    cosine = float(written @ _AXES[axis])
+    name = axis if cosine > 0.0 else f"-{axis}"
+    is_named = np.degrees(np.arccos(min(abs(cosine), 1.0))) < _NAMED_WITHIN
+    option = f"read it with --up {name}, or " if is_named and name in ("z", "y", "-y") else ""
+    best = max(range(len(examined.looks)), key=lambda row: len(examined.looks[row].points))
+    normals, known = _world_normals(examined.views, assumed)[best]
+    shown = np.where(known[:, None], normals, 0.5)
+    return Finding(
+        cause="up direction",
+        severity="wrong",
+        text=f"up is {up.tilt:.0f} degrees from z: {up.level:.0%} of the surfaces are level about the axis "
+        f"{up.axis[0]:.2f}, {up.axis[1]:.2f}, {up.axis[2]:.2f} and {up.walls:.0%} upright"
+        + (f"; that is the poses' axis {name}" if is_named else ""),
+        option=f"{option}--fix OUT turns it upright",
+        figures={
+            "degrees": up.tilt,
+            "level": up.level,
+            "walls": up.walls,
+            "within_degrees": up.deviation,
+            "axis": name,
+        },
+        is_mended=True,
+        picture=level_surfaces(examined.looks[best], shown @ up.axis, "green: level, blue: upright"),
+    )
+
+
+def turn_to_z(axis: Floats) -> Floats:
+    """The shortest rotation, float64 [3, 3], that takes the unit vector ``axis`` [3] to z."""
+    return shortest_rotation(axis, np.array([0.0, 0.0, 1.0]))

@@ -1,8 +1,2 @@
 """A finished lift in the forms that other programs read: COCO panoptic, label images, ScanNet's label files, points,
 boxes, meshes."""
-
-from __future__ import annotations
-
-from .run import KINDS, export
-
-__all__ = ["KINDS", "export"]

@@ -6,7 +6,7 @@ the views that see them: each votes with what it shows there. So the meshes meet
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,31 +14,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..job import JobError, write_atomically
-from ..passes import PanopticLayers, ShownInstances, colour_picture, linear
+from ..errors import PlgsError
+from ..job import write_atomically
+from ..passes.layers import PanopticLayers, linear
+from ..passes.ply import columns_of, write_ply_table
+from ..passes.previews import colour_picture
 from ..scene import Camera, ClassTable, Frame
-from ..scene.matte_names import matte_names
+from ..scene.classes import matte_names
+from ..scene.labelled_surface import LEAST_TRIANGLES, triangles_by_label
 from .glb import glb_bytes
-from .ply_tables import write_ply_table
+from .source import FinishedLift
 
 VOXEL = 0.02
-"""Metres."""
+"""Side of a voxel in metres."""
 TRUNCATION = 4.0
-"""Voxels to each side of the surface that a view tells of."""
+"""Voxels on each side of the surface that a view changes."""
 FARTHEST = 8.0
-"""Metres: rendered depth beyond is not fused."""
+"""Metres beyond which rendered depth is not fused."""
 LEAST_ALPHA = 0.7
-"""Where less is covered a pixel's depth is no surface's."""
+"""Alpha below which a pixel's depth is no surface."""
 WIDEST = 640
-"""Pixels: larger views are fused at every n-th pixel."""
+"""Width in pixels above which only every n-th pixel of a view is fused."""
 SEEN_WITHIN = 0.05
-"""Metres between a vertex and the view's depth there, for the view to vote."""
-LEAST_TRIANGLES = 20
-"""A mesh of fewer is fragments."""
+"""Metres between a vertex and a view's depth there within which the view votes."""
 MOST_INSTANCES = 1 << 16
-"""A label is class * this + instance."""
-
-Views = Iterable[tuple[Frame, PanopticLayers]]
+"""Factor of the class in a label, which is class * this + instance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,23 +61,25 @@ class SmallView:
     label: NDArray[np.int64]
 
 
-def write_meshes(output: Path, views: Views, classes: ClassTable, instances: ShownInstances) -> None:
+def export_mesh(lift: FinishedLift, output: Path) -> None:
     """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one an instance
-    and one a stuff class (glTF's axes, y up). Raises JobError where no surface was rendered, OSError."""
-    small = [_small(frame, layers) for frame, layers in views]
+    and one a stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
+    small = [_small(frame, layers) for frame, layers in lift.views()]
     surface = fuse(small)
     if not len(surface.triangles):
         fix = "Export more frames, or lift the scene with better depth."
-        raise JobError("the rendered views show no surface", output, fix)
+        raise PlgsError("the rendered views show no surface", output, fix)
     label = vertex_labels(surface.xyz, small)
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
-    columns: dict[str, NDArray[Any]] = {name: surface.xyz[:, axis] for axis, name in enumerate("xyz")}
-    columns |= {name: surface.normal[:, axis] for axis, name in enumerate(("nx", "ny", "nz"))}
-    columns |= {name: surface.rgb[:, channel] for channel, name in enumerate(("red", "green", "blue"))}
-    columns |= {"class_id": class_id.astype(np.int32), "instance_id": instance_id.astype(np.int32)}
+    columns = {
+        **columns_of("x y z", surface.xyz),
+        **columns_of("nx ny nz", surface.normal),
+        **columns_of("red green blue", surface.rgb),
+        **{"class_id": class_id.astype(np.int32), "instance_id": instance_id.astype(np.int32)},
+    }
     write_ply_table(output / "mesh.ply", columns, surface.triangles)
-    names = label_names(np.unique(label), classes, instances.names)
-    for value, triangles in by_label(surface.triangles, label).items():
+    names = label_names(np.unique(label), lift.classes, lift.instances.names)
+    for value, triangles in triangles_by_label(surface.triangles, label).items():
         if value in names and len(triangles) >= LEAST_TRIANGLES:
             content = _glb(names[value], surface, triangles)
             write_atomically(output / "meshes" / f"{names[value]}.glb", content)
@@ -146,15 +148,6 @@ def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView]) -> NDArray[n
         place = np.searchsorted(known, view.label[row[seen], column[seen]])
         votes[vertex[seen], place] += 1
     return np.where(votes.any(axis=1), known[votes.argmax(axis=1)], 0)
-
-
-def by_label(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
-    """The triangles [T, 3] of each label: that of two corners, else the first's."""
-    corners = label[triangles]
-    own = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
-    order = np.argsort(own, kind="stable")
-    values, starts = np.unique(own[order], return_index=True)
-    return dict(zip(values.tolist(), np.split(triangles[order], starts[1:]), strict=True))
 
 
 def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mapping[int, str]) -> dict[int, str]:

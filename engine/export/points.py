@@ -7,32 +7,33 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..job import LiftFolder, write_atomically
-from ..scene.array_file import read_npz
-from .ply_tables import write_ply_table
+from ..job import write_atomically
+from ..passes.ply import columns_of, write_ply_table
+from ..result_files import SEMANTIC_POINTS, SemanticPoints, read_arrays
+from .source import FinishedLift
 
 NEIGHBOURS = 30
-"""Points that a normal is fitted to."""
+"""Nearest points that a normal is fitted to."""
 
 
-def write_points(output: Path, folder: LiftFolder, centres: NDArray[np.float64]) -> None:
+def export_points(lift: FinishedLift, output: Path) -> None:
     """points.ply: the semantic points with colours, normals, class_id, instance_id and confidence; gaussians.ply: the
-    Gaussians as the lift has them, class_id and instance_id included. ``centres`` [F, 3]: the cameras', metres. Raises
-    SceneError, OSError.
-    """
-    fix, labelled = "Lift the scene anew, into another folder.", ("class_id", "instance_id", "confidence")
-    points = read_npz(folder.result_path / "semantic_points.npz", fix, ("xyz", "rgb", *labelled))
-    xyz, rgb, labels = points["xyz"], points["rgb"], {name: points[name] for name in labelled}
-    columns = {name: xyz[:, axis] for axis, name in enumerate("xyz")}
-    normals = point_normals(xyz, centres)
-    columns |= {name: normals[:, axis] for axis, name in enumerate(("nx", "ny", "nz"))}
-    columns |= {name: rgb[:, channel] for channel, name in enumerate(("red", "green", "blue"))}
-    write_ply_table(output / "points.ply", columns | labels)
-    write_atomically(output / "gaussians.ply", (folder.result_path / "gaussians.ply").read_bytes())
+    Gaussians as the lift has them, class_id and instance_id included. Raises PlgsError, OSError."""
+    result = lift.folder.result_path
+    points = read_arrays(result / SEMANTIC_POINTS, SemanticPoints)
+    centres = np.array([frame.camera.centre for frame in lift.scene.frames])
+    columns = {
+        **columns_of("x y z", points.xyz),
+        **columns_of("nx ny nz", point_normals(points.xyz, centres)),
+        **columns_of("red green blue", points.rgb),
+        **{name: getattr(points, name) for name in ("class_id", "instance_id", "confidence")},
+    }
+    write_ply_table(output / "points.ply", columns)
+    write_atomically(output / "gaussians.ply", (result / "gaussians.ply").read_bytes())
 
 
 def point_normals(xyz: NDArray[np.float32], centres: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Unit normals of points [N, 3] from their neighbours, towards the nearest of the cameras, float32 [N, 3]."""
+    """Unit normals of points [N, 3] from their neighbours, towards the nearest camera centre [F, 3], float32 [N, 3]."""
     import open3d
     from scipy.spatial import KDTree
 

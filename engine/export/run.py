@@ -4,103 +4,61 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from ..job import JobError, LiftFolder, verify_lifted, write_atomically
-from ..passes import PanopticLayers, write_coco
-from ..scene import Frame
-from .boxes import write_boxes
-from .depth_maps import write_depth_maps
-from .label_images import write_label_images, write_scannet
-from .points import write_points
-from .source import FinishedLift
+from ..errors import PlgsError
+from ..job import LiftFolder, verify_lifted, write_atomically
+from .boxes import export_boxes
+from .frame_images import export_coco, export_depth, export_label_images, export_scannet
+from .points import export_points
+from .source import FinishedLift, Progress
 
 NOTE = "export.json"
-"""What an export's folder is of: form, lift and frames."""
+"""File in an export's folder that names its form, its lift and its frames."""
 
 
-def export(folder: LiftFolder, kind: str, output: Path, frames: Sequence[str], *, count_frames: bool = False) -> None:
-    """Write a finished lift as ``kind`` (of KINDS) into the folder ``output``, of ``frames`` ("test", "all", names).
-    ``count_frames``: print a line after each.
+def export(
+    folder: LiftFolder, kind: str, output: Path, frames: Sequence[str], progress: Progress | None = None
+) -> None:
+    """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (of KINDS) into the folder ``output``.
 
-    The folder is new or empty, or holds this very export, cut off or whole: nobody's files are written over. What lies
-    in the lift's own folder ``exports`` is made anew.
+    The folder must be new or empty, or hold this very export, cut off or whole, so that no other files are overwritten.
+    An output in the lift's own folder ``exports`` is made anew.
 
-    Raises JobError for a lift that is not finished or is damaged, or an output of another kind, SceneError, OSError.
+    Raises PlgsError for a lift that is not finished or is damaged, and for an output that holds other files; OSError.
     """
     verify_lifted(folder.result_path)
-    lift = FinishedLift(folder, frames, count_frames)
+    lift = FinishedLift(folder, frames, progress)
     make_room(folder, output, {"form": kind, "lift": str(folder.path), "frames": [frame.name for frame in lift.frames]})
     KINDS[kind](lift, output)
 
 
 def make_room(folder: LiftFolder, output: Path, export: Mapping[str, object]) -> None:
-    """A folder for ``export``, whose note says what is in it. Raises JobError where other files are, OSError."""
+    """Make the folder, with the facts of ``export`` in its note. Raises PlgsError where other files are, OSError."""
     if output.exists() and not output.is_dir():
-        raise JobError("the export needs a folder, this is a file", output, "Name another one.")
+        raise PlgsError("the export needs a folder, this is a file", output, "Name another one.")
     text, note = json.dumps(export, indent=1) + "\n", output / NOTE
     if output.resolve().is_relative_to(folder.path.resolve() / "exports"):
         shutil.rmtree(output, ignore_errors=True)
     elif output.exists() and any(output.iterdir()) and not (note.is_file() and note.read_bytes() == text.encode()):
-        raise JobError("the folder for the export holds other files", output, "Name a new or an empty folder.")
+        raise PlgsError("the folder for the export holds other files", output, "Name a new or an empty folder.")
     write_atomically(note, text)
 
 
-def _coco(lift: FinishedLift, output: Path) -> None:
-    views = ((frame.name, layers.semantic, layers.instance) for frame, layers in _shown(lift))
-    try:
-        write_coco(output, lift.classes, views)
-    except ValueError as error:
-        raise JobError(str(error), output, "Export instances instead: they have 16 bits each.") from error
+def _export_mesh(lift: FinishedLift, output: Path) -> None:
+    from .mesh import export_mesh  # open3d takes long to import
 
-
-def _instances(lift: FinishedLift, output: Path) -> None:
-    write_label_images(output, _shown(lift), lift.classes, lift.instances)
-
-
-def _scannet(lift: FinishedLift, output: Path) -> None:
-    write_scannet(output, _shown(lift), lift.classes)
-
-
-def _points(lift: FinishedLift, output: Path) -> None:
-    write_points(output, lift.folder, np.array([frame.camera.centre for frame in lift.scene.frames]))
-
-
-def _boxes(lift: FinishedLift, output: Path) -> None:
-    write_boxes(output, lift.records)
-
-
-def _mesh(lift: FinishedLift, output: Path) -> None:
-    from .mesh import write_meshes
-
-    write_meshes(output, _shown(lift), lift.classes, lift.instances)
-
-
-def _depth(lift: FinishedLift, output: Path) -> None:
-    write_depth_maps(output, _shown(lift))
+    export_mesh(lift, output)
 
 
 KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
-    "coco": _coco,
-    "instances": _instances,
-    "scannet": _scannet,
-    "points": _points,
-    "boxes": _boxes,
-    "mesh": _mesh,
-    "depth": _depth,
+    "coco": export_coco,
+    "instances": export_label_images,
+    "scannet": export_scannet,
+    "points": export_points,
+    "boxes": export_boxes,
+    "mesh": _export_mesh,
+    "depth": export_depth,
 }
-
-
-def _shown(lift: FinishedLift) -> Iterator[tuple[Frame, PanopticLayers]]:
-    """The views, counted on standard error where that is a terminal, or where it was asked for."""
-    for number, view in enumerate(lift.views(), start=1):
-        yield view
-        told = f"{number} of {len(lift.frames)} frames"
-        if lift.count_frames:
-            print(told, file=sys.stderr, flush=True)
-        elif sys.stderr.isatty():
-            print(f"\r{told}", end="\n" if number == len(lift.frames) else "", file=sys.stderr, flush=True)
+"""What writes each form."""

@@ -2,33 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-from ..job import JobError, LiftFolder, read_manifest, verify_files
-from ..job.manifest import MAKE_ANEW
+from ..job import LiftFolder, read_manifest, verify_files
+from ..job.manifest import damaged
 from ..lift.bake_more import frames_named
 from ..lift.baking import FrameBaker, baked_files, read_baker
-from ..lift.scene_files import read_instances
-from ..passes import PanopticLayers, ShownInstances, read_exr
+from ..passes.baked_view import ShownInstances
+from ..passes.exr import read_exr
+from ..passes.layers import PanopticLayers
+from ..result_files import INSTANCES, Instance, read_instances
 from ..scene import ClassTable, Frame, Scene, open_asked
+
+Progress = Callable[[int, int], object]
+"""Called after each view with the views done and their number. What it raises ends the work."""
 
 
 @dataclass(frozen=True, eq=False)
 class FinishedLift:
-    """A lift and the frames of it to export. Reads what it is asked for; raises SceneError, JobError, OSError then."""
+    """A lift and the frames of it to export. Each attribute is read when it is asked for, and then raises PlgsError or
+    OSError."""
 
     folder: LiftFolder
     names: Sequence[str]
-    count_frames: bool = False
+    progress: Progress | None = None
 
     @cached_property
     def scene(self) -> Scene:
-        request = self.folder.request
-        return open_asked(request)
+        return open_asked(self.folder.request)
 
     @property
     def classes(self) -> ClassTable:
@@ -44,30 +48,32 @@ class FinishedLift:
         return self._baker.instances
 
     @cached_property
-    def records(self) -> list[dict[str, Any]]:
+    def listed(self) -> tuple[Instance, ...]:
         """The instances as instances.json lists them."""
-        return read_instances(self.folder)
+        return read_instances(self.folder.result_path / INSTANCES)[1]
 
     @cached_property
     def _baker(self) -> FrameBaker:
         return read_baker(self.folder, self.classes)
 
     def views(self) -> Iterator[tuple[Frame, PanopticLayers]]:
-        """Every frame as the lift shows it, at the frame's own size."""
+        """Every frame as the lift shows it, at the frame's own size. Progress is reported after each."""
         result = self.folder.result_path
         listed = {result / file.path: file for file in read_manifest(result).files}
-        for frame in self.frames:
+        for number, frame in enumerate(self.frames, start=1):
             baked = baked_files(self.folder, frame.name)[0]
             if baked in listed:
                 verify_files(result, [listed[baked]])
                 yield frame, _read(baked)
             else:
                 yield frame, self._baker.render(frame.camera).layers
+            if self.progress is not None:
+                self.progress(number, len(self.frames))
 
 
 def _read(baked: Path) -> PanopticLayers:
-    """Raises JobError for a file that is damaged, OSError."""
+    """Raises PlgsError for a file that is damaged, OSError."""
     try:
         return read_exr(baked)
     except ValueError as error:
-        raise JobError("a baked frame cannot be read", baked, MAKE_ANEW) from error
+        raise damaged("a baked frame cannot be read", baked) from error

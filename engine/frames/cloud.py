@@ -1,4 +1,4 @@
-"""A coloured cloud of what the frames' depth shows, in one pass over the frames."""
+"""A coloured cloud of the frames' depth, in one pass over the frames."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..scene import Camera
 
 _CELLS_DEEP = 200.0
-"""A cell of the grid is the median depth of the first frame divided by this: about a centimetre in a room."""
+"""Cells in the median depth of the first frame: a cell is about a centimetre in a room."""
 _SIDE = 2**20
 """Cells along an axis, from -_SIDE to _SIDE."""
 
@@ -26,7 +26,7 @@ class ColouredCloud:
 class CloudBuilder:
     """Collects pixels in cells of a grid; a cell becomes one point, the mean of its pixels.
 
-    When more than ``cap`` cells are taken, each eight of them become one: memory stays bounded whatever comes.
+    When more than ``cap`` cells are taken, each eight of them become one, so that memory stays bounded.
     """
 
     def __init__(self, cap: int = 400_000) -> None:
@@ -52,7 +52,7 @@ class CloudBuilder:
             self._merge(self._cells // 2, self._sums)
 
     def cloud(self) -> ColouredCloud:
-        """What was collected so far."""
+        """The cloud of all frames so far."""
         mean = self._sums[:, :6] / np.maximum(self._sums[:, 6:], 1.0)
         return ColouredCloud(mean[:, :3].astype(np.float32), np.rint(mean[:, 3:]).astype(np.uint8))
 

@@ -1,4 +1,4 @@
-"""Writing them: one pass over the frames, each of whose pixels are read once."""
+"""Writing frames as files, in one pass; pixels are read once."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..job import JobError, write_atomically
+from ..errors import PlgsError
+from ..job import write_atomically
 from ..job.made_frames import MadeFrame, MadeFrames, is_newer, made_of
-from ..job.scene_source import SceneSource
-from ..scene import Frame, Scene, SceneError
+from ..scene import Frame, Scene
 from ..scene.frame_colours import depth_colours, mask_colours
+from ..scene_source import SceneSource
 from .cloud import CloudBuilder
 
 KINDS = ("colour", "depth", "masks", "cloud")
 Progress = Callable[[int, int], object]
-"""Called after each frame with the frames done and their number; what it raises ends the work."""
+"""Is called after each frame with the frames done and their number. Its errors end the work."""
 
 _JPEG_QUALITY = 95
-_CLOUD_FRAMES = 300
-_CLOUD_PIXELS = 8_000_000
-"""So many frames, evenly spread, and so many pixels of them tell what a room looks like."""
+_CLOUD_FRAMES, _CLOUD_PIXELS = 300, 8_000_000
+"""Frames, evenly spread, and pixels of them that the cloud is made of, about, at most."""
 
 
 def make_frames(
@@ -35,13 +35,12 @@ def make_frames(
     names: Collection[str] | None = None,
     progress: Progress | None = None,
 ) -> MadeFrames:
-    """Write what is asked for of the frames ``names`` (all where None) into ``folder``, and frames.json last.
+    """Write ``kinds`` of files of the frames ``names`` (None: all) into ``folder``, and frames.json last.
 
-    Pictures are written where no image file shows them as they are. What the scene has not (depth, masks) is left out.
-    What an earlier run made there of the same scene is kept, and made anew where its source is newer. Raises JobError
-    when the folder holds something else, a frame is not there, or the scene has nothing of what is asked for;
-    SceneError when a file of the scene is bad: of depth that cannot be read for the cloud only when the pictures are
-    written.
+    A picture is written if no image file shows it as it is. Depth and masks that the scene lacks are left out. Files of
+    an earlier run on the same scene are kept, unless their source is newer. Raises PlgsError when the folder holds
+    something else, a frame is not there, or the scene has none of ``kinds``; and when a file of the scene is bad. Bad
+    depth for the cloud is reported after the pictures are written.
     """
     made = made_of(folder, source) or MadeFrames(folder, source)
     chosen = _chosen(scene, names)
@@ -57,7 +56,7 @@ def make_frames(
         if frame.name in in_cloud and problem is None:
             try:
                 _add_to_cloud(builder, frame, in_cloud[frame.name])
-            except SceneError as error:
+            except PlgsError as error:
                 problem = error
         if progress is not None:
             progress(position + 1, len(todo))
@@ -74,12 +73,12 @@ def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
     known = {frame.name for frame in scene.frames}
     strange = sorted(set(names or ()) - known)
     if strange:
-        raise JobError("is no frame of the scene", strange[0], "Give names that inspect and Blender's cameras show.")
+        raise PlgsError("is no frame of the scene", strange[0], "Give names that inspect and Blender's cameras show.")
     return known if names is None else set(names)
 
 
 def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str]) -> None:
-    """Raise JobError where no frame has anything of these ``kinds``."""
+    """Raise PlgsError if no frame has anything of these ``kinds``."""
     frames = [frame for frame in scene.frames if frame.name in chosen]
     there = {
         "colour": True,
@@ -89,12 +88,13 @@ def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str
     }
     if kinds and not any(there[kind] for kind in kinds):
         lacking = " and no ".join(dict.fromkeys("depth" if kind == "cloud" else kind for kind in kinds))
-        fix = "Name other things to make, or say where they lie with --masks or --depth."
-        raise JobError(f"there are no frames to write, as these have no {lacking}", scene.folder, fix)
+        fix = "Name other things to make, or name their folders with --masks or --depth."
+        what = f"there are no frames to write, as these have no {lacking}"
+        raise PlgsError(what, scene.folder, fix, option="--masks --depth")
 
 
 def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made: MadeFrame) -> MadeFrame:
-    """One frame's camera and pictures, those that are there already included."""
+    """One frame's camera and pictures, including those of an earlier run."""
     camera = frame.camera
     made = replace(
         made,
@@ -116,7 +116,7 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
             made = replace(made, depth_range=(drawn.near, drawn.far))
         made = replace(made, depth=path)
     if "masks" in kinds and frame.read_mask is not None:
-        # Which file a mask comes out of is its reader's secret: so it is drawn anew each time.
+        # The file of a mask is its reader's secret, so masks are drawn anew each time.
         path = folder / "masks" / f"{frame.name}.png"
         _write_image(path, mask_colours(frame.read_mask(None), scene.classes))
         made = replace(made, masks=path)
@@ -149,11 +149,11 @@ def _write_cloud(builder: CloudBuilder, path: Path) -> Path:
 
 
 def _write_image(path: Path, rgb: NDArray[Any]) -> None:
-    """uint8 [H, W, 3] as JPEG or PNG, by the suffix. Raises SceneError when it cannot be encoded, OSError."""
+    """uint8 [H, W, 3] as JPEG or PNG, by the suffix. Raises PlgsError when it cannot be encoded, OSError."""
     import cv2
 
     bgr = np.ascontiguousarray(rgb[..., ::-1])
     good, data = cv2.imencode(path.suffix, bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     if not good:
-        raise SceneError("the picture cannot be encoded", path, "Check the size of the scene's pictures.")
+        raise PlgsError("the picture cannot be encoded", path, "Check the size of the scene's pictures.")
     write_atomically(path, data.tobytes())

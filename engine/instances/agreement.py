@@ -1,4 +1,4 @@
-"""What the views say of each other's masks: which of them judge a mask, and in which of their own masks it lies."""
+"""The view agreement: which views judge a mask, and inside which of their own masks they show it."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ..scene import Segment, View
 from .segments import edge_distance
 
 PAIRS_AT_A_TIME = 8192
-"""Pairs of masks whose common points are looked up at a time, which bounds the memory."""
+"""Pairs of masks whose common points are looked up at a time. This bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewPoints:
-    """What one view says of the points it sees: ``row`` int32 [n] in the cloud, ascending; ``segment`` int32
-    [n], the id of the segment most of the point's pixels show (0 = void); ``pixels`` int32 [n].
-    """
+    """What one view says of the points it sees: ``row`` int32 [n] in the cloud, ascending; ``segment`` int32 [n], the
+    id of the segment that most of the point's pixels show (0 = void); ``pixels`` int32 [n]."""
 
     row: NDArray[np.int32]
     segment: NDArray[np.int32]
@@ -46,8 +46,6 @@ class MasksInSpace:
 
     def of_views(self, views: NDArray[np.int64]) -> MasksInSpace:
         """The masks of these views; the others see nothing any more."""
-        from scipy import sparse
-
         rows = np.flatnonzero(np.isin(self.view, views))
         chosen = [self.masks[row] for row in rows]
         seeing = np.isin(np.arange(self.sight.shape[0]), views).astype(np.float32)
@@ -57,9 +55,8 @@ class MasksInSpace:
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """``inside`` sparse 0/1 [M, M]: mask i lies inside mask k of another view (or of its own). ``judges`` 0/1
-    float32 [M, V]: the view says something about mask i. ``contained`` 0/1 float32 [M, V]: it shows it inside one
-    mask."""
+    """``inside`` sparse 0/1 [M, M]: mask i lies inside mask k of another view (or of its own). ``judges`` 0/1 float32
+    [M, V]: the view judges mask i. ``contained`` 0/1 float32 [M, V]: it shows mask i inside one of its masks."""
 
     inside: Any
     judges: NDArray[np.float32]
@@ -68,10 +65,11 @@ class Agreement:
 
 @dataclass(frozen=True)
 class JudgingRules:
-    """A view judges a mask when it sees at least ``visible`` of the mask's points, ``min_points`` at least, and shows
+    """A view judges a mask when it sees at least ``visible`` of the mask's points, at least ``min_points``, and shows
     no void on most of them. A mask is inside another when that one holds ``contained`` of the points seen and labelled.
-    A mask that more than ``under_segmented`` of its judges do not show inside one mask covers several objects. A
-    stuff mask swallows a thing's mask when it has more than ``swallowing`` times the points that both have."""
+    A mask is under-segmented (it covers several objects) when more than ``under_segmented`` of its judges do not show
+    it inside one mask. A stuff mask swallows a thing's mask when it has more than ``swallowing`` times the points that
+    both have."""
 
     visible: float = 0.2
     contained: float = 0.7
@@ -81,9 +79,8 @@ class JudgingRules:
 
 
 def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
-    """Sum up one view; ``point_of_pixel`` int32 [H, W], -1 = none. Pixels at a mask's ragged edge count only
-    where a point has no others.
-    """
+    """Sum up one view; ``point_of_pixel`` int32 [H, W], -1 = none. Pixels at a mask's ragged edge count only where a
+    point has no others."""
     seen = point_of_pixel >= 0
     row = point_of_pixel[seen].astype(np.int64)
     segment = view.mask.ids[seen].astype(np.int64)
@@ -127,8 +124,6 @@ def masks_in_space(
 
 def _rows_of_ones(columns: Sequence[NDArray[np.int32]], width: int) -> Any:
     """Sparse 0/1 [len(columns), width] with ones at each row's columns."""
-    from scipy import sparse
-
     ends = np.cumsum([0, *map(len, columns)])
     joined = np.concatenate([np.zeros(0, np.int32), *columns])
     return sparse.csr_matrix((np.ones(len(joined), np.float32), joined, ends), (len(columns), width))
@@ -137,8 +132,8 @@ def _rows_of_ones(columns: Sequence[NDArray[np.int32]], width: int) -> Any:
 def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, NDArray[np.bool_]]:
     """What all views say of all masks, and which masks are sound, bool [M]: shown inside one mask by most judges.
 
-    A view abstains on a mask that it shows inside a mask of several objects, or swallowed by stuff where most views
-    show a thing: such a view has missed the object, and does not say what belongs together.
+    A view abstains on a mask that it shows inside an under-segmented mask, or swallowed by stuff where most views show
+    a thing. Such a view has missed the object, so it does not say what belongs together.
     """
     first = _first_judgement(space, rules)
     judged = first.judges.sum(1)
@@ -146,7 +141,7 @@ def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, ND
     inside = first.inside.tocoo()
     row, column = inside.row, inside.col
     swallowed = _swallowed(space, row, column, rules)
-    # Where most views see no thing, it is the thing that was invented.
+    # Where most views see no thing, the thing was invented.
     swallowing = np.zeros_like(first.judges)
     swallowing[row[swallowed], space.view[column[swallowed]]] = 1
     swallowed &= (swallowing.sum(1) <= 0.5 * judged)[row]
@@ -186,8 +181,6 @@ def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:
 def _agreement(
     row: NDArray[np.intp], column: NDArray[np.intp], judges: NDArray[np.float32], view: NDArray[np.int64]
 ) -> Agreement:
-    from scipy import sparse
-
     inside = sparse.csr_matrix((np.ones(len(row), np.float32), (row, column)), (len(view), len(view)))
     contained = np.zeros_like(judges)
     contained[row, view[column]] = 1

@@ -1,8 +1,8 @@
-"""The rule by which everything decides what it shows: class first, then the object of that class.
+"""The rule by which a point, a pixel and a Gaussian decide what they show: class first, then the object of that class.
 
-A point, a pixel or a Gaussian has so much of each class, its objects' share included. The largest class wins. Of its
-objects the largest is shown, if it has enough of the class; otherwise no object is, and the class is shown alone. So
-nothing is ever shown as an object of another class than its own.
+Each has some coverage of every class, that of the class's objects included. The largest class wins. Its largest object
+is shown if it has enough of the class; otherwise the class is shown alone. So no object is ever shown with another
+class than its own.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from ..machine.compiled import Array, compiled, device_function
 
 LEAST_OF_CLASS = 0.1
-"""Of a class's coverage, what an object of it needs at least to be shown: below that no object is there."""
+"""Share of its class's coverage that an object needs to be shown."""
 
 
 @device_function
 def object_of_class(shown: Array, places: Array, class_of_object: Array, wanted: int, least: float) -> int:
-    """The object 0..U-1 of class ``wanted`` that has most, the first of several; -1 where none has more than ``least``.
+    """The object 0..U-1 of class ``wanted`` with the largest coverage, the first of several; -1 where none has more
+    than ``least``.
 
-    ``shown`` [W] holds at ``places`` int64 [U] how much there is of each object, ``class_of_object`` [U] its class.
+    ``shown`` [W] holds at ``places`` int64 [U] the coverage of each object, ``class_of_object`` [U] its class.
     """
     best, most = -1, least
     for number in range(len(places)):

@@ -1,9 +1,9 @@
 """Which masks are one object, by the agreement of the views (ours, beyond the paper).
 
-Boxes cannot tell a chair from the table it stands under. Here two masks belong together when most views that
-see the surface of both show it inside one mask, whatever class that has. So a view that merges two objects,
-or splits one, is outvoted, and a class that changes from view to view does no harm. After the idea of view
-consensus in MaskClustering (Yan et al., CVPR 2024), with sums in place of its schedule of thresholds.
+Boxes cannot tell a chair from the table it stands under. Here two masks belong together when most views that see the
+surface of both show it inside one mask, whatever class that has. So a view that merges two objects, or splits one, is
+outvoted, and a class that changes from view to view does no harm. The idea is the view consensus of MaskClustering
+(Yan et al., CVPR 2024), with sums in place of its schedule of thresholds.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from .agreement import (
     masks_in_space,
     view_points,
 )
-from .joining import join
 from .keyframes import choose_keyframes
 from .masks import PointOfPixel
 from .matching import Progress
@@ -36,10 +35,10 @@ from .matching import Progress
 @dataclass(frozen=True)
 class ConsensusOptions:
     """Masks are joined while views in favour exceed ``agreement`` of those that judge both. An object needs masks in
-    ``support`` of the views that see at least half of its points, and at least ``min_masks``; where few views see it,
-    all of these but one, and 2 at least. Where there are more than ``most_masks`` masks, those of keyframes are joined;
-    those of the other views go to the object that owns most of their points. A tracker has the word of ``tracker``
-    views about each two masks that it followed: it is in favour where both have one track.
+    ``support`` of the views that see at least half of its points, and at least ``min_masks``. Where few views see it,
+    it needs masks in all of them but one, and in 2 at least. Where there are more than ``most_masks`` masks, those of
+    keyframes are joined; those of the other views go to the object that owns most of their points. A tracker counts as
+    ``tracker`` views about each two masks that it followed: it is in favour where both have one track.
     """
 
     rules: JudgingRules = JudgingRules()
@@ -52,8 +51,8 @@ class ConsensusOptions:
 
 @dataclass(frozen=True)
 class MemberMask:
-    """A mask of an object. ``agreement``: of the times that a view judges this mask together with another one
-    of the object, the share in which it shows both inside one mask; None when no view judges such a pair.
+    """A mask of an object. Views judge it together with each other mask of the object. ``agreement`` is the share of
+    these judgements that show both inside one mask; None when there is none.
     """
 
     frame: str
@@ -63,9 +62,7 @@ class MemberMask:
 
 @dataclass(frozen=True, eq=False)
 class ObjectMasks:
-    """``object_of_point`` int32 [N], 0 = in no object, else 1.. ; ``masks`` those of each object, object i at
-    place i - 1.
-    """
+    """``object_of_point`` int32 [N]: 0 = in no object, else 1.. ; ``masks``: those of object i are at place i - 1."""
 
     object_of_point: NDArray[np.int32]
     masks: tuple[tuple[MemberMask, ...], ...]
@@ -78,9 +75,7 @@ def find_objects(
     options: ConsensusOptions,
     progress: Progress | None = None,
 ) -> tuple[ObjectMasks, list[ViewPoints]]:
-    """Objects of a cloud of ``points`` points, and what each view says of the points (``vote_classes`` wants
-    it too).
-    """
+    """Objects of a cloud of ``points`` points, and what each view says of the points (``vote_classes`` needs it)."""
     summaries = []
     for done, view in enumerate(views, start=1):
         summaries.append(view_points(view, point_of_pixel(view)))
@@ -89,29 +84,20 @@ def find_objects(
     space = masks_in_space(views, summaries, points, options.rules.min_points)
     keyframes = choose_keyframes(space, options.most_masks)
     found = objects_of_masks(space.of_views(keyframes), options)
-    others = np.flatnonzero(~np.isin(space.view, keyframes))
-    return with_contained(found, space, others, options.rules.contained), summaries
-
-
-def with_contained(objects: ObjectMasks, space: MasksInSpace, rows: NDArray[np.intp], contained: float) -> ObjectMasks:
-    """The objects with those masks ``rows`` (of views that are no keyframes) of whose points they own ``contained``."""
-    masks = [list(own) for own in objects.masks]
-    for row in rows:
-        number = containing_object(objects.object_of_point[space.holds[row].indices], contained)
-        if number:
-            frame, segment = space.masks[row]
-            masks[number - 1].append(MemberMask(frame, segment, None))
-    return ObjectMasks(objects.object_of_point, tuple(map(tuple, masks)))
+    others = np.setdiff1d(np.arange(len(views)), keyframes)
+    other_views, seen = (views[number] for number in others), (summaries[number] for number in others)
+    return with_masks_of(found, other_views, seen, options.rules), summaries
 
 
 def with_masks_of(
     objects: ObjectMasks, views: Iterable[View], seen: Iterable[ViewPoints], rules: JudgingRules
 ) -> ObjectMasks:
-    """The objects with those masks of more ``views``, which see the points ``seen``, of whose points they own
-    ``contained``. A region that may be several objects takes no part."""
+    """The objects with masks of more ``views`` that were not joined; ``seen``: the points that these see. A mask goes
+    to the object that owns the share ``contained`` of its points. A region that may be several objects takes no
+    part."""
     masks = [list(own) for own in objects.masks]
     for view, summary in zip(views, seen, strict=True):
-        for segment in view.mask.segments:
+        for segment in sorted(view.mask.segments, key=lambda each: each.id):
             rows = summary.row[summary.segment == segment.id]
             if segment.id <= 0 or segment.is_group or len(rows) < rules.min_points:
                 continue
@@ -122,8 +108,8 @@ def with_masks_of(
 
 
 def containing_object(owner: NDArray[np.int32], contained: float) -> int:
-    """The object that owns at least the share ``contained`` of the points whose owners int32 [n] (0 = none) these are;
-    0 where none does."""
+    """The object that owns at least the share ``contained`` of some points, 0 where none does; ``owner`` int32 [n]: the
+    object of each point, 0 = none."""
     owned = np.bincount(owner, minlength=1)
     owned[0] = 0
     largest = int(owned.argmax())
@@ -156,10 +142,10 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> ObjectMa
 def join_agreeing(
     space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
 ) -> NDArray[np.int64]:
-    """The cluster of each of the masks ``rows``, int64 [R], named by its lowest place: joined by ``join_weight``.
+    """Join the masks ``rows`` by ``join_weight``: the cluster of each, int64 [R], named by its lowest place.
 
-    Masks that no chain of links connects are never joined: each linked part is joined by itself, so that no array of
-    all masks by all masks is needed.
+    Masks that no chain of links connects are never joined. So each linked part is joined by itself, and no array of all
+    masks by all masks is needed.
     """
     part = linked_parts(space, judgement, rows, options)
     cluster = np.arange(len(rows))
@@ -174,7 +160,7 @@ def join_weight(
     space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
 ) -> NDArray[np.float32]:
     """What speaks for joining two of the masks ``rows``, float32 [R, R]: views in favour beyond the ``agreement`` of
-    those that judge both, and the tracker's word."""
+    those that judge both, and the tracker."""
     favour, judging = pairwise(judgement, rows)
     weight: NDArray[np.float32] = favour - options.agreement * judging
     if has_tracks(space):
@@ -183,10 +169,38 @@ def join_weight(
     return weight
 
 
+def join(weight: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Join the pair with the greatest summed weight, again and again while it is positive: the cluster of each row,
+    int64 [M], named by its lowest row. ``weight`` float [M, M], symmetric. Ties go to the lower rows."""
+    weight = np.array(weight, np.float64)
+    np.fill_diagonal(weight, -np.inf)
+    cluster = np.arange(len(weight))
+    partner = weight.argmax(1)
+    best = weight[cluster, partner] if len(weight) else np.zeros(0)
+    while len(weight):
+        i = int(best.argmax())
+        if best[i] <= 1e-9:
+            break
+        i, j = sorted((i, int(partner[i])))
+        cluster[cluster == j] = i
+        joined = weight[i] + weight[j]
+        weight[i], weight[:, i] = joined, joined
+        weight[j], weight[:, j] = -np.inf, -np.inf
+        best[j] = -np.inf
+        # Rows that had i or j as partner look again; others only have to look at what i has become.
+        for row in np.flatnonzero((partner == i) | (partner == j) | (np.arange(len(weight)) == i)):
+            partner[row] = weight[row].argmax()
+            best[row] = weight[row, partner[row]]
+        better = (joined > best) | ((joined == best) & (i < partner))
+        better[[i, j]] = False
+        partner[better], best[better] = i, joined[better]
+    return cluster
+
+
 def linked_parts(
     space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
 ) -> NDArray[np.int32]:
-    """Which part each of the masks ``rows`` is in, int32 [R]: no ``join_weight`` between two parts is positive."""
+    """Which part each of the masks ``rows`` is in, int32 [R]. No ``join_weight`` between two parts is positive."""
     inside = judgement.inside[rows]
     judges = judgement.judges[np.ix_(rows, judgement.judges.any(0))]
     favour = (inside @ inside.T).tocoo()
@@ -231,8 +245,8 @@ def pairwise(judgement: Agreement, rows: NDArray[np.intp]) -> tuple[NDArray[np.f
 
 
 def tracked(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Which pairs of the masks ``rows`` a tracker gave one track, and which it followed at all, 0/1 float32 [R, R]. Two
-    masks of one view are left out: no track is twice in a frame."""
+    """Which pairs of the masks ``rows`` have one track, and which a tracker followed at all, 0/1 float32 [R, R] each.
+    Two masks of one view are left out, as no track is twice in a frame."""
     track = tracks_of(space, rows)
     view = space.view[rows]
     followed = (track[:, None] >= 0) & (track[None, :] >= 0) & (view[:, None] != view[None, :])
@@ -250,9 +264,8 @@ def _is_supported(space: MasksInSpace, members: NDArray[np.intp], options: Conse
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:
-    """``MemberMask.agreement`` of an object's m masks, from how many views judge each pair of them, and how many
-    of these are in favour, both [m, m]. A mask's judgement of itself does not count.
-    """
+    """``MemberMask.agreement`` of an object's m masks, from how many views judge each pair of them and how many of
+    these are in favour, both [m, m]. A mask's judgement of itself does not count."""
     judged = judging.sum(1) - np.diag(judging)
     agreed = favour.sum(1) - np.diag(favour)
     return [float(yes) / float(all_) if all_ > 0 else None for yes, all_ in zip(agreed, judged, strict=True)]

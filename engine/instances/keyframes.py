@@ -8,15 +8,17 @@ from numpy.typing import NDArray
 from .agreement import MasksInSpace
 
 SIGHTINGS = 5
-"""Every point shall be seen by so many keyframes, where so many views see it at all."""
+"""Keyframes that shall see every point, where as many views see it at all."""
 WORTH_IT = 0.25
-"""A view is added when more than this share of its points lacks sightings."""
+"""Share of a view's points that must lack sightings for the view to be added."""
 
 
 def choose_keyframes(space: MasksInSpace, most_masks: int) -> NDArray[np.int64]:
-    """The numbers of the views whose masks are joined to objects, ascending: all views where they have at most
-    ``most_masks`` masks together; else evenly chosen ones, and every view without which surfaces would be seen too
-    rarely, so that there may be some more masks than that."""
+    """The numbers of the views whose masks are joined to objects, ascending.
+
+    They are all views where these have at most ``most_masks`` masks together. Otherwise they are evenly chosen ones,
+    and every view without which surfaces would be seen too rarely; so there may be some more masks than that.
+    """
     views = space.sight.shape[0]
     if len(space.masks) <= most_masks:
         return np.arange(views)
@@ -25,7 +27,7 @@ def choose_keyframes(space: MasksInSpace, most_masks: int) -> NDArray[np.int64]:
     chosen[np.linspace(0, views - 1, wanted).round().astype(np.int64)] = True
     seen = np.asarray(space.sight.sum(0)).reshape(-1)
     sighted = np.asarray(space.sight[chosen].sum(0)).reshape(-1)
-    # One sighting after the other: asked for all at once, they would all come from the first views of a surface.
+    # One sighting after the other. Asked for all at once, they would all come from the first views of a surface.
     for wanted in range(1, SIGHTINGS + 1):
         lacking = np.minimum(seen, wanted) - sighted
         for view in np.flatnonzero(~chosen):

@@ -1,4 +1,4 @@
-"""Which objects of a lift are those of an earlier lift of the same scene: matched by the overlap of their points."""
+"""Which objects of a lift are those of an earlier lift of the same scene, by the overlap of their points."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 CELL = 0.08
-"""Metres: the side of the cells in which points are compared. Lifts with other presets have other spacings."""
+"""Side in metres of the cells in which points are compared, as lifts with other presets have other spacings."""
 LEAST_IOU = 0.2
-"""Of the cells of two objects, for them to be one: more frames may show twice as much of it."""
+"""Intersection over union of the cells above which two objects are one. More frames may show twice as much of it."""
 MOST_OF_IT = 0.5
-"""Of an object's cells that lie in another: then it is a part of that one."""
+"""Share of an object's cells within another object that makes it a part of that one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +36,9 @@ class ObjectOverlap:
 
 @dataclass(frozen=True)
 class LastingObjects:
-    """``old_of`` maps a new object's id to that of the old object that it is. ``parts`` maps each new object that is
-    none, but lies within an old one, to that one; ``merged`` each old object that is gone, but lies within a new one.
-    """
+    """``old_of`` maps a new object's id to that of the old object that it is. ``parts`` maps each other new object that
+    lies within an old one to that one. ``merged`` maps each old object that is gone, but lies within a new one, to that
+    one."""
 
     old_of: dict[int, int]
     parts: dict[int, int]
@@ -51,7 +51,7 @@ def object_overlap(
     new_xyz: NDArray[np.floating],
     new_id: NDArray[np.integer],
 ) -> ObjectOverlap:
-    """Of points [N, 3] and [M, 3] in metres, whose objects are ``old_id`` [N] and ``new_id`` [M] (0 = none)."""
+    """Compare points [N, 3] and [M, 3] in metres, whose objects are ``old_id`` [N] and ``new_id`` [M] (0 = none)."""
     cells = np.floor(np.concatenate([old_xyz[old_id > 0], new_xyz[new_id > 0]]) / CELL).astype(np.int64)
     _, cell = np.unique(cells, axis=0, return_inverse=True)
     cell, count = cell.ravel(), int((old_id > 0).sum())
@@ -59,7 +59,7 @@ def object_overlap(
     new_ids, new_of, new_cell = _distinct(new_id[new_id > 0], cell[count:])
     size = int(cell.max(initial=-1)) + 1
     common = np.zeros((len(old_ids), len(new_ids)), np.int64)
-    # A cell may hold points of several objects: each of its old ones meets each of its new ones.
+    # A cell may hold points of several objects. Each of its old ones meets each of its new ones.
     starts = np.searchsorted(new_cell, np.arange(size + 1))
     for old, at in zip(old_of.tolist(), old_cell.tolist(), strict=True):
         common[old, new_of[starts[at] : starts[at + 1]]] += 1
@@ -68,7 +68,7 @@ def object_overlap(
 
 
 def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
-    """The assignment with the largest sum of IoU; pairs below LEAST_IOU are none."""
+    """The assignment with the largest sum of IoU, without pairs below LEAST_IOU."""
     iou = overlap.iou
     rows, columns = linear_sum_assignment(-np.where(iou >= LEAST_IOU, iou, 0.0))
     pairs = [(row, column) for row, column in zip(rows, columns, strict=True) if iou[row, column] >= LEAST_IOU]
@@ -91,7 +91,7 @@ def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
 def _distinct(
     ids: NDArray[np.integer], cell: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The ids there are, and for each pair of object and cell, in the order of the cells, the id's place and the
+    """The distinct ids; and for each pair of object and cell, in the order of the cells, the id's place and the
     cell."""
     known, place = np.unique(ids.astype(np.int64), return_inverse=True)
     pairs = np.unique(np.stack([cell, place.ravel()], axis=1), axis=0)

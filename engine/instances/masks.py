@@ -1,6 +1,4 @@
-"""From matched segments to instance labels of points, and from these to the consistent instance masks
-M_match.
-"""
+"""From matched segments to instance labels of points, and from these to the consistent instance masks M_match."""
 
 from __future__ import annotations
 
@@ -21,11 +19,9 @@ def vote_instances(
     points: int,
     instance_of_segment: Mapping[tuple[str, int], int],
 ) -> NDArray[np.int32]:
-    """Instance of each point of the cloud by a vote of the views, int32 [points], 0 = none; ties go to the
-    lower id.
+    """Instance of each point of the cloud by a vote of the views, int32 [points], 0 = none. Ties go to the lower id.
 
-    In each view a point's vote is shared among the instances its pixels belong to, so near views do not
-    outvote.
+    In each view the instances that a point's pixels belong to share one vote, so that near views do not outvote others.
     """
     rows, ids, weights = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for view in views:

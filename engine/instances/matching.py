@@ -1,7 +1,7 @@
 """Algorithm 1: one global set of instances from the inconsistent instance masks of all views.
 
-Paper, section "Consistent Instance Mask Generation". Where the text leaves a choice it is an option here; the
-defaults are the ones that held up best in measurements.
+Paper, section "Consistent Instance Mask Generation". Where the text leaves a choice there is an option here. The
+defaults are those that measured best.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from ..scene import View
+from ..presets.preset import Matching
+from ..scene import Segment, View
 from .oriented_box import OrientedBox, fit_box, intersection_volume
 from .segments import LocalInstance, SegmentOptions, local_instances, thin
 
@@ -24,30 +24,10 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class MatchingOptions:
-    """``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
-    Hungarian partner if its cost is at most tau, else the best global instance if that is, else a new one;
-    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone.
-    """
-
-    tau_new: float = -0.1
-    rule: Literal["hybrid", "literal"] = "hybrid"
-    cost: Literal["IoU+IoM", "IoU", "IoM"] = "IoU+IoM"
-
-    def __post_init__(self) -> None:
-        _one_of("rule", self.rule, ("hybrid", "literal"))
-        _one_of("cost", self.cost, ("IoU+IoM", "IoU", "IoM"))
-
-
-def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
-
-
-@dataclass(frozen=True)
 class Evidence:
-    """One segment that belongs to an instance; ``pixels``: how many it has with depth. ``cost`` O of the match, None
-    for the segment that founded it. ``agreement`` where the views joined it instead: ``MemberMask.agreement``.
+    """One segment that belongs to an instance; ``pixels``: how many it has with depth. ``cost``: O of the match by
+    boxes, None for the segment that founded the instance. ``agreement``: ``MemberMask.agreement`` where the views
+    joined it.
     """
 
     frame: str
@@ -57,6 +37,12 @@ class Evidence:
     pixels: int
     cost: float | None
     agreement: float | None = None
+
+    @classmethod
+    def of(
+        cls, frame: str, segment: Segment, pixels: int, *, cost: float | None = None, agreement: float | None = None
+    ) -> Evidence:
+        return cls(frame, segment.id, segment.class_id, segment.score, pixels, cost, agreement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +70,8 @@ class GlobalInstance:
 
 
 def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") -> float:
-    """O = -IoU - IoM, between -1.5 and 0, or one of the two alone. As in the paper's formula, the union is the sum of
-    the volumes."""
+    """O = -IoU - IoM, between -1.5 and 0, or one of the two alone. The union is the sum of the volumes, as in the
+    paper's formula."""
     inter = intersection_volume(local, known)
     if inter <= 0:
         return 0.0
@@ -94,11 +80,8 @@ def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") ->
 
 
 def class_by_views(evidence: Sequence[Evidence]) -> int:
-    """The class most voted for: in each view the segments share the square root of their pixels; ties: lower
-    id.
-
-    So a near view, which sees more, counts for more, but cannot outvote the others by its mass of pixels.
-    """
+    """The class with the most votes. In each view the segments share the square root of their pixels, so that a near
+    view cannot outvote the others by its mass of pixels. Ties go to the lower id."""
     seen: dict[str, int] = {}
     for item in evidence:
         seen[item.frame] = seen.get(item.frame, 0) + item.pixels
@@ -112,7 +95,7 @@ def match_views(
     views: Sequence[View],
     class_ids: frozenset[int],
     segments: SegmentOptions,
-    options: MatchingOptions,
+    options: Matching,
     progress: Progress | None = None,
 ) -> list[GlobalInstance]:
     """Algorithm 1 over the views in their order: I_global, ids 1.. in order of first sight."""
@@ -125,15 +108,15 @@ def match_views(
 
 
 def update_instances(
-    known: list[GlobalInstance], local: list[LocalInstance], voxel_size: float, options: MatchingOptions
+    known: list[GlobalInstance], local: list[LocalInstance], voxel_size: float, options: Matching
 ) -> list[GlobalInstance]:
-    """I'_global after one view; ``known`` is left as it is."""
+    """I'_global after one view. ``known`` is not changed."""
     updated = list(known)
     cost = np.array([[pair_cost(item.box, g.box, options.cost) for g in known] for item in local])
     for row, target in enumerate(_targets(cost.reshape(len(local), len(known)), options)):
         item = local[row]
-        evidence = Evidence(item.frame, item.segment.id, item.segment.class_id, item.segment.score, item.pixels,
-                            None if target is None else float(cost[row, target]))  # fmt: skip
+        of_match = None if target is None else float(cost[row, target])
+        evidence = Evidence.of(item.frame, item.segment, item.pixels, cost=of_match)
         if target is None:
             updated.append(GlobalInstance(len(updated) + 1, item.points, item.box, (evidence,), evidence.class_id))
         else:
@@ -141,7 +124,7 @@ def update_instances(
     return updated
 
 
-def _targets(cost: NDArray[np.float64], options: MatchingOptions) -> list[int | None]:
+def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
     """Which global instance each local one joins, None = a new one."""
     local, known = cost.shape
     if not known:
@@ -173,8 +156,8 @@ def limit_instances(
 ) -> tuple[list[GlobalInstance], NDArray[np.int32], int]:
     """Keep the ``most`` instances with the most pixels, renumbered 1.. in their order.
 
-    Gives them, the points' instances int32 [N] in the new numbers (0 = none or dropped), and how many were
-    dropped, of which the user should be told.
+    Returns them, the points' instances int32 [N] in the new numbers (0 = none or dropped), and how many were dropped,
+    which the user should be told.
     """
     largest = sorted(instances, key=lambda item: (-item.pixels, item.id))[:most]
     kept = sorted(largest, key=lambda item: item.id)

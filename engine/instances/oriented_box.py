@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class OrientedBox:
-    """``centre`` float64 [3] and ``size`` float64 [3] in metres (size[0] >= size[1]), ``yaw`` in radians
-    about +z, in [-pi/2, pi/2): the direction of the first axis.
-    """
+    """``centre`` float64 [3] and ``size`` float64 [3] in metres (size[0] >= size[1]). ``yaw``: direction of the first
+    axis in radians about +z, in [-pi/2, pi/2)."""
 
     centre: NDArray[np.float64]
     size: NDArray[np.float64]
@@ -59,7 +58,7 @@ def fit_box(points: NDArray[np.floating], min_thickness: float) -> OrientedBox:
     if not len(points):
         raise ValueError("a box needs at least one point")
     xyz = np.asarray(points, np.float64)
-    # Single precision inside OpenCV: measured from the middle of the points, millimetres survive anywhere.
+    # OpenCV has single precision. Measured from the middle of the points, millimetres survive anywhere.
     origin = (xyz.min(0) + xyz.max(0)) / 2
     (x, y), (width, depth), degrees = cv2.minAreaRect((xyz[:, :2] - origin[:2]).astype(np.float32))
     yaw = math.radians(degrees)
@@ -89,9 +88,7 @@ def _top(box: OrientedBox) -> float:
 
 
 def _clip(polygon: list[list[float]], window: list[list[float]]) -> list[list[float]]:
-    """The part of a convex polygon inside a counter-clockwise convex window, side by side (Sutherland and
-    Hodgman).
-    """
+    """The part of a convex polygon inside a counter-clockwise convex window, side by side (Sutherland and Hodgman)."""
     for (ax, ay), (bx, by) in zip(window, window[1:] + window[:1], strict=True):
         side = [(bx - ax) * (y - ay) - (by - ay) * (x - ax) for x, y in polygon]
         kept: list[list[float]] = []

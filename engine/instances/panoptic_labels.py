@@ -1,7 +1,7 @@
 """One label for class and object together, so that views can vote on both at once.
 
-A thing that belongs to an object carries the object's label, which implies the object's class. Everything else, stuff
-and things that no object owns, carries its class alone: "no object" is a label like any other.
+A thing that belongs to an object carries the object's label, which implies the object's class. Stuff, and things that
+no object owns, carry their class alone: "no object" is a label like any other.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from .class_first import objects_of_classes
 
 UNKNOWN_LABEL = -1
-"""Of a pixel or point that nobody labelled."""
+"""Label of a pixel or point that nobody labelled."""
 
 
 @dataclass(frozen=True)
 class PanopticLabels:
-    """Labels 0..C-1 are the classes ``class_ids`` without an object, C..C+U-1 the objects 1..U in their order, of the
-    classes ``class_of_object`` (length U, each in ``class_ids``)."""
+    """Labels 0..C-1 are the classes ``class_ids`` without an object. Labels C..C+U-1 are the objects 1..U in their
+    order, of the classes ``class_of_object`` (length U, each in ``class_ids``)."""
 
     class_ids: tuple[int, ...]
     class_of_object: tuple[int, ...]
@@ -35,7 +35,7 @@ class PanopticLabels:
         return np.concatenate([np.arange(len(self.class_ids)), objects]).astype(np.int64)
 
     def of_class(self, class_id: int) -> int:
-        """The label of a class without an object; ``UNKNOWN_LABEL`` for one that is not here."""
+        """The label of a class without an object; ``UNKNOWN_LABEL`` for a class that is not in ``class_ids``."""
         return self.class_ids.index(class_id) if class_id in self.class_ids else UNKNOWN_LABEL
 
     def of_object(self, number: int) -> int:
@@ -64,8 +64,8 @@ def decide_labels(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The label of each row of votes [N, C + U], int32 [N], and the winning class's share of the votes, float32 [N].
 
-    By the rule of ``class_first``, objects voting for their own class and needing ``least_share`` of its votes. Ties go
-    to the lower label; rows without votes are unknown.
+    The rule is that of ``class_first``. Objects vote for their own class, and need ``least_share`` of its votes. Ties
+    go to the lower label; rows without votes are unknown.
     """
     classes, column = len(labels.class_ids), labels.class_column
     by_class = np.array(votes[:, :classes], np.float32)

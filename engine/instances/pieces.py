@@ -1,8 +1,8 @@
-"""Objects as pieces in space: what hangs together, what the views join, and what is only a fragment.
+"""Objects as connected pieces in space: what the views join, and what is only a fragment.
 
-Clustered masks can put two things into one object that stand apart, or leave one thing in two objects when it was seen
-from both ends of a room. The views decide again, about connected pieces of points instead of masks: a view that sees
-enough of two pieces either shows both inside one mask, or does not.
+Clustered masks can put two things that stand apart into one object. They can also leave one thing in two objects when
+it was seen from both ends of a room. So the views decide again, about connected pieces of points instead of masks: a
+view that sees enough of two pieces either shows both inside one mask, or does not.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from .agreement import ViewPoints
 
 @dataclass(frozen=True)
 class PieceRules:
-    """Points nearer than ``reach`` metres hang together. A piece of fewer than ``min_points`` points, or of less than
+    """Points nearer than ``reach`` metres are connected. A piece of fewer than ``min_points`` points, or of less than
     ``fragment`` of its object's largest piece, is a fragment: a mask's ragged edge on the wall behind. A view judges a
-    piece of which it sees ``min_points``, and shows it inside a mask that has ``contained`` of these. Pieces of one
+    piece when it sees ``min_points`` of it, and shows it inside a mask that has ``contained`` of these. Pieces of one
     object stay together when at least ``stay`` of the views that judge both join them. Pieces of two objects of one
-    class that touch become one object when at least ``join`` do, two views at least.
+    class that touch become one object when at least ``join`` of the views do, and at least two views.
     """
 
     reach: float = 0.15
@@ -43,7 +43,7 @@ def regroup_pieces(
     summaries: Sequence[ViewPoints],
     rules: PieceRules,
 ) -> tuple[NDArray[np.int32], list[int]]:
-    """The object of each point anew, int32 [N], numbered 1.. (0 = none), and of which old object each new one is.
+    """The new object of each point, int32 [N], numbered 1.. (0 = none), and the old object that each new one is of.
 
     ``xyz`` [N, 3] metres; ``object_of_point`` int32 [N], 0 = none; ``class_of_object``: class of object 1.. ;
     ``summaries``: what each view shows of the points.
@@ -88,7 +88,7 @@ def _pieces(
 
 
 def connected_pieces(points: NDArray[np.float64], reach: float) -> NDArray[np.int32]:
-    """Which connected piece each point [n, 3] is in, int32 [n]: points nearer than ``reach`` metres hang together."""
+    """Which connected piece each point [n, 3] is in, int32 [n]: points nearer than ``reach`` metres are connected."""
     pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     piece: NDArray[np.int32] = connected_components(graph, directed=False)[1]

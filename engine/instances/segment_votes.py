@@ -1,10 +1,10 @@
 """Panoptic labels that follow the evidence of all views, at the resolution of the masks (ours, beyond the paper).
 
-Each view says of each pixel which object its mask belongs to, or else its class. The points of the cloud collect these
-votes. Then every segment takes the label that most of its points were given, and votes again: the paper's
-self-training, "Self-training with Consistency-enhanced Segments", without a rendering in between. A segment whose
-points agree on no label votes point by point. So outlines stay those of the masks, and what they are is decided by all
-views together.
+In each view, a pixel votes for the object that its mask belongs to, or else for its class. The points of the cloud
+collect these votes. Then every segment takes the label that most of its points have, and votes again. This is the
+paper's self-training, "Self-training with Consistency-enhanced Segments", without a rendering in between. A segment
+whose points agree on no label votes point by point. So outlines stay those of the masks, and all views together decide
+what they enclose.
 """
 
 from __future__ import annotations
@@ -15,28 +15,23 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ..scene import VOID, OnDemand, PanopticMask, View
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
 ROWS_AT_A_TIME = 32768
-"""Points whose votes are made dense at a time, which bounds the memory."""
-
-
-@dataclass(frozen=True)
-class SegmentVoting:
-    """``rounds`` in which segments take the label of their points and vote again. A segment does so when at least
-    ``agreement`` of its labelled points agree. ``least_share``: see ``decide_labels``."""
-
-    rounds: int = 2
-    agreement: float = 0.5
-    least_share: float = 0.1
+"""Points whose votes are made dense at a time. This bounds the memory."""
+AGREEMENT = 0.5
+"""Share of a segment's labelled points that must agree for the segment to take their label."""
+LEAST_SHARE = 0.1
+"""Share of its class's votes that an object needs (see ``decide_labels``)."""
 
 
 @dataclass(frozen=True, eq=False)
 class VotedLabels:
-    """``label`` int32 [N] of each point, ``confidence`` float32 [N], and ``maps``, the label that each view's pixels
-    were given in the end, int16 [H, W] a view (-1 = unknown), made when asked for."""
+    """``label`` int32 [N] of each point, ``confidence`` float32 [N], and ``maps``: the final label of each view's
+    pixels, int16 [H, W] a view (-1 = unknown), made when asked for."""
 
     label: NDArray[np.int32]
     confidence: NDArray[np.float32]
@@ -49,17 +44,16 @@ def vote_panoptic_labels(
     points: int,
     labels: PanopticLabels,
     object_of_segment: Mapping[tuple[str, int], int],
-    options: SegmentVoting,
+    rounds: int,
 ) -> VotedLabels:
-    """Labels of a cloud of ``points`` points, which pixels of the views show (int32 [H, W] a view, -1 = none).
-
-    ``object_of_segment``: frame and segment id to the object 1..U that the mask is one of.
-    """
+    """Labels of a cloud of ``points`` points. ``point_of_pixel``: the point that each pixel shows, int32 [H, W] a view
+    (-1 = none); ``object_of_segment``: frame and segment id to the object 1..U that the mask is one of; ``rounds``:
+    how often segments take the label of their points and vote again."""
     maps = OnDemand(len(views), lambda number: member_labels(views[number], labels, object_of_segment))
-    label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels, options)
-    for _ in range(options.rounds):
-        maps = view_labels(views, point_of_pixel, label, len(labels), options.agreement)
-        label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels, options)
+    label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels)
+    for _ in range(rounds):
+        maps = view_labels(views, point_of_pixel, label, len(labels))
+        label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels)
     return VotedLabels(label, confidence, maps)
 
 
@@ -68,21 +62,20 @@ def view_labels(
     point_of_pixel: Sequence[NDArray[np.int32]],
     label: NDArray[np.int32],
     count: int,
-    agreement: float,
 ) -> OnDemand[NDArray[np.int16]]:
-    """The labels of each view's pixels, int16 [H, W], made when asked for: ``segment_labels`` of what the points show.
+    """``segment_labels`` of what the points show: the labels of each view's pixels, int16 [H, W], made when asked for.
     ``label`` int32 [N], of ``count`` labels, -1 = unknown; ``point_of_pixel`` int32 [H, W] a view, -1 = none."""
     table = np.append(label, UNKNOWN_LABEL)
     return OnDemand(
         len(views),
-        lambda number: segment_labels(views[number].mask, table[point_of_pixel[number]], count, agreement),
+        lambda number: segment_labels(views[number].mask, table[point_of_pixel[number]], count),
     )
 
 
 def member_labels(
     view: View, labels: PanopticLabels, object_of_segment: Mapping[tuple[str, int], int]
 ) -> NDArray[np.int16]:
-    """What a view's own mask says: the label of the segment's object, or of its class; int16 [H, W]."""
+    """The labels of a view's own mask: that of the segment's object, or else of its class; int16 [H, W]."""
     present, inverse = np.unique(view.mask.ids, return_inverse=True)
     class_of = {segment.id: segment.class_id for segment in view.mask.segments}
     table = np.full(len(present), UNKNOWN_LABEL, np.int16)
@@ -92,9 +85,12 @@ def member_labels(
     return table[inverse.reshape(view.mask.ids.shape)]
 
 
-def segment_labels(mask: PanopticMask, shown: NDArray[np.integer], count: int, agreement: float) -> NDArray[np.int16]:
-    """Each segment with the label that at least ``agreement`` of its labelled pixels show; the other segments' pixels
-    as they are ``shown``, int [H, W] of ``count`` labels (-1 = unknown). Void stays unknown. int16 [H, W]."""
+def segment_labels(
+    mask: PanopticMask, shown: NDArray[np.integer], count: int, agreement: float = AGREEMENT
+) -> NDArray[np.int16]:
+    """The label of each pixel, int16 [H, W]. A segment has the label that at least ``agreement`` of its labelled pixels
+    show; without such a label its pixels keep what is ``shown``, int [H, W] of ``count`` labels (-1 = unknown). Void
+    stays unknown."""
     present, number = np.unique(mask.ids, return_inverse=True)  # ids may be as large as a PNG's colours
     segments, ids = len(present), number.reshape(mask.ids.shape)
     voting = (shown >= 0) & (mask.ids > 0)
@@ -118,8 +114,6 @@ def _votes(
 ) -> Any:
     """Sparse float32 [points, count]: in each view a point's pixels share sqrt(pixels) votes, so that a near view
     cannot outvote the others by its mass of pixels."""
-    from scipy import sparse
-
     total = sparse.csr_matrix((points, count), dtype=np.float32)
     for labels, rows in zip(maps, point_of_pixel, strict=True):
         seen = rows >= 0
@@ -132,11 +126,9 @@ def _votes(
     return total
 
 
-def _decided(
-    votes: Any, labels: PanopticLabels, options: SegmentVoting
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _decided(votes: Any, labels: PanopticLabels) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     parts = [
-        decide_labels(votes[start : start + ROWS_AT_A_TIME].toarray(), labels, options.least_share)
+        decide_labels(votes[start : start + ROWS_AT_A_TIME].toarray(), labels, LEAST_SHARE)
         for start in range(0, votes.shape[0], ROWS_AT_A_TIME)
     ]
     return np.concatenate([label for label, _ in parts]), np.concatenate([share for _, share in parts])

@@ -1,7 +1,6 @@
 """Instance segments as points in space (Algorithm 1, lines 2 to 6).
 
-One pixel of mask bleed puts background depth into a box and spoils the matching, so segments are eroded
-first.
+One pixel of mask bleed puts background depth into a box and spoils the matching, so segments are eroded first.
 """
 
 from __future__ import annotations
@@ -20,10 +19,9 @@ from .oriented_box import OrientedBox, fit_box
 
 @dataclass(frozen=True)
 class SegmentOptions:
-    """Erosion of ``erosion_share`` of the picture's width, rounded up to pixels, at most
-    ``erosion_of_inradius`` of the segment's inradius; a segment with fewer than ``min_eroded`` points left is
-    used whole; one with fewer than ``min_points`` is not matched and founds nothing. ``voxel_size`` in
-    metres thins the points.
+    """Segments are eroded by ``erosion_share`` of the picture's width, rounded up to pixels, but by at most
+    ``erosion_of_inradius`` of their inradius. A segment with fewer than ``min_eroded`` points left is used whole. One
+    with fewer than ``min_points`` is not matched and founds nothing. ``voxel_size`` in metres thins the points.
     """
 
     voxel_size: float = 0.05
@@ -49,9 +47,8 @@ class LocalInstance:
 
 @dataclass(frozen=True)
 class MaskExtent:
-    """Where a segment lies in its picture: ``share`` of the picture's pixels, and the ``rectangle`` around it, left,
-    top, right, bottom as shares of the picture's width and height.
-    """
+    """Where a segment lies in its picture: its ``share`` of the picture's pixels, and the ``rectangle`` around it
+    (left, top, right, bottom) as shares of the picture's width and height."""
 
     share: float
     rectangle: tuple[float, float, float, float]
@@ -73,9 +70,8 @@ def mask_extents(mask: PanopticMask) -> dict[int, MaskExtent]:
 
 
 def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptions) -> list[LocalInstance]:
-    """I_local: the view's segments of the given classes that have enough points, in ascending order of
-    segment id. A region that may be several objects (a thing's class without an instance) is none.
-    """
+    """I_local: the view's segments of the given classes that have enough points, in ascending order of segment id. A
+    region that may be several objects (a thing's class without an instance) is left out."""
     points = view.camera.unproject(view.depth)
     margin = edge_distance(view.mask.ids)
     found = []
@@ -93,7 +89,7 @@ def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptio
 def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
     """Distance in pixels of each pixel from the nearest pixel of another segment, float32 [H, W].
 
-    The picture's border is no edge: nothing bleeds in from there. Without any edge the distance is large.
+    The picture's border is no edge, as nothing bleeds in from there. Without any edge the distance is large.
     """
     edge = np.zeros(ids.shape, bool)
     across, down = ids[:, 1:] != ids[:, :-1], ids[1:] != ids[:-1]
@@ -108,7 +104,7 @@ def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
 
 
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """One point, the mean, an occupied voxel: [n, 3] to [m, 3] in lexical order of the voxels, metres."""
+    """The mean point of each occupied voxel: [n, 3] to [m, 3] in lexical order of the voxels, metres."""
     cells = np.floor(points / voxel_size).astype(np.int64)
     cells -= cells.min(0)
     _, height, depth = cells.max(0) + 1

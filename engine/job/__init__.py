@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from ..errors import ExitCode
+from ..scene_source import UPS
 from .atomic import sha256, write_atomically
-from .bake_locks import BakeLocks
 from .cameras import BakeCamera, read_cameras
 from .checkpoint import Checkpoint, CheckpointStore
-from .errors import Cancelled, JobError
 from .events import Event, EventReader, EventWriter, last_run
-from .exit_code import ExitCode
 from .folder import LiftFolder, LiftState, refuse_used
+from .lock import BakeLocks
 from .manifest import (
     Manifest,
     ResultFile,
@@ -22,23 +22,20 @@ from .manifest import (
     verify_lifted,
     write_manifest,
 )
-from .request import BAKES, PRESETS, UPS, LiftRequest
+from .request import BAKES, LiftRequest
 from .stop import StopSignal, Watchdog
 
 __all__ = [
     "BAKES",
-    "PRESETS",
     "UPS",
     "BakeCamera",
     "BakeLocks",
-    "Cancelled",
     "Checkpoint",
     "CheckpointStore",
     "Event",
     "EventReader",
     "EventWriter",
     "ExitCode",
-    "JobError",
     "LiftFolder",
     "LiftRequest",
     "LiftState",

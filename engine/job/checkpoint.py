@@ -1,4 +1,4 @@
-"""checkpoint/: the latest complete state. At every instant one is there, whole, or none was made yet."""
+"""checkpoint/: the latest complete state. From the first one on, a whole one is there at every instant."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import PlgsError
 from ..gates import inner_path
+from ..json_file import Json, read_object, to_text
 from .atomic import PART, files_below, flush_to_disk, sha256
-from .errors import JobError
-from .json_file import Json, read_object, to_text
 
 FORMAT = 1
 _INDEX = "state.json"
@@ -62,14 +62,14 @@ class CheckpointStore:
     def latest(self) -> Checkpoint | None:
         """The newest complete checkpoint, checked against its checksums; None when none was saved.
 
-        Raises JobError when there are checkpoints, but none that is whole (a failing disk).
+        Raises PlgsError when there are checkpoints, but none that is whole (a failing disk).
         """
-        damage: JobError | None = None
+        damage: PlgsError | None = None
         for folder in (self._next, self._current, self._old):
             if folder.is_dir():
                 try:
                     return Checkpoint(folder, _verified_state(folder))
-                except JobError as error:
+                except PlgsError as error:
                     damage = damage or error
         if damage is not None:
             raise damage
@@ -108,24 +108,24 @@ def _verified_state(folder: Path) -> Mapping[str, Json]:
     state, files = index.get("state"), index.get("files")
     if index.get("format") != FORMAT:
         what = f"has format {index.get('format')!r}, this version reads {FORMAT}"
-        raise JobError(what, folder, "Resume with the version of PLGS that wrote it.")
+        raise PlgsError(what, folder, "Resume with the version of PLGS that wrote it.")
     if not isinstance(state, dict) or not isinstance(files, list):
-        raise JobError("is damaged", folder / _INDEX, _FIX)
+        raise PlgsError("is damaged", folder / _INDEX, _FIX)
     for entry in files:
         if not isinstance(entry, dict) or not _is_whole(entry, folder):
-            raise JobError("is damaged", folder, _FIX)
+            raise PlgsError("is damaged", folder, _FIX)
     return state
 
 
 def _is_whole(entry: Mapping[str, Json], folder: Path) -> bool:
-    """Raises JobError when the disk does not answer."""
+    """Raises PlgsError when the disk does not answer."""
     try:
         path = folder / inner_path(str(entry.get("path")))
         return path.is_file() and entry == _entry(path, folder)
     except ValueError:
         return False
     except OSError as error:
-        raise JobError(f"cannot be read ({error.strerror})", path, "See to the disk, then resume again.") from error
+        raise PlgsError(f"cannot be read ({error.strerror})", path, "See to the disk, then resume again.") from error
 
 
 def _delete(folder: Path) -> None:

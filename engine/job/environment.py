@@ -1,4 +1,4 @@
-"""Where the environments of "Set up engine" lie: in the user's cache, which an uninstalled extension leaves alone."""
+"""What PLGS keeps in the user's cache, which an uninstalled extension leaves alone: environments and notes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from .errors import JobError
+from ..errors import PlgsError
 from .requirements import Version, digest, pinned_versions
 
 COMPLETE = "complete"
-"""The file in an environment's folder that says, written last, that nothing is missing."""
+"""The file in an environment's folder that is written last: nothing is missing where it is."""
 
 
 def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
@@ -25,13 +25,22 @@ def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
     return Path(base) if base else Path.home() / ".cache"
 
 
+def notes_folder(environ: Mapping[str, str] = os.environ) -> Path:
+    """The folder of what PLGS may forget: recent lifts, and how fast this computer is. It may be missing.
+
+    It is PLGS_CACHE_DIR, or else ``plgs`` in the user's cache.
+    """
+    chosen = environ.get("PLGS_CACHE_DIR")
+    return Path(chosen).absolute() if chosen else user_cache_folder(environ) / "plgs"
+
+
 def environments_folder(environ: Mapping[str, str] = os.environ) -> Path:
     """The folder that holds the environments, their log and their lock; it may be missing."""
     return user_cache_folder(environ) / "plgs"
 
 
 def environment_name(root: Path, version: Version) -> str:
-    """Of the environment for these requirements and this Python. Raises JobError when requirements are missing."""
+    """The name of the environment for these requirements and this Python. Raises PlgsError when they are missing."""
     return f"engine-{version[0]}.{version[1]}-{digest(root, version)}"
 
 
@@ -41,7 +50,7 @@ def python_in(environment: Path) -> Path:
 
 
 def is_complete(environment: Path) -> bool:
-    """Whether it was made to its end, and the Python that it was made from is still there."""
+    """Whether it was made to its end, and its base Python is still there."""
     return (environment / COMPLETE).is_file() and python_in(environment).exists()
 
 
@@ -53,6 +62,6 @@ def made_environment(root: Path, environ: Mapping[str, str] = os.environ) -> Pat
     versions = sorted(pinned_versions(root), key=lambda version: version != sys.version_info[:2])
     try:
         environments = [folder / environment_name(root, version) for version in versions]
-    except JobError:  # a requirements file is missing: then nothing was made from it
+    except PlgsError:  # a requirements file is missing: then nothing was made from it
         return None
     return next((environment for environment in environments if is_complete(environment)), None)

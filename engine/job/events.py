@@ -1,4 +1,4 @@
-"""events.jsonl: what the engine tells whoever watches. One JSON object a line, written at once."""
+"""The typed events that every command of the engine writes: one JSON object a line, written at once."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .. import __version__
+from ..errors import PlgsError
 from ..gates import open_plain, open_to_append
-from .json_file import Json, to_line
+from ..json_file import Json, to_line
 
 _KEYS: Mapping[str, frozenset[str]] = {
     "hello": frozenset(),
@@ -23,20 +24,23 @@ _KEYS: Mapping[str, frozenset[str]] = {
     "preview": frozenset({"path"}),
     "artifact": frozenset({"path", "kind"}),
     "warning": frozenset({"message"}),
+    "answer": frozenset({"answer"}),
     "error": frozenset({"what", "where", "fix"}),
     "done": frozenset({"state"}),
 }
-"""The kinds of events, and what whoever reads one may count on."""
+"""The kinds of events with the keys that a reader may count on."""
 TAIL_BYTES = 16384
-"""The last lines of a run, and none of them is near as long."""
+"""Bytes at a file's end that hold the last events of a run: an error, and the end."""
 LONGEST_TAIL = 1 << 20
-"""What is looked at where those hold no event: a file of somebody else's may hold anything."""
+"""Bytes at a file's end that are searched when those hold no event."""
+LONGEST_ANSWER = 1 << 22
+"""Bytes of the longest line that a hurried reader takes for an event."""
 MOST_AT_ONCE = 1 << 26
-"""What is read at a time, in any case: as much as months of lifting tell."""
+"""At most this many bytes are read at once."""
 MOST_BYTES = 1 << 17
-"""What a hurried reader takes at a time: a millisecond of reading, and an hour's events are caught up in seconds."""
+"""Bytes that a hurried reader takes at a time: about a millisecond of reading."""
 MOST_CAUGHT_UP = 1 << 24
-"""Of what was told before it looked, a hurried reader takes so much at most."""
+"""At most this many bytes of older events are read by a hurried reader, counted from the end."""
 _PROGRESS = b'"event": "progress"'
 
 
@@ -51,9 +55,9 @@ class Event:
 
 
 class EventWriter:
-    """Appends events; only the engine does, while it holds the folder's lock. Safe in several threads.
+    """Appends events. Only the process that holds the lock on the file may do so. Safe in several threads.
 
-    ``seq`` goes on where an earlier run ended; a line that a kill tore in two is cut off first. Raises
+    ``seq`` continues where an earlier run ended; a line that a kill tore in two is cut off first. Raises
     OSError when the disk is full.
     """
 
@@ -67,19 +71,18 @@ class EventWriter:
         self._seq = self._repair(path)
 
     def _repair(self, path: Path) -> int:
-        """Cut a torn last line off and return the highest ``seq`` of the last lines; an end without lines is left."""
+        """Cut a torn last line off and return the highest ``seq`` of the last lines. An end without lines is left."""
         start, content = _tail(path, LONGEST_TAIL)
         whole = content.rfind(b"\n") + 1
         self._torn = start > 0 and not whole
         if whole < len(content) and not self._torn:
             os.ftruncate(self._descriptor, whole)
-        return max((event.seq for event in _parse(content[:whole])), default=0)
+        return max((event.seq for event in _parsed(content[:whole].splitlines())), default=0)
 
-    def hello(self, *, threads: int, resumed: bool, task: str | None = None) -> None:
-        """A run begins. ``threads``: how many compute threads it may use; ``task``: what is done when it is no lift."""
+    def hello(self, *, threads: int, resumed: bool, task: str = "lift") -> None:
+        """A run of ``task`` ("lift", "bake", "inspect" …) begins, which may use this many compute threads."""
         about = {"engine_version": __version__, "pid": os.getpid(), "python": platform.python_version()}
-        what = {} if task is None else {"task": task}
-        self._write("hello", **about, threads=threads, resumed=resumed, **what)
+        self._write("hello", task=task, **about, threads=threads, resumed=resumed)
 
     def stage(self, name: str, index: int, count: int, label: str) -> None:
         """Stage ``index`` (from 1) of ``count`` begins; ``label`` is for people."""
@@ -104,19 +107,24 @@ class EventWriter:
         self._write("artifact", path=self._relative(path), kind=kind)
 
     def warning(self, message: str) -> None:
-        """Something a user should know; the lift goes on."""
+        """Something that a user should know; the run continues."""
         self._write("warning", message=message)
 
-    def error(self, what: str, where: Path | str, fix: str, exit_code: int) -> None:
+    def answer(self, answer: Mapping[str, object], text: str = "") -> None:
+        """What the command was asked for, at most once a run. ``text`` says the same to people in a terminal."""
+        self._write("answer", answer=answer)
+
+    def error(self, error: PlgsError) -> None:
         """The run ends because of this."""
-        self._write("error", what=what, where=str(where), fix=fix, exit_code=int(exit_code))
+        about = {"what": error.what, "where": error.where, "fix": error.fix}
+        self._write("error", **about, code=error.code, option=error.option, exit_code=error.exit_code)
 
     def done(self, state: str) -> None:
-        """The run is over, "finished" or "cancelled". What comes after the first call is dropped."""
+        """The run is over, "finished" or "cancelled". Later events are dropped."""
         self._write("done", state=state, seconds=round(time.monotonic() - self._began, 3))
 
     def close(self) -> None:
-        """Write no more. The descriptor is closed."""
+        """Write no more, and close the file."""
         with self._lock:
             if self._descriptor >= 0:
                 os.close(self._descriptor)
@@ -133,8 +141,8 @@ class EventWriter:
             self._done = event == "done"
 
     def _append(self, line: bytes) -> None:
-        """Raises OSError, on a full disk above all; the half of a line that was written is then taken back, so that it
-        does not swallow the next.
+        """Raises OSError, as on a full disk. The written half of the line is then removed, so that it does not swallow
+        the next one.
         """
         start, written = os.fstat(self._descriptor).st_size, 0
         try:
@@ -149,7 +157,7 @@ class EventWriter:
         self._torn = False
 
     def _relative(self, path: Path) -> str:
-        """Paths inside the lift folder are told relative to it, so that the folder can be moved."""
+        """A path inside the events' folder is written relative to it, so that the folder can be moved."""
         inside = path.is_relative_to(self._folder)
         return (path.relative_to(self._folder) if inside else path).as_posix()
 
@@ -157,24 +165,24 @@ class EventWriter:
 class EventReader:
     """Follows an events file that another process appends to.
 
-    Its position is always the end of a whole line: a line that is still being written is read again later,
-    and one that a later run cuts off was never seen. ``from_end``: leave out what is there already. ``hurried``:
-    read no more than MOST_BYTES at a time (``is_behind`` tells whether there is more), and of progress events that
-    follow one another only the last, so that a call takes a window's loop no time to speak of. Raises OSError.
+    Its position is always the end of a whole line: a line that is still being written is read again later, and one
+    that a later run cuts off was never seen. ``from_end`` leaves out what is there already. ``hurried`` is for a
+    window's loop: a call reads at most MOST_BYTES (``is_behind`` says whether there is more) and keeps only the last
+    of progress events that follow one another. Raises OSError.
     """
 
     def __init__(self, path: Path, *, from_end: bool = False, hurried: bool = False) -> None:
         self._path, self._offset, self._hurried = path, 0, hurried
         self.is_behind = False
         if hurried:
-            self._offset = max(0, _size(path) - MOST_CAUGHT_UP)  # what is torn there is no event
+            self._offset = max(0, _size(path) - MOST_CAUGHT_UP)  # a line that is torn there is no event
         if from_end and path.exists():
             start, tail = _tail(path, LONGEST_TAIL)
             whole = tail.rfind(b"\n") + 1
             self._offset = start + (whole if whole or not start else len(tail))
 
     def poll(self) -> list[Event]:
-        """The events since the last call; unknown kinds, and lines that are no whole event, are left out."""
+        """The events since the last call, without unknown kinds and lines that are no whole event."""
         self.is_behind = False
         try:
             with open_plain(self._path, follow_link=False) as file:
@@ -184,48 +192,49 @@ class EventReader:
                 file.seek(self._offset)
                 most = MOST_BYTES if self._hurried else MOST_AT_ONCE
                 content = file.read(most)
+                if self._hurried and len(content) == MOST_BYTES and b"\n" not in content:  # a long answer
+                    most = LONGEST_ANSWER
+                    content += file.read(most - MOST_BYTES)
         except FileNotFoundError:
             return []
-        whole = content.rfind(b"\n") + 1 or (len(content) if len(content) == most else 0)  # no event is so long
+        whole = content.rfind(b"\n") + 1 or (len(content) if len(content) == most else 0)
         self._offset += whole
         self.is_behind = whole > 0 and self._offset < size
         lines = content[:whole].splitlines()
         if self._hurried:
             lines = _without_outdated(lines)
-        return _usable(_parsed(lines))
+        return _parsed(lines)
 
 
 def _without_outdated(lines: list[bytes]) -> list[bytes]:
-    """The lines but for progress that the next line brings up to date."""
+    """The lines without progress that the next line brings up to date."""
     is_progress = [_PROGRESS in line for line in lines] + [False]
     return [line for place, line in enumerate(lines) if not (is_progress[place] and is_progress[place + 1])]
 
 
 def last_run(path: Path) -> list[Event]:
     """The events of the latest run: from the last hello on. Empty when no run began."""
-    events = EventReader(path).poll()
-    for index in range(len(events) - 1, -1, -1):
-        if events[index].kind == "hello":
-            return events[index:]
-    return events
+    return _since_hello(EventReader(path).poll())
 
 
 def last_events(path: Path) -> list[Event]:
-    """The last events of the latest run, read from the end of the file alone: enough to tell how the run ended.
+    """The last events of the latest run, read from the end of the file only: enough to tell how the run ended.
 
-    An error is the last event of a run, or the last but the ``done`` of an engine that was cancelled meanwhile.
+    An error is a run's last event, or its last but one when the engine was cancelled meanwhile.
     """
     try:
         start, tail = _tail(path, TAIL_BYTES)
     except FileNotFoundError:
         return []
-    events = _usable(_parse(tail))
-    if start and not events:  # what a power cut left of the end
-        events = _usable(_parse(_tail(path, LONGEST_TAIL)[1]))
-    for index in range(len(events) - 1, -1, -1):
-        if events[index].kind == "hello":
-            return events[index:]
-    return events
+    events = _parsed(tail.splitlines())
+    if start and not events:  # a power cut left such an end
+        events = _parsed(_tail(path, LONGEST_TAIL)[1].splitlines())
+    return _since_hello(events)
+
+
+def _since_hello(events: list[Event]) -> list[Event]:
+    hellos = [index for index, event in enumerate(events) if event.kind == "hello"]
+    return events[hellos[-1] :] if hellos else events
 
 
 def _size(path: Path) -> int:
@@ -243,22 +252,15 @@ def _tail(path: Path, size: int) -> tuple[int, bytes]:
         return start, file.read(size)
 
 
-def _parse(content: bytes) -> list[Event]:
-    return _parsed(content.splitlines())
-
-
-def _usable(events: Iterable[Event]) -> list[Event]:
-    """Those of kinds that are known, with all that belongs to them."""
-    return [event for event in events if event.kind in _KEYS and _KEYS[event.kind] <= event.data.keys()]
-
-
 def _parsed(lines: Iterable[bytes]) -> list[Event]:
+    """The events of known kinds that have all their keys. A power cut may have left other lines, which do not count."""
     events = []
     for line in lines:
         try:
             fields = json.loads(line)
             event = Event(int(fields.pop("seq")), float(fields.pop("time")), str(fields.pop("event")), fields)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
-            continue  # what a power cut left of a line: the other lines still count
-        events.append(event)
+            continue
+        if event.kind in _KEYS and _KEYS[event.kind] <= event.data.keys():
+            events.append(event)
     return events

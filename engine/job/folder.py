@@ -8,22 +8,16 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
+from ..errors import PlgsError, is_silence
 from ..gates import create_plain
 from .atomic import PART, flush_to_disk, remove_parts
-from .bake_locks import BakeLocks
 from .checkpoint import CheckpointStore
-from .errors import JobError, is_silence
 from .events import last_events
-from .lock import FileLock, is_locked
+from .lock import BakeLocks, FileLock, is_locked
 from .manifest import changed_files, check_sizes, verify
 from .own_files import refuse_foreign, refuse_foreign_below
 from .request import LiftRequest, refuse_unwritable_name
-
-_NO_LINK: int = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-LIFT, BAKE = "lift", "bake"
-"""What an engine may do in a lift folder: lift, or bake more views of a finished lift."""
-LIVE_PREVIEW = "result/previews/live.png"
-"""A picture of the model while it is trained, replaced by rename every few seconds; gone when the lift is finished."""
+from .task import LIVE_PREVIEW, TaskPlace
 
 
 class LiftState(Enum):
@@ -31,7 +25,7 @@ class LiftState(Enum):
 
     NOT_STARTED = "not started"
     RUNNING = "running"
-    INTERRUPTED = "interrupted"  # its engine ended without a word: killed, or power was cut
+    INTERRUPTED = "interrupted"  # its engine was killed, or power was cut
     CANCELLED = "cancelled"
     FAILED = "failed"
     FINISHED = "finished"
@@ -48,7 +42,7 @@ class LiftFolder:
     def create(cls, path: Path, request: LiftRequest) -> LiftFolder:
         """Make the folder and write its request. An empty folder is taken, anything else refused.
 
-        Raises JobError when the folder is not empty or cannot be written.
+        Raises PlgsError when the folder is not empty or cannot be written.
         """
         path = path.absolute()
         refuse_unwritable_name(path)
@@ -58,32 +52,37 @@ class LiftFolder:
             _write_new(path / "request.json", request.to_json())
         except FileExistsError as error:
             fix = "Choose another output folder."
-            raise JobError("is in the way", error.filename or path, fix) from error
+            raise PlgsError("is in the way", error.filename or path, fix) from error
         except OSError as error:
             fix = "Choose a folder that you may write to, on a disk with space."
-            raise JobError(f"cannot be written ({error.strerror})", path, fix) from error
+            raise PlgsError(f"cannot be written ({error.strerror})", path, fix) from error
         except ValueError as error:
             fix = "Choose another output folder."
-            raise JobError(f"cannot be the path of a folder ({error})", repr(str(path)), fix) from error
+            raise PlgsError(f"cannot be the path of a folder ({error})", repr(str(path)), fix) from error
         return cls(path, request)
 
     @classmethod
     def open(cls, path: Path) -> LiftFolder:
-        """An existing lift folder. Raises JobError when it is none, holds links in place of its files, or its request
-        cannot be read.
+        """Open an existing lift folder. Raises PlgsError when it is none, when links lie in place of its files, or when
+        its request cannot be read.
         """
         path = path.absolute()
         refuse_unwritable_name(path)
         try:
             is_folder = path.is_dir()
         except OSError as error:  # a name that is too long, a disk that does not answer
-            raise JobError(f"cannot be opened ({error.strerror})", path, "Give the folder of a lift.") from error
+            raise PlgsError(f"cannot be opened ({error.strerror})", path, "Give the folder of a lift.") from error
         if not is_folder:
-            raise JobError("is no folder", path, "Give the folder of a lift.")
+            raise PlgsError("is no folder", path, "Give the folder of a lift.")
         refuse_foreign(path)
         if not (path / "request.json").is_file():
-            raise JobError("is no lift folder (it has no request.json)", path, "Give the folder of a lift.")
+            raise PlgsError("is no lift folder (it has no request.json)", path, "Give the folder of a lift.")
         return cls(path, LiftRequest.read(path / "request.json"))
+
+    @property
+    def place(self) -> TaskPlace:
+        """Where the lift's engine and its followers meet."""
+        return TaskPlace.of_lift(self.path)
 
     @property
     def events_path(self) -> Path:
@@ -115,7 +114,7 @@ class LiftFolder:
 
     @property
     def preview_request_path(self) -> Path:
-        """preview.json: which camera the watcher wants to see (see `preview_request`)."""
+        """preview.json: which camera the watcher wants to see (see `cameras`)."""
         return self.path / "preview.json"
 
     @property
@@ -132,37 +131,37 @@ class LiftFolder:
         return is_locked(self.events_path)
 
     def lock(self) -> FileLock:
-        """The engine's exclusive right to write here; for ``with``. Raises JobError when another has it, OSError."""
+        """The engine's exclusive right to write here; for ``with``. Raises PlgsError when another has it, OSError."""
         return FileLock(self.events_path)
 
     def refuse_foreign(self) -> None:
-        """Raise JobError when a link, or anything else that no lift has, lies in the place of one of its files: before
+        """Raise PlgsError when a link, or anything else that no lift has, lies in the place of one of its files: before
         anything is written or deleted.
         """
         refuse_foreign_below(self.path)
 
     def state(self) -> LiftState:
-        """How far the lift is. Raises JobError when the file system knows no locks."""
+        """How far the lift is. Raises PlgsError when the file system knows no locks."""
         return LiftState.RUNNING if self.is_running else self.state_at_rest()
 
     def state_at_a_glance(self) -> LiftState:
-        """How far the lift is, for a list or a timer: a manifest is taken for a result without looking at its files.
+        """How far the lift is, for a list or a timer: a manifest counts as a result, and its files are not looked at.
 
-        Takes a millisecond however large the lift. Raises JobError when the file system knows no locks.
+        Takes a millisecond however large the lift. Raises PlgsError when the file system knows no locks.
         """
         if self.is_running:
             return LiftState.RUNNING
         return LiftState.FINISHED if self.manifest_path.is_file() else self._how_it_ended()
 
     def state_at_rest(self) -> LiftState:
-        """How far the lift is, for somebody who knows that no other engine is at work.
+        """How far the lift is, for a caller who knows that no other engine is at work.
 
         A result without a whole manifest is no result, whatever the events say.
         """
         return LiftState.FINISHED if self._has_result() else self._how_it_ended()
 
     def _how_it_ended(self) -> LiftState:
-        """Of a lift that is neither running nor finished."""
+        """The state of a lift that is neither running nor finished."""
         events = last_events(self.events_path)
         if not events:
             return LiftState.NOT_STARTED
@@ -175,19 +174,15 @@ class LiftFolder:
         return LiftState.INTERRUPTED
 
     def last_exit_code(self) -> int | None:
-        """The exit code that the latest run's error event tells; None when it has none."""
+        """The exit code in the latest run's error event; None without such an event."""
         codes = [event.data.get("exit_code") for event in last_events(self.events_path) if event.kind == "error"]
         return codes[-1] if codes and isinstance(codes[-1], int) else None
-
-    def ask_to_cancel(self) -> None:
-        """Ask the engine to stop at its next step. Raises OSError."""
-        os.close(os.open(self.cancel_path, os.O_WRONLY | os.O_CREAT | _NO_LINK, 0o666))
 
     def is_whole(self) -> bool:
         """Whether the result of a finished lift is as it was written, byte by byte: all of it is read."""
         try:
             verify(self.result_path)
-        except JobError as error:
+        except PlgsError as error:
             if is_silence(error):
                 raise
             return False
@@ -206,8 +201,8 @@ class LiftFolder:
         remove_parts(self.path)
 
     def prepare_bake(self) -> None:
-        """Clear away an earlier run's cancel file and torn files; the result stays. Not where another process bakes:
-        they are that one's.
+        """Clear away an earlier run's cancel file and torn files; the result stays. Nothing is cleared while another
+        process bakes, which may own them.
 
         Only for the engine that holds the lock.
         """
@@ -219,7 +214,7 @@ class LiftFolder:
     def discard(self) -> None:
         """Delete a lift that never got going, so that the same command can be given again.
 
-        For whoever created it just now. Raises JobError when there is something in it that cost time to make.
+        For whoever created it just now. Raises PlgsError when there is something in it that cost time to make.
         """
         self.refuse_foreign()
         with FileLock(self.events_path, wait_s=0.0):  # nobody begins meanwhile
@@ -230,7 +225,7 @@ class LiftFolder:
 
     def _discard(self) -> None:
         if self.checkpoints.exists or self._has_result():
-            raise JobError("holds work", self.path, "Resume it, or delete it yourself.")
+            raise PlgsError("holds work", self.path, "Resume it, or delete it yourself.")
         (self.path / "request.json").unlink()  # first: what is left without it is no lift
         for path in (self.cancel_path, self.preview_request_path, self.log_path):
             path.unlink(missing_ok=True)
@@ -240,10 +235,10 @@ class LiftFolder:
         remove_parts(self.path)
 
     def _has_result(self) -> bool:
-        """Raises JobError when the disk does not answer: that is no reason to make a result anew."""
+        """Raises PlgsError when the disk does not answer: that is no reason to make a result anew."""
         try:
             check_sizes(self.result_path)
-        except JobError as error:
+        except PlgsError as error:
             if is_silence(error):
                 raise
             return False
@@ -251,23 +246,23 @@ class LiftFolder:
 
 
 def refuse_used(path: Path) -> None:
-    """Raise JobError when a lift folder cannot be made of ``path`` because something is there already; OSError when
-    that cannot be told."""
+    """Raise PlgsError when a lift folder cannot be made of ``path`` because something is there already; OSError when
+    that cannot be found out."""
     if not path.exists():
         return
     if not path.is_dir():
-        raise JobError("is in the way", path, "Choose another output folder.")
+        raise PlgsError("is in the way", path, "Choose another output folder.")
     if (path / "request.json").exists():
         fix = "Add --resume to go on with it, or choose another output folder."
-        raise JobError("already holds a lift", path, fix)
+        raise PlgsError("already holds a lift", path, fix, option="--resume")
     for entry in path.iterdir():
         if not entry.name.startswith(PART):  # a kill inside this very function leaves such a name
             what = f"is not empty (it holds '{entry.name}') and is no lift folder"
-            raise JobError(what, path, "Choose another output folder.")
+            raise PlgsError(what, path, "Choose another output folder.")
 
 
 def _write_new(path: Path, text: str) -> None:
-    """Write a whole file under a name that nobody has, even when two want it. Raises FileExistsError."""
+    """Write a whole file under a free name, also when two processes want it. Raises FileExistsError."""
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")
     try:
         with create_plain(part) as file:

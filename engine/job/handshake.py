@@ -1,4 +1,4 @@
-"""What an engine answers when it is asked what it is: one line of JSON."""
+"""The answer of an engine that is asked what it is, and what it lacks."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from .. import __version__
-from .json_file import to_line
+from ..json_file import to_line
 
 VERSION = __version__
-"""Of the engine that lies beside this extension."""
+"""The version of the engine that lies beside this extension."""
 FORMAT = 1
-"""Of the answer. Another number: an extension and an engine that do not belong together."""
+"""The answer's format. With another number, an extension and an engine do not belong together."""
 TOO_OLD = "the engine needs Python 3.11 or newer"
-"""What ``python -m engine`` says under an older one: it cannot say more."""
+"""The message of ``python -m engine`` under an older Python."""
 
 
 @dataclass(frozen=True)
@@ -55,29 +56,26 @@ class EngineAnswer:
         pins = [f"{name}=={self.wanted[name]}" if self.wanted.get(name) else name for name in self.missing]
         return f"{self.executable} -m pip install {' '.join(pins)}" if pins else ""
 
-    def to_line(self) -> bytes:
-        """The answer as the engine prints it."""
-        return to_line(
-            {
-                "format": FORMAT,
-                "engine": self.version,
-                "python": self.python,
-                "executable": self.executable,
-                "packages": self.packages,
-                "wanted": self.wanted,
-                "cpus": self.cpus,
-                "cuda": self.cuda,
-                "missing": list(self.missing),
-                "others": list(self.others),
-                "fix": self.fix,
-            }
-        )
+    def to_json(self) -> dict[str, object]:
+        """The answer as the engine gives it."""
+        return {
+            "format": FORMAT,
+            "engine": self.version,
+            "python": self.python,
+            "executable": self.executable,
+            "packages": self.packages,
+            "wanted": self.wanted,
+            "cpus": self.cpus,
+            "cuda": self.cuda,
+            "missing": list(self.missing),
+            "others": list(self.others),
+            "fix": self.fix,
+        }
 
     @classmethod
-    def from_line(cls, line: str) -> EngineAnswer | None:
-        """The answer in a line that was printed; None when it is none, or one of another format."""
+    def from_json(cls, data: Mapping[str, Any]) -> EngineAnswer | None:
+        """The answer that `to_json` gave; None when it is none, or one of another format."""
         try:
-            data = json.loads(line)
             if data["format"] != FORMAT:
                 return None
             return cls(
@@ -91,6 +89,18 @@ class EngineAnswer:
             )
         except (ValueError, TypeError, KeyError, AttributeError):
             return None
+
+    def to_line(self) -> bytes:
+        return to_line(self.to_json())
+
+    @classmethod
+    def from_line(cls, line: str) -> EngineAnswer | None:
+        """The answer in a line that was printed; None when it is none, or one of another format."""
+        try:
+            data = json.loads(line)
+        except ValueError:
+            return None
+        return cls.from_json(data)
 
 
 def _versions(data: Mapping[str, object]) -> dict[str, str | None]:

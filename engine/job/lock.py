@@ -1,21 +1,31 @@
-"""An advisory lock of the operating system: it ends with the process that holds it, however that ends."""
+"""Advisory locks of the operating system: they end with the process that holds them, however that ends.
+
+Several processes may bake one lift at once. Their locks are empty files in bake/ in the lift folder: who is at work,
+which view is whose, whose turn it is at the manifest.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
+from uuid import uuid4
 
+from ..errors import ErrorCode, PlgsError
 from ..gates import open_plain, open_to_append
-from .errors import JobError
 
 if sys.platform == "win32":
     import msvcrt
 else:
     import fcntl
 
+MANIFEST_S = 60.0
+"""Seconds that a process waits for its turn at the manifest while others hash what they baked."""
 _BYTE = 2**30
 """Windows locks a byte range and forbids reading it, so the locked byte lies where no log ever grows to."""
 
@@ -23,7 +33,7 @@ _BYTE = 2**30
 class FileLock:
     """Exclusive lock on a file, held from ``with`` to its end. A missing file is made; content is untouched.
 
-    Children that are started with ``subprocess`` do not inherit it. Raises JobError when another process
+    Children that are started with ``subprocess`` do not inherit it. Raises PlgsError when another process
     holds it, or when the file system knows no locks; OSError when it cannot be opened, or is no plain file.
     """
 
@@ -32,19 +42,19 @@ class FileLock:
 
     def __enter__(self) -> FileLock:
         self._descriptor = open_to_append(self._path)
-        # Somebody who asks `is_locked` holds the lock for an instant: so one refusal proves nothing.
+        # A process that asks `is_locked` holds the lock for an instant, so one refusal proves nothing.
         give_up = time.monotonic() + self._wait_s
         while not self._try():
             if time.monotonic() > give_up:
                 os.close(self._descriptor)
                 fix = "Wait until it is done, or stop it by making a file named 'cancel' there."
-                raise JobError("another engine is at work here", self._path.parent, fix)
+                raise PlgsError("another engine is at work here", self._path.parent, fix, code=ErrorCode.BUSY)
             time.sleep(0.05)
         return self
 
     def _try(self) -> bool:
-        """Whether the lock is held now, on the file that has this name: another may have deleted it meanwhile. Where
-        that fails the file is closed.
+        """Whether the lock is held now, on the file that has this name: another process may have deleted it meanwhile.
+        The file is closed when that fails.
         """
         try:
             if not _try_lock(self._descriptor, self._path):
@@ -60,7 +70,7 @@ class FileLock:
 
     @property
     def descriptor(self) -> int:
-        """Of the locked file. A POSIX child that inherits it holds the lock too, until it ends."""
+        """The locked file's descriptor. A POSIX child that inherits it holds the lock too, until it ends."""
         return self._descriptor
 
     def __exit__(
@@ -77,17 +87,17 @@ def _is_same(descriptor: int, path: Path) -> bool:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process holds a FileLock on the file. Raises JobError when that cannot be told: the file system
-    knows no locks, or a folder has the file's name.
+    """Whether a process holds a FileLock on the file. Raises PlgsError when that cannot be found out: the file
+    system knows no locks, or a folder has the file's name.
     """
     try:
-        # To read is enough for a shared lock: it may be somebody else's lift.
+        # Reading is enough for a shared lock, and the lift may belong to somebody else.
         file = open_plain(path, follow_link=False)
     except FileNotFoundError:
         return False
     except OSError as error:
         fix = "It has to be a file that you may read."
-        raise JobError(f"cannot be opened ({error.strerror})", path, fix) from error
+        raise PlgsError(f"cannot be opened ({error.strerror})", path, fix) from error
     with file:
         return not _try_lock(file.fileno(), path, shared=True)
 
@@ -103,5 +113,48 @@ def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
         return False
     except OSError as error:
         fix = "Put the lift on a local disk."
-        raise JobError(f"its file system cannot lock files ({error.strerror})", path, fix) from error
+        raise PlgsError(f"its file system cannot lock files ({error.strerror})", path, fix) from error
     return True
+
+
+class BakeLocks:
+    """The locks of one process that bakes. For ``with``, around all of its work. Raises OSError."""
+
+    def __init__(self, lift: Path) -> None:
+        self._folder = lift / "bake"
+        self._own = self._folder / f"process-{uuid4().hex}.lock"
+        self._held: FileLock | None = None
+
+    def __enter__(self) -> BakeLocks:
+        self._folder.mkdir(exist_ok=True)
+        self._held = FileLock(self._own).__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        assert self._held is not None
+        self._held.__exit__(kind, error, trace)
+        self._own.unlink(missing_ok=True)
+
+    def others_at_work(self) -> bool:
+        """Whether another process bakes this lift now."""
+        return any(is_locked(path) for path in self._folder.glob("process-*.lock") if path != self._own)
+
+    @contextmanager
+    def claim(self, view: str) -> Iterator[bool]:
+        """Whether this process may bake the view until the ``with`` ends. Another process may be baking it."""
+        name = sha256(view.encode()).hexdigest()[:16]  # any text becomes the name of a file
+        try:
+            lock = FileLock(self._folder / f"view-{name}.lock", wait_s=0.0).__enter__()
+        except PlgsError:
+            yield False
+            return
+        try:
+            yield True
+        finally:
+            lock.__exit__(None, None, None)
+
+    def manifest(self) -> FileLock:
+        """The right to change the manifest; for ``with``."""
+        return FileLock(self._folder / "manifest.lock", MANIFEST_S)

@@ -1,6 +1,6 @@
-"""The files that an engine makes of a scene's frames for programs that cannot read them: the content of frames.json.
+"""frames.json: the files that an engine makes of a scene's frames for programs that cannot read the frames themselves.
 
-Blender's Python has no OpenCV: what lies in a video or an archive, or has to be undistorted, it takes from here.
+Blender's Python has no OpenCV. It takes from here what lies in a video or an archive, and what has to be undistorted.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..errors import PlgsError
+from ..json_file import Json, read_object, to_text
+from ..scene_source import SceneSource
 from .atomic import write_atomically
-from .errors import JobError
-from .json_file import Json, read_object, to_text
-from .scene_source import SceneSource
 
 FORMAT = 1
 FILE = "frames.json"
@@ -22,11 +22,13 @@ _FIX = "Delete the folder: it is made anew."
 
 @dataclass(frozen=True)
 class MadeFrame:
-    """One frame's pictures, None where there is none: its ``colour`` undistorted, its ``depth`` and ``masks`` drawn in
-    colours. ``depth_range`` is the nearest and the farthest metre that the drawing of depth tells apart. ``lens`` is
-    width, height, fx, fy, cx, cy in pixels (centres at +0.5); ``pose`` camera-to-world, 16 numbers row by row, OpenCV
-    axes, metres: for scenes that Blender cannot even open. ``picture`` is the scene's own image file that shows what
-    ``colour`` would, None where there is none.
+    """One frame's pictures, None where it has none: its ``colour`` undistorted, its ``depth`` and ``masks`` drawn in
+    colours.
+
+    ``depth_range`` is the nearest and the farthest depth in metres that the drawing distinguishes. ``lens`` is width,
+    height, fx, fy, cx, cy in pixels (centres at +0.5); ``pose`` is camera-to-world, 16 numbers row by row, OpenCV axes,
+    metres. Both are for scenes that Blender cannot open. ``picture`` is the scene's own image file that shows what
+    ``colour`` would, None when there is no such file.
     """
 
     lens: tuple[float, ...] = ()
@@ -60,29 +62,29 @@ class MadeFrames:
         """Put frames.json into the folder. Raises OSError."""
         frames = {name: _to_json(frame, self.folder) for name, frame in self.frames.items()}
         cloud = None if self.cloud is None else _inside(self.cloud, self.folder)
-        content: dict[str, object] = {"format": FORMAT, "source": self.source.to_json(), "frames": frames}
+        content: dict[str, object] = {"format": FORMAT, "source": self.source.as_json(), "frames": frames}
         content |= {"cloud": cloud, "total": self.total}
         write_atomically(self.folder / FILE, to_text(content))
 
     @classmethod
     def read(cls, folder: Path) -> MadeFrames:
-        """What is there. Raises JobError when the folder has none, or others, or its JSON is damaged."""
+        """Read the frames.json of a folder. Raises PlgsError when it is missing, of another version, or damaged."""
         path = folder / FILE
         content: dict[str, Any] = read_object(path, _FIX)
         if content.get("format") != FORMAT:
-            raise JobError(f"has format {content.get('format')!r}, this version reads {FORMAT}", path, _FIX)
+            raise PlgsError(f"has format {content.get('format')!r}, this version reads {FORMAT}", path, _FIX)
         try:
             source = SceneSource.from_json(content["source"])
             frames = {str(name): _from_json(each, folder) for name, each in content["frames"].items()}
             cloud = content["cloud"]
             return cls(folder, source, frames, None if cloud is None else folder / cloud, int(content["total"]))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise JobError(f"cannot be read ({error!r})", path, _FIX) from error
+            raise PlgsError(f"cannot be read ({error!r})", path, _FIX) from error
 
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
-    """What an earlier run made of this very scene in ``folder``; None when there is nothing. Raises JobError when the
-    folder is somebody else's.
+    """What an earlier run made of this very scene in ``folder``; None when nothing is there. Raises PlgsError when the
+    folder holds something else.
     """
     if not folder.exists():
         return None
@@ -92,7 +94,7 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
             return made
     elif folder.is_dir() and not any(folder.iterdir()):
         return None
-    raise JobError("is there already, and holds something else", folder, "Name another folder.")
+    raise PlgsError("is there already, and holds something else", folder, "Name another folder.")
 
 
 def is_newer(path: Path, source: Path) -> bool:

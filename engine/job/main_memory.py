@@ -1,4 +1,4 @@
-"""How much main memory this machine has, and how much of it is free. Standard library alone."""
+"""How much main memory this computer has, and how much of it is free. Standard library only."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ CGROUP = Path("/sys/fs/cgroup")
 
 
 class MainMemory(NamedTuple):
-    """Bytes in all, and those that are free. A container's limit counts as the machine's memory."""
+    """Bytes in all, and bytes that are free. A container's limit counts as the computer's memory."""
 
     total: int
     free: int
 
 
 def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> MainMemory | None:
-    """None where the system does not tell. Never raises."""
+    """The memory now; None when the system does not say. Never raises."""
     try:
         if sys.platform == "win32":
             return _of_windows()
@@ -38,7 +38,7 @@ def _of_linux(proc: Path) -> MainMemory:
 
 
 def _within(memory: MainMemory, cgroup: Path) -> MainMemory:
-    """What a container's limit leaves of it, where there is one."""
+    """The memory within a container's limit, if there is one."""
     try:
         limit = int((cgroup / "memory.max").read_text())
         held = int((cgroup / "memory.current").read_text())

@@ -10,19 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .errors import JobError
+from ..errors import PlgsError
+from ..json_file import Json
+from ..presets.options import parsed_options
+from ..presets.preset import PRESETS
+from ..presets.toml_file import read_preset_file
+from ..scene_source import UPS, SceneSource, class_table
 from .folder import LiftFolder
-from .preset_file import read_preset_file
-from .preset_options import parsed_options, preset_options
-from .request import BAKES, DEVICES, PRESETS, UPS, LiftRequest
-from .scene_source import SceneSource, class_table
+from .request import BAKES, DEVICES, LiftRequest
 
 _NONE: Mapping[str, str] = {}
 DEFAULTS = LiftRequest(scene=Path.cwd())
-"""What is lifted where nothing is said; the scene is none."""
-_STEPS = ("steps", "steps_a_view")
-_PLACES = {"steps": "steps", "size_within": "size", "most_frames": "frames"}
-"""Options of a preset that have a place of their own in the request."""
+"""The request whose values hold for options that are not given; its scene is none."""
 _IN_REQUEST = (
     "preset", "steps", "size", "frames", "fit", "seed", "masks", "mask_format", "classes", "up", "scene_format",
     "depth", "bake", "device", "names_from", "set",
@@ -179,54 +178,36 @@ def number_of_frames(text: str) -> int:
 def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -> LiftRequest:
     """The request that the options of `add_lift_options` and ``scene`` ask for; the rest as in ``base``.
 
-    Raises JobError when a value is out of range.
+    Raises PlgsError when a value is out of range.
     """
-    names = ("steps", "size", "frames", "fit", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device")
+    names = ("fit", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     for name in ("masks", "depth", "names_from"):
         if getattr(options, name) is not None:
             given[name] = getattr(options, name).resolve()
-    if options.preset is not None or options.set:
-        given = {**chosen_options(options.preset, options.set or (), base or DEFAULTS, options.steps), **given}
-    scene = options.scene.resolve()
-    return LiftRequest(scene=scene, **given) if base is None else replace(base, scene=scene, **given)
+    own = {name: getattr(options, name) for name in ("steps", "size", "frames")}
+    changed = parsed_options(options.set or ()) | {name: value for name, value in own.items() if value is not None}
+    preset, chosen = chosen_options(options.preset, changed, base or DEFAULTS)
+    return replace(base or DEFAULTS, scene=options.scene.resolve(), preset=preset, options=chosen, **given)
 
 
 def chosen_options(
-    preset: str | None, sets: Sequence[str], base: LiftRequest, steps: int | None = None
-) -> dict[str, Any]:
-    """``preset``, ``options`` and, where these give them, ``steps``, ``size`` and ``frames`` of a request, from the
-    values of --preset and --set. Without --preset those of --set are added to what ``base`` has. ``steps``: those of
-    --steps, which win. None leaves a place to the preset. Raises JobError."""
+    preset: str | None, changed: Mapping[str, Json], base: LiftRequest = DEFAULTS
+) -> tuple[Any, dict[str, Json]]:
+    """The name of a preset and its changed options: those of ``preset``, a name or a preset file, or of ``base`` where
+    it is None; then the options ``changed``. Raises PlgsError."""
     name, options = (base.preset, dict(base.options)) if preset is None else (preset, {})
     if name.endswith(".toml"):
-        name, options = read_preset_file(Path(name), PRESETS)
-    given = parsed_options(sets)
-    if steps is not None or "steps" in given:  # so many and no more, whatever a file says of many views
+        name, options = read_preset_file(Path(name))
+    if "steps" in changed:  # exactly that many, whatever a file says of many views
         options.pop("steps_a_view", None)
-    options |= given
-    values = {key: option.values[name] for key, option in preset_options().items()}
-    if all(key in options and options[key] == values[key] for key in _STEPS):
-        options["steps"] = None
-    moved = {place: _moved(key, options.pop(key), values[key]) for key, place in _PLACES.items() if key in options}
-    if (moved.get("steps", base.steps) if steps is None else steps) is not None:
-        values["steps_a_view"] = 0.0  # what it is beside steps, where it is not given
-    options = {key: value for key, value in options.items() if value != values[key]}
-    return {"preset": name, "options": options, **moved}
-
-
-def _moved(option: str, value: Any, of_preset: Any) -> Any:
-    """An option's value where it has a place of its own in the request. The preset's is None there, but for steps:
-    with those given, many views ask for no more."""
-    if option != "steps" and value == of_preset:
-        return None
-    return tuple(value) if isinstance(value, list) else value
+    return name, {**options, **changed}
 
 
 def resumable(options: argparse.Namespace) -> LiftFolder | None:
     """The lift in ``options.output`` that --resume goes on with; None when there is nothing to go on with.
 
-    Raises JobError when the options ask for another lift than the one there.
+    Raises PlgsError when the options ask for another lift than the one there.
     """
     folder: Path = options.output
     if not options.resume or not (folder / "request.json").exists():
@@ -235,5 +216,5 @@ def resumable(options: argparse.Namespace) -> LiftFolder | None:
     differing = request_from(options, base=lift.request).differences(lift.request)
     if differing:
         fix = "Leave these options as they were, or choose another output folder."
-        raise JobError(f"holds a lift with another {', '.join(differing)}", lift.path, fix)
+        raise PlgsError(f"holds a lift with another {', '.join(differing)}", lift.path, fix)
     return lift

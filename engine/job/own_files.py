@@ -1,6 +1,6 @@
 """What lies in a lift folder belongs to it alone: no links, no FIFOs, no devices.
 
-A lift may come from somebody else. Were its log a link, resuming it would append to whatever that leads to.
+A lift may come from somebody else. If its log were a link, resuming the lift would append to the link's target.
 """
 
 from __future__ import annotations
@@ -10,19 +10,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from stat import S_ISDIR, S_ISLNK, S_ISREG
 
+from ..errors import PlgsError
 from .atomic import PART
-from .errors import JobError
 
 FILES = ("request.json", "events.jsonl", "cancel", "preview.json", "log.txt")
 FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old")
 _BEGINNINGS = (PART, "bake-")
-"""Of what is being written, and of the logs of processes that bake beside another."""
+"""How the names of files begin that are being written, and of logs that earlier versions left beside them."""
 
 
 def refuse_foreign(lift: Path) -> None:
-    """Raise JobError when a file or folder of the lift's own is something else. What it holds is not looked at: takes
-    no time.
-    """
+    """Raise PlgsError when a file or folder of the lift's own is something else. Their content is not looked at."""
     for name in FILES:
         _refuse(lift / name, S_ISREG)
     for name in FOLDERS:
@@ -30,7 +28,7 @@ def refuse_foreign(lift: Path) -> None:
 
 
 def refuse_foreign_below(lift: Path) -> None:
-    """As `refuse_foreign`, for all that the lift's folders hold: before anything is written or deleted there."""
+    """As `refuse_foreign`, for all that lies in the lift's folders. Call it before writing or deleting there."""
     refuse_foreign(lift)
     tops = [lift / name for name in FOLDERS]
     tops += [path for path in _entries(lift) if path.name.startswith(_BEGINNINGS)]
@@ -41,14 +39,14 @@ def refuse_foreign_below(lift: Path) -> None:
 
 
 def _entries(folder: Path) -> Iterator[Path]:
-    """None of what is no folder, or is gone meanwhile."""
+    """The entries of a folder; none when it is no folder, or is gone meanwhile."""
     try:
         with os.scandir(folder) as entries:
             yield from [Path(entry.path) for entry in entries]
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:
-        raise JobError(f"cannot be read ({error.strerror})", folder, "See to its permissions, or its disk.") from error
+        raise PlgsError(f"cannot be read ({error.strerror})", folder, "See to its permissions, or its disk.") from error
 
 
 def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
@@ -58,7 +56,7 @@ def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
         return
     except OSError as error:
         fix = "See to its permissions, or its disk."
-        raise JobError(f"cannot be looked at ({error.strerror})", path, fix) from error
+        raise PlgsError(f"cannot be looked at ({error.strerror})", path, fix) from error
     if not is_right(mode):
         kind = "a link" if S_ISLNK(mode) else "neither a file nor a folder of a lift"
-        raise JobError(f"is {kind}, which a lift never has", path, "Do not trust this folder; copy what you know.")
+        raise PlgsError(f"is {kind}, which a lift never has", path, "Do not trust this folder; copy what you know.")

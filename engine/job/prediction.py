@@ -1,7 +1,7 @@
 """How long a lift will take and how much memory it needs, before it is begun.
 
 The constants were measured on lifts of the bundled sample (72 frames of 320x240) and of long captures made of it (100
-to 2000 frames of 1296x968, see `engine/lift/bench_long.py`) on two cores, relative to a training step; how much slower
+to 2000 frames of 1296x968, see `research/bench/long.py`) on two cores, relative to a training step; how much slower
 or faster this machine is, finished lifts tell. What is not known before is how much surface the cameras see: that of
 the sample is taken.
 """
@@ -13,29 +13,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
+from ..errors import PlgsError
+from ..json_file import read_object, to_text
+from ..presets.preset import Preset
 from .atomic import write_atomically
-from .effort import Effort
-from .errors import JobError
-from .json_file import read_object, to_text
+from .environment import notes_folder
 from .lock import FileLock
-from .user_cache import notes_folder
 
 FORMAT = 1
 SURFACE = 400.0
 """Square metres that the sample's frames see: what anchors lie on."""
 MOST_ANCHORS_PER_POINT = 0.8
 USUAL_MASKS, USUAL_CLASSES = 20.0, 20
-"""A frame's segments, and the classes of all, where nobody has looked."""
+"""Segments of a frame and classes of a scene that was not read."""
 OBJECTS_A_MASK = 2.0
 """Objects of a room for every segment that a frame has."""
 MOST_MASKS = 5000
 """About as many are judged by one another, those of keyframes; the others only join what was found."""
 CANDIDATES = 3
 """Pictures looked at for each that is chosen."""
-MOST_VOTERS = 500
-"""Frames that vote for the yardstick."""
 SEEN_SHARE = 0.3
-"""Of the Gaussians, in one view."""
+"""Share of the Gaussians that one view sees."""
 REMEMBERED = 5
 MB = 1_000_000
 
@@ -57,7 +55,7 @@ def predict(
     train_frames: int,
     test_frames: int,
     frame_size: tuple[int, int],
-    effort: Effort,
+    preset: Preset,
     *,
     bake: str = "test",
     slowness: float = 1.0,
@@ -67,21 +65,22 @@ def predict(
     """For ``train_frames`` + ``test_frames`` pictures of ``frame_size`` (width, height) pixels. ``bake``: as in a
     request; ``slowness``: see `machine_slowness`; ``masks_a_frame`` and ``classes`` are what the masks have."""
     frames = train_frames + test_frames
-    views = effort.views_of(train_frames)
+    views = preset.views_of(train_frames)
     own = frame_size[0] * frame_size[1] / 1e6
-    trained_on = _megapixels_within(frame_size, effort.size_within)
+    trained_on = _megapixels_within(frame_size, preset.size)
     seen = views * trained_on
     rendered = {"test": test_frames, "all": frames, "none": test_frames}[bake]  # those held out are scored anyhow
     written = 0 if bake == "none" else rendered
-    steps = effort.steps_for(views)
-    gaussians = _millions_of_gaussians(effort)
+    steps = preset.for_views(views).steps
+    gaussians = _millions_of_gaussians(preset)
     step = step_seconds(trained_on, gaussians)
-    rounds = max(0, min(round(1 / effort.self_training_every), steps) - 1)
-    voting = views if effort.vote_rounds else 0
-    voted = voting * _megapixels_within(frame_size, effort.vote_size_within)
+    rounds = max(0, min(round(1 / preset.schedule.self_training_every), steps) - 1)
+    vote_rounds = preset.vote_rounds if preset.shows_votes else 0
+    voting = views if vote_rounds else 0
+    voted = voting * _megapixels_within(frame_size, preset.vote_size)
     judged = min(views * masks_a_frame, MOST_MASKS) / 1000
     looked_at = min(train_frames, CANDIDATES * views) if views < train_frames else 0
-    voters = train_frames - views if effort.all_frames_vote else 0
+    voters = train_frames - views if preset.all_frames_vote else 0
     stages = {
         "start": 4.0,
         "check": 0.1 + 0.03 * (views + test_frames) * own + 0.03 * looked_at * own,
@@ -94,18 +93,18 @@ def predict(
         + voters * (0.012 + 0.35 * trained_on),
         "prepare": 10.0 + 0.7 * seen,
         "train": steps * step + rounds * views * 0.42 * step,
-        "result": 0.5 + (2.0 + 1.0 * effort.vote_rounds) * voted + 0.12 * voting * own + 2.75 * gaussians,
+        "result": 0.5 + (2.0 + 1.0 * vote_rounds) * voted + 0.12 * voting * own + 2.75 * gaussians,
         "bake": rendered * (0.2 + 3.0 * own) + written * 2.0 * own,
-        "evaluate": 0.5 + 1.6 * test_frames * own + 0.17 * min(views, MOST_VOTERS) * own,
+        "evaluate": 0.5 + 1.6 * test_frames * own,
     }
     labels = classes + OBJECTS_A_MASK * masks_a_frame
-    peak = _peak_bytes(frame_size, effort, views, gaussians, labels)
+    peak = _peak_bytes(frame_size, preset, views, gaussians, labels)
     return Prediction({name: slowness * seconds for name, seconds in stages.items()}, peak)
 
 
 def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
-    """A training step on the machine that the constants were measured on: for a picture of that size, of a model with
-    so many Gaussians in all."""
+    """A training step on the machine that the constants were measured on, for a picture of that size and a model with
+    that many Gaussians in all."""
     return 0.03 + 0.55 * megapixels + 0.3625 * millions_of_gaussians
 
 
@@ -116,7 +115,7 @@ def machine_slowness(cache: Path | None = None) -> float:
 
 
 def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: float, cache: Path | None = None) -> None:
-    """Remember that a step of a finished lift took so long here. Raises OSError, JobError."""
+    """Remember that a step of a finished lift took so long here. Raises OSError, PlgsError."""
     path = _speed_path(cache)
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock")):
@@ -124,21 +123,21 @@ def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: flo
         write_atomically(path, to_text({"format": FORMAT, "slowness": measured[-REMEMBERED:]}))
 
 
-def _peak_bytes(frame_size: tuple[int, int], effort: Effort, views: int, gaussians: float, labels: float) -> int:
+def _peak_bytes(frame_size: tuple[int, int], preset: Preset, views: int, gaussians: float, labels: float) -> int:
     """What is held at once: at matching it grows with the views, at training with the Gaussians, and when a frame is
     baked, at its own size, with its pixels; the last two with the labels too."""
     own = frame_size[0] * frame_size[1] / 1e6
-    trained_on = _megapixels_within(frame_size, effort.size_within)
+    trained_on = _megapixels_within(frame_size, preset.size)
     matching = 800 + 12 * views * trained_on
     training = 880 + 500 * gaussians + (700 + 8 * labels) * trained_on + SEEN_SHARE * gaussians * 12 * labels
     baking = 700 + 400 * gaussians + (1000 + 4 * labels) * own
     return round(max(matching, training, baking) * MB)
 
 
-def _millions_of_gaussians(effort: Effort) -> float:
+def _millions_of_gaussians(preset: Preset) -> float:
     """About as many as the sample gives."""
-    most = min(effort.most_anchors, MOST_ANCHORS_PER_POINT * effort.most_points)
-    return effort.gaussians_per_anchor * min(SURFACE / effort.voxel_size**2, most) / 1e6
+    most = min(preset.most_anchors, MOST_ANCHORS_PER_POINT * preset.most_points)
+    return preset.gaussians_per_anchor * min(SURFACE / preset.voxel_size**2, most) / 1e6
 
 
 def _megapixels_within(size: tuple[int, int], box: tuple[int, int]) -> float:
@@ -154,7 +153,7 @@ def _measured(path: Path) -> list[float]:
     """Empty when there is nothing, or nothing that makes sense."""
     try:
         content = read_object(path, "Delete it.")
-    except JobError:
+    except PlgsError:
         return []
     values = content.get("slowness")
     if content.get("format") != FORMAT or not isinstance(values, list):

@@ -15,21 +15,21 @@ from enum import StrEnum
 from pathlib import Path
 from typing import IO
 
+from ..errors import ErrorCode, PlgsError
 from .environment import made_environment, python_in
-from .errors import JobError
 
 ROOT = Path(__file__).resolve().parents[2]
 """The folder that holds ``engine``: the repository, or the installed extension."""
 
 _OUTPUT_TAIL = 64_000
-"""Bytes of a program's output that are read: more is no message."""
+"""Bytes of a program's output that are read at most. A message is shorter."""
 _ANSWER_S = 60.0
-"""A Python on a slow disk has answered by then."""
+"""Seconds within which a Python on a slow disk answers."""
 _KILLED_S = 5.0
-"""So long a killed process may take to end."""
+"""Seconds that a killed process may take to end."""
 _MISSING = "missing modules:"
 _ENGINE_MODULES = ("torch", "numpy")
-# What a parent Python, Blender's above all, may have set for itself and would break another Python with.
+# Variables that a parent Python, such as Blender's, sets for itself and that would break another Python.
 _FOREIGN = (
     "PYTHONHOME",
     "PYTHONPATH",
@@ -44,7 +44,7 @@ _FOREIGN = (
 
 
 class Origin(StrEnum):
-    """Why a Python runs the engine, in the order in which they are looked at."""
+    """Why a Python runs the engine, in the order in which the choices are tried."""
 
     VARIABLE = "the variable PLGS_ENGINE_PYTHON"
     CHOSEN = "the preferences"
@@ -68,7 +68,7 @@ def choose_python(
     """The first there is: PLGS_ENGINE_PYTHON, the ``chosen`` one of the preferences, the environment that "Set up
     engine" made, ``.venv`` beside the code, this Python where it has torch.
 
-    Whether it has what the engine needs is not looked at. Raises JobError when there is none. Takes milliseconds.
+    It is not checked whether it has what the engine needs. Raises PlgsError when there is none. Takes milliseconds.
     """
     variable = environ.get("PLGS_ENGINE_PYTHON")
     if variable:  # not resolved: a venv's Python knows its venv by the link
@@ -87,11 +87,11 @@ def choose_python(
         return ChosenPython(Path(sys.executable), Origin.THIS, "Press 'Set up engine' in the preferences.")
     make = f"run 'make set-up' in {root}" if (root / "Makefile").exists() else "press 'Set up engine' in Blender"
     fix = f"Please {make}, or set PLGS_ENGINE_PYTHON to a Python that has torch."
-    raise JobError("no Python for the engine", beside, fix)
+    raise PlgsError("no Python for the engine", beside, fix, code=ErrorCode.NO_ENGINE)
 
 
 def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None) -> Path:
-    """The Python of `choose_python`, looked at. Raises JobError when it lacks what the engine needs, or when there is
+    """The Python of `choose_python`, checked. Raises PlgsError when it lacks what the engine needs, or when there is
     none. Takes about 0.1 s.
     """
     choice = choose_python(root, environ, chosen)
@@ -100,7 +100,7 @@ def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, ch
 
 
 def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
-    """Which of the modules another Python cannot find. Nothing is imported. Raises JobError when it does not run,
+    """Which of the modules another Python cannot find. Nothing is imported. Raises PlgsError when it does not run,
     does not answer, or is no Python.
     """
     find = "(n for n in sys.argv[1:] if not importlib.util.find_spec(n))"
@@ -110,18 +110,18 @@ def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
             [python, "-I", "-c", code, *names], env=clean_environment(), capture_output=True, timeout=_ANSWER_S
         )
     except subprocess.TimeoutExpired as error:
-        raise JobError(f"does not answer within {_ANSWER_S:g} s", python, "Try it in a terminal.") from error
+        raise PlgsError(f"does not answer within {_ANSWER_S:g} s", python, "Try it in a terminal.") from error
     except OSError as error:
-        raise JobError(f"cannot be run ({error.strerror})", python, "It has to be a Python.") from error
+        raise PlgsError(f"cannot be run ({error.strerror})", python, "It has to be a Python.") from error
     # The last line: what a Python runs as it starts may say something, too.
     *_, line = ["", *answer.stdout.decode(errors="replace").splitlines()]
     if answer.returncode != 0 or not line.startswith(_MISSING):
-        raise JobError("does not work as a Python", python, "Try it in a terminal.")
+        raise PlgsError("does not work as a Python", python, "Try it in a terminal.")
     return line.removeprefix(_MISSING).split()
 
 
 def clean_environment(root: Path | None = None) -> dict[str, str]:
-    """This process's environment without what is meant for its own Python; ``root`` becomes importable."""
+    """This process's environment without what is meant for its own Python. ``root`` becomes importable."""
     environment = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
     environment |= {"PYTHONNOUSERSITE": "1", "PYTHONUNBUFFERED": "1"}
     if root is not None:
@@ -142,7 +142,7 @@ class ChildProcess:
         stdin: int = subprocess.DEVNULL,
         keep_open: Sequence[int] = (),
     ) -> None:
-        """Start ``command``; POSIX only: descriptors in ``keep_open`` stay open in it. Raises JobError when it cannot
+        """Start ``command``; POSIX only: descriptors in ``keep_open`` stay open in it. Raises PlgsError when it cannot
         be started.
         """
         flags: int = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0) | getattr(subprocess, "CREATE_NO_WINDOW", 0)
@@ -159,10 +159,10 @@ class ChildProcess:
                 pass_fds=() if os.name == "nt" else keep_open,
             )
         except OSError as error:
-            raise JobError(f"cannot be run ({error.strerror})", command[0], "It has to be a Python.") from error
+            raise PlgsError(f"cannot be run ({error.strerror})", command[0], "It has to be a Python.") from error
         except ValueError as error:
             fix = "Choose folders with other names."
-            raise JobError(f"cannot be told such a path ({error})", command[0], fix) from error
+            raise PlgsError(f"cannot be given such a path ({error})", command[0], fix) from error
 
     @property
     def pid(self) -> int:
@@ -173,8 +173,8 @@ class ChildProcess:
         return self._process.poll()
 
     def kill(self) -> None:
-        """End it and its children at once. Nothing happens when it is over already. Returns when it has ended, or when
-        it waits for a disk that does not answer: it ends when that does.
+        """End it and its children at once, if it still runs. Returns when it has ended, or after a few seconds when it
+        waits for a disk that does not answer; it ends when the disk does.
         """
         if self._process.poll() is None:
             if sys.platform == "win32":
@@ -186,51 +186,59 @@ class ChildProcess:
 
 
 class EngineProcess(ChildProcess):
-    """A started engine. It ends by itself when this process does: it watches the pipe that `Popen.stdin` is."""
+    """A started engine. When it ``is_tied`` it ends by itself when this process does: it watches the pipe that
+    `Popen.stdin` is. Otherwise nothing ties it to this process, and it continues.
+    """
 
-    def __init__(self, command: Sequence[str | Path], root: Path = ROOT) -> None:
-        """Start ``command``. Raises JobError when it cannot be started."""
-        # Before the engine opens its log, and when it fails to, it writes into a file without a name: nobody has to
-        # drain that, unlike a pipe, and no thread is needed.
+    def __init__(
+        self,
+        command: Sequence[str | Path],
+        root: Path = ROOT,
+        *,
+        is_tied: bool = True,
+        variables: Mapping[str, str] | None = None,
+    ) -> None:
+        """Start ``command``; ``variables`` are added to its environment. Raises PlgsError when it cannot be started."""
+        # Until the engine has opened its log it writes into a file without a name. Unlike a pipe this needs no thread
+        # that drains it.
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `close`
+        stdin = subprocess.PIPE if is_tied else subprocess.DEVNULL
         try:
-            super().__init__(
-                command, cwd=root, environment=clean_environment(root), output=self._output, stdin=subprocess.PIPE
-            )
-        except JobError:
+            environment = clean_environment(root) | dict(variables or {})
+            super().__init__(command, cwd=root, environment=environment, output=self._output, stdin=stdin)
+        except PlgsError:
             self._output.close()
             raise
 
     def output_tail(self) -> str:
-        """The end of its output outside its log: empty, or why it could not begin."""
+        """The end of its output outside its log: empty, or the reason why it could not begin."""
         length = self._output.seek(0, os.SEEK_END)
         self._output.seek(max(0, length - _OUTPUT_TAIL))
         return self._output.read().decode(errors="replace").strip()
 
     def close(self) -> None:
-        """Let go of it; one that still runs takes that as the parent's end and stops."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
+        """Let go of it. One that is tied and still runs takes that as the parent's end, and stops."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
         self._output.close()
 
 
-def engine_call(python: Path, root: Path = ROOT) -> list[str | Path]:
-    """What every command of the engine begins with.
+def engine_call(python: Path, root: Path = ROOT, program: str = "engine") -> list[str | Path]:
+    """What every command of the engine begins with. ``program``: the folder of a program that has its commands too.
 
     -I: neither the current folder, which may be somebody else's scene, nor a variable adds modules to Python's own.
     """
-    return [python, "-I", "-u", root / "engine" / "__main__.py"]
+    return [python, "-I", "-u", root / program / "__main__.py"]
 
 
-def engine_command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
-    """The command that works on a lift folder and stays with its parent."""
-    command = [*engine_call(python), "lift", lift, "--stay-with-parent"]
-    return [*command, "--resume"] if resume else command
+def engine_command(python: Path, lift: Path, *, resume: bool, program: str = "engine") -> list[str | Path]:
+    """The command that works on a lift folder."""
+    return [*engine_call(python, program=program), "lift", lift, *(["--resume"] if resume else [])]
 
 
 def _refuse_unfit(python: Path, fix: str) -> None:
     if not python.exists():
-        raise JobError("the engine's Python is not there", python, fix)
+        raise PlgsError("the engine's Python is not there", python, fix, code=ErrorCode.NO_ENGINE)
     missing = missing_modules(python, _ENGINE_MODULES)
     if missing:
-        raise JobError(f"the engine's Python lacks {', '.join(missing)}", python, fix)
+        raise PlgsError(f"the engine's Python lacks {', '.join(missing)}", python, fix, code=ErrorCode.NO_ENGINE)

@@ -1,6 +1,6 @@
-"""Which lifts there were lately: so that a new Blender finds those that run and those that are finished.
+"""The list of recent lifts, by which a new Blender finds those that run and those that are finished.
 
-The list lies in the user's cache folder. It is a convenience: nothing is lost with it, and a broken one is begun anew.
+It lies in the user's cache folder. It is a convenience: nothing is lost with it, and a broken list is begun anew.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import PlgsError
+from ..json_file import Json, read_object, to_text
 from .atomic import write_atomically
-from .errors import JobError
+from .environment import notes_folder
 from .folder import LiftFolder, LiftState
-from .json_file import Json, read_object, to_text
 from .lock import FileLock
-from .user_cache import notes_folder
 
 FORMAT = 1
 MOST = 50
 _LATEST = 1 << 40
-"""Unix seconds far beyond any clock: what is later, or not a number, was not written by us."""
+"""Unix seconds beyond any clock. A later time was not written by us."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift
         try:
             folder = LiftFolder.open(Path(path))
             lifts.append(RecentLift(folder, folder.state_at_a_glance(), touched))
-        except (JobError, OSError):  # deleted, on a disk that is not plugged in, or of another version
+        except (PlgsError, OSError):  # deleted, on a disk that is not plugged in, or of another version
             continue
     return lifts
 
@@ -53,7 +53,7 @@ def remembered_lifts(cache: Path | None = None) -> list[str]:
 
 
 def remember_lift(path: Path, cache: Path | None = None) -> None:
-    """Put a lift folder at the head of the list. Raises OSError or JobError when the list cannot be written."""
+    """Put a lift folder at the head of the list. Raises OSError or PlgsError when the list cannot be written."""
     list_path = _list_path(cache)
     list_path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(list_path.with_suffix(".lock")):
@@ -69,12 +69,12 @@ def _list_path(cache: Path | None) -> Path:
 
 
 def _entries(list_path: Path, is_to_be_replaced: bool = False) -> list[tuple[str, float]]:
-    """Path and time of each entry; none when the list is missing, broken or of another version. Raises JobError when
-    the disk does not give a list that ``is_to_be_replaced``: it would be lost.
+    """Path and time of each entry; none when the list is missing, broken or of another version. Raises PlgsError when
+    the disk cannot read a list that ``is_to_be_replaced``, which would lose it.
     """
     try:
         content = read_object(list_path, "Delete it.")
-    except JobError as error:
+    except PlgsError as error:
         if is_to_be_replaced and isinstance(error.__cause__, OSError) and list_path.exists():
             raise
         return []

@@ -1,13 +1,13 @@
-"""What a finished lift is worth, and where its files are, as text: for a terminal, with or without Blender."""
+"""The figures of a finished lift and the places of its files, as text for a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from ..gates import printable
+from ..json_file import Json, read_object
 from .folder import LiftFolder
-from .json_file import Json, read_object
 from .manifest import MAKE_ANEW
 
 _SHARES = (("miou", "mIoU %"), ("pq", "PQ %"), ("sq", "SQ %"), ("rq", "RQ %"))
@@ -27,39 +27,32 @@ _LARGEST = 1e15
 _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.json", "previews", "passes")
 
 
-def metrics_table(lift: LiftFolder) -> str:
-    """metrics.json, a line for each method and mode: shares in per cent, how often an object changes its id, PSNR in
-    dB, the median error of depth in cm, "fitted": after a fit of the colours. Raises JobError.
+def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str:
+    """The tables of a metrics.json, a line for each method and mode, and with ``per_class`` also class by class.
+
+    Shares are in per cent, "id changes" says how often an object changes its id, PSNR is in dB, the median error of
+    depth in cm; "fitted" figures come after a fit of the colours.
     """
-    return tables_text(_tables(lift))
-
-
-def tables_text(tables: Iterable[Mapping[str, Json]]) -> str:
-    """The tables of a metrics.json, a line each."""
+    tables = [table for table in _list(metrics.get("tables")) if isinstance(table, dict)]
     rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _OTHERS)]]
     for table in tables:
         shares = [_number(table.get(key), 100.0, 1) for key, _ in _SHARES]
         rendered = [_number(table.get(key), factor, digits) for key, _, factor, digits in _OTHERS]
         rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *rendered])
-    return _aligned(rows, left=2) if len(rows) > 1 else "No metrics: they need held-out frames that have ground truth."
+    if not tables:
+        return "No metrics: they need held-out frames that have ground truth."
+    return "\n\n".join([_aligned(rows, left=2), *(_classes_text(tables) if per_class else ())])
 
 
-def class_tables(lift: LiftFolder) -> str:
-    """metrics.json class by class, a table for each method and mode that has one. Raises JobError."""
-    return classes_text(_tables(lift))
-
-
-def classes_text(tables: Iterable[Mapping[str, Json]]) -> str:
-    """The tables of a metrics.json class by class."""
-    texts = []
+def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:
+    """A table for each method and mode that has classes."""
     for table in tables:
         entries = [entry for entry in _list(table.get("per_class")) if isinstance(entry, dict)]
         if entries:
             heading = f"{table.get('name')}, {table.get('mode')}"
             rows = [[heading, *(title for _, title in _CLASS_SHARES), *(key.upper() for key in _COUNTS)]]
             rows += [_class_row(entry) for entry in entries]
-            texts.append(_aligned(rows, left=1))
-    return "\n\n".join(texts)
+            yield _aligned(rows, left=1)
 
 
 def made_files(lift: LiftFolder) -> list[Path]:
@@ -68,12 +61,8 @@ def made_files(lift: LiftFolder) -> list[Path]:
 
 
 def read_metrics(lift: LiftFolder) -> dict[str, Json]:
-    """What metrics.json holds. Raises JobError."""
+    """The content of metrics.json. Raises PlgsError."""
     return read_object(lift.result_path / "metrics.json", MAKE_ANEW)
-
-
-def _tables(lift: LiftFolder) -> Iterable[Mapping[str, Json]]:
-    return (table for table in _list(read_metrics(lift).get("tables")) if isinstance(table, dict))
 
 
 def _class_row(entry: Mapping[str, Json]) -> list[str]:
@@ -86,7 +75,7 @@ def _list(value: Json) -> list[Json]:
 
 
 def _number(value: Json, factor: float, digits: int) -> str:
-    """A dash for what is no number, or one that nobody measured: JSON's integers have no end."""
+    """The number as text; a dash when it is none, or absurdly large, as JSON's integers may be."""
     if not isinstance(value, int | float) or not abs(value) <= _LARGEST:
         return "-"
     return f"{value * factor:.{digits}f}"

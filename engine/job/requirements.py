@@ -1,4 +1,4 @@
-"""What the engine needs, as ``requirements/`` pins it: read by the set-up in Blender and by the engine's handshake."""
+"""The packages that the engine needs, as ``requirements/`` pins them. The set-up and the handshake read them."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import re
 import sys
 from pathlib import Path
 
-from .errors import JobError
+from ..errors import PlgsError
 
 _FILES = ("torch.txt", "engine.txt")
 _SAMPLE_ONLY = {"open3d", "open3d-cpu"}
-"""Half a gigabyte with all that it brings, and no lift needs it: it drew the bundled sample."""
+"""Packages that drew the bundled sample. No lift needs them, and they take half a gigabyte."""
 _MODULES = {"opencv-contrib-python-headless": "cv2"}
 _MARKER = re.compile(r'(sys_platform|python_version) (==|!=|<|>=) "([^"]+)"')
 
 Version = tuple[int, int]
-"""A Python's, such as (3, 11)."""
+"""A Python's version, such as (3, 11)."""
 
 
 def module_of(package: str) -> str:
@@ -31,17 +31,17 @@ def pinned_versions(root: Path) -> tuple[Version, ...]:
 
 
 def constraints_path(root: Path, version: Version) -> Path:
-    """The file that pins what the requirements bring with them; it may be missing."""
+    """The file that pins the packages which the requirements bring with them. It may be missing."""
     return root / "requirements" / f"constraints-{version[0]}.{version[1]}.txt"
 
 
 def hashes_path(root: Path, version: Version) -> Path:
-    """The file that names the engine's packages, but for torch, with the SHA-256 of their files; it may be missing."""
+    """The file that lists the SHA-256 of all packages of the engine except torch. It may be missing."""
     return root / "requirements" / f"hashes-{version[0]}.{version[1]}.txt"
 
 
 def needed_packages(root: Path, version: Version, platform: str = sys.platform) -> dict[str, str | None]:
-    """Package and pinned version, torch first; None where nothing pins it for this Python. Raises JobError."""
+    """Packages with their pinned versions, torch first; None for one that is not pinned here. Raises PlgsError."""
     needed: dict[str, str | None] = {}
     for name in _FILES:
         needed |= _pins(root / "requirements" / name, version, platform)
@@ -51,7 +51,7 @@ def needed_packages(root: Path, version: Version, platform: str = sys.platform) 
 
 
 def digest(root: Path, version: Version) -> str:
-    """Names what `needed_packages` and the constraints say: another text, another environment. Raises JobError."""
+    """A name that changes with the requirements' text, and so names an environment. Raises PlgsError."""
     paths = [root / "requirements" / name for name in _FILES] + [constraints_path(root, version)]
     return hashlib.sha256("\n".join(_text(path) for path in paths).encode()).hexdigest()[:12]
 
@@ -67,10 +67,10 @@ def _pins(path: Path, version: Version, platform: str) -> dict[str, str]:
 
 
 def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
-    """Those markers that our files have; pip knows more, but is not there to be asked."""
+    """Whether a condition of our files holds. pip knows more kinds, but may not be installed."""
     match = _MARKER.fullmatch(marker)
     if match is None:
-        raise JobError(f"has a condition that is not understood ({marker})", path, "Write it as the other lines do.")
+        raise PlgsError(f"has a condition that is not understood ({marker})", path, "Write it as the other lines do.")
     subject, operator, text = match.groups()
     if subject == "sys_platform":
         return (platform == text) is (operator == "==")
@@ -82,4 +82,4 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise JobError(f"cannot be read ({error.strerror})", path, "Install PLGS again: it belongs to it.") from error
+        raise PlgsError(f"cannot be read ({error.strerror})", path, "Install PLGS again: it belongs to it.") from error

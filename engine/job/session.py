@@ -1,25 +1,24 @@
-"""A whole lift from a command line: folder, engine, live line, and what to tell at the end."""
+"""A whole lift from a command line: folder, engine, live line, and the message at the end."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..gates import printable
-from .errors import JobError
-from .exit_code import ExitCode
+from ..errors import ErrorCode, ExitCode, PlgsError
 from .folder import LiftFolder, LiftState
-from .follower import LiftFollower
+from .follower import TaskFollower
 from .options import request_from, resumable
 from .process import engine_command, engine_python
 from .request import LiftRequest
+from .task import LIFT, TaskState
 from .terminal import Interrupts, LiveLine, follow
 
 _ENDING_S = 2.0
-"""What an engine whose parent was killed may need to end."""
+"""Seconds that an engine whose parent was killed may need to end."""
 
 
 def lift_in_terminal(
@@ -27,9 +26,10 @@ def lift_in_terminal(
 ) -> tuple[LiftFolder, ExitCode]:
     """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask, showing it on stderr.
 
-    ``check`` looks at the scene before any folder is made, and raises when it is bad. A folder that was made here
-    and came to nothing is removed, so that the corrected command just works. Raises JobError; Interrupted on
-    Ctrl-C, when the engine has ended.
+    ``check`` looks at the scene before any folder is made, and raises when it is bad. A folder that was made
+    here and came to nothing is removed, so that the corrected command works. Where the options have a
+    ``program``, that one does the lift (see `engine_call`). Raises PlgsError; Interrupted on Ctrl-C, when the engine
+    has ended.
     """
     python = engine_python()
     lift = resumable(options)
@@ -42,7 +42,9 @@ def lift_in_terminal(
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
         return lift, ExitCode.FINISHED
     try:
-        code = _run(lift, interrupts, python, resume=not is_new)
+        program = getattr(options, "program", "engine")
+        command = engine_command(python, lift.path, resume=not is_new, program=program)
+        code = _run(lift, interrupts, command)
     finally:
         if is_new and _came_to_nothing(lift):
             lift.discard()
@@ -50,28 +52,28 @@ def lift_in_terminal(
 
 
 def _state_when_left_alone(lift: LiftFolder) -> LiftState:
-    """The state of a lift that nobody works on. Raises JobError when an engine still does after two seconds.
+    """The state of a lift that nobody works on. Raises PlgsError when an engine still does after two seconds.
 
-    Before one is started in vain: Ctrl-C would make a cancel file, and that would stop the other one.
+    This comes before an engine is started in vain: on Ctrl-C its cancel file would stop the other engine.
     """
     give_up = time.monotonic() + _ENDING_S
     while (state := lift.state()) is LiftState.RUNNING:
         if time.monotonic() > give_up:
             fix = "Wait until it is done, or stop it by making a file named 'cancel' there."
-            raise JobError("another engine is at work here", lift.path, fix)
+            raise PlgsError("another engine is at work here", lift.path, fix, code=ErrorCode.BUSY)
         time.sleep(0.05)
     return state
 
 
-def _run(lift: LiftFolder, interrupts: Interrupts, python: Path, *, resume: bool) -> ExitCode:
+def _run(lift: LiftFolder, interrupts: Interrupts, command: Sequence[str | Path]) -> ExitCode:
     with interrupts.deferred():
-        follower = LiftFollower.start(lift, resume=resume, command=engine_command(python, lift.path, resume=resume))
-        outcome = follow(follower, interrupts, LiveLine(sys.stderr))
-    if outcome.error is not None:
-        print(printable(f"error: {outcome.error}"), file=sys.stderr)
-    elif outcome.code is ExitCode.CANCELLED:
+        follower = TaskFollower.start(command, lift.place, kind=LIFT, lift=lift)
+        follow(follower, interrupts, LiveLine(sys.stderr))
+    if follower.error is not None:
+        print(f"error: {follower.error}", file=sys.stderr)
+    elif follower.state is TaskState.CANCELLED:
         print(f"Cancelled. Give the same command with --resume to go on: {lift.path}", file=sys.stderr)
-    return outcome.code
+    return follower.exit_code
 
 
 def _came_to_nothing(lift: LiftFolder) -> bool:

@@ -1,4 +1,4 @@
-"""How a lift is stopped: by the cancel file, by a signal, or by the end of the process that started it."""
+"""How a task is stopped: by its cancel file, by a signal, or by the end of the process that started it."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from .errors import Cancelled
+from ..errors import Cancelled, ExitCode
 from .events import EventWriter
-from .exit_code import ExitCode
 
 POLL_S = 0.1
+"""Seconds between two looks at the cancel file."""
 GRACE_S = 0.5
-"""From the request to the hard end. With the poll, and the process's own end, that is within a second."""
+"""Seconds from the request to the hard end. With the poll and the process's own end, all is over within a second."""
 
 
 class StopSignal:
-    """Asked by the engine's loops at every step: ``stop.check()``."""
+    """The engine's loops ask it at every step: ``stop.check()``."""
 
     def __init__(self, *cancel_paths: Path) -> None:
         """Any of the files ``cancel_paths`` stops it."""
@@ -27,14 +27,14 @@ class StopSignal:
         self.exit_code = ExitCode.CANCELLED
 
     def check(self) -> None:
-        """Raise Cancelled when the lift shall stop. Costs some microseconds."""
+        """Raise Cancelled when the task shall stop. Costs some microseconds."""
         reason = self.reason
         if reason is not None:
             raise Cancelled(reason)
 
     @property
     def reason(self) -> str | None:
-        """Why the lift shall stop; None when it shall go on."""
+        """Why the task shall stop; None when it shall continue."""
         if self._reason is None:
             for path in self._cancel_paths:
                 if _is_there(path):
@@ -50,18 +50,18 @@ class StopSignal:
 def _is_there(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # a disk that does not answer now (EIO, ESTALE): the next look tells
+    except OSError:  # a disk that does not answer now (EIO, ESTALE): the next look will show
         return False
 
 
 class Watchdog:
-    """Ends the engine when its main thread does not stop in time. For ``with``, around the whole lift.
+    """Ends the engine when its main thread does not stop in time. For ``with``, around the whole work.
 
-    Threads are allowed here: this is the engine's own process, not Blender's Python, and these two never touch
-    the lift's data. One polls the cancel file; the other waits for the end of the pipe ``parent_pipe`` (a
-    descriptor, its write end held by the parent and by nobody else): it comes when the parent ends, in whatever
-    way, on every system. The hard end is safe because all in a lift folder is put in place by rename. It has to
-    wait while the main thread is inside native code that holds Python's lock; a parent then kills (`follower`).
+    Threads are allowed here: this is the engine's own process, not Blender's Python, and these two never touch the
+    task's data. One polls the cancel file. The other waits for the end of the pipe ``parent_pipe``, a descriptor whose
+    write end only the parent holds: on every system the pipe ends when the parent does. The hard end is safe because
+    all files are put in place by rename. It cannot come while the main thread is inside native code that holds
+    Python's lock; then the parent kills (`follower`).
     """
 
     def __init__(
@@ -103,18 +103,6 @@ class Watchdog:
             with suppress(OSError):  # a full disk does not keep the engine alive
                 self._events.done("cancelled")
             self._end_process(self._stop.exit_code)
-
-
-def end_with_parent(parent_pipe: int, end_process: Callable[[int], object] = os._exit) -> None:
-    """End this process when the pipe ends, as ``Watchdog`` does, but at once: for work that may end at any time, as
-    all its files are put in place by rename, or made anew.
-    """
-
-    def end() -> None:
-        _await_end(parent_pipe)
-        end_process(ExitCode.CANCELLED)
-
-    threading.Thread(target=end, name="plgs-parent", daemon=True).start()
 
 
 def _await_end(pipe: int) -> None:

@@ -1,17 +1,22 @@
-"""A lift in a terminal: one live line, and Ctrl-C that ends both processes within a second."""
+"""A task in a terminal: one live line, and Ctrl-C that ends both processes within a second."""
 
 from __future__ import annotations
 
 import shutil
 import signal
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
 from ..gates import printable
-from .follower import LiftFollower, LiftStatus, Outcome
+from ..json_file import to_line
+from .events import Event, EventWriter
+from .follower import TaskFollower
+from .task import TaskProgress
 
 _POLL_S = 0.05
 _PLAIN_LINE_S = 5.0
@@ -69,31 +74,60 @@ class Interrupts:
             raise Interrupted(self.pending)
 
 
-def follow(follower: LiftFollower, interrupts: Interrupts, line: LiveLine) -> Outcome:
-    """Show the lift until it ends. Call it inside `interrupts.deferred()`, as the start of the engine, too.
+def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine) -> None:
+    """Show the task until it ends. Call it inside `interrupts.deferred()`, as the start of the engine, too.
 
-    A signal cancels the lift; one that is deaf is killed. The lift can then be resumed.
+    A signal cancels the task; an engine that does not stop is killed. A lift can then be resumed.
     """
-    asked = False
+    is_asked, warned = False, 0
     try:
-        while True:
-            events = follower.poll()
-            for event in events:
-                if event.kind == "warning":
-                    line.say(f"warning: {event.data.get('message')}")
-            line.show(follower.status)
-            if follower.outcome is not None:
-                return follower.outcome
-            if interrupts.pending is not None and not asked:
-                asked = True
+        while follower.is_running:
+            follower.poll()
+            for warning in follower.progress.warnings[warned:]:
+                line.say(f"warning: {warning}")
+            warned = len(follower.progress.warnings)
+            line.show(follower.progress)
+            if interrupts.pending is not None and not is_asked:
+                is_asked = True
                 line.say("Stopping ...")
                 follower.cancel()
-            time.sleep(_POLL_S)
+            if follower.is_running:
+                time.sleep(_POLL_S)
     finally:
         line.end()
-        if follower.outcome is None:  # a full disk, say: never leave an engine behind
+        if follower.is_running:  # a full disk, say: never leave an engine behind
             follower.kill()
         follower.close()
+
+
+class ShownEvents(EventWriter):
+    """Events of a command that nobody follows: progress is shown on ``stream``, the answer printed on standard output,
+    as one line of JSON or as text.
+    """
+
+    def __init__(self, stream: TextIO, *, as_json: bool) -> None:
+        self._folder, self._as_json = Path(), as_json
+        self._line, self._progress = LiveLine(stream), TaskProgress()
+
+    def answer(self, answer: Mapping[str, object], text: str = "") -> None:
+        self._line.end()
+        sys.stdout.flush()
+        said = (text + "\n").encode(errors="backslashreplace") if text and not self._as_json else to_line(answer)
+        sys.stdout.buffer.write(said)  # UTF-8 on every system, as a path may need
+        sys.stdout.flush()
+
+    def close(self) -> None:
+        self._line.end()
+
+    def _write(self, event: str, /, **data: Any) -> None:
+        if event == "warning":
+            self._line.say(f"warning: {data['message']}")
+        elif event in ("stage", "progress"):
+            self._progress.take(Event(0, 0.0, event, data), self._folder)
+            if event == "progress":
+                self._line.show(self._progress)
+        else:
+            self._line.end()
 
 
 class LiveLine:
@@ -107,17 +141,17 @@ class LiveLine:
         self._stage = ""
         self._next = 0.0
 
-    def show(self, status: LiftStatus) -> None:
+    def show(self, progress: TaskProgress) -> None:
         """The newest state; costs next to nothing when nothing changed."""
-        text = printable(describe(status))
+        text = printable(describe(progress))
         if self._live:
             if text != self._shown:
                 self._overwrite(text)
             return
-        is_new_stage = status.stage != self._stage
+        is_new_stage = progress.stage != self._stage
         if is_new_stage:
             self._print_newest()  # how far the last stage came
-        self._newest, self._stage = text, status.stage
+        self._newest, self._stage = text, progress.stage
         if is_new_stage or time.monotonic() >= self._next:
             self._print_newest()
 
@@ -149,15 +183,16 @@ class LiveLine:
         self._shown = text
 
 
-def describe(status: LiftStatus) -> str:
+def describe(progress: TaskProgress) -> str:
     """Such as "[3/6] Training  1200/3000  loss 0.0123  2:31 left"."""
-    parts = [f"[{status.stage_index}/{status.stage_count}] {status.label}" if status.stage_count else status.label]
-    if status.steps:
-        parts.append(f"{status.step}/{status.steps}")
-    if status.loss is not None:
-        parts.append(f"loss {status.loss:.4f}")
-    if status.eta_s is not None:
-        minutes, seconds = divmod(round(max(0.0, status.eta_s)), 60)
+    place = f"[{progress.stage_index}/{progress.stage_count}] " if progress.stage_count > 1 else ""
+    parts = [place + progress.label]
+    if progress.steps:
+        parts.append(f"{progress.step}/{progress.steps}")
+    if progress.loss is not None:
+        parts.append(f"loss {progress.loss:.4f}")
+    if progress.eta_s is not None:
+        minutes, seconds = divmod(round(max(0.0, progress.eta_s)), 60)
         hours, minutes = divmod(minutes, 60)
         parts.append((f"{hours}:{minutes:02d}" if hours else f"{minutes}") + f":{seconds:02d} left")
     return "  ".join(parts)

@@ -1,4 +1,4 @@
-"""Rendering the frames: passes and previews of those asked for, figures of those held out."""
+"""Rendering the frames: passes and previews of those asked for, scores of those held out."""
 
 from __future__ import annotations
 
@@ -10,24 +10,16 @@ from pathlib import Path
 from statistics import median
 
 from ..job import EventWriter, LiftFolder, write_atomically
-from ..metrics.report import LIFTED, PredictedView, Report, add_rivals
+from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
 from ..model.render import render_bands
 from ..model.rendering import ClipRange
 from ..model.scene_labels import shown_labels
 from ..model.structured import StructuredScene
-from ..passes import (
-    BakedView,
-    PanopticLayers,
-    SheetRow,
-    ShownInstances,
-    bake_view,
-    chosen,
-    colour_picture,
-    preview_paths,
-    write_contact_sheet,
-    write_exr,
-    write_previews,
-)
+from ..passes.baked_view import BakedView, ShownInstances, bake_view
+from ..passes.contact_sheet import SheetRow, chosen, write_contact_sheet
+from ..passes.exr import write_exr
+from ..passes.layers import PanopticLayers
+from ..passes.previews import colour_picture, preview_paths, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene
 from ..train.progress import StageReporter
 from .scene_files import read_model, read_shown_instances
@@ -41,7 +33,7 @@ class FrameBaker:
         self.instances, self.colours = instances, instances.colours
 
     def render(self, camera: Camera, clip: ClipRange | None = None) -> BakedView:
-        """The model seen from a camera at the camera's own size: never anything of a frame's mask."""
+        """The model seen from a camera, at the camera's own size. Nothing of a frame's mask goes into it."""
         bands = render_bands(self.lifted, camera, self.labels, clip)
         return bake_view(bands, camera, self.classes, self.instances)
 
@@ -53,7 +45,8 @@ class FrameBaker:
         events: EventWriter,
         notes: Mapping[str, str] | None = None,
     ) -> None:
-        """passes/<name>.exr and the three previews (`baked_files`), and tell of them. ``notes`` go into its header."""
+        """Write passes/<name>.exr, with ``notes`` in its header, and the three previews (`baked_files`), and report
+        them."""
         passes, _, semantic, _ = baked_files(folder, name)
         write_exr(passes, view, notes)
         write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
@@ -62,7 +55,7 @@ class FrameBaker:
 
 
 def read_baker(folder: LiftFolder, classes: ClassTable) -> FrameBaker:
-    """Of a finished lift. Raises JobError when its files cannot be read, OSError."""
+    """The baker of a finished lift. Raises PlgsError when its files cannot be read, OSError."""
     lifted = read_model(folder)
     return FrameBaker(classes, lifted, read_shown_instances(folder, lifted))
 
@@ -90,10 +83,10 @@ def bake_and_evaluate(
 ) -> None:
     """Bake ``wanted``, score the held-out frames, and write contact sheet and metrics.json.
 
-    Ground truth goes into metrics.json alone. Raises Cancelled, SceneError, OSError.
+    Ground truth goes into metrics.json alone. Raises Cancelled, PlgsError, OSError.
     """
     baked_names = {frame.name for frame in wanted}
-    frames = wanted or scene.test_frames  # what is wanted has those held out among it, or is nothing
+    frames = wanted or scene.test_frames  # wanted frames include those held out, or are none
     shown = {scene.test_frames[index].name for index in chosen(len(scene.test_frames))}
     report, rows, seconds = Report(scene.classes), [], []
     with stages.stage("bake") as progress:
@@ -113,15 +106,15 @@ def bake_and_evaluate(
         if rows:
             write_contact_sheet(folder.previews_path / "contact_sheet.png", rows, scene.classes, baker.colours)
             events.preview(folder.previews_path / "contact_sheet.png")
-    with stages.stage("evaluate") as progress:
-        add_rivals(report, scene, progress)
+    with stages.stage("evaluate"):
+        add_input_masks(report, scene)
         write_atomically(folder.result_path / "metrics.json", json.dumps(report.to_json(), indent=1) + "\n")
         fps = 1 / median(seconds) if seconds and median(seconds) > 0 else None
         events.metric("run", {"fps": fps, "peak_bytes": peak_bytes()})
 
 
 def peak_bytes() -> int | None:
-    """The most memory that this process has held; None where the system does not tell (Windows)."""
+    """Bytes of memory that this process has held at most, None where the system does not say (Windows)."""
     try:
         import resource
     except ImportError:

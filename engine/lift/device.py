@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import torch
 
-from ..job import JobError
+from ..errors import PlgsError
 from ..raster.cuda import what_is_missing
 
 
 def refuse_missing_device(device: str) -> None:
-    """Raise JobError, before any work, where ``device`` is "cuda" and nothing can be drawn there."""
+    """Raise PlgsError, before any work, where ``device`` is "cuda" and nothing can be drawn there."""
     if device != "cuda":
         return
     where, on_cpu = "--device cuda", "or lift with --device cpu."
     if not torch.cuda.is_available():
         fix = f"Use a machine that has one with a build of torch for CUDA, {on_cpu}"
-        raise JobError("torch finds no CUDA device here", where, fix)
+        raise PlgsError("torch finds no CUDA device here", where, fix, option="--device")
     missing = what_is_missing()
     if missing is not None:
-        raise JobError(missing, where, f"Do that, {on_cpu}")
+        raise PlgsError(missing, where, f"Do that, {on_cpu}", option="--device")
 
 
 def be_repeatable(device: str) -> None:

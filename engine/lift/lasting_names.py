@@ -1,6 +1,7 @@
-"""Names that last: a lift of a scene that was lifted before keeps the ids and names of the objects still there.
+"""Names that last: a lift of a scene that was lifted before keeps the ids and names of the objects that are still
+there.
 
-What changed is written to result/names.json, with what the next lift must not use again.
+The changes are written to result/names.json, with the ids and numbers that the next lift must not use again.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances import GlobalInstance, LastingObjects, lasting_objects, object_overlap
-from ..job import EventWriter, JobError, LiftFolder, read_manifest, write_atomically
-from ..job.json_file import read_object
+from ..errors import PlgsError
+from ..instances.lasting_objects import LastingObjects, lasting_objects, object_overlap
+from ..instances.matching import GlobalInstance
+from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
+from ..json_file import read_object
 from ..model.structured import StructuredScene
-from ..scene import ClassTable, SceneError
-from ..scene.array_file import read_npz
+from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
+from ..scene import ClassTable
 from .preparation import PreparedLift
 
 log = logging.getLogger("plgs.names")
@@ -33,7 +36,7 @@ _FIX = "Name another finished lift with --names-from, or none."
 @dataclass(frozen=True, eq=False)
 class EarlierLift:
     """``names`` and ``class_names`` by instance id; points ``xyz`` float32 [N, 3] in metres with ``instance_id`` int32
-    [N] (0 = none); ``largest_id`` and ``last_numbers`` (by class name) of it and of those before."""
+    [N] (0 = none). ``largest_id`` and ``last_numbers`` (by class name) count the lifts before it, too."""
 
     folder: Path
     names: Mapping[int, str]
@@ -45,33 +48,29 @@ class EarlierLift:
 
 
 def read_earlier(folder: Path) -> EarlierLift:
-    """Raises JobError when it is no finished lift, or cannot be read."""
+    """The objects of a finished lift. Raises PlgsError when it is none, or cannot be read."""
     lift = LiftFolder.open(folder)
     result = lift.result_path
     read_manifest(result)
     try:
-        records: Any = read_object(result / "instances.json", _FIX)["instances"]
-        points = read_npz(result / "semantic_points.npz", _FIX, ("xyz", "instance_id"))
-        xyz, instance_id = points["xyz"], points["instance_id"]
-        if xyz.dtype != np.float32 or xyz.shape[1:] != (3,) or instance_id.shape != xyz.shape[:1]:
-            raise ValueError("the points have another shape")
-        names = {int(one["id"]): str(one["name"]) for one in records}
-        kinds = {int(one["id"]): str(one["class_name"]) for one in records}
+        _, listed = read_instances(result / INSTANCES)
+        points = read_arrays(result / SEMANTIC_POINTS, SemanticPoints)
         history: Any = read_object(result / NAMES, _FIX) if (result / NAMES).exists() else {}
         numbers = {str(kind): int(number) for kind, number in history.get("last_numbers", {}).items()}
-        largest = max([int(history.get("largest_id", 0)), *names])
-    except (SceneError, OSError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise JobError(f"the names of the earlier lift cannot be read ({error})", result, _FIX) from error
-    for one, name in names.items():
-        kind = kinds[one]
-        numbers[kind] = max(numbers.get(kind, 0), _number(name, kind))
-    return EarlierLift(lift.path, names, kinds, xyz, instance_id, largest, numbers)
+        largest = max([int(history.get("largest_id", 0)), *(one.id for one in listed)])
+    except (PlgsError, OSError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        what = f"the names of the earlier lift cannot be read ({error})"
+        raise PlgsError(what, result, _FIX, option="--names-from") from error
+    for one in listed:
+        numbers[one.class_name] = max(numbers.get(one.class_name, 0), _number(one.name, one.class_name))
+    names, class_names = {one.id: one.name for one in listed}, {one.id: one.class_name for one in listed}
+    return EarlierLift(lift.path, names, class_names, points.xyz, points.instance_id, largest, numbers)
 
 
 @dataclass(frozen=True)
 class LastingNames:
     """``id_of`` maps the ids of the matching to those that the result shows; ``names`` are by the latter. ``changes``
-    is what names.json tells."""
+    is the content of names.json."""
 
     id_of: dict[int, int]
     names: dict[int, str]
@@ -85,8 +84,8 @@ def lasting_names(
     instance_of_point: NDArray[np.int32],
     classes: ClassTable,
 ) -> LastingNames:
-    """Objects that are still there keep their ids, and their names where their class is the same. New ones are numbered
-    after all that ever were."""
+    """Objects that are still there keep their ids, and their names where their class is the same. New ones get numbers
+    after all that were ever used."""
     overlap = object_overlap(earlier.xyz, earlier.instance_id, xyz, instance_of_point)
     found = lasting_objects(overlap)
     id_of, names, numbers, next_id = {}, {}, dict(earlier.last_numbers), earlier.largest_id
@@ -108,7 +107,7 @@ def lasting_names(
 def _changes(
     earlier: EarlierLift, found: LastingObjects, id_of: Mapping[int, int], names: Mapping[int, str]
 ) -> dict[str, Any]:
-    def told(shown: int) -> dict[str, Any]:
+    def entry(shown: int) -> dict[str, Any]:
         return {"id": shown, "name": names[shown]}
 
     kept = {id_of[new]: old for new, old in found.old_of.items() if new in id_of}
@@ -119,9 +118,9 @@ def _changes(
     return {
         "format": FORMAT,
         "from": str(earlier.folder),
-        "kept": [told(shown) for shown in sorted(same)],
-        "renamed": [told(shown) | {"was": earlier.names[shown]} for shown in sorted(set(kept) - set(same))],
-        "new": [told(i) | ({"part_of": parts[i]} if i in parts else {}) for i in sorted(set(names) - set(kept))],
+        "kept": [entry(shown) for shown in sorted(same)],
+        "renamed": [entry(shown) | {"was": earlier.names[shown]} for shown in sorted(set(kept) - set(same))],
+        "new": [entry(i) | ({"part_of": parts[i]} if i in parts else {}) for i in sorted(set(names) - set(kept))],
         "gone": [
             {"id": old, "name": earlier.names[old]} | ({"merged_into": into[old]} if old in into else {})
             for old in gone
@@ -132,8 +131,8 @@ def _changes(
 def keep_names(
     earlier: EarlierLift, prepared: PreparedLift, lifted: StructuredScene, classes: ClassTable
 ) -> tuple[PreparedLift, LastingNames]:
-    """The lift with the ids that last, in ``lifted`` too, and how its objects are called. Training does not know ids
-    but by their places, so its result is the same bit for bit."""
+    """The lift with the ids that last, in ``lifted`` too, and the names of its objects. Training knows ids only by
+    their places, so its result is the same bit for bit."""
     points = prepared.instance_of_point
     lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz, points, classes)
     id_of = lasting.id_of
@@ -167,6 +166,6 @@ def write_names(folder: LiftFolder, lasting: LastingNames, events: EventWriter) 
 
 
 def _number(name: str, kind: str) -> int:
-    """Of "chair 3" 3; 0 for a name of another form."""
+    """3 for "chair 3"; 0 for a name of another form."""
     number = name.removeprefix(f"{kind} ")
     return int(number) if number != name and number.isdecimal() else 0

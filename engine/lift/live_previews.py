@@ -1,7 +1,7 @@
 """Pictures of the model while it is trained, from a camera that the watcher chooses.
 
-They cost a bounded share of the time and change nothing else: the model is drawn as it is, nothing random is drawn, and
-no sum that the training keeps is touched.
+They cost a bounded share of the time and do not change the training: no random number is drawn, and no sum of the
+training is touched.
 """
 
 from __future__ import annotations
@@ -13,27 +13,30 @@ from pathlib import Path
 
 import numpy as np
 
-from ..job import EventWriter, JobError, LiftFolder, write_atomically
-from ..job.preview_request import PreviewCamera, PreviewRequest, read_preview_request
+from ..errors import PlgsError
+from ..job import EventWriter, LiftFolder, write_atomically
+from ..job.cameras import PreviewCamera, PreviewRequest, read_preview_request
 from ..model.render import render_view
 from ..model.structured import StructuredScene
-from ..passes import ShownInstances, decide, panoptic_picture, png_bytes
+from ..passes.baked_view import ShownInstances
+from ..passes.layers import decide
+from ..passes.previews import panoptic_picture, png_bytes
 from ..scene import Camera, Frame, Scene, size_within
 
 log = logging.getLogger("plgs.lift")
 
 EVERY_S = 2.0
-"""Seconds from one preview to the next, when they cost little."""
+"""Seconds from one preview to the next at least."""
 LARGEST_SHARE = 0.05
-"""Of the time, for previews: after each one there is none for so long that it took no more than this."""
+"""Share of the time that previews take at most. The pause after each one is long enough for that."""
 SIZE_WITHIN = (480, 480)
-"""Pixels: a watcher's larger picture is drawn smaller."""
+"""Largest width and height of a preview in pixels."""
 
 
 class LivePreviews:
-    """Writes result/previews/live.png now and then (``folder.live_preview_path``), by rename, and tells of it.
+    """Writes result/previews/live.png (``folder.live_preview_path``) every few seconds, by rename, and reports it.
 
-    What is wrong with preview.json is told once, as a warning; a held-out frame is shown instead.
+    The first problem with preview.json becomes a warning. A held-out frame is shown instead.
     """
 
     def __init__(
@@ -46,12 +49,12 @@ class LivePreviews:
     ) -> None:
         self.folder, self.scene, self.instances, self.events = folder, scene, instances, events
         self._clock, self._due = clock, clock() + EVERY_S
-        self._asked: tuple[int, int, int] | None = None  # what preview.json looked like when it was last read
+        self._last_read: tuple[int, int, int] | None = None  # the stamp of preview.json when it was last read
         self._camera, self._fingerprint = frame_to_show(scene).camera, ""
         self._has_warned = False
 
     def __call__(self, lifted: StructuredScene) -> None:
-        """Draw the model if it is time to. Raises OSError when the disk is full."""
+        """Draw the model if a preview is due. Raises OSError when the disk is full."""
         began = self._clock()
         if began < self._due:
             return
@@ -60,7 +63,8 @@ class LivePreviews:
         self._due = ended + max(EVERY_S, (ended - began) * (1 - LARGEST_SHARE) / LARGEST_SHARE)
 
     def clear_away(self) -> None:
-        """The picture is no part of the result. Raises PermissionError when somebody reads it for longer than 2 s."""
+        """Delete the picture, which is no part of the result. Raises PermissionError when it is read for more than 2
+        s."""
         for pause_s in (0.1, 0.4, 1.5):
             try:
                 return self.folder.live_preview_path.unlink(missing_ok=True)
@@ -74,29 +78,29 @@ class LivePreviews:
         picture = panoptic_picture(layers, self.scene.classes, self.instances.colours)
         try:
             write_atomically(self.folder.live_preview_path, png_bytes(picture))
-        except PermissionError as error:  # Windows, while somebody reads the last one: the next one will do
+        except PermissionError as error:  # Windows, while somebody reads the last one
             log.info("a live preview is left out: %s", error)
         else:
             self.events.preview(self.folder.live_preview_path, self._fingerprint)
 
     def _wanted_camera(self) -> Camera:
         path = self.folder.preview_request_path
-        look = _look_of(path)
-        if look != self._asked:
-            self._asked = look
+        stamp = _stamp_of(path)
+        if stamp != self._last_read:
+            self._last_read = stamp
             self._camera, self._fingerprint = self._read_camera(path)
         width, height = size_within((self._camera.width, self._camera.height), SIZE_WITHIN)
         return self._camera.resized(width, height)
 
     def _read_camera(self, path: Path) -> tuple[Camera, str]:
-        """The camera to draw, and the fingerprint of the request where it is one for a camera."""
+        """The camera to draw, and the fingerprint of a request for a camera ("" for a frame)."""
         default = frame_to_show(self.scene).camera, ""
         try:
             wanted = read_preview_request(path)
             if wanted is None:
                 return default
             return self._camera_of(wanted, path), wanted.fingerprint if isinstance(wanted, PreviewCamera) else ""
-        except JobError as error:
+        except PlgsError as error:
             log.warning("%s", error)
             if not self._has_warned:
                 self._has_warned = True
@@ -110,17 +114,17 @@ class LivePreviews:
         for frame in self.scene.frames:
             if frame.name == wanted:
                 return frame.camera
-        raise JobError(f"the scene has no frame {wanted!r}", path, "Choose another camera for the preview.")
+        raise PlgsError(f"the scene has no frame {wanted!r}", path, "Choose another camera for the preview.")
 
 
 def frame_to_show(scene: Scene) -> Frame:
-    """The middle one of those held out, so that what is seen is not what was trained on; else of all."""
+    """The middle frame of those held out, which are not trained on, or of all where none is."""
     frames = scene.test_frames or scene.frames
     return frames[len(frames) // 2]
 
 
-def _look_of(path: Path) -> tuple[int, int, int] | None:
-    """What tells a replaced file from the one before; None where there is none."""
+def _stamp_of(path: Path) -> tuple[int, int, int] | None:
+    """What differs when a file is replaced; None where there is no file."""
     try:
         found = path.stat()
     except OSError:

@@ -1,8 +1,8 @@
 """Which masks are one object, and which points and pixels belong to it.
 
-The paper's way is Algorithm 1 on oriented boxes. Ours, from top to bottom: the views agree on objects, whatever they
-call them; they vote on each object's class; segments and points vote on what every pixel shows; the pieces of an object
-in space are looked at once more.
+The paper's way is Algorithm 1 on oriented boxes. In ours, the views agree on objects, whatever they call them. Then
+they vote on each object's class, and segments and points vote on what every pixel shows. Last, the views decide again
+about the connected pieces of each object.
 """
 
 from __future__ import annotations
@@ -14,43 +14,45 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances import (
-    GlobalInstance,
-    MemberMask,
-    ObjectMasks,
-    PanopticLabels,
-    PieceRules,
-    SegmentOptions,
-    ViewPoints,
-    find_objects,
-    limit_instances,
-    match_views,
-    member_labels,
-    object_classes,
-    object_instances,
-    regroup_pieces,
-    shown_classes,
-    view_labels,
-    vote_classes,
-    vote_instances,
-    vote_panoptic_labels,
-    with_masks_of,
-)
+from ..instances.agreement import ViewPoints, shown_classes
+from ..instances.consensus import ConsensusOptions, MemberMask, ObjectMasks, find_objects, with_masks_of
+from ..instances.masks import vote_instances
+from ..instances.matching import GlobalInstance, limit_instances, match_views
+from ..instances.objects import object_classes, object_instances, vote_classes
+from ..instances.panoptic_labels import PanopticLabels
+from ..instances.pieces import PieceRules, regroup_pieces
+from ..instances.segment_votes import view_labels, vote_panoptic_labels
+from ..instances.segments import SegmentOptions
+from ..presets.preset import Preset
 from ..scene import VOID, ClassTable, OnDemand, View, chained, stored
-from ..semantics import SemanticPointCloud
-from ..train.presets import Preset
+from ..semantics.point_cloud import SemanticPointCloud
 from ..train.progress import StageProgress
 from .voters import Voters
 
+CONSENSUS = ConsensusOptions()
 LARGEST_GAP = 0.15
-"""Metres between neighbouring points of one object: about what a far view leaves between two pixels."""
+"""Metres between neighbouring points of one object: about the distance of two pixels of a far view."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewsToMatch:
+    """What instances are matched from: the ``views``, their semantic ``cloud`` and the ``classes``. ``others`` are
+    views that vote, but are not asked which masks are one object; the paper's way has no use for them. ``scratch`` is
+    the folder for temporary files."""
+
+    views: Sequence[View]
+    cloud: SemanticPointCloud
+    classes: ClassTable
+    others: Sequence[View] = ()
+    scratch: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Matching:
     """The ``cloud`` with its final classes, the ``instances`` with ids 1.., the instance of each point int32 [N] (0 =
-    none), how many more instances were ``dropped``, ``label_maps`` as ``PreparedLift`` has them, and where the views
-    were looked up, the point of the cloud that each of their pixels shows, int32 [H, W] (-1 = none)."""
+    none), and how many more instances were ``dropped``. ``label_maps`` are those of ``PreparedLift``.
+    ``point_of_pixel``: the point of the cloud that each pixel of the views shows, int32 [H, W] (-1 = none), where it
+    was looked up."""
 
     cloud: SemanticPointCloud
     instances: list[GlobalInstance]
@@ -60,24 +62,11 @@ class Matching:
     point_of_pixel: Sequence[NDArray[np.int32]] | None = None
 
 
-def instances_by_boxes(
-    views: Sequence[View],
-    cloud: SemanticPointCloud,
-    classes: ClassTable,
-    preset: Preset,
-    progress: StageProgress,
-    scratch: Path | None = None,
-    others: Sequence[View] = (),
-) -> Matching:
-    """The paper's way: Algorithm 1 on the thing segments of all views. Nothing is stored in ``scratch``, and
-    no others vote."""
-    found = match_views(
-        views,
-        classes.thing_ids,
-        SegmentOptions(voxel_size=preset.voxel_size),
-        preset.matching,
-        progress,
-    )
+def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
+    """The paper's way: Algorithm 1 on the thing segments of all views."""
+    views, cloud, classes = given.views, given.cloud, given.classes
+    segments = SegmentOptions(voxel_size=preset.voxel_size)
+    found = match_views(views, classes.thing_ids, segments, preset.matching, progress)
     owner_of_segment = {(item.frame, item.segment_id): one.id for one in found for item in one.evidence}
     index, reach = cloud.index(), 2 * preset.voxel_size
     owner = vote_instances(
@@ -88,30 +77,22 @@ def instances_by_boxes(
     return Matching(cloud, instances, instance_of_point, dropped)
 
 
-def objects_by_agreement(
-    views: Sequence[View],
-    cloud: SemanticPointCloud,
-    classes: ClassTable,
-    preset: Preset,
-    progress: StageProgress,
-    scratch: Path | None = None,
-    others: Sequence[View] = (),
-) -> Matching:
-    """Ours: objects that the views agree on, whatever they call them; the views vote on each object's class; then
-    segments and points vote on what every pixel shows. ``scratch``: where temporary files go; ``others``: views that
-    vote, without being asked which masks are one object."""
+def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
+    """Ours: objects that the views agree on, the class that they vote for each, and the labels that segments and points
+    vote for every pixel."""
+    views, cloud, scratch = given.views, given.cloud, given.scratch
     rows = point_of_pixels(views, cloud, scratch)
-    voters = Voters(others, point_of_pixels(others, cloud, scratch))
+    voters = Voters(given.others, point_of_pixels(given.others, cloud, scratch))
     number_of = {view.name: number for number, view in enumerate(views)}
-    objects, seen = find_objects(views, lambda view: rows[number_of[view.name]], len(cloud), preset.consensus, progress)
-    objects = with_masks_of(objects, voters.views, voters.seen, preset.consensus.rules)
+    objects, seen = find_objects(views, lambda view: rows[number_of[view.name]], len(cloud), CONSENSUS, progress)
+    objects = with_masks_of(objects, voters.views, voters.seen, CONSENSUS.rules)
     all_views, all_rows = chained(views, voters.views), chained(rows, voters.point_of_pixel)
-    things = thing_objects(objects, all_views, chained(seen, voters.seen), cloud, classes)
+    things = thing_objects(objects, all_views, chained(seen, voters.seen), cloud, given.classes)
     labels = PanopticLabels(cloud.class_ids, tuple(class_id for _, class_id in things))
     member_of = {
         (mask.frame, mask.segment.id): number for number, (masks, _) in enumerate(things, start=1) for mask in masks
     }
-    voted = vote_panoptic_labels(all_views, all_rows, len(cloud), labels, member_of, preset.segment_voting)
+    voted = vote_panoptic_labels(all_views, all_rows, len(cloud), labels, member_of, preset.segment_voting.rounds)
     object_of_point = labels.objects(voted.label)
     owner, members = pieces_in_space(things, object_of_point, views, seen, cloud)
     fragment = (object_of_point > 0) & (owner == 0)
@@ -121,37 +102,26 @@ def objects_by_agreement(
     instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
     final = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in instances))
     of_point = final.of_points(cloud.class_id, instance_of_point)
-    maps = view_labels(views, rows, of_point, len(final), preset.segment_voting.agreement)
-    if preset.vote_from == "masks":
-        object_of = {(item.frame, item.segment_id): one.id for one in instances for item in one.evidence}
-        maps = OnDemand(len(views), lambda number: member_labels(views[number], final, object_of))
+    maps = view_labels(views, rows, of_point, len(final))
     return Matching(cloud, instances, instance_of_point, dropped, stored(maps, scratch), rows)
 
 
 def point_of_pixels(
     views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None
 ) -> OnDemand[NDArray[np.int32]]:
-    """The point of the cloud that each pixel of the views shows, int32 [H, W] a view, -1 = none; in temporary files in
-    ``scratch``."""
+    """The point of the cloud that each pixel of the views shows, int32 [H, W] a view, -1 = none. They are stored in
+    temporary files in ``scratch``."""
     index, reach = cloud.index(), 2 * cloud.spacing
     return stored((index.nearest_of_pixels(view.camera, view.depth, reach) for view in views), scratch)
 
 
-def no_objects(
-    views: Sequence[View],
-    cloud: SemanticPointCloud,
-    classes: ClassTable,
-    preset: Preset,
-    progress: StageProgress,
-    scratch: Path | None = None,
-    others: Sequence[View] = (),
-) -> Matching:
-    """Nothing is matched: what an instance is, the linear assignment decides while training."""
-    return Matching(cloud, [], np.zeros(len(cloud), np.int32), 0)
+def no_objects(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
+    """Nothing is matched. The linear assignment decides during training what an instance is."""
+    return Matching(given.cloud, [], np.zeros(len(given.cloud), np.int32), 0)
 
 
 MATCHINGS = {"boxes": instances_by_boxes, "agreement": objects_by_agreement, "none": no_objects}
-
+"""The matchings by the preset's ``objects``."""
 
 MasksOfClass = tuple[Sequence[MemberMask], int]
 """The masks of an object, and its class."""
@@ -167,7 +137,7 @@ def thing_objects(
     """The objects that the views vote to be things."""
     shown = ((one.row, shown_classes(view, one), one.pixels) for view, one in zip(views, seen, strict=True))
     votes = vote_classes(shown, objects.object_of_point, len(objects.masks), cloud.class_ids)
-    class_of_object, _ = object_classes(votes, cloud.class_ids)
+    class_of_object = object_classes(votes, cloud.class_ids)
     return [
         (masks, int(class_id))
         for masks, class_id in zip(objects.masks, class_of_object[1:], strict=True)
@@ -182,8 +152,8 @@ def pieces_in_space(
     seen: Sequence[ViewPoints],
     cloud: SemanticPointCloud,
 ) -> tuple[NDArray[np.int32], list[MasksOfClass]]:
-    """The objects after a look at their pieces: which of them owns each point, int32 [N] (0 = none), and their masks.
-    ``object_of_point`` int32 [N]: which of ``things`` the views voted it to be, from 1."""
+    """The objects after their pieces were regrouped: the object that owns each point, int32 [N] (0 = none), and the
+    masks of each. ``object_of_point`` int32 [N]: the one of ``things``, from 1, that the views voted for."""
     classes = tuple(class_id for _, class_id in things)
     rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
     owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seen, rules)
@@ -199,8 +169,8 @@ def masks_of_pieces(
     owner: NDArray[np.int32],
     count: int,
 ) -> list[list[MemberMask]]:
-    """The masks of each of ``count`` final objects, in the order of the views: a mask is evidence of the object that
-    owns most of its points; masks of other views, which only vote, are none. ``owner`` int32 [N]: the final object of
+    """The masks of each of ``count`` final objects, in the order of the views. A mask is evidence of the object that
+    owns most of its points. Masks of views that only vote are no evidence. ``owner`` int32 [N]: the final object of
     each point, 0 = none."""
     summary_of = {view.name: (number, one) for number, (view, one) in enumerate(zip(views, seen, strict=True))}
     members: list[list[tuple[int, MemberMask]]] = [[] for _ in range(count)]
@@ -216,7 +186,7 @@ def masks_of_pieces(
 def without_maskless(
     owner: NDArray[np.int32], members: list[list[MemberMask]], origin: list[int]
 ) -> tuple[NDArray[np.int32], list[list[MemberMask]], list[int]]:
-    """Without the objects that no mask speaks for, numbered anew from 1."""
+    """The objects that have masks, numbered anew from 1."""
     kept = [place for place, masks in enumerate(members) if masks]
     number = np.zeros(len(members) + 1, np.int32)
     number[[place + 1 for place in kept]] = np.arange(1, len(kept) + 1)

@@ -1,7 +1,5 @@
-"""From views to a scene that can be trained: what the paper does before the first step.
-
-Consistency-enhanced masks, the semantic point cloud, Algorithm 1, anchors by voxelisation, and the projected targets.
-"""
+"""From views to a scene that can be trained, as the paper does before the first step: consistency-enhanced masks, the
+semantic point cloud, Algorithm 1, anchors by voxelisation, and the projected targets."""
 
 from __future__ import annotations
 
@@ -12,24 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances import GlobalInstance
+from ..instances.matching import GlobalInstance
 from ..job import EventWriter
 from ..model.structured import StructuredScene
+from ..presets.preset import Preset
 from ..scene import ClassTable, OnDemand, View, stored
 from ..scene.hole_filling import fill_holes
-from ..semantics import (
-    CloudOptions,
-    ConsistencyOptions,
-    SemanticPointCloud,
-    build_point_cloud,
-    consistency_masks,
-    views_are_sparse,
-)
-from ..train.presets import Preset
+from ..semantics.consistency import ConsistencyOptions, consistency_masks, views_are_sparse
+from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud
 from ..train.progress import StageProgress, StageReporter
 from ..train.targets import ViewTargets
-from .objects import MATCHINGS
-from .starting_scene import label_channels, starting_scene
+from .objects import MATCHINGS, ViewsToMatch
+from .starting_scene import label_channels, starting_anchors, starting_scene
 from .targets_of_views import targets_of
 
 
@@ -37,8 +29,8 @@ from .targets_of_views import targets_of
 class PreparedLift:
     """What training starts from. ``cloud`` with ``instance_of_point`` int32 [N] (0 = none) and ``instances`` also go
     into the result. ``class_of_instance``: instance id to the class that all of it is shown with, or None when every
-    pixel decides for itself. ``label_maps``: the panoptic label that each view's pixels were given, int16 [H, W] (-1 =
-    unknown), where segments and points voted on them; else None."""
+    pixel decides for itself. ``label_maps``: the panoptic label of each view's pixels, int16 [H, W] (-1 = unknown),
+    where segments and points voted on them; otherwise None."""
 
     scene: StructuredScene
     targets: Sequence[ViewTargets]
@@ -58,15 +50,16 @@ def prepare(
     scratch: Path | None = None,
     others: Sequence[View] = (),
 ) -> PreparedLift:
-    """Everything before the first step. What there is of every view is stored in temporary files in ``scratch`` (None:
-    where the system has them). ``others`` are views that vote, and are not trained on. Raises
-    what the progress callbacks raise (Cancelled), OSError when the disk is full."""
+    """Everything before the first step. Arrays of every view are stored in temporary files in ``scratch`` (None: in the
+    system's folder for them). ``others`` are views that vote, and are not trained on. Raises what the progress
+    callbacks raise (Cancelled), OSError when the disk is full."""
     class_ids = used_classes(views)
     with stages.stage("consistency") as progress:
         placed = filled_views(views, scratch) if preset.fill_holes else views
         cloud = semantic_cloud(placed, class_ids, preset, stages.events, progress)
     with stages.stage("match") as progress:
-        matching = MATCHINGS[preset.objects](placed, cloud, classes, preset, progress, scratch, others)
+        given = ViewsToMatch(placed, cloud, classes, others, scratch)
+        matching = MATCHINGS[preset.objects](given, preset, progress)
         if matching.dropped:
             found = len(matching.instances) + matching.dropped
             stages.events.warning(
@@ -75,7 +68,8 @@ def prepare(
             )
     channels = label_channels(class_ids, matching.instances, preset)
     viewpoints = np.array([view.camera.centre for view in views])
-    scene = starting_scene(matching.cloud, matching.instance_of_point, channels, viewpoints, preset, seed)
+    start = starting_anchors(matching.cloud, matching.instance_of_point, preset)
+    scene = starting_scene(start, channels, viewpoints, preset, seed)
     targets = targets_of(views, placed, matching, channels, classes, preset, scratch)
     class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
     return PreparedLift(
@@ -92,7 +86,7 @@ def prepare(
 def semantic_cloud(
     views: Sequence[View], class_ids: tuple[int, ...], preset: Preset, events: EventWriter, progress: StageProgress
 ) -> SemanticPointCloud:
-    """The semantic point cloud, on which the labels of the consistency-enhanced masks vote."""
+    """The semantic point cloud. The labels of the consistency-enhanced masks vote on its classes."""
     comparison = consistency_options(views, preset)
     if comparison.neighbours < preset.neighbours:
         events.warning("neighbouring views overlap too little to compare labels: all labels are used")
@@ -119,7 +113,7 @@ def used_classes(views: Sequence[View]) -> tuple[int, ...]:
 
 def consistency_options(views: Sequence[View], preset: Preset) -> ConsistencyOptions:
     """The preset's choice, or no comparison where views are too sparse for one (as the paper does on HyperSim)."""
-    options = ConsistencyOptions(neighbours=preset.neighbours, agreement=preset.agreement)
+    options = ConsistencyOptions(neighbours=preset.neighbours)
     if not preset.neighbours:
         return options
     return ConsistencyOptions(neighbours=0) if views_are_sparse(views, options) else options

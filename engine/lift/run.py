@@ -1,7 +1,7 @@
-"""A lift from end to end: frames and machine masks in, one consistent 3D panoptic scene out.
+"""A lift from end to end: frames and input masks in, one consistent 3D panoptic scene out.
 
-The stages, in the paper's order: read the frames, check label consistency, match the instances, train the
-structured Gaussians, write the result, bake the passes, evaluate.
+The stages have the paper's order: read the frames, check label consistency, match the instances, train the structured
+Gaussians, write the result, bake the passes, evaluate.
 """
 
 from __future__ import annotations
@@ -9,24 +9,25 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from statistics import median
 
 import numpy as np
 import torch
 from safetensors.torch import save_file
 
-from ..job import Cancelled, Checkpoint, EventWriter, JobError, LiftFolder, LiftRequest, StopSignal, write_manifest
+from ..errors import Cancelled, PlgsError
+from ..job import Checkpoint, EventWriter, LiftFolder, LiftRequest, StopSignal, write_manifest
 from ..job.prediction import learn_slowness
 from ..machine.log_compilation import log_compilation
 from ..model.structured import StructuredScene
 from ..model.tensor_file import read_tensors
+from ..presets.preset import Preset
 from ..raster import drawing_on
 from ..scene import (
     VOID,
     Frame,
     Scene,
-    SceneError,
     StoredViews,
     View,
     check_scene,
@@ -35,18 +36,14 @@ from ..scene import (
     read_ahead,
     size_within,
 )
-from ..train.option_table import requested_preset
-from ..train.presets import Preset
 from ..train.progress import StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
-from .clashing_options import refuse_clashing_options
 from .device import be_repeatable, refuse_missing_device
-from .embedding_clusters import with_clusters
 from .lasting_names import keep_names, read_earlier, write_names
 from .live_previews import LivePreviews
-from .preparation import prepare
+from .method import Method, method_in_use
 from .scene_files import instance_names, shown_instances, write_scene_files
 from .training_frames import FRAMES, scene_to_lift
 from .voters import frames_to_vote, read_voters
@@ -65,38 +62,39 @@ STAGES = {
     "evaluate": "Evaluating the held-out frames",
 }
 CHECKPOINT_EVERY_S = 20.0
-"""A kill loses at most this much work. Checkpoints do not change what is computed."""
+"""Seconds between two checkpoints: the most work that a kill loses. Checkpoints do not change the result."""
 NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
-    'votes need objects = "agreement", one_class_an_object = true and instances = "slots"'
+    'votes need objects = "agreement" and one_class_an_object = true'
 )
 LEAST_STEPS = 100
-"""Fewer say more about the first compilation than about the machine."""
+"""Steps from which their pace is remembered. Fewer measure the first compilation, not the computer."""
 
 
 def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
     """Do the lift that ``folder`` asks for, or what is left of it.
 
-    Raises SceneError for input that cannot be lifted, Cancelled when stopped; the folder can be resumed then.
+    Raises PlgsError for input that cannot be lifted, and Cancelled when stopped. The folder can then be resumed.
     """
     request = folder.request
-    preset = requested_preset(request)
+    preset = request.chosen_preset
     refuse_missing_device(request.device)
     refuse_names_of_no_objects(request, preset)
-    refuse_clashing_options(preset)
+    method = method_in_use()
+    method.refuse_bad_options(preset)
     be_repeatable(request.device)
     stages = StageReporter(events, stop, STAGES)
     with drawing_on(request.device):
-        do_stages(folder, preset, stages, resume=resume)
+        do_stages(folder, preset, stages, method, resume=resume)
 
 
-def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resume: bool) -> None:
+def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method: Method, *, resume: bool) -> None:
     """``STAGES``, one after another."""
     request, events = folder.request, stages.events
     checkpoint = folder.checkpoints.latest() if resume else None
 
     with stages.stage("check") as progress:
-        if preset.labels == "votes" and not shows_votes(preset):
+        if preset.labels == "votes" and not preset.can_vote:
             events.warning(NO_VOTES)
         whole = open_scene_to_lift(request)
         earlier = None if request.names_from is None else read_earlier(request.names_from)
@@ -106,14 +104,14 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     with stages.stage("read") as progress:
         frames, voting = scene.train_frames, frames_to_vote(whole, scene, preset)
         total = len(frames) + len(voting)
-        read = read_ahead(frames, lambda frame: load_view(frame, size_within(frame.size, preset.size_within)))
+        read = read_ahead(frames, lambda frame: load_view(frame, size_within(frame.size, preset.size)))
         views = StoredViews(read, folder.path, lambda done: progress(done, total))
         refuse_empty(views, scene)
         others = read_voters(voting, preset, lambda done: progress(len(frames) + done, total), events, folder.path)
 
     preset = preset.for_views(len(views))
-    prepared = prepare(views, scene.classes, preset, request.seed, stages, folder.path, others)
-    trainer = Trainer(prepared.scene, prepared.targets, views, preset, request.seed)
+    prepared = method.prepare(views, scene.classes, preset, request.seed, stages, folder.path, others)
+    trainer = method.trainer(prepared, views, preset, request.seed)
     if checkpoint is not None:
         take_up(trainer, checkpoint)
         log.info("resuming after step %d", trainer.step_number)
@@ -122,11 +120,8 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     paces = train(trainer, folder, [frame.name for frame in frames], stages, previews)
 
     with stages.stage("result") as progress:
-        if preset.instances == "contrastive":
-            things = scene.classes.thing_ids
-            trainer.scene = with_clusters(trainer.scene, views, things, preset.contrastive, request.seed, progress)
-            prepared = replace(prepared, scene=trainer.scene)
-        if shows_votes(preset):
+        prepared = method.finish(trainer, prepared, scene.classes, progress)
+        if preset.shows_votes:
             maps = prepared.label_maps
             assert maps is not None  # objects by agreement come with them
             trainer.scene.voted = vote_labels(trainer.scene, frames, maps, preset, progress, folder.path)
@@ -148,38 +143,32 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, *, resu
     remember_pace(paces, trainer)
 
 
-def shows_votes(preset: Preset) -> bool:
-    """Whether the finished scene shows what the views vote, which needs objects by agreement, of one class each; and
-    what else tells instances apart is there to be shown."""
-    can_vote = preset.objects == "agreement" and preset.one_class_an_object and preset.instances == "slots"
-    return preset.labels == "votes" and can_vote
-
-
 def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
-    """Raise JobError where an earlier lift's names are asked for, and there are no objects to keep them."""
+    """Raise PlgsError where an earlier lift's names are asked for, but the lift has no objects."""
     if request.names_from is not None and preset.objects == "none":
         fix = "Leave out --names-from, or take objects by agreement or boxes."
-        raise JobError('there are no objects to keep names with objects = "none"', request.names_from, fix)
+        what = 'there are no objects to keep names with objects = "none"'
+        raise PlgsError(what, request.names_from, fix, option="--names-from")
 
 
 def take_up(trainer: Trainer, checkpoint: Checkpoint) -> None:
-    """Go on from a checkpoint. Raises JobError for one that is damaged, or another lift's."""
+    """Continue from a checkpoint. Raises PlgsError for one that is damaged, or another lift's."""
     path = checkpoint.path / "trainer.safetensors"
     try:
         restore(trainer, read_tensors(path)[0], checkpoint.state)
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         fix = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
-        raise JobError(f"the checkpoint cannot be used ({error})", path, fix) from error
+        raise PlgsError(f"the checkpoint cannot be used ({error})", path, fix) from error
 
 
 def refuse_empty(views: Sequence[View], scene: Scene) -> None:
-    """Raise SceneError when nothing is left of all depth, or of all masks, at the size of training."""
+    """Raise PlgsError when no depth, or no mask, is left at the size of training."""
     if not any((view.depth > 0).any() for view in views):
         fix = "Lift at a larger --size, or give denser depth."
-        raise SceneError("no depth is left at the size of training", scene.folder, fix)
+        raise PlgsError("no depth is left at the size of training", scene.folder, fix, option="--size")
     if not any((view.mask.class_map() != VOID).any() for view in views):
         fix = "Lift at a larger --size, or give masks with larger segments."
-        raise SceneError("nothing of the masks is left at the size of training", scene.folder, fix)
+        raise PlgsError("nothing of the masks is left at the size of training", scene.folder, fix, option="--size")
 
 
 def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
@@ -192,12 +181,13 @@ def train(
     folder: LiftFolder,
     frames: Sequence[str],
     stages: StageReporter,
-    look: Callable[[StructuredScene], object],
+    show: Callable[[StructuredScene], object],
 ) -> list[float]:
-    """All steps that are left, with a checkpoint now and then, when stopped, and at the end; returns the seconds of
-    each. ``frames`` are the names of those trained on; ``look`` is shown the model after each step.
+    """Do all steps that are left, and return the seconds of each. ``frames`` are the names of those trained on;
+    ``show`` is called with the model after each step.
 
-    Not when a step fails: half a step's changes would be stored over the last whole state.
+    A checkpoint is written every CHECKPOINT_EVERY_S seconds, when stopped, and at the end. None is written when a step
+    fails, as half a step's changes would replace the last whole state.
     """
     steps, paces = trainer.preset.steps, []
     with stages.stage("train") as progress:
@@ -210,7 +200,7 @@ def train(
                 paces.append(time.monotonic() - began)
                 compiled()
                 progress(report.step, steps, report.loss)
-                look(trainer.scene)
+                show(trainer.scene)
                 if time.monotonic() - saved_at > CHECKPOINT_EVERY_S:
                     save_checkpoint(trainer, folder, frames)
                     saved_at = time.monotonic()
@@ -222,15 +212,15 @@ def train(
 
 
 def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
-    """For the next prediction on this machine: the middle step, which neither compiled nor made pseudo labels."""
+    """Remember the median step for the next prediction on this computer. It neither compiled nor made pseudo labels."""
     if len(paces) < LEAST_STEPS:
         return
     megapixels = np.mean([view.camera.width * view.camera.height for view in trainer.views]) / 1e6
     anchors = trainer.scene.anchors
     try:
         learn_slowness(median(paces), float(megapixels), len(anchors) * anchors.gaussians_per_anchor / 1e6)
-    except (OSError, JobError) as error:  # it is about the next lift, not about this one
-        log.warning("how fast this machine is was not remembered: %s", error)
+    except (OSError, PlgsError) as error:  # it matters for the next lift only
+        log.warning("the pace of this computer was not remembered: %s", error)
 
 
 def save_checkpoint(trainer: Trainer, folder: LiftFolder, frames: Sequence[str]) -> None:
@@ -241,7 +231,7 @@ def save_checkpoint(trainer: Trainer, folder: LiftFolder, frames: Sequence[str])
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of what computed the result."""
+    """Versions of the libraries that computed the result."""
     import platform
 
     import cv2

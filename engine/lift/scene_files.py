@@ -4,30 +4,35 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import torch
 from safetensors.torch import save
 
-from ..instances import Evidence, GlobalInstance, MaskExtent, mask_extents
-from ..job import EventWriter, JobError, LiftFolder, read_manifest, write_atomically
-from ..job.json_file import read_object
+from ..errors import PlgsError
+from ..instances.matching import GlobalInstance
+from ..instances.segments import mask_extents
+from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
 from ..model.baking import bake
 from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..model.tensor_file import read_tensors
-from ..passes import (
-    InstanceRecord,
-    SegmentLink,
-    ShownInstances,
-    write_anchors,
+from ..passes.baked_view import ShownInstances
+from ..passes.ply import write_splats
+from ..result_files import (
+    ANCHORS,
+    INSTANCES,
+    SEMANTIC_POINTS,
+    Instance,
+    MatchedSegment,
+    SemanticPoints,
+    read_instances,
+    write_arrays,
     write_instances,
-    write_ply,
-    write_semantic_points,
 )
 from ..scene import ClassTable, Scene, View, distinct_colour
-from ..scene.classes import LARGEST_ID
 from .preparation import PreparedLift
+
+LIFT_ANEW = "Lift the scene anew, into another folder."
 
 
 def write_scene_files(
@@ -39,32 +44,25 @@ def write_scene_files(
     events: EventWriter,
     names: Mapping[int, str],
 ) -> None:
-    """Write everything of the result that needs no rendering; ``views`` are those it was lifted from, ``names`` the
+    """Write everything of the result that needs no rendering. ``views`` are those it was lifted from; ``names`` are the
     instances'. Raises OSError when the disk is full.
     """
     result = folder.result_path
     cloud = prepared.cloud
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
     gaussians, anchors = bake(lifted, viewpoint, scene.classes.thing_ids)
-    write_semantic_points(
-        result / "semantic_points.npz",
-        xyz=cloud.xyz,
-        rgb=cloud.rgb,
-        class_id=cloud.class_id,
-        instance_id=prepared.instance_of_point,
-        confidence=cloud.confidence,
-    )
-    records = instance_records(views, prepared, scene.classes, names)
-    write_instances(result / "instances.json", scene.classes, records)
-    write_anchors(result / "anchors.npz", **vars(anchors))
-    write_ply(result / "gaussians.ply", gaussians)
+    points = SemanticPoints(cloud.xyz, cloud.rgb, cloud.class_id, prepared.instance_of_point, cloud.confidence)
+    write_arrays(result / SEMANTIC_POINTS, points)
+    write_instances(result / INSTANCES, scene.classes, listed_instances(views, prepared, scene.classes, names))
+    write_arrays(result / ANCHORS, anchors)
+    write_splats(result / "gaussians.ply", gaussians)
     write_model(folder, lifted)
-    for name in ("semantic_points.npz", "instances.json", "anchors.npz", "gaussians.ply", "model.safetensors"):
+    for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", "model.safetensors"):
         events.artifact(result / name, name.partition(".")[0])
 
 
 def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
-    """model.safetensors: the tensors, and in its header under "plgs" what makes a scene of them again (JSON)."""
+    """model.safetensors: the tensors, and in its header under "plgs" the facts that make a scene of them (JSON)."""
     tensors, facts = to_tensors(lifted)
     contiguous: dict[str, torch.Tensor] = {name: tensor.contiguous() for name, tensor in tensors.items()}
     content = save(contiguous, metadata={"plgs": json.dumps(facts, sort_keys=True)})
@@ -72,57 +70,35 @@ def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
 
 
 def read_model(folder: LiftFolder) -> StructuredScene:
-    """What `write_model` wrote, bit for bit. Raises JobError for a file that is damaged, or of a format that this
-    version does not know."""
+    """What `write_model` wrote, bit for bit. Raises PlgsError for a damaged file, and for an unknown format."""
     path = folder.result_path / "model.safetensors"
     try:
         tensors, notes = read_tensors(path)
         return from_tensors(tensors, json.loads(notes["plgs"]))
     except (OSError, KeyError, TypeError, ValueError, AttributeError, RecursionError, MemoryError) as error:
-        fix = "Lift the scene anew, into another folder."
-        raise JobError(f"the model cannot be read ({error})", path, fix) from error
+        raise PlgsError(f"the model cannot be read ({error})", path, LIFT_ANEW) from error
 
 
 def shown_instances(prepared: PreparedLift, names: Mapping[int, str]) -> ShownInstances:
-    """Of a lift that is going on."""
+    """The instances of a lift that is running."""
     return ShownInstances(_with_numbers(names, prepared.scene), prepared.class_of_instance)
 
 
 def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int, str]:
-    """Slots that only the linear assignment, or clusters, give a meaning have numbers for names."""
+    """The names, with numbers for slots whose meaning only the linear assignment, or clusters, decide."""
     return {**names, **{one: f"object {one}" for one in lifted.channels.shown_ids if one not in names}}
 
 
 def read_shown_instances(folder: LiftFolder, lifted: StructuredScene) -> ShownInstances:
-    """Of a finished lift, whose model is ``lifted``. Raises JobError when its manifest cannot be read, OSError."""
-    path, fix = folder.result_path / "instances.json", "Lift the scene anew, into another folder."
-    listed = read_instances(folder)
+    """The instances of a finished lift, whose model is ``lifted``. Raises PlgsError when they or the manifest cannot be
+    read, OSError."""
+    _, listed = read_instances(folder.result_path / INSTANCES)
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
-        raise JobError("does not tell whether an object has one class", folder.manifest_path, fix)
-    try:
-        class_of = {_id(one["id"]): _id(one["class_id"]) for one in listed}
-        names = {_id(one["id"]): str(one["name"]) for one in listed}
-    except (KeyError, TypeError, ValueError) as error:
-        raise JobError(f"cannot be read ({error!r})", path, fix) from error
+        raise PlgsError("does not say whether an object has one class", folder.manifest_path, LIFT_ANEW)
+    names, class_of = {one.id: one.name for one in listed}, {one.id: one.class_id for one in listed}
     one_class = settings["one_class_an_object"] and settings.get("objects") != "none"
     return ShownInstances(_with_numbers(names, lifted), class_of if one_class else None)
-
-
-def read_instances(folder: LiftFolder) -> list[dict[str, Any]]:
-    """The objects that instances.json lists, as they stand there. Raises JobError."""
-    path, fix = folder.result_path / "instances.json", "Lift the scene anew, into another folder."
-    listed: Any = read_object(path, fix).get("instances")
-    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
-        raise JobError("lists no instances", path, fix)
-    records: list[dict[str, Any]] = listed
-    return records
-
-
-def _id(value: object) -> int:
-    if type(value) is not int or not 1 <= value <= LARGEST_ID:
-        raise ValueError(f"{value!r} is no id")
-    return value
 
 
 def instance_names(instances: Sequence[GlobalInstance], classes: ClassTable) -> dict[int, str]:
@@ -135,18 +111,21 @@ def instance_names(instances: Sequence[GlobalInstance], classes: ClassTable) -> 
     return names
 
 
-def instance_records(
+def listed_instances(
     views: Sequence[View], prepared: PreparedLift, classes: ClassTable, names: Mapping[int, str]
-) -> list[InstanceRecord]:
+) -> list[Instance]:
     """The matched objects as instances.json lists them, with the masks that made them."""
     extents = {view.name: mask_extents(view.mask) for view in views}
     points = np.bincount(prepared.instance_of_point, minlength=max(names, default=0) + 1)
-    records = []
+    listed = []
     for instance in prepared.instances:
         x, y, z = instance.box.centre.tolist()
         length, width, height = instance.box.size.tolist()
-        records.append(
-            InstanceRecord(
+        segments = tuple(
+            MatchedSegment(**vars(item), **vars(extents[item.frame][item.segment_id])) for item in instance.evidence
+        )
+        listed.append(
+            Instance(
                 id=instance.id,
                 name=names[instance.id],
                 class_id=instance.class_id,
@@ -159,22 +138,7 @@ def instance_records(
                 views=instance.views,
                 score=instance.score,
                 points=int(points[instance.id]),
-                segments=tuple(segment_link(item, extents[item.frame][item.segment_id]) for item in instance.evidence),
+                segments=segments,
             )
         )
-    return records
-
-
-def segment_link(item: Evidence, extent: MaskExtent) -> SegmentLink:
-    """What the result tells of one mask of an instance."""
-    return SegmentLink(
-        frame=item.frame,
-        segment_id=item.segment_id,
-        class_id=item.class_id,
-        score=item.score,
-        cost=item.cost,
-        agreement=item.agreement,
-        pixels=item.pixels,
-        share=extent.share,
-        rectangle=extent.rectangle,
-    )
+    return listed

@@ -3,26 +3,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances import GlobalInstance
-from ..model.anchors import initial_anchors
-from ..model.decoders import DecoderShape
-from ..model.features import seeded_features
-from ..model.plain import PlainDecoders, plain_gaussians, plain_shape
-from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene, new_decoders
+from ..instances.matching import GlobalInstance
+from ..model.anchors import initial_anchors, seeded_features
+from ..model.decoders import Decoders, DecoderShape
+from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
+from ..presets.preset import Preset
 from ..scene import VOID
-from ..semantics import SemanticPointCloud, label_anchors, voxelise
-from ..train.presets import Preset
+from ..semantics.anchor_labels import label_anchors, voxelise
+from ..semantics.point_cloud import SemanticPointCloud
 from ..train.warm_start import warm_start
+
+FEATURES = 32
+"""Entries of an anchor's feature (Scaffold-GS's number)."""
 
 
 def label_channels(class_ids: tuple[int, ...], instances: Sequence[GlobalInstance], preset: Preset) -> LabelChannels:
-    """A channel for every class, and a slot for every instance, for "no object", and spare ones up to the preset's
-    least number of slots. Where nothing was matched all slots but that for "no object" may be shown."""
+    """A channel for every class, a slot for every instance and one for "no object", and spare slots up to the preset's
+    least number. Where nothing was matched, all slots but that for "no object" may be shown."""
     if preset.objects == "none":
         return LabelChannels(class_ids, (*range(1, preset.instance_slots + 1), NO_OBJECT))
     ids = [instance.id for instance in instances]
@@ -34,47 +37,57 @@ def label_channels(class_ids: tuple[int, ...], instances: Sequence[GlobalInstanc
     return LabelChannels(class_ids, slots, tuple(class_of.get(slot, VOID) for slot in slots))
 
 
+class StartingAnchors(NamedTuple):
+    """The anchors before the first step: ``positions`` float32 [M, 3] metres, and, by the semantic point cloud,
+    ``classes`` and ``owners`` (instance ids) int32 [M], 0 = unknown, and ``rgb`` uint8 [M, 3]."""
+
+    positions: NDArray[np.float32]
+    classes: NDArray[np.int32]
+    owners: NDArray[np.int32]
+    rgb: NDArray[np.uint8]
+
+
+def starting_anchors(
+    cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], preset: Preset
+) -> StartingAnchors:
+    """An anchor in each voxel of the semantic point cloud."""
+    positions = voxelise(cloud.xyz, preset.voxel_size)
+    classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
+    nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
+    rgb = np.where(nearest[:, None] >= 0, cloud.rgb[nearest], 128).astype(np.uint8)
+    return StartingAnchors(positions, classes, owners, rgb)
+
+
 def starting_scene(
-    cloud: SemanticPointCloud,
-    instance_of_point: NDArray[np.int32],
+    start: StartingAnchors,
     channels: LabelChannels,
     viewpoints: NDArray[np.float64],
     preset: Preset,
     seed: int,
+    new_decoders: Callable[[DecoderShape, int], Decoders] = Decoders,
 ) -> StructuredScene:
-    """Anchors on the semantic point cloud; decoders drawn from the seed, then fitted to them if the preset says so."""
-    positions = voxelise(cloud.xyz, preset.voxel_size)
-    classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
-    if not preset.labelled_start:
-        classes, owners = np.zeros_like(classes), np.zeros_like(owners)
-    nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
-    rgb = np.where(nearest[:, None] >= 0, cloud.rgb[nearest], 128).astype(np.uint8)
-    if preset.representation == "plain":
-        plain = plain_shape(len(channels.class_ids), len(channels.slot_ids))
-        gaussians = plain_gaussians(positions, classes, rgb, plain)
-        return StructuredScene(gaussians, PlainDecoders(plain), channels, preset.voxel_size)
-    feature = np.zeros((len(positions), preset.features), np.float32)
+    """The anchors with features, and decoders drawn from the seed. The preset says whether they are fitted to the
+    anchors."""
+    feature = np.zeros((len(start.positions), FEATURES), np.float32)
     if preset.seeded_features:
-        feature = seeded_features(rgb, classes, owners, features=preset.features, seed=seed)
+        feature = seeded_features(start.rgb, start.classes, start.owners, features=FEATURES, seed=seed)
     anchors = initial_anchors(
-        positions,
-        classes,
+        start.positions,
+        start.classes,
         gaussians_per_anchor=preset.gaussians_per_anchor,
         feature=feature,
         voxel_size=preset.voxel_size,
     )
     shape = DecoderShape(
-        features=preset.features,
+        features=FEATURES,
         gaussians_per_anchor=preset.gaussians_per_anchor,
         classes=len(channels.class_ids),
         instance_slots=len(channels.slot_ids),
         distance_input=preset.distance_input,
         label_view_input=preset.label_view_input,
-        encoding=preset.encoding,
-        twin=preset.instances == "contrastive",
     )
     scene = StructuredScene(anchors, new_decoders(shape, seed), channels, preset.voxel_size)
-    if preset.warm_start is not None:
-        objects = owners if preset.objects != "none" else None
-        warm_start(scene, rgb, objects, viewpoints, preset.warm_start, seed)
+    if preset.warm_start:
+        owners = start.owners if preset.objects != "none" else None
+        warm_start(scene, start.rgb, owners, viewpoints, seed)
     return scene

@@ -1,4 +1,4 @@
-"""What each view is supervised with: its photo, with its exposure, and the labels that its pixels were given."""
+"""What each view is supervised with: its photo, with its exposure, and the labels of its pixels."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances import PanopticLabels, restrict_to_things
+from ..instances.masks import restrict_to_things
+from ..instances.panoptic_labels import PanopticLabels
 from ..model.structured import LabelChannels
-from ..scene import VOID, ClassTable, OnDemand, View, stored
-from ..semantics import LabelledPoints, project_labels
+from ..presets.preset import Preset
+from ..scene import ClassTable, OnDemand, View, stored
+from ..semantics.projection import LabelledPoints
 from ..train.photos import exposure_gains, sharpness_weights
-from ..train.presets import Preset
 from ..train.targets import ViewTargets, view_targets
 from .objects import Matching, point_of_pixels
 
@@ -27,9 +28,9 @@ def targets_of(
     preset: Preset,
     scratch: Path | None = None,
 ) -> OnDemand[ViewTargets]:
-    """What each view is supervised with: the labels its segments were voted, or else the projected cloud's semantic
-    mask and M_match; or what else the preset says. ``placed`` are the views with the depth that places pixels in
-    space. A view's are made when they are asked for; ``scratch`` is where temporary files go."""
+    """The targets of each view, made when they are asked for: the labels voted for its segments, or else the projected
+    cloud's semantic mask and M_match. ``placed`` are the views with the depth that places pixels in space; ``scratch``
+    is the folder for temporary files."""
     weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
     gains = _exposures(views, placed, matching, scratch) if preset.fit_exposure else None
     if matching.label_maps is not None:
@@ -37,21 +38,16 @@ def targets_of(
     else:
         masks = _projected_masks(placed, matching, classes, preset, scratch)
 
-    with_objects = preset.matched_masks and preset.objects != "none"  # nothing matched says nothing of objects
+    with_objects = preset.objects != "none"  # without a matching there are no targets for objects
 
     def targets(number: int) -> ViewTargets:
         view = views[number]
         projected, matched = masks(number)
-        known = projected != VOID
-        if preset.semantic_targets != "projected":
-            projected = view.mask.class_map() if preset.semantic_targets == "masks" else np.zeros_like(projected)
         return view_targets(
             view,
             channels,
             projected_class=projected,
             matched_instance=matched if with_objects else None,
-            known=known,
-            with_segments=preset.weights.segment > 0,
             weight=float(weights[number]),
             gain=None if gains is None else gains[number],
         )
@@ -89,12 +85,12 @@ def _projected_masks(
     placed: Sequence[View], matching: Matching, classes: ClassTable, preset: Preset, scratch: Path | None
 ) -> Callable[[int], Masks]:
     cloud, reach = matching.cloud, 2 * preset.voxel_size
-    classed = LabelledPoints(cloud.xyz, cloud.class_id, cloud.spacing)
-    owned = LabelledPoints(cloud.xyz, matching.instance_of_point, cloud.spacing)
+    classed = LabelledPoints(cloud.xyz, cloud.class_id)
+    owned = LabelledPoints(cloud.xyz, matching.instance_of_point)
 
     def project(view: View) -> NDArray[np.int32]:
-        projected = project_labels(view.camera, view.depth, classed, reach)
-        instances = project_labels(view.camera, view.depth, owned, reach)
+        projected = classed.project(view.camera, view.depth, reach)
+        instances = owned.project(view.camera, view.depth, reach)
         return np.stack([projected, restrict_to_things(instances, projected, classes.thing_ids)])
 
     both = stored((project(view) for view in placed), scratch)

@@ -1,17 +1,17 @@
-"""Frames that are not trained on, as they vote.
+"""Frames that are not trained on, but vote.
 
-Of a long capture some frames are trained on. The others have masks too, which are cheap to read beside photos: each
-belongs to the object that owns what it shows, and they vote on the class of every object and on the label of every
-point. They are looked at small, one after another, and wait on disk.
+Of a long capture only some frames are trained on. The others have masks too, which are cheap to read compared with
+photos. Each of these masks belongs to the object that owns what it shows. They vote on the class of every object and on
+the label of every point. They are read at a smaller size, one after another, and stored on disk.
 
-Measured once each on the captures of ``bench long``, one seed: with 40 of 292 frames trained on, 120 steps, PQ-scene
-was 75.4 % in place of 71.5 %, mIoU 80.0 % in place of 78.2 %; with 400 of 992, PQ of the labelled points was 78.2 % in
-place of 76.2 %. A voter takes 0.04 s of one processor.
+Measured once each on the captures of ``research bench long``, one seed. With 40 of 292 frames trained on and 120 steps,
+PQ-scene was 75.4 % instead of 71.5 %, and mIoU 80.0 % instead of 78.2 %. With 400 of 992, PQ of the labelled points was
+78.2 % instead of 76.2 %. A voter takes 0.04 s of one processor.
 
-They are not asked which masks are one object, as those of the frames trained on see every surface often enough for that
-(``choose_keyframes``), and they do not vote on Gaussians, which each would have to be rendered for: what they said of
-points reaches Gaussians by the segments of the frames trained on. A class that only they show gets no channel, so no
-point is of it. Holes of their depth are not filled; whether that would help was not measured.
+They are not asked which masks are one object, as the frames trained on see every surface often enough for that
+(``choose_keyframes``). They do not vote on Gaussians, as each would have to be rendered for that. Their votes on points
+reach Gaussians by the segments of the frames trained on. A class that only they show gets no channel, so no point has
+it. Holes of their depth are not filled; whether that would help was not measured.
 """
 
 from __future__ import annotations
@@ -23,30 +23,32 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances import ViewPoints, view_points
+from ..errors import PlgsError
+from ..instances.agreement import ViewPoints, view_points
 from ..job import EventWriter
-from ..scene import Frame, OnDemand, Scene, SceneError, Size, StoredViews, View, read_ahead, size_within
-from ..train.presets import Preset
+from ..presets.preset import Preset
+from ..scene import Frame, OnDemand, Scene, Size, StoredViews, View, read_ahead, size_within
 
 SMALLER = 2
-"""Voters are looked at with so many times fewer pixels a side than what is trained on."""
+"""Factor by which voters are narrower and lower than the frames trained on."""
 
 
 @dataclass(frozen=True, eq=False)
 class Voters:
-    """Their ``views``, whose colour says nothing, the point of the cloud that each of their pixels shows, int32 [H, W]
-    a view (-1 = none), and a summary of each, made when asked for."""
+    """``views`` without colour; ``point_of_pixel``: the point of the cloud that each of their pixels shows, int32 [H,
+    W] a view (-1 = none)."""
 
     views: Sequence[View]
     point_of_pixel: Sequence[NDArray[np.int32]]
 
     @property
     def seen(self) -> Sequence[ViewPoints]:
+        """What each view says of the points it sees, made when asked for."""
         return OnDemand(len(self.views), lambda number: view_points(self.views[number], self.point_of_pixel[number]))
 
 
 def frames_to_vote(whole: Scene, scene: Scene, preset: Preset) -> tuple[Frame, ...]:
-    """The frames of ``whole`` that are neither held out nor trained on, as ``scene`` has those; none where the preset
+    """The frames of ``whole`` that are neither held out nor in ``scene``, which is trained on. None where the preset
     has no use for them."""
     if preset.objects != "agreement" or not preset.all_frames_vote:
         return ()
@@ -57,13 +59,13 @@ def frames_to_vote(whole: Scene, scene: Scene, preset: Preset) -> tuple[Frame, .
 def read_voters(
     frames: Sequence[Frame], preset: Preset, progress: Callable[[int], object], events: EventWriter, scratch: Path
 ) -> StoredViews:
-    """Depth and masks of ``frames``, on disk. One that cannot be read does not vote, which is told. ``progress`` is
-    told how many were read. Raises OSError when the disk is full."""
-    problems: list[SceneError] = []
+    """Depth and masks of ``frames``, on disk. Frames that cannot be read do not vote; a warning says so. ``progress``
+    is called with the number of frames read. Raises OSError when the disk is full."""
+    problems: list[PlgsError] = []
 
     def good() -> Iterator[View]:
-        for done, read in enumerate(read_ahead(frames, lambda frame: _look(frame, preset.size_within)), start=1):
-            if isinstance(read, SceneError):
+        for done, read in enumerate(read_ahead(frames, lambda frame: _read_voter(frame, preset.size)), start=1):
+            if isinstance(read, PlgsError):
                 problems.append(read)
             else:
                 yield read
@@ -75,11 +77,11 @@ def read_voters(
     return views
 
 
-def _look(frame: Frame, trained_within: Size) -> View | SceneError:
+def _read_voter(frame: Frame, trained_within: Size) -> View | PlgsError:
     width, height = size_within(frame.size, trained_within)
     size = max(1, width // SMALLER), max(1, height // SMALLER)
     try:
         depth, mask = frame.depth(size), frame.mask(size)
-    except SceneError as error:
+    except PlgsError as error:
         return error
     return View(frame.name, frame.camera.resized(*size), np.zeros((*depth.shape, 3), np.uint8), depth, mask)

@@ -17,19 +17,22 @@ from ..model.label_voting import LabelVotes, contributors, pixel_labels
 from ..model.render import render_bands
 from ..model.rendering import PanopticRendering
 from ..model.structured import LabelChannels
-from ..passes import ShownInstances, bake_view
+from ..passes.baked_view import ShownInstances, bake_view
+from ..presets.preset import PRESETS
 from ..raster import rasterize
-from ..raster.workload import room_workload
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
 from ..train.losses import reconstruction_loss
-from ..train.presets import PRESETS, Schedule, WarmStart
 from ..train.progress import StageReporter
-from ..train.trainer import Trainer
+from ..train.trainer import GrowthSchedule, Trainer
 from .preparation import prepare
 from .run import STAGES
 
 WALL, PICTURE = 1, 2
 """Class ids; the picture is a thing."""
+
+
+class _Trainer(Trainer):
+    growth_schedule = GrowthSchedule(statistics_from=0.0)  # two steps are too few to count anything else
 
 
 def warm_up() -> None:
@@ -48,14 +51,17 @@ def warm_up() -> None:
 
 def compile_rasteriser() -> None:
     """Draw with labels and without, and take the gradients."""
-    work = room_workload(200, 64, 48)
-    values = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
-    means, scales, quats, opacities, colours, labels = (torch.from_numpy(array).requires_grad_() for array in values)
+    random = np.random.default_rng(0)
+    widths = {"means": 3, "scales": 3, "quats": 4, "colours": 3, "labels": 4}
+    drawn = {name: random.uniform(0.05, 0.3, (200, width)).astype(np.float32) for name, width in widths.items()}
+    means, scales, quats, colours, labels = (torch.from_numpy(array).requires_grad_() for array in drawn.values())
+    opacities = torch.full((200,), 0.5, requires_grad=True)
+    lens = np.array([[60.0, 0.0, 32.0], [0.0, 60.0, 24.0], [0.0, 0.0, 1.0]])
+    pose = np.eye(4)
+    pose[2, 3] = -1.0
     for shown in (labels, None):
-        drawn = rasterize(
-            means, scales, quats, opacities, colours, shown, work.camera_to_world, work.intrinsics, 64, 48, top_k=1
-        )
-        drawn.image.sum().backward()
+        picture = rasterize(means, scales, quats, opacities, colours, shown, pose, lens, 64, 48, top_k=1)
+        picture.image.sum().backward()
 
 
 def _lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
@@ -63,13 +69,12 @@ def _lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
         (Category(WALL, "wall", False, (200, 200, 200)), Category(PICTURE, "picture", True, (200, 0, 0)))
     )
     views = [_view_of_a_wall(number) for number in range(3)]
-    whole = Schedule(statistics_from=0.0)  # two steps are too few to count anything else
-    preset = replace(PRESETS["preview"], steps=2, neighbours=2, warm_start=WarmStart(steps=1), schedule=whole)
+    preset = replace(PRESETS["preview"], steps=2, neighbours=2, warm_start=False)
     with TemporaryDirectory() as folder:
         events = EventWriter(Path(folder) / "events.jsonl")
         stages = StageReporter(events, StopSignal(Path(folder) / "cancel"), STAGES)
         prepared = prepare(views, classes, preset, 0, stages)
-        trainer = Trainer(prepared.scene, prepared.targets, views, preset, 0)
+        trainer = _Trainer(prepared.scene, prepared.targets, views, preset, 0)
         camera, shown = views[0].camera, ShownInstances({}, prepared.class_of_instance)
         gaussians = decode(trainer.scene.anchors, trainer.scene.decoders, camera, channels=trainer.initial_channels)
         image = torch.zeros(camera.height, camera.width, 3, requires_grad=True)
@@ -83,7 +88,7 @@ def _lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
             trainer.step()
         bake_view(render_bands(trainer.scene, camera), camera, classes, shown)
         votes = LabelVotes(trainer.scene, preset.voting)
-        seen = contributors(trainer.scene, views[0].camera, preset.voting.contributors)
+        seen = contributors(trainer.scene, views[0].camera)
         votes.add(seen, np.zeros(views[0].depth.shape, np.int16), views[0].depth)
         pixel_labels(trainer.scene, votes.result(), seen)
         events.close()

@@ -1,6 +1,7 @@
-"""Where compiled kernels are kept: a folder that nobody else can write to.
+"""Where compiled kernels are kept: a folder that only this user can write to.
 
-Numba's index of it is a pickle, which runs as it is read: whoever could write there would run code as this user.
+Numba's index of the folder is a pickle, which runs when it is read. Anybody who could write there would run code as
+this user.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ log = logging.getLogger("plgs.machine")
 def choose_cache_folder(name: str) -> Path:
     """The folder ``name``, made in the first place that is safe: the user's setting, the user's cache folder.
 
-    Where neither is, a folder for this process alone: then every start compiles anew, and the log says why.
+    Where neither is safe it is a folder for this process alone. Then every start compiles anew, and the log says why.
     """
     setting = os.environ.get("NUMBA_CACHE_DIR")
     bases = [Path(setting).absolute()] if setting else []
@@ -30,7 +31,7 @@ def choose_cache_folder(name: str) -> Path:
         if reason is None:
             return base / name
         log.warning("compiled kernels are not kept in %s: %s", base, reason)
-    own = Path(tempfile.mkdtemp(prefix="plgs-kernels-"))  # made for this user alone, under a name nobody can guess
+    own = Path(tempfile.mkdtemp(prefix="plgs-kernels-"))  # for this user alone, under a name that cannot be guessed
     atexit.register(shutil.rmtree, own, ignore_errors=True)
     return own
 
@@ -62,7 +63,7 @@ def _make(folder: Path) -> str | None:
 def why_unsafe(folder: Path) -> str | None:
     """Who else could write to a folder, or exchange it; None when only this user and root can.
 
-    On Windows, whose rights are kept otherwise, nothing is looked at.
+    Windows keeps rights in another way: nothing is checked there.
     """
     if sys.platform == "win32":
         return None
@@ -73,7 +74,7 @@ def why_unsafe(folder: Path) -> str | None:
             return f"{each} belongs to another user"
         if each == folder and not S_ISDIR(found.st_mode):
             return f"{each} is no folder"
-        # In a sticky folder, such as /tmp, nobody can exchange what is another's.
+        # In a sticky folder, such as /tmp, users cannot exchange what is another's.
         is_sticky = bool(found.st_mode & S_ISVTX) and each != folder
         if S_ISDIR(found.st_mode) and found.st_mode & (S_IWGRP | S_IWOTH) and not is_sticky:
             return f"others may write to {each} (chmod go-w would mend that)"

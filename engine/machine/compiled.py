@@ -2,7 +2,7 @@
 
 Numba notices a change in a function's own file only, but kernels are compiled into one another across files.
 So the cache is a folder named after the text of all packages that have kernels: a new version never runs old code.
-``cache_folder`` tells where it lies; the package itself may be read-only.
+``cache_folder`` chooses its place; the package itself may be read-only.
 """
 
 from __future__ import annotations
@@ -22,14 +22,16 @@ from numpy.typing import NDArray
 from .cache_folder import choose_cache_folder
 
 Array = NDArray[Any]
-"""An array as a kernel takes it; the docstrings tell shape and dtype."""
+"""An array as a kernel takes it. The docstrings say its shape and dtype."""
 
 log = logging.getLogger("plgs.machine")
 
 
 def _version() -> str:
-    """Names the text of every package of the engine that has kernels (whole, for kernels freeze the constants that they
-    use) and the versions of what compiles them."""
+    """A name for the text of every package of the engine that has kernels, and for the versions of what compiles them.
+
+    The whole package counts, for kernels freeze the constants that they use.
+    """
     digest = hashlib.sha256(f"{sys.version_info[:2]} {numba.__version__}".encode())
     texts = {source: source.read_bytes() for source in sorted(Path(__file__).parent.parent.rglob("*.py"))}
     packages = {source.parent for source, text in texts.items() if b"compiled import" in text}
@@ -43,9 +45,11 @@ CACHE_FOLDER = choose_cache_folder(f"plgs-kernels-{_version()}")
 
 
 def machine_target() -> tuple[str, str, str]:
-    """What Numba compiles for: (triple, processor, features such as "+avx2,-avx512f"), by this machine and by
-    ``NUMBA_CPU_NAME``, ``NUMBA_CPU_FEATURES`` and ``NUMBA_ENABLE_AVX``. Machine code in the cache is told apart by the
-    same, so whatever depends on nothing else about the machine never mixes."""
+    """What Numba compiles for: (triple, processor, features such as "+avx2,-avx512f").
+
+    It depends on this machine and on ``NUMBA_CPU_NAME``, ``NUMBA_CPU_FEATURES`` and ``NUMBA_ENABLE_AVX``. Numba keeps
+    machine code apart by the same three, so code that depends on nothing else never mixes.
+    """
     target: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
     return target
 
@@ -69,11 +73,11 @@ def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 compiled = _compiler()
-"""A kernel, called from Python. No fused multiply-add and no reassociation: the two passes must agree on every weight,
-bit for bit."""
+"""A kernel, called from Python. No multiply-add is fused and no sum reordered: the two passes must agree on every
+weight, bit for bit."""
 
 contracted = _compiler(fastmath={"contract"})
-"""A kernel of sums of products that only one pass makes: multiply-add may be fused."""
+"""A kernel of sums of products that only one pass computes. Multiply-add may be fused."""
 
 parallel_kernel = compiled
 """A kernel for ``threads.parallel_for``, written as ``kernel(worker, workers, *arguments)``: what this worker does of
@@ -82,12 +86,12 @@ the whole. The result does not depend on how many workers there are."""
 contracted_parallel_kernel = contracted
 
 device_function: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART)
-"""A function that kernels call, compiled as ``compiled`` is, but for them only, which takes far less time: it has no
-entry from Python (where it stays a plain function) and no place in the cache. It does not count references, so it can
-neither make arrays nor return them, not even within a tuple."""
+"""A function that only kernels call, compiled as ``compiled`` is. That takes far less time: it has no entry from Python
+(where it stays a Python function) and no place in the cache. It does not count references, so it can neither make
+arrays nor return them, not even within a tuple."""
 
 contracted_device_function: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART, fastmath={"contract"})
 """As ``device_function``, compiled as ``contracted`` is."""
 
 inlined = _compiler(inline="always")
-"""For pieces of one or two kernels: compiled as part of those and never by themselves, which takes less time."""
+"""A piece of one or two kernels. It is compiled as part of them and never by itself, which takes less time."""

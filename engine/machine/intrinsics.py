@@ -1,4 +1,4 @@
-"""What functions that write LLVM code themselves have in common."""
+"""What functions that write LLVM code themselves have in common, and a counter that all threads see at once."""
 
 from __future__ import annotations
 
@@ -22,3 +22,16 @@ def element_pointer(
 def is_flat(array: types.Type, dtype: types.Type) -> bool:
     """Whether it is one-dimensional, contiguous and of this dtype."""
     return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C" and array.dtype == dtype
+
+
+@intrinsic
+def fetch_add(typing_context: Any, counter: Any) -> Any:
+    """counter[0] before it is raised by one, at once for all threads. It deals out work."""
+    if not is_flat(counter, types.int64):
+        return None
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = element_pointer(context, builder, signature.args[0], arguments[0], ir.IntType(64)(0))
+        return builder.atomic_rmw("add", pointer, ir.IntType(64)(1), "monotonic")
+
+    return types.int64(counter), emit

@@ -1,4 +1,4 @@
-"""Says that kernels are being compiled, once on each machine: it takes long, and nothing else shows."""
+"""Log that kernels are being compiled, once on each machine. It takes long, and nothing else shows it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ log = logging.getLogger("plgs.machine")
 
 
 def log_compilation(what: str, how_long: str) -> Callable[[], None]:
-    """Log that ``what`` is compiled unless it was before; call what is returned when it has been."""
+    """Log that ``what`` is compiled now, unless it was before. Call what is returned when it has been."""
     stamp = _stamp(what)
     if stamp.exists():
         return lambda: None

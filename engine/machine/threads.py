@@ -1,4 +1,4 @@
-"""Threads that run compiled kernels side by side: Python's own thread pool, for kernels let go of the interpreter."""
+"""Threads that run compiled kernels side by side: Python's own thread pool, because kernels release the interpreter."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _stopwatch: dict[str, float] | None = None
 
 
 def worker_count() -> int:
-    """As many workers as torch has threads, ``MOST_WORKERS`` at most."""
+    """The number of torch's threads, at most ``MOST_WORKERS``."""
     return max(1, min(torch.get_num_threads(), MOST_WORKERS))
 
 
@@ -56,7 +56,7 @@ def timed() -> Iterator[dict[str, float]]:
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    """That of this process. It starts a thread when a kernel needs one more."""
+    """The thread pool of this process. It starts a thread when a kernel needs one more."""
     return ThreadPoolExecutor(MOST_WORKERS, thread_name_prefix="plgs-worker")
 
 

@@ -48,7 +48,7 @@ def _no_less_than_lowest(builder: ir.IRBuilder, exponents: Values) -> Values:
 
 
 def _begin(builder: ir.IRBuilder, exponents: Values) -> tuple[Values, Values]:
-    """What tells the whole part of each exponent to ``_end``, and the fraction."""
+    """The whole parts of the exponents, as ``_end`` takes them, and their fractions."""
     exponents = _no_less_than_lowest(builder, exponents)
     if HAS_AVX512:  # one instruction
         rest = [constant(0.0), _ALL, _AS_SET]
@@ -108,8 +108,8 @@ def exp2_x4(typing_context: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
 
 
 def _four_powers(builder: ir.IRBuilder, exponents: Values) -> Values:
-    """The steps of ``exp2``, four times each before the next: in an order that LLVM cannot change. Left to itself it
-    does one power after the other, to save registers, and the processor waits through each (twice as long in all).
+    """Each step of ``exp2`` for all four before the next step, in an order that LLVM cannot change. LLVM itself would
+    do one power after the other, to save registers: the processor would wait through each, twice as long in all.
     """
     powers, fractions, given, table = range(4), range(4, 8), range(8, 12), 12
     lines = [f"vreduceps $$1, ${a}, ${f}" for a, f in zip(given, fractions, strict=True)]

@@ -1,10 +1,8 @@
-"""Sixteen float32 at a time inside Numba: two types (``Lanes`` and ``Flags``) and the few operations the
-kernels need.
+"""Sixteen float32 at a time inside Numba: two types (``lanes`` and ``flags``) and the few operations the kernels need.
 
-Numba has no vector types, and LLVM does not vectorise the blending loops by itself. Each operation here is
-one ``@intrinsic`` that emits generic LLVM vector code: LLVM turns it into AVX-512, AVX2, SSE or NEON,
-whatever the machine has. ``+ - *`` work on ``Lanes``; ``fma`` is fused where the machine can, in the same way
-wherever it is used.
+Numba has no vector types, and LLVM does not vectorise the blending loops by itself. Each operation here is one
+``@intrinsic`` that emits generic LLVM vector code, which LLVM turns into what the processor has: AVX-512, AVX2, SSE or
+NEON. ``+ - * /`` work on ``lanes``. ``fma`` is fused where the processor can, in the same way wherever it is used.
 """
 
 from __future__ import annotations
@@ -319,8 +317,8 @@ def trailing_zeros(typing_context: Any, bits: Any) -> Any:
 
 
 def has_avx512() -> bool:
-    """AVX-512: thirty-two registers of sixteen floats, and its own steps of an exponential. Where Numba is told to
-    compile for a machine without them, there are none."""
+    """Whether kernels may use AVX-512: thirty-two registers of sixteen floats, and instructions for an exponential.
+    They may not where Numba is told to compile for a processor without it."""
     features = machine_target()[2].split(",")
     return "+avx512f" in features and "+avx512dq" in features
 

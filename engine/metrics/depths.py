@@ -6,18 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEAST_ALPHA = 0.5
-"""A pixel counts where the model covers at least so much of it: elsewhere it draws a hole, and has no depth."""
+"""Alpha from which a pixel counts. Below it the model draws a hole, which has no depth."""
 CLOSE = 0.05
-"""Metres; within this a rendered depth is called right."""
+"""Metres within which a rendered depth is right."""
 BIN, BINS = 1e-4, 100_000
-"""Metres: errors are counted in bins of this width, up to 10 m; larger ones go into the last bin."""
+"""Width in metres of the bins that errors are counted in, and their number. Errors above 10 m go into the last bin."""
 
 
 class DepthErrors:
-    """Absolute errors of all pixels of all views, counted in bins: the median of a thousand views needs no more memory
-    than that of one.
+    """Absolute errors of all pixels of all views, counted in bins, so that a thousand views need no more memory than
+    one.
 
-    The median of all pixels, not the mean of the views' medians: a view with little depth says little.
+    The median is that of all pixels, not the mean of the views' medians, as a view with little depth says little.
     """
 
     def __init__(self) -> None:

@@ -1,30 +1,31 @@
-"""Scores of labels that lie in folders, made by whichever program."""
+"""Scores of labels in folders, whatever program made them."""
 
 from __future__ import annotations
 
-from ..scene import SceneError
+from ..errors import PlgsError
 from ..scene.label_folders import LabelFolder, common_classes
+from ..scene.pixels import resize_nearest
 from .report import PredictedView, Report
-from .resampling import nearest
 
 PREDICTIONS = "predictions"
 
 
 def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame: bool = False) -> dict[str, object]:
-    """As metrics.json has it, over the frames that are predicted; all of them need ground truth.
+    """The scores of all predicted frames, in the form of metrics.json. All of them need ground truth.
 
-    ``ids_per_frame``: an instance id means something within its frame alone, as a detector's does. Predictions of
-    another size take that of the ground truth. Raises SceneError when a file is bad.
+    ``ids_per_frame``: an instance id means something within its frame alone, as a detector's does. Predictions are
+    resized to the ground truth. Raises PlgsError when a file is bad.
     """
     unknown = [name for name in predictions.readers if name not in truth.readers]
     if unknown:
         what = f"{len(unknown)} predicted frames have no ground truth, {unknown[0]} among them"
-        raise SceneError(what, truth.folder, "Call the images of a frame alike in both folders, or take these away.")
+        raise PlgsError(what, truth.folder, "Call the images of a frame alike in both folders, or take these away.")
     report, next_id = Report(common_classes(predictions, truth)), 0
     for name, read in predictions.readers.items():
         predicted, true = read(), truth.readers[name]()
         height, width = true.semantic.shape
-        semantic, instance = nearest(predicted.semantic, (width, height)), nearest(predicted.instance, (width, height))
+        size = width, height
+        semantic, instance = resize_nearest(predicted.semantic, size), resize_nearest(predicted.instance, size)
         if ids_per_frame:
             instance = instance + (instance > 0) * next_id
             next_id = max(next_id, int(instance.max(initial=0)))

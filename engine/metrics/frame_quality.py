@@ -10,8 +10,8 @@ from .panoptic import Pair, PanopticEvaluation, Segment
 
 
 class FrameQuality:
-    """COCO's panoptic quality: segments are matched frame by frame, so ids need mean nothing across frames; true and
-    false ones are counted over all frames, PQ is the mean over the classes. Void as in ``strict``."""
+    """COCO's panoptic quality: segments are matched frame by frame, so ids need mean nothing across frames. True and
+    false ones are counted over all frames, and PQ is the mean over the classes. Void is treated as in ``strict``."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
@@ -42,8 +42,8 @@ class FrameQuality:
 
 class IdChanges:
     """Follows every true object over the frames in their order. It is tracked in a frame when a predicted segment of
-    its class has an IoU above 0.5 with it; it has changed its id when that of the segment is another than where it was
-    tracked last."""
+    its class has an IoU above 0.5 with it. It has changed its id when this segment's id differs from that of the
+    segment where it was tracked last."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
@@ -52,7 +52,7 @@ class IdChanges:
         self._changes: Counter[Segment] = Counter()
 
     def add(self, pixels: Mapping[Pair, int]) -> None:
-        """Look at the next view; as ``FrameQuality.add``."""
+        """Count the next view, as ``FrameQuality.add`` does."""
         predicted, true = Counter[Segment](), Counter[Segment]()
         for (p, t), shared in pixels.items():
             predicted[p] += shared

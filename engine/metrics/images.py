@@ -1,4 +1,4 @@
-"""How close a rendered picture comes to the photo: PSNR and SSIM, as it is and after a fit of its colours."""
+"""How close a rendered picture comes to the photo: PSNR and SSIM, before and after a fit of its colours."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class PictureScores(NamedTuple):
 def score_picture(rendered: NDArray[np.generic], photo: NDArray[np.uint8]) -> PictureScores:
     """Score a picture [H, W, 3], uint8 or floats in [0, 1], against the frame's photo uint8 [H, W, 3].
 
-    A camera with auto exposure shows one surface in many colours: the fitted scores forgive what a gain and an offset
-    explain. Black borders that an undistortion left in the photo count neither in the fit nor in PSNR; SSIM takes the
+    A camera with auto exposure shows one surface in many colours. The fitted scores forgive what a gain and an offset
+    explain. Black borders that an undistortion left in the photo count neither in the fit nor in PSNR. SSIM takes the
     whole picture. Raises ValueError when shapes differ.
     """
     valid = ~border_mask(photo)
@@ -46,7 +46,7 @@ def fit_colours(
     """``rendered`` after the affine fit to ``photo``: a gain and an offset a channel, least squares over the ``valid``
     pixels.
 
-    Pictures [H, W, 3], uint8 or floats in [0, 1]; ``valid`` bool [H, W]; the answer is float64, clipped to [0, 1], so
+    Pictures [H, W, 3], uint8 or floats in [0, 1]; ``valid`` bool [H, W]. The answer is float64, clipped to [0, 1], so
     its PSNR is never lower than that of ``rendered``. Raises ValueError when shapes differ.
     """
     x, y = _unit(rendered), _unit(photo)

@@ -1,12 +1,11 @@
 """mIoU and PQ-scene of predicted views against ground truth, in two modes.
 
-``pl_compat`` repeats the evaluator behind the published numbers of Panoptic Lifting, Contrastive Lift and
-PLGS, oddities included: every map stretched to 512x512, rare classes dropped, predicted void scored as a
-class of its own. ``strict`` is the honest reading: native resolution, no class dropped, predicted void a miss
-but never a class.
+``pl_compat`` repeats the evaluator behind the published numbers of Panoptic Lifting, Contrastive Lift and PLGS, with
+its oddities: every map is stretched to 512x512, rare classes are dropped, and predicted void is scored as a class of
+its own. ``strict`` is the honest reading: native resolution, no class dropped, predicted void a miss but never a class.
 
-Both delete the pixels whose ground truth is void first, and both count a segment as a distinct (class,
-instance) pair over ALL views (PQ-scene): an object that changes its id between views is wrong.
+Both first delete the pixels whose ground truth is void. Both count a segment as a distinct (class, instance) pair over
+ALL views (PQ-scene): an object that changes its id between views is wrong.
 """
 
 from __future__ import annotations
@@ -20,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import VOID, ClassTable
-from .resampling import nearest
+from ..scene.pixels import resize_nearest
 
 Mode = Literal["strict", "pl_compat"]
 MODES: tuple[Mode, ...] = get_args(Mode)
 
 COMPAT_SIZE = (512, 512)
 RARE = 0.005
-"""pl_compat drops classes below this share of the pixels that have ground truth."""
+"""Share of the pixels with ground truth below which pl_compat drops a class."""
 
 Segment = tuple[int, int]
 """(class id, instance id)."""
@@ -81,12 +80,12 @@ class PanopticEvaluation:
     ) -> dict[Pair, int]:
         """Count one view: class ids and instance ids, integer [H, W] each; 0 = void, none. Returns its shared pixels.
 
-        Classes that the table does not have count as void. Raises ValueError when shapes differ (in
-        ``pl_compat`` prediction and ground truth may have different sizes) or an id is negative.
+        Classes that the table does not have count as void. Raises ValueError when an id is negative, and when shapes
+        differ; in ``pl_compat`` prediction and ground truth may have different sizes.
         """
         maps = [np.asarray(m) for m in (pred_semantic, pred_instance, gt_semantic, gt_instance)]
         if self.mode == "pl_compat":
-            maps = [nearest(m, COMPAT_SIZE) for m in maps]
+            maps = [resize_nearest(m, COMPAT_SIZE) for m in maps]
         if len({m.shape for m in maps}) != 1:
             shapes = ", ".join(str(m.shape) for m in maps)
             raise ValueError(f"prediction and ground truth differ in size: {shapes}")
@@ -174,8 +173,7 @@ class _ClassAreas:
         predicted, true = self.predicted[class_id] / self.total, self.true[class_id] / self.total
         if mode == "strict":
             return class_id != VOID and (predicted > 0 or true > 0)
-        # A class predicted on 0.3 % is dropped while one predicted nowhere stays and scores 0: so does the
-        # original.
+        # As in the original, a class predicted on 0.3 % is dropped, while one predicted nowhere stays and scores 0.
         rare = 0 < predicted < RARE or 0 < true < RARE
         return (predicted > 0 or true > 0) and not rare
 
@@ -203,8 +201,8 @@ class _Matches:
 def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matches:
     """Match segments of one class whose IoU exceeds 0.5 (at most one partner each follows from that).
 
-    With ``excuse_void`` pixels whose label on the other side is no kept class leave the union, and a segment
-    that lies on such pixels by more than half is no error. Without it predicted void is an ordinary miss.
+    With ``excuse_void``, pixels whose label on the other side is no kept class leave the union, and a segment that lies
+    on such pixels by more than half is no error. Without it, predicted void is an ordinary miss.
     """
     predicted: Counter[Segment] = Counter()
     true: Counter[Segment] = Counter()

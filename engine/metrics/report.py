@@ -1,32 +1,24 @@
-"""The figures of a lift: who scored what on the held-out frames, as metrics.json has it."""
+"""The figures of a lift: the scores of each method on the held-out frames, in the form of metrics.json."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import ClassTable, Frame, GroundTruth, PanopticMask, Scene, load_view
+from ..scene import ClassTable, Frame, GroundTruth, PanopticMask, Scene
 from .depths import DepthErrors
 from .frame_quality import FrameQuality, IdChanges
 from .images import PictureScores, score_picture
 from .panoptic import MODES, PanopticEvaluation, PanopticScores
-from .voxel_vote import VoxelMap, VoxelVote
 
 FORMAT = 1
-MACHINE_MASKS = "machine masks"
+INPUT_MASKS = "input masks"
 LIFTED = "lifted"
-VOXEL_VOTE = "voxel vote (with test depth)"
-METHODS = (MACHINE_MASKS, LIFTED, VOXEL_VOTE)
-
-VOTING_WIDTH = 320
-"""Training views vote at most this wide: a pixel is still far smaller than a voxel, and rooms take seconds.
-"""
-
-MOST_VOTERS = 500
-"""Of more training views so many vote, evenly spread: every voxel has had its votes by then."""
+METHODS = (INPUT_MASKS, LIFTED)
+"""Methods in the order of their tables. Those of other methods follow."""
 
 _FOLLOWED = ("pq_frame", "id_changes")
 _NO_LABEL_SCORES: dict[str, object] = {
@@ -34,16 +26,13 @@ _NO_LABEL_SCORES: dict[str, object] = {
     **dict.fromkeys(("mode", "miou", "pq", "sq", "rq", *_FOLLOWED)),
 }
 
-Progress = Callable[[int, int], None]
-"""Called with (done, total) after each view; may raise to stop."""
-
 
 @dataclass(frozen=True, eq=False)
 class PredictedView:
-    """What a method says about one frame, at the frame's own size.
+    """What a method predicts of one frame, at the frame's own size.
 
-    ``semantic`` and ``instance`` int32 [H, W] (0 = void, none); ``image`` [H, W, 3], uint8 or floats in [0,
-    1], sRGB-encoded, or None when the method renders no picture; ``depth``, planar metres, and ``alpha``, coverage in
+    ``semantic`` and ``instance`` int32 [H, W] (0 = void, none). ``image`` [H, W, 3], uint8 or floats in [0, 1],
+    sRGB-encoded, or None when the method renders no picture. ``depth``, planar metres, and ``alpha``, coverage in
     [0, 1], float32 [H, W], or None when it renders no depth.
     """
 
@@ -55,7 +44,7 @@ class PredictedView:
 
 
 class _Labels:
-    """What is kept of a method's labels: the two modes, PQ frame by frame, and how often objects change their ids."""
+    """The sums over a method's labels: the two modes, PQ frame by frame, and how often objects change their ids."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.modes = {mode: PanopticEvaluation(classes, mode) for mode in MODES}
@@ -72,7 +61,7 @@ class _Labels:
 
 
 class Report:
-    """Collects scores, view after view and method after method, and writes them as tables."""
+    """Collects scores, view after view and method after method, and makes tables of them."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
@@ -83,10 +72,7 @@ class Report:
 
     def add(self, method: str, frame: Frame, view: PredictedView) -> None:
         """Score one held-out view: its labels where the frame has ground truth, its picture and its depth if it has
-        them.
-
-        Raises ValueError when the view has not the frame's size, SceneError when a file is bad.
-        """
+        them. Raises ValueError when the view has another size than the frame, PlgsError when a file is bad."""
         if frame.name not in self._frames:
             self._frames.append(frame.name)
         if view.image is not None:
@@ -99,7 +85,7 @@ class Report:
             self.add_labels(method, frame.name, view, frame.read_ground_truth(frame.size))
 
     def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
-        """Score the labels of one view. Raises ValueError when the view has not the size of its ground truth."""
+        """Score the labels of one view. Raises ValueError when it has another size than its ground truth."""
         if frame not in self._frames:
             self._frames.append(frame)
         if method not in self._labels:
@@ -107,7 +93,7 @@ class Report:
         self._labels[method].add(view, truth)
 
     def to_json(self) -> dict[str, object]:
-        """metrics.json: shares in [0, 1] (percent nowhere), decibels, metres, null where something was not measured."""
+        """metrics.json: shares in [0, 1], decibels, metres; null where something was not measured."""
         methods = sorted({*self._labels, *self._pictures, *self._depths}, key=_place)
         return {
             "format": FORMAT,
@@ -116,7 +102,7 @@ class Report:
         }
 
     def _tables(self, method: str) -> Iterator[dict[str, object]]:
-        """One table a mode; just one, without a mode, when no labels could be scored."""
+        """One table a mode, or one without a mode when no labels could be scored."""
         rendered = {**self._picture_scores(method), **self._depth_scores(method)}
         labels = self._labels.get(method)
         scores = [] if labels is None else [one.result() for one in labels.modes.values() if not one.is_empty]
@@ -148,51 +134,18 @@ def _place(method: str) -> tuple[int, str]:
     return (METHODS.index(method) if method in METHODS else len(METHODS), method)
 
 
-def add_rivals(report: Report, scene: Scene, progress: Progress | None = None) -> None:
-    """Score the machine masks as they are, and the voxel vote, on the held-out frames that have ground truth.
-
-    Does nothing without ground truth. Raises SceneError when a file is bad.
-    """
-    frames = [frame for frame in scene.test_frames if frame.read_ground_truth is not None]
-    if not frames:
-        return
+def add_input_masks(report: Report, scene: Scene) -> None:
+    """Score the input masks as they are on the held-out frames that have ground truth. Raises PlgsError."""
     first_id = 1
-    for frame in frames:
-        view = masks_as_prediction(frame.mask(frame.size), first_id)
-        first_id = max(first_id, int(view.instance.max(initial=0)) + 1)
-        report.add(MACHINE_MASKS, frame, view)
-    voxels = vote(scene, progress)
-    if voxels is None:
-        return
-    for frame in frames:
-        report.add(VOXEL_VOTE, frame, read_voxels(voxels, frame))
+    for frame in scene.test_frames:
+        if frame.read_ground_truth is not None:
+            view = masks_as_prediction(frame.mask(frame.size), first_id)
+            first_id = max(first_id, int(view.instance.max(initial=0)) + 1)
+            report.add(INPUT_MASKS, frame, view)
 
 
 def masks_as_prediction(mask: PanopticMask, first_id: int) -> PredictedView:
-    """A machine mask as a prediction. Its ids become ``first_id``.., because ids of different views mean
-    different things.
-    """
+    """An input mask as a prediction. Its ids become ``first_id``.., as ids of different views mean different things."""
     values, index = np.unique(mask.ids, return_inverse=True)
     fresh = np.where(values > 0, np.cumsum(values > 0) + first_id - 1, 0).astype(np.int32)
     return PredictedView(mask.class_map(), fresh[index.reshape(mask.ids.shape)])
-
-
-def vote(scene: Scene, progress: Progress | None = None) -> VoxelMap | None:
-    """The yardstick's map from the training views, or None when no pixel could vote. Raises SceneError."""
-    votes = VoxelVote(scene.classes)
-    there = scene.train_frames
-    chosen = np.linspace(0, len(there) - 1, min(len(there), MOST_VOTERS)).round().astype(int)
-    frames = [there[place] for place in chosen]
-    for done, frame in enumerate(frames, start=1):
-        width, height = frame.size
-        scale = min(1.0, VOTING_WIDTH / width)
-        view = load_view(frame, (round(width * scale), max(1, round(height * scale))))
-        votes.add(view.camera, view.depth, view.mask.class_map())
-        if progress:
-            progress(done, len(frames))
-    return None if votes.is_empty else votes.result()
-
-
-def read_voxels(voxels: VoxelMap, frame: Frame) -> PredictedView:
-    """The yardstick's answer for a held-out frame, read with that frame's own depth. Raises SceneError."""
-    return PredictedView(*voxels.look_up(frame.camera, frame.depth(frame.size)))

@@ -1,4 +1,4 @@
-"""A lifted scene as plain arrays: anchors to inspect, and Gaussians that any splat viewer can open."""
+"""A lifted scene as arrays: anchors to inspect, and Gaussians that any splat viewer can open."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ import torch
 from numpy.typing import NDArray
 
 from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
+from ..result_files import Anchors
 from .gaussians import decode_rows, no_labels
 from .neural_gaussians import NeuralGaussians
 from .scene_labels import shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
 CHUNK = 65536
-"""Anchors decoded at a time, which bounds the memory; fewer where there are more than USUAL_LABELS labels."""
+"""Anchors decoded at a time, to bound the memory. They are fewer where there are more than USUAL_LABELS labels."""
 USUAL_LABELS = 64
 
 
 @dataclass(frozen=True, eq=False)
 class BakedGaussians:
-    """Gaussians as seen from one point, float32: ``means`` [N, 3] m, ``scales`` [N, 3] m, ``quats`` [N, 4] wxyz unit,
-    ``opacities`` [N] in (0, 1], ``colours`` [N, 3] sRGB in [0, 1]; ``class_id`` and ``instance_id`` int32 [N]."""
+    """Gaussians decoded for one viewpoint, float32: ``means`` [N, 3] m, ``scales`` [N, 3] m, ``quats`` [N, 4] wxyz
+    unit, ``opacities`` [N] in (0, 1], ``colours`` [N, 3] sRGB in [0, 1]; ``class_id`` and ``instance_id`` int32 [N]."""
 
     means: NDArray[np.float32]
     scales: NDArray[np.float32]
@@ -33,24 +34,11 @@ class BakedGaussians:
     instance_id: NDArray[np.int32]
 
 
-@dataclass(frozen=True, eq=False)
-class BakedAnchors:
-    """One row an anchor: ``xyz`` float32 [M, 3] m, ``class_id``, ``instance_id``, ``level`` int32 [M], ``opacity``
-    float32 [M] (mean of max(opacity, 0) over its Gaussians), ``rgb`` uint8 [M, 3]."""
-
-    xyz: NDArray[np.float32]
-    class_id: NDArray[np.int32]
-    instance_id: NDArray[np.int32]
-    opacity: NDArray[np.float32]
-    level: NDArray[np.int32]
-    rgb: NDArray[np.uint8]
-
-
 def decided_labels(
     shown: NDArray[np.float32], channels: LabelChannels, thing_ids: frozenset[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Class and instance ids, int32 [N] each, from what ``shown_probabilities`` gave, [N, C + U]; decided as a pixel of
-    the passes is: what no object owns has its own class and instance 0."""
+    """Class and instance ids, int32 [N] each, from the answer of ``shown_probabilities`` [N, C + U]. They are decided
+    as a pixel of the passes is: what no object owns has its own class and instance 0."""
     classes = len(channels.class_ids)
     by_class, owned = shown[:, :classes], shown[:, classes:]
     place, rows = by_class.argmax(axis=1), np.arange(len(shown))
@@ -72,11 +60,11 @@ def decided_labels(
 @torch.no_grad()
 def bake(
     scene: StructuredScene, viewpoint: NDArray[np.float64], thing_ids: frozenset[int]
-) -> tuple[BakedGaussians, BakedAnchors]:
+) -> tuple[BakedGaussians, Anchors]:
     """Decode every anchor as seen from ``viewpoint`` [3] metres.
 
-    Colours and shapes depend a little on the viewpoint; a plain splat file cannot keep that. The middle of the cameras
-    is the fairest single choice.
+    Colours and shapes depend a little on the viewpoint, which a splat file cannot express. The middle of the cameras is
+    the fairest single choice.
     """
     centre = torch.from_numpy(viewpoint.copy()).float()
     parts: list[dict[str, NDArray]] = []
@@ -123,10 +111,10 @@ def _gaussian_columns(
     }
 
 
-def _baked_anchors(scene: StructuredScene, means: dict[str, NDArray]) -> BakedAnchors:
-    """From ``_anchor_means`` of all anchors, their labels decided. One that draws nothing shows no class."""
+def _baked_anchors(scene: StructuredScene, means: dict[str, NDArray]) -> Anchors:
+    """The anchors from their ``_anchor_means`` and decided labels. An anchor that draws nothing shows no class."""
     is_drawn = means["weight"] > 0
-    return BakedAnchors(
+    return Anchors(
         xyz=scene.anchors.position.numpy(),
         class_id=np.where(is_drawn, means["class_id"], 0).astype(np.int32),
         instance_id=np.where(is_drawn, means["instance_id"], 0).astype(np.int32),

@@ -1,26 +1,30 @@
-"""The decoders F_alpha, F_sem, ... that turn an anchor's feature and where it is seen from into its Gaussians
-(paper, equation "decoder")."""
+"""The decoders F_alpha, F_sem, ... that turn an anchor's feature and the viewpoint into its Gaussians (paper, equation
+"decoder")."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar, Protocol
 
 import torch
 from torch import nn
 
+from .anchors import Anchors
+from .neural_gaussians import NeuralGaussians
+
 HIDDEN = 32
 """Width of the one hidden layer, Scaffold-GS's default."""
+MOST_FEATURES = 512
+"""Entries of an anchor's feature in a model's file at most."""
 
 
 @dataclass(frozen=True)
 class DecoderShape:
-    """What the decoders look like.
+    """The sizes and inputs of the decoders.
 
-    ``distance_input`` feeds the distance to the camera beside the direction, as the paper's formula has it;
-    ``label_view_input`` feeds both to the label decoders too. Off, an object's label cannot depend on who looks at it.
-    ``plain``: there are no decoders, see ``engine/model/plain.py``. ``encoding``: so many channels of an encoding take
-    the place of the slots' probabilities, see ``engine/model/encoded.py``; 0 for none. ``twin``: encodings are given
-    twice, the second time by a decoder that follows the first one slowly.
+    ``distance_input`` feeds the distance to the camera beside the direction, as in the paper's formula.
+    ``label_view_input`` feeds both to the label decoders too. Without it, an object's label cannot depend on the view.
     """
 
     features: int
@@ -29,19 +33,16 @@ class DecoderShape:
     instance_slots: int
     distance_input: bool
     label_view_input: bool
-    plain: bool = False
-    encoding: int = 0
-    twin: bool = False
 
     @property
     def instance_outputs(self) -> int:
-        """Of the instance decoder, for each Gaussian."""
-        return self.encoding or self.instance_slots
+        """Numbers that the instance decoder gives for each Gaussian."""
+        return self.instance_slots
 
     @property
     def instance_channels(self) -> int:
-        """What is drawn of instances."""
-        return 2 * self.encoding if self.twin else self.instance_outputs
+        """Channels that are drawn of instances."""
+        return self.instance_outputs
 
     @property
     def view_inputs(self) -> int:
@@ -49,7 +50,8 @@ class DecoderShape:
 
 
 def _mlp(inputs: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
-    """One hidden layer with ReLU; weights drawn from ``generator`` alone, so that a seed means the same everywhere."""
+    """One hidden layer with ReLU. Weights are drawn from ``generator`` alone, so that a seed means the same
+    everywhere."""
     first, last = drawn_layer(inputs, HIDDEN, generator), drawn_layer(HIDDEN, outputs, generator)
     return nn.Sequential(first, nn.ReLU(), last)
 
@@ -64,20 +66,85 @@ def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Lin
     return layer
 
 
+class ShownLabels(Protocol):
+    """What the Gaussians of a scene show, for any number of frames."""
+
+    def of(self, rows: torch.Tensor) -> torch.Tensor:
+        """What is drawn of the Gaussians of ``rows`` int64 [N], float32 [N, D]."""
+        ...
+
+    def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+        """The coverage [..., C + U] of classes and instances, from what was drawn of the rows up to ``alpha`` [...]."""
+        ...
+
+
 class Decoders(nn.Module):
-    """Opacity, covariance, colour, semantic and instance decoders."""
+    """Opacity, covariance, colour, semantic and instance decoders.
+
+    These are the paper's. Other kinds (those of ``research``) override methods, and are registered in ``DECODERS``.
+    """
+
+    kind: ClassVar[str] = "structured"
+    shape_type: ClassVar[type[DecoderShape]] = DecoderShape
+    shape: Any
+    """An instance of ``shape_type``."""
 
     def __init__(self, shape: DecoderShape, seed: int) -> None:
         super().__init__()
         self.shape = shape
         generator = torch.Generator().manual_seed(seed)
+        sides = self.sides(shape)
+        self.opacity = _mlp(*sides["opacity"], generator)
+        self.covariance = _mlp(*sides["covariance"], generator)
+        self.colour = _mlp(*sides["colour"], generator)
+        self.semantic = _mlp(*sides["semantic"], generator)
+        self.instance = _mlp(*sides["instance"], generator)
+
+    @classmethod
+    def sides(cls, shape: Any) -> dict[str, tuple[int, int]]:
+        """Inputs and outputs of each decoder, by its name."""
         k, seen = shape.gaussians_per_anchor, shape.features + shape.view_inputs
         labelled = seen if shape.label_view_input else shape.features
-        self.opacity = _mlp(seen, k, generator)
-        self.covariance = _mlp(seen, 7 * k, generator)
-        self.colour = _mlp(seen, 3 * k, generator)
-        self.semantic = _mlp(labelled, shape.classes * k, generator)
-        self.instance = _mlp(labelled, shape.instance_outputs * k, generator)
+        return {
+            "opacity": (seen, k),
+            "covariance": (seen, 7 * k),
+            "colour": (seen, 3 * k),
+            "semantic": (labelled, shape.classes * k),
+            "instance": (labelled, shape.instance_outputs * k),
+        }
+
+    @classmethod
+    def weight_sizes(cls, shape: Any) -> dict[str, tuple[int, ...]]:
+        """The size of each tensor of weights, by its name."""
+        return {
+            f"{name}.{layer}.{part}": size
+            for name, (inputs, outputs) in cls.sides(shape).items()
+            for layer, part, size in (
+                (0, "weight", (HIDDEN, inputs)),
+                (0, "bias", (HIDDEN,)),
+                (2, "weight", (outputs, HIDDEN)),
+                (2, "bias", (outputs,)),
+            )
+        }
+
+    @classmethod
+    def check_shape(cls, shape: Any) -> None:
+        """Raises ValueError for a shape that these decoders cannot have."""
+        if not 1 <= shape.features <= MOST_FEATURES:
+            raise ValueError(f"features of the decoders is no number from 1 to {MOST_FEATURES}")
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """The shape and the kind, in the form of a file."""
+        kind = {} if self.kind == Decoders.kind else {"kind": self.kind}
+        return {**asdict(self.shape), **kind}
+
+    def learnt(self) -> Iterator[tuple[str, list[nn.Parameter]]]:
+        """The names of learning rates, and the parameters that each is for."""
+        for name, network in self.named_children():
+            parameters = [each for each in network.parameters() if each.requires_grad]
+            if parameters:
+                yield name, parameters
 
     def view_input(self, feature: torch.Tensor, position: torch.Tensor, camera_centre: torch.Tensor) -> torch.Tensor:
         """Features [V, F] with the direction (and distance in metres) from the camera appended: [V, F + 3 or 4]."""
@@ -89,7 +156,8 @@ class Decoders(nn.Module):
         return torch.cat(parts, dim=1)
 
     def label_outputs(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """What the semantic [V, k, C] and the instance decoder [V, k, S] give; ``seen`` is what ``view_input`` gave."""
+        """Outputs of the semantic [V, k, C] and the instance decoder [V, k, S]. ``seen``: the output of
+        ``view_input``."""
         given = seen if self.shape.label_view_input else feature
         shape, count = self.shape, len(given)
         return (
@@ -102,5 +170,30 @@ class Decoders(nn.Module):
         return self.label_outputs(feature, seen)
 
     def drawn_instances(self, outputs: torch.Tensor) -> torch.Tensor:
-        """What is drawn of Gaussians [N, S] for which the instance decoder gave this: probabilities of the slots."""
+        """What is drawn for outputs of the instance decoder [N, S]: the probabilities of the slots."""
         return torch.softmax(outputs, dim=1)
+
+    decodes_all_anchors: ClassVar[bool] = False
+    """Whether all anchors are decoded; otherwise those whose position the camera sees."""
+    draws_own_labels: ClassVar[bool] = False
+    """Whether the drawn channels are no probabilities, so that only ``own_labels`` says what a picture shows."""
+
+    def own_decoding(
+        self,
+        anchors: Anchors,
+        visible: torch.Tensor,
+        centre: torch.Tensor,
+        channels: torch.Tensor | None,
+        known_labels: torch.Tensor | None,
+    ) -> NeuralGaussians | None:
+        """What ``decode_rows`` returns, for decoders with a way of their own; None otherwise."""
+        return None
+
+    def own_labels(self, anchors: Anchors, channels: Any) -> ShownLabels | None:
+        """What ``scene_labels`` returns, for decoders with a way of their own; None otherwise. ``channels``: the
+        scene's ``LabelChannels``."""
+        return None
+
+
+DECODERS: dict[str, type[Decoders]] = {Decoders.kind: Decoders}
+"""The kinds that a model's file may name."""

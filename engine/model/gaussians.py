@@ -10,17 +10,15 @@ import numpy as np
 import torch
 
 from ..machine.compiled import compiled
-from ..raster.kernels import choose_kernels
 from ..scene import Camera
 from .anchors import Anchors
 from .decoders import Decoders
 from .decoding.native import decode_natively
 from .neural_gaussians import NeuralGaussians
-from .plain import decode_plain
 from .torch_decoding import decode_in_torch
 
 VARIABLE = "PLGS_DECODER_KERNELS"
-"""Environment variable: ``vector``, ``torch``, or unset to let the machine decide."""
+"""Environment variable: ``vector`` (as when it is unset) or ``torch``."""
 NEAR = 0.2
 """Anchors closer to the image plane than this, in metres, are left out (Scaffold-GS's near plane)."""
 
@@ -72,12 +70,10 @@ def decode(
     channels: torch.Tensor | None = None,
     known_labels: torch.Tensor | None = None,
 ) -> NeuralGaussians:
-    """Decode the Gaussians of every anchor that ``camera`` can see; those with opacity <= 0 are dropped.
-
-    The rest is as for ``decode_rows``.
-    """
+    """Decode the Gaussians of every anchor that ``camera`` can see; those with opacity <= 0 are dropped. The other
+    arguments are those of ``decode_rows``."""
     centre = torch.from_numpy(camera.centre.copy()).to(anchors.position)
-    if decoders.shape.plain:  # they have moved away from where they began
+    if decoders.decodes_all_anchors:
         visible = torch.arange(len(anchors))
     else:
         visible = visible_anchors(anchors, camera)
@@ -96,24 +92,22 @@ def decode_rows(
     """Decode the anchors of rows ``visible`` int64 [V] (none twice) as seen from ``centre`` [3] metres.
 
     ``channels`` int64 [M]: semantic channel of each anchor's class, -1 where it has none, for the cluster loss.
-    ``known_labels`` float32 [M * k, L]: what every Gaussian shows, decoded before (see ``SceneLabels``); then labels
+    ``known_labels`` float32 [M * k, L]: what every Gaussian shows, decoded before (see ``SceneLabels``). Then labels
     are rows of it and have no gradient, and there is no cluster loss.
     """
-    if decoders.shape.plain:
-        return decode_plain(anchors, decoders, visible, channels, known_labels)
-    draws_encodings = decoders.shape.encoding > 0 and known_labels is None  # which the kernels know nothing of
-    fits = _wants_kernels() and _kernels_fit(anchors.feature) and not draws_encodings
-    decode_with = decode_natively if fits else decode_in_torch
+    own = decoders.own_decoding(anchors, visible, centre, channels, known_labels)
+    if own is not None:
+        return own
+    decode_with = decode_natively if _wants_kernels() and _kernels_fit(anchors.feature) else decode_in_torch
     return decode_with(anchors, decoders, visible, centre, channels, known_labels)
 
 
 def _wants_kernels() -> bool:
-    """By ``PLGS_DECODER_KERNELS``; unset, where the rasteriser's vector kernels run too. Raises ``ValueError`` when it
-    holds anything unknown."""
+    """By ``PLGS_DECODER_KERNELS``. Raises ``ValueError`` when it holds anything unknown."""
     wish = os.environ.get(VARIABLE, "")
     if wish not in ("", "vector", "torch"):
         raise ValueError(f"{VARIABLE} is {wish!r}; it must be vector or torch, or not be set")
-    return wish == "vector" or (not wish and choose_kernels().name == "vector")
+    return wish != "torch"
 
 
 def _kernels_fit(tensor: torch.Tensor) -> bool:
@@ -121,5 +115,5 @@ def _kernels_fit(tensor: torch.Tensor) -> bool:
 
 
 def no_labels(anchors: Anchors) -> torch.Tensor:
-    """``known_labels`` of a caller who gets them otherwise: one channel of zeros, so that none are decoded."""
+    """``known_labels`` for a caller who needs none decoded: one channel of zeros."""
     return torch.zeros(len(anchors) * anchors.gaussians_per_anchor, 1)

@@ -1,8 +1,8 @@
 """Growing anchors where the picture is poorly explained, pruning those that stay transparent (Scaffold-GS,
 section 3.3).
 
-Only the reconstruction loss and the depth loss, where there is one, feed the statistics: they are gathered from
-gradients of the projected Gaussian centres, and label losses never reach those.
+The statistics are gathered from gradients of the projected Gaussian centres. Only the reconstruction loss and the
+depth loss, where there is one, reach these; label losses never do.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ ONE, ZERO = np.float32(1), np.float32(0)
 class GrowthRules:
     """When to grow and prune. Visit counts are shares of the steps between two rounds.
 
-    ``gradient`` is the first level's threshold on the mean gradient of the projected centre in NDC units; level i takes
-    2^i times that and cells of ``cell_voxels[i]`` voxels. ``opacity`` is the mean summed opacity below which an
-    anchor goes. ``least_visits``: so many visits are enough however many steps there are between two rounds, since in a
-    short lift of many views an anchor that few of them see would else never be judged; None waits for the shares.
+    ``gradient`` is the first level's threshold on the mean gradient of the projected centre in NDC units. Level i takes
+    2^i times that and cells of ``cell_voxels[i]`` voxels. An anchor with a mean summed opacity below ``opacity`` is
+    pruned. ``least_visits``: visits that are enough however many steps there are between two rounds. In a short lift of
+    many views, an anchor that few of them see would otherwise never be judged. None waits for the shares.
     """
 
     gradient: float = 2e-4
@@ -40,15 +40,15 @@ class GrowthRules:
     least_visits: int | None = None
 
     def enough(self, share: float, steps_between: int) -> float:
-        """Visits beyond which is judged, from the share of the steps between two rounds."""
+        """Visits above which an anchor is judged, from the share of the steps between two rounds."""
         wanted = share * steps_between
         return wanted if self.least_visits is None else min(wanted, self.least_visits * share / self.visited_share)
 
 
 @dataclass
 class GrowthStatistics:
-    """Sums since the last round: ``visits`` [M] and ``opacity`` [M] an anchor, ``gradient`` [M, k] and ``drawn`` [M, k]
-    a Gaussian; float32."""
+    """Sums since the last round, float32: ``visits`` [M] and ``opacity`` [M] of anchors, ``gradient`` [M, k] and
+    ``drawn`` [M, k] of their Gaussians."""
 
     visits: torch.Tensor
     opacity: torch.Tensor
@@ -66,7 +66,8 @@ class GrowthStatistics:
     def add(
         self, gaussians: NeuralGaussians, drawn: torch.Tensor, means2d_gradient: torch.Tensor, width: int, height: int
     ) -> None:
-        """Count one step: ``drawn`` bool [N], ``means2d_gradient`` [N, 2] per pixel, brought to NDC units here."""
+        """Count one step: ``drawn`` bool [N], ``means2d_gradient`` [N, 2] per pixel, which is converted to NDC
+        units."""
         _add_step(
             gaussians.visible.numpy(),
             gaussians.all_opacities.detach().contiguous().numpy(),
@@ -110,7 +111,7 @@ def _add_step(
 
 @dataclass(frozen=True)
 class GrowthRound:
-    """What a round decided: rows to keep (bool [M]) and the anchors to add behind them."""
+    """What a round decided: the rows to ``keep`` (bool [M]) and the anchors ``grown`` that follow them."""
 
     keep: torch.Tensor
     grown: Anchors
@@ -136,9 +137,9 @@ def grow_and_prune(
     random: np.random.Generator,
     most_anchors: int,
 ) -> GrowthRound:
-    """One round. The statistics of what was judged are set back to zero in place.
+    """One round. The statistics of the judged anchors are set to zero in place.
 
-    Growing stops at ``most_anchors`` in all; which candidates fall out then is decided by ``random`` as well.
+    Growing stops at ``most_anchors`` in all. ``random`` then chooses among the candidates, too.
     """
     judged = statistics.visits > rules.enough(rules.visited_share, steps_between)
     keep = ~(judged & (statistics.opacity < rules.opacity * statistics.visits))

@@ -1,9 +1,8 @@
 """Labels voted onto the Gaussians by their blending weights, over all views.
 
-The label decoders are small networks that smear what is small: taps, switches, the edge of a stair. Where things are is
-better said by the masks themselves: a pixel's label is a vote for the Gaussians that the pixel is blended from, as much
-as each takes part in it (as in LUDVIG, Marrie et al. 2024, which averages a network's features this way). The decoders
-serve where nothing was seen.
+The label decoders are small networks that smear small things: taps, switches, the edge of a stair. The masks themselves
+are sharper. So a pixel's label is a vote for the Gaussians that the pixel is blended from, weighted by their parts in
+it. (LUDVIG, Marrie et al. 2024, averages a network's features this way.) The decoders serve where nothing was seen.
 """
 
 from __future__ import annotations
@@ -17,37 +16,32 @@ from numpy.typing import NDArray
 
 from ..instances.class_first import LEAST_OF_CLASS, object_of_class
 from ..machine.compiled import compiled, device_function
+from ..presets.preset import Voting
 from ..scene import Camera
 from .gaussians import decode, no_labels
 from .structured import GaussianLabels, StructuredScene
 
 LEAST_SHARE = np.float32(LEAST_OF_CLASS)
 LABELS_HELD = 16
-"""A Gaussian holds votes for so many labels at a time. It lies on one surface, so that few get any."""
+"""Labels that a Gaussian holds votes for at a time. It lies on one surface, so that few get any."""
 CHUNK = 16384
-"""Anchors whose labels are decoded at a time, which bounds the memory; fewer where there are more than USUAL_LABELS
-labels."""
+"""Anchors whose labels are decoded at a time, to bound the memory. They are fewer where there are more than
+USUAL_LABELS labels."""
 USUAL_LABELS = 64
-
-
-@dataclass(frozen=True)
-class VotingOptions:
-    """``contributors`` of a pixel that get its vote. In each view a Gaussian has (summed weight)^``power`` votes.
-    Pixels whose rendered depth is more than ``depth_gap_m`` metres and ``depth_gap_share`` of the depth off the
-    sensor's abstain. The decoders have ``prior`` votes on each Gaussian. The ``kept`` likeliest labels are kept."""
-
-    contributors: int = 4
-    power: float = 0.5
-    depth_gap_m: float = 0.15
-    depth_gap_share: float = 0.05
-    prior: float = 0.3
-    kept: int = 4
+CONTRIBUTORS = 4
+"""Gaussians of a pixel that get its vote."""
+DEPTH_GAP_M, DEPTH_GAP_SHARE = 0.15, 0.05
+"""Metres and share of the depth. A pixel abstains when its rendered depth differs from the sensor's by more than
+both."""
+KEPT = 4
+"""Labels that a Gaussian keeps, the likeliest ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contributors:
-    """Of one view, at P pixels: ``gaussian`` int32 [H, W, K], rows of the scene's labels (-1 = none), ``weight``
-    float32 [H, W, K], largest first, and ``depth`` float32 [H, W] metres, 0 where (nearly) nothing is drawn."""
+    """The Gaussians that a view's pixels are blended from: ``gaussian`` int32 [H, W, K], rows of the scene's labels (-1
+    = none), ``weight`` float32 [H, W, K], largest first, and ``depth`` float32 [H, W] metres, 0 where (nearly) nothing
+    is drawn."""
 
     gaussian: NDArray[np.int32]
     weight: NDArray[np.float32]
@@ -69,7 +63,7 @@ class HeldVotes(NamedTuple):
 
 
 @torch.no_grad()
-def contributors(scene: StructuredScene, camera: Camera, count: int) -> Contributors:
+def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTORS) -> Contributors:
     """The ``count`` Gaussians with the largest blending weights of each pixel."""
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=no_labels(scene.anchors))
     rendering = drawn.drawn_by(camera, top_k=count)
@@ -84,13 +78,13 @@ def contributors(scene: StructuredScene, camera: Camera, count: int) -> Contribu
 class LabelVotes:
     """Collects the votes of view after view for the G Gaussians of a finished scene.
 
-    A Gaussian has votes for LABELS_HELD labels at most, so that memory does not grow with the number of labels. A
-    label more takes the place of the one with the fewest votes and inherits these (the "space saving" of Metwally et
-    al. 2005): a label with more than 1 / LABELS_HELD of a Gaussian's votes is never lost.
+    A Gaussian has votes for LABELS_HELD labels at most, so that memory does not grow with the number of labels. Another
+    label takes the place of the one with the fewest votes and inherits these (the "space saving" of Metwally et al.
+    2005). So a label with more than 1 / LABELS_HELD of a Gaussian's votes is never lost.
     """
 
-    def __init__(self, scene: StructuredScene, options: VotingOptions) -> None:
-        self.scene, self.options = scene, options
+    def __init__(self, scene: StructuredScene, voting: Voting) -> None:
+        self.scene, self.voting = scene, voting
         channels = scene.channels
         self._labels = len(channels.class_ids) + len(channels.instance_slots)
         gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
@@ -99,32 +93,31 @@ class LabelVotes:
         self._seen = np.zeros(gaussians, np.float32)
 
     def add(self, view: Contributors, label: NDArray[np.int16], sensor: NDArray[np.float32]) -> None:
-        """A view's labels int16 [H, W] (-1 abstains), and its depth float32 [H, W] metres (0 = unknown)."""
-        options = self.options
-        gap = np.maximum(options.depth_gap_m, options.depth_gap_share * sensor)
+        """Count a view: its labels int16 [H, W] (-1 abstains), and its depth float32 [H, W] metres (0 = unknown)."""
+        gap = np.maximum(DEPTH_GAP_M, DEPTH_GAP_SHARE * sensor)
         votes = (label >= 0) & ((sensor <= 0) | (np.abs(view.depth - sensor) <= gap))
         shown = np.where(votes, label, -1).astype(np.int16)
-        _add_votes(view.gaussian, view.weight, shown, np.float32(options.power), self._seen, self._held)
+        _add_votes(view.gaussian, view.weight, shown, np.float32(self.voting.power), self._seen, self._held)
 
     @torch.no_grad()
     def result(self) -> GaussianLabels:
-        """The likeliest labels of every Gaussian, the decoders' among them; their shares sum to 1."""
-        k, kept = self.scene.anchors.gaussians_per_anchor, min(self.options.kept, self._labels)
+        """The likeliest labels of every Gaussian, with the decoders' votes. Their shares sum to 1."""
+        k, kept = self.scene.anchors.gaussians_per_anchor, min(KEPT, self._labels)
         parts = []
         step = CHUNK * USUAL_LABELS // max(USUAL_LABELS, self._labels)
         for start in range(0, len(self.scene.anchors), step):
             feature = self.scene.anchors.feature.detach()[start : start + step]
             votes = torch.from_numpy(self._held.of_all_labels(start * k, (start + len(feature)) * k, self._labels))
             if not self.scene.decoders.shape.label_view_input:  # else they say nothing without a view
-                votes = votes + self.options.prior * self._decoded(feature)
+                votes = votes + self.voting.prior * self._decoded(feature)
             parts.append(votes.topk(kept, dim=1))
         share = torch.cat([part.values for part in parts])
         label = torch.cat([part.indices for part in parts]).to(torch.int16)
         return GaussianLabels(label, share / share.sum(dim=1, keepdim=True).clamp_min(1e-8))
 
     def _decoded(self, feature: torch.Tensor) -> torch.Tensor:
-        """What the label decoders say of the anchors with these features: probabilities of the classes without an
-        object, then of the instances, [anchors * k, C + U]."""
+        """The label decoders' probabilities for anchors with these features: those of the classes without an object,
+        then those of the instances, [anchors * k, C + U]."""
         channels, decoders = self.scene.channels, self.scene.decoders
         classes, slots = (logits.flatten(0, 1).softmax(dim=1) for logits in decoders.label_logits(feature, feature))
         instances = slots[:, list(channels.instance_slots)]
@@ -132,8 +125,8 @@ class LabelVotes:
 
 
 def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributors) -> NDArray[np.int16]:
-    """The label of each pixel, int16 [H, W], -1 where (nearly) nothing is drawn: class first, then the object of that
-    class, as a pixel of the passes is decided."""
+    """The label of each pixel, int16 [H, W], -1 where (nearly) nothing is drawn. As for a pixel of the passes, the
+    class is decided first, then the object of that class."""
     channels = scene.channels
     classes = len(channels.class_ids)
     of_instance = [channels.class_ids.index(channels.class_of_slot[slot]) for slot in channels.instance_slots]
@@ -162,7 +155,7 @@ def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
 @compiled
 def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, held: HeldVotes) -> None:
     """Add each pixel's weights to the votes ``held``, scaled so that a Gaussian has (its weight in the view)^power
-    votes; ``seen`` [G] holds zeros before and after."""
+    votes. ``seen`` [G] holds zeros before and after."""
     height, width, count = weight.shape
     for y in range(height):
         for x in range(width):

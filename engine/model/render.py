@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ..raster import rasterize
-from ..raster.conventions import NEAR
+from ..raster.conventions import BLUR, NEAR
 from ..scene import Camera
 from .gaussians import decode, no_labels
 from .neural_gaussians import NeuralGaussians
@@ -18,13 +18,11 @@ from .scene_labels import ShownLabels, shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
 MOST_BYTES = 1 << 27
-"""Of a band's label coverage. Larger ones gain no time; smaller ones cost some."""
+"""Bytes of a band's label coverage, at most. Larger bands gain no time; smaller ones cost some."""
 TILE_ROWS = 16
 """Bands begin with a row of the rasteriser's tiles."""
 REACH = 3.5
 """Standard deviations within which a Gaussian's alpha can reach 1/255, and a little more."""
-BLUR = 0.3
-"""Added to the variance of a footprint, pixels squared (see ``rasterize``)."""
 
 
 @torch.no_grad()
@@ -49,7 +47,7 @@ def render_bands(
 
     ``most_bytes``: of a band's label coverage; None for all rows at once. ``labels`` as for ``render_view``.
     """
-    if labels is None and (scene.voted is not None or scene.decoders.shape.encoding):
+    if labels is None and (scene.voted is not None or scene.decoders.draws_own_labels):
         labels = shown_labels(scene)
     known = None if labels is None else no_labels(scene.anchors)
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=known)

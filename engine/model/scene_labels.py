@@ -6,19 +6,19 @@ from dataclasses import dataclass
 
 import torch
 
-from .encoded import EncodedDecoders
+from .decoders import ShownLabels
 from .structured import GaussianLabels, LabelChannels, StructuredScene
 
 CHUNK = 16384
-"""Anchors decoded at a time, which bounds the memory beside the result."""
+"""Anchors decoded at a time. This bounds the memory beside the result."""
 MOST_BYTES = 1 << 30
-"""A larger table is not made: frames then decode what they show."""
+"""Bytes of a table at most. Without a table, every frame decodes its labels."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneLabels:
-    """``probabilities`` float32 [M * k, C + U]: class probabilities of every Gaussian, which sum to 1, then those of
-    the U instances. What these leave of 1 is the probability of no object."""
+    """``probabilities`` float32 [M * k, C + U] of every Gaussian: those of the classes, which sum to 1, then those of
+    the U instances. The rest of the latter to 1 is the probability of no object."""
 
     probabilities: torch.Tensor
 
@@ -33,8 +33,8 @@ class SceneLabels:
 
 @dataclass(frozen=True, eq=False)
 class VotedLabels:
-    """As ``SceneLabels``, from the few labels that each Gaussian was voted to be: the memory does not grow with the
-    number of classes and instances. ``class_of_label`` int64 [C + U]: the semantic channel of each label."""
+    """``SceneLabels`` from the few labels that were voted for each Gaussian. Their memory does not grow with the number
+    of classes and instances. ``class_of_label`` int64 [C + U]: the semantic channel of each label."""
 
     voted: GaussianLabels
     classes: int
@@ -60,36 +60,13 @@ class VotedLabels:
         return drawn
 
 
-@dataclass(frozen=True, eq=False)
-class EncodedLabels:
-    """As ``SceneLabels``, where encodings tell instances apart: these are drawn, and each pixel's blend is classified.
-    ``columns`` float32 [M * k, C + E]: class probabilities and encoding of every Gaussian."""
-
-    columns: torch.Tensor
-    decoders: EncodedDecoders
-    channels: LabelChannels
-
-    def of(self, rows: torch.Tensor) -> torch.Tensor:
-        """What is drawn of the Gaussians of ``rows`` int64 [N], float32 [N, C + E]."""
-        return self.columns.index_select(0, rows)
-
-    def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-        """As ``SceneLabels.shown``."""
-        classes = len(self.channels.class_ids)
-        slots = self.decoders.slot_coverage(drawn[..., classes:], alpha)
-        return shown_probabilities(drawn[..., :classes], slots, self.channels)
-
-
-ShownLabels = SceneLabels | VotedLabels | EncodedLabels
-
-
 def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: LabelChannels) -> torch.Tensor:
     """Probabilities (or coverage) of classes [..., C] and instances [..., U] together, [..., C + U], from those of the
     semantic channels [..., C] and of all slots [..., S].
 
-    Where an object is of one class throughout, an instance gives all it has to its own class, and only what is no
-    object's goes by the semantic channels. So an instance cannot be seen as another class than its own, nor a class
-    take the id of an instance that is not there.
+    Where an object is of one class throughout, all of an instance counts for its own class, and only the rest follows
+    the semantic channels. So an instance cannot appear with another class than its own, and a class cannot take the id
+    of an instance that is not there.
     """
     used = list(channels.instance_slots)
     instances = slots[..., used]
@@ -103,19 +80,20 @@ def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: La
 
 
 def shown_labels(scene: StructuredScene) -> ShownLabels | None:
-    """What the Gaussians of a finished scene show: as they were voted, else as ``scene_labels`` has it."""
+    """What the Gaussians of a finished scene show: the voted labels, or else those of ``scene_labels``."""
     return scene_labels(scene) if scene.voted is None else VotedLabels.of_scene(scene.voted, scene.channels)
 
 
 @torch.no_grad()
-def scene_labels(scene: StructuredScene) -> SceneLabels | EncodedLabels | None:
+def scene_labels(scene: StructuredScene) -> ShownLabels | None:
     """The labels that the decoders give the Gaussians of a scene that does not change while they are used.
 
-    None when labels depend on the view, or when there are too many to keep. Encodings are kept however many there are.
+    None when labels depend on the view, or when there are too many to keep.
     """
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
-    if isinstance(decoders, EncodedDecoders):
-        return _encoded_labels(scene, decoders)
+    own = decoders.own_labels(anchors, channels)
+    if own is not None:
+        return own
     gaussians = len(anchors) * anchors.gaussians_per_anchor
     width = len(channels.class_ids) + len(channels.instance_slots)
     if decoders.shape.label_view_input or 4 * gaussians * width > MOST_BYTES:
@@ -127,11 +105,3 @@ def scene_labels(scene: StructuredScene) -> SceneLabels | EncodedLabels | None:
         probabilities[start : start + len(classes)] = shown_probabilities(classes, slots, channels)
         start += len(classes)
     return SceneLabels(probabilities)
-
-
-def _encoded_labels(scene: StructuredScene, decoders: EncodedDecoders) -> EncodedLabels:
-    parts = []
-    for feature in scene.anchors.feature.detach().split(CHUNK):
-        classes, encodings = (each.flatten(0, 1) for each in decoders.label_outputs(feature, feature))
-        parts.append(torch.cat([classes.softmax(dim=1), encodings], dim=1))
-    return EncodedLabels(torch.cat(parts), decoders, scene.channels)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import torch
 
 from .anchors import Anchors
-from .checking import check_model
-from .decoders import Decoders, DecoderShape
-from .encoded import EncodedDecoders, TwinDecoders
-from .plain import PlainDecoders
+from .checking import check_model, decoders_of
+from .decoders import Decoders
 
 FORMAT = 2
-"""Of model.safetensors; 1 had no slot for "no object"."""
+"""Format of model.safetensors. Format 1 had no slot for "no object"."""
 NO_OBJECT, SPARE = 0, -1
-"""What a slot that is no instance's means: "no object", which is learnt like any object; and one of the paper's 25 that
-no instance was found for."""
+"""Ids of slots without an instance: that of "no object", which is learnt like any object; and those of the paper's 25
+for which no instance was found."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +22,8 @@ class LabelChannels:
     """Meaning of the label channels: class id of each semantic channel, ascending; instance id of each slot,
     ``NO_OBJECT`` or ``SPARE``. Spare slots take part in training and are never shown.
 
-    ``class_of_slot``: where an object is of one class throughout, the class of each slot's instance (0 for the other
-    slots); empty where every pixel decides for itself.
+    ``class_of_slot``: the class of each slot's instance (0 for the other slots), where an object is of one class
+    throughout; empty where every pixel decides for itself.
     """
 
     class_ids: tuple[int, ...]
@@ -45,9 +43,9 @@ class LabelChannels:
 
 @dataclass(frozen=True, eq=False)
 class GaussianLabels:
-    """What the views voted every Gaussian to be: its few likeliest labels, most likely first. ``label`` int16 [G, K]:
-    0..C-1 a class without an object, C.. the ``shown_ids`` in their order; ``share`` float32 [G, K], in all at most 1.
-    """
+    """The likeliest labels that the views voted for every Gaussian, most likely first. ``label`` int16 [G, K]: 0..C-1
+    is a class without an object, C.. are the ``shown_ids`` in their order. ``share`` float32 [G, K] sums to at most
+    1."""
 
     label: torch.Tensor
     share: torch.Tensor
@@ -55,8 +53,8 @@ class GaussianLabels:
 
 @dataclass
 class StructuredScene:
-    """A lifted (or half lifted) scene. ``voxel_size`` in metres. ``voted``: labels of all Gaussians, those of anchor i
-    in rows i k to i k + k - 1, in place of what the label decoders say; None where these serve."""
+    """A lifted (or half lifted) scene. ``voxel_size`` in metres. ``voted``: labels of all Gaussians instead of the
+    label decoders', those of anchor i in rows i k to i k + k - 1; None where the decoders are used."""
 
     anchors: Anchors
     decoders: Decoders
@@ -65,17 +63,8 @@ class StructuredScene:
     voted: GaussianLabels | None = None
 
 
-def new_decoders(shape: DecoderShape, seed: int) -> Decoders:
-    """Decoders of that shape, drawn from the seed."""
-    if shape.plain:
-        return PlainDecoders(shape)
-    if shape.twin:
-        return TwinDecoders(shape, seed)
-    return EncodedDecoders(shape, seed) if shape.encoding else Decoders(shape, seed)
-
-
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:
-    """Named tensors and JSON-ready facts that ``from_tensors`` makes the scene from again."""
+    """Named tensors and facts for JSON, from which ``from_tensors`` makes the scene again."""
     tensors = {f"anchors.{name}": tensor for name, tensor in scene.anchors.tensors().items()}
     tensors |= {f"decoders.{name}": tensor.detach() for name, tensor in scene.decoders.state_dict().items()}
     if scene.voted is not None:
@@ -86,27 +75,20 @@ def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[st
         "class_ids": list(scene.channels.class_ids),
         "slot_ids": list(scene.channels.slot_ids),
         "class_of_slot": list(scene.channels.class_of_slot),
-        "decoders": _facts_of(scene.decoders.shape),
+        "decoders": scene.decoders.facts,
     }
     return tensors, facts
 
 
-def _facts_of(shape: DecoderShape) -> dict[str, object]:
-    """Without what only rivals' heads need, where there is none: earlier versions read such models too."""
-    facts = asdict(shape)
-    return facts if shape.encoding else {key: value for key, value in facts.items() if key not in ("encoding", "twin")}
-
-
 def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredScene:
-    """The inverse of ``to_tensors``. Raises ValueError for a format this version does not know, and for tensors and
-    facts that do not fit together; KeyError and TypeError for facts that are missing or of another kind.
-    """
+    """The inverse of ``to_tensors``. Raises ValueError for an unknown format, and for tensors and facts that do not fit
+    together; KeyError and TypeError for facts that are missing or of another type."""
     if facts.get("format") != FORMAT:
         raise ValueError(f"model format {facts.get('format')!r} is not known to this version; lift again or update")
     check_model(tensors, facts)
     anchors = Anchors(**{name: tensors[f"anchors.{name}"].clone() for name in (*Anchors.LEARNT, *Anchors.FIXED)})
-    shape = DecoderShape(**facts["decoders"])
-    decoders = new_decoders(shape, seed=0)
+    kind, shape = decoders_of(facts["decoders"])
+    decoders = kind(shape, seed=0)
     weights = {name: tensor for name, tensor in tensors.items() if name.startswith("decoders.")}
     decoders.load_state_dict({name.removeprefix("decoders."): tensor for name, tensor in weights.items()})
     meaning = (tuple(facts[name]) for name in ("class_ids", "slot_ids", "class_of_slot"))

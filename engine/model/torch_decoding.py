@@ -1,4 +1,4 @@
-"""Decoding in plain torch: the readable twin of the kernels in ``decoding``, and the oracle of their tests.
+"""Decoding in torch: the readable counterpart of the kernels in ``decoding``, and the oracle of their tests.
 
 It serves where the kernels cannot run, on any device and in any precision.
 """

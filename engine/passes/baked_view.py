@@ -1,4 +1,4 @@
-"""A view as it is baked: its layers, its surface and its mattes, from a rendering in bands of rows."""
+"""A baked view: its layers, its surface and its mattes, from a rendering in bands of rows."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class BakedView:
 
 @dataclass(frozen=True)
 class ShownInstances:
-    """What pictures and passes need to know of the instances, by id. ``class_of``: the class that all of an instance is
-    shown with, or None when every pixel decides for itself."""
+    """The instances of pictures and passes: ``names`` by id. ``class_of``: the class that all of an instance is shown
+    with, or None when every pixel decides for itself."""
 
     names: Mapping[int, str]
     class_of: Mapping[int, int] | None = None
@@ -49,8 +49,8 @@ class ShownInstances:
 def bake_view(
     bands: Iterable[PanopticRendering], camera: Camera, classes: ClassTable, instances: ShownInstances
 ) -> BakedView:
-    """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after the other: the coverage of
-    no more than one is held. Raises ValueError when there is none."""
+    """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after the other, so that the
+    coverage of only one is held. Raises ValueError when there is none."""
     shape = (2 * RANKS, camera.height, camera.width)
     of_instances, of_classes = np.empty(shape, np.float32), np.empty(shape, np.float32)
     layers: list[PanopticLayers] = []
@@ -75,9 +75,9 @@ def bake_view(
 def things_coverage(rendering: PanopticRendering, classes: ClassTable) -> NDArray[np.float32]:
     """What the pixels' things cover, float32 [H, W].
 
-    Where every pixel decides for itself stuff has instance probabilities too (nothing forbids them), so a pixel's
-    instances together get no more than this: at the edge of a chair before a wall the chair keeps its share, and the
-    wall's idea of an instance gets nothing. Where an object is of one class its coverage is part of its class's.
+    Where every pixel decides for itself, stuff has instance probabilities too (nothing forbids them). So a pixel's
+    instances together get no more than this. At the edge of a chair before a wall the chair keeps its share, and
+    instances of the wall get nothing. Where an object has one class, its coverage is part of its class's.
     """
     things = [column for column, one in enumerate(rendering.class_ids) if one in classes.thing_ids]
     total = np.zeros_like(rendering.alpha)
@@ -87,7 +87,7 @@ def things_coverage(rendering: PanopticRendering, classes: ClassTable) -> NDArra
 
 
 def joined(bands: list[PanopticLayers]) -> PanopticLayers:
-    """Bands of rows put together, from the top."""
+    """All bands of rows in one, from the top."""
     if len(bands) == 1:
         return bands[0]
     names = [field.name for field in fields(PanopticLayers)]

@@ -21,13 +21,12 @@ BACKGROUND, TEXT, FAINT = (24, 25, 28), (232, 232, 230), (150, 152, 156)
 
 @dataclass(frozen=True, eq=False)
 class SheetRow:
-    """One held-out frame. ``photo`` uint8 [H, W, 3]; ``machine_classes`` int32 [H, W] of the machine mask;
-    the baked layers. All of one size.
-    """
+    """One held-out frame: ``photo`` uint8 [H, W, 3], ``mask_classes`` int32 [H, W] of the input mask, and the baked
+    layers, all of one size."""
 
     name: str
     photo: Picture
-    machine_classes: NDArray[np.int32]
+    mask_classes: NDArray[np.int32]
     layers: PanopticLayers
 
 
@@ -37,10 +36,10 @@ def write_contact_sheet(
     classes: ClassTable,
     instance_colours: Mapping[int, Colour] | None = None,
 ) -> None:
-    """Columns: photo, machine mask, lifted classes, lifted instances.
+    """Columns: photo, input mask, lifted classes, lifted instances.
 
-    At most eight rows, spread evenly; give ``chosen`` frames only to save the work. Raises ValueError without
-    rows, OSError when the file cannot be written.
+    Of more than eight rows, eight are shown, spread evenly; give only ``chosen`` frames to save work. Raises ValueError
+    without rows, OSError when the file cannot be written.
     """
     if not rows:
         raise ValueError("a contact sheet needs at least one view")
@@ -63,16 +62,16 @@ def chosen(count: int) -> list[int]:
 
 
 def _class_maps(row: SheetRow) -> list[NDArray[np.int32]]:
-    return [row.machine_classes, row.layers.semantic]
+    return [row.mask_classes, row.layers.semantic]
 
 
 def _tiles(row: SheetRow, classes: ClassTable, colours: Mapping[int, Colour] | None) -> dict[str, Picture]:
-    """Heading to picture. Labels are shrunk before they are shaded, so no colour is invented."""
+    """Heading to picture. Labels are shrunk before they are shaded, so that no colours are mixed."""
     height, width = row.photo.shape[:2]
     size = (TILE_WIDTH, max(1, round(height * TILE_WIDTH / width)))
     photo = _resized(row.photo, size, labels=False)
     labels = {
-        "machine mask": semantic_picture(row.machine_classes, classes),
+        "input mask": semantic_picture(row.mask_classes, classes),
         "lifted classes": semantic_picture(row.layers.semantic, classes),
         "lifted instances": instance_picture(row.layers.instance, colours),
     }
@@ -102,9 +101,7 @@ def _band(tiles: Mapping[str, Picture], name: str, headings: Sequence[str], widt
 
 
 def _legend(class_ids: Sequence[int], classes: ClassTable, width: int) -> Picture:
-    """A swatch and a name for every class on the sheet; things, which are told apart as instances, are
-    brighter.
-    """
+    """A swatch and a name for every class on the sheet. Those of things, which have instances, are brighter."""
     places: list[tuple[int, int, int]] = []
     left, line = MARGIN, 0
     for class_id in class_ids:
@@ -136,9 +133,9 @@ def _resized(picture: Picture, size: tuple[int, int], labels: bool) -> Picture:
 def _write(picture: Picture, text: str, at: tuple[int, int], colour: Colour, scale: float = 0.5) -> None:
     import cv2
 
-    # OpenCV's strokes are ASCII only: other letters would come out as question marks of their own making.
-    plain = text.encode("ascii", "replace").decode()
-    cv2.putText(picture, plain, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
+    # OpenCV draws ASCII only.
+    drawn = text.encode("ascii", "replace").decode()
+    cv2.putText(picture, drawn, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
 
 
 def _text_width(text: str) -> int:
@@ -149,7 +146,7 @@ def _text_width(text: str) -> int:
 
 
 def first_row(sheet: Path, caption: str) -> Picture:
-    """The first frame's row of a sheet that was written, uint8 [H, W, 3], under a caption. Raises OSError."""
+    """The first frame's row of a written sheet, uint8 [H, W, 3], under a caption. Raises OSError."""
     import cv2
 
     stored = cv2.imread(str(sheet))

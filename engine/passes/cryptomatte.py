@@ -1,7 +1,6 @@
-"""Cryptomatte 1.2: several (name, coverage) pairs a pixel, from soft coverage, with the manifest in the
-header.
+"""Cryptomatte 1.2: several (name, coverage) pairs a pixel, from soft coverage, with the manifest in the header.
 
-Blender wants 32-bit ranks, an embedded manifest and names without commas or quotes.
+Blender needs 32-bit ranks, an embedded manifest and names without commas or quotes.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import VOID, ClassTable
-from ..scene.matte_names import matte_names
+from ..scene.classes import matte_names
 from .ranking import RANKS
 
 CRYPTO_INSTANCE, CRYPTO_CLASS = "CryptoInstance", "CryptoClass"
@@ -23,7 +22,7 @@ CRYPTO_INSTANCE, CRYPTO_CLASS = "CryptoInstance", "CryptoClass"
 
 @dataclass(frozen=True, eq=False)
 class MatteLayer:
-    """A Cryptomatte layer: which columns of a coverage it shows, and under which name each."""
+    """A Cryptomatte layer: the ``columns`` of a coverage that it shows, and the name of each."""
 
     name: str
     columns: tuple[int, ...]
@@ -36,7 +35,7 @@ class MatteLayer:
 
 
 def class_layer(class_ids: Sequence[int], classes: ClassTable) -> MatteLayer:
-    """Every class but void; ``class_ids``: those of the columns of ``class_coverage``."""
+    """Every class but void. ``class_ids`` are those of the columns of ``class_coverage``."""
     names = matte_names({category.id: category.name for category in classes.categories})
     return _layer(CRYPTO_CLASS, class_ids, {one: name for one, name in names.items() if one != VOID})
 
@@ -47,8 +46,8 @@ def instance_layer(
     classes: ClassTable,
     instance_classes: Mapping[int, int] | None = None,
 ) -> MatteLayer:
-    """Every instance, those of stuff left out where ``instance_classes`` (instance id to class id) tells them;
-    ``instance_ids``: those of the columns of ``instance_coverage``."""
+    """Every instance but those of stuff, where ``instance_classes`` (instance id to class id) is given.
+    ``instance_ids`` are those of the columns of ``instance_coverage``."""
     ids = [one for one in instance_ids if one and _is_thing(one, classes, instance_classes)]
     return _layer(CRYPTO_INSTANCE, instance_ids, matte_names({i: instance_names.get(i, f"instance {i}") for i in ids}))
 
@@ -68,7 +67,7 @@ def channels(layer: str, planes: NDArray[np.float32]) -> dict[str, NDArray[np.fl
 
 
 def header(layer: str, names: Sequence[str]) -> dict[str, str]:
-    """The layer's metadata: how names became floats, and which names there are."""
+    """The layer's metadata: how names become floats, and which names there are."""
     prefix = f"cryptomatte/{murmur3(layer.encode()):08x}"[:19] + "/"
     manifest = {name: f"{name_bits(name):08x}" for name in names}
     return {
@@ -85,9 +84,7 @@ def name_float(name: str) -> float:
 
 
 def name_bits(name: str) -> int:
-    """MurmurHash3_32 of the name in UTF-8, with one bit of the exponent flipped where it is no ordinary
-    float.
-    """
+    """MurmurHash3_32 of the name in UTF-8, with one bit of the exponent flipped where it would be no ordinary float."""
     hashed = murmur3(name.encode())
     return hashed ^ (1 << 23) if (hashed >> 23 & 255) in (0, 255) else hashed
 

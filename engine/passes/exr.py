@@ -9,29 +9,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PlgsError
 from ..gates import refuse_special
 from ..job import write_atomically
 from ..job.main_memory import main_memory
 from ..machine.threads import worker_count
-from ..scene import SceneError
-from ..scene.mask_formats.exr_file import read_exr_header
+from ..scene.exr_file import read_exr_header
 from . import cryptomatte
 from .baked_view import BakedView
 from .layers import PanopticLayers
 
 LAYER = "PLGS"
-LARGEST_ID = 1 << 24
+EXACT_IDS = 1 << 24
 """Ids below this are exact in 32-bit floats."""
 
 
 def write_exr(path: Path, view: BakedView, notes: Mapping[str, str] | None = None) -> None:
-    """Write a baked view, whole or not at all; same input, same bytes. ``notes``: more attributes of the header.
+    """Write a baked view, whole or not at all. The same input gives the same bytes. ``notes``: more attributes of the
+    header.
 
     Raises ValueError for ids that a 32-bit float cannot hold, OSError when the file cannot be written.
     """
     layers = view.layers
-    if max(int(layers.semantic.max(initial=0)), int(layers.instance.max(initial=0))) >= LARGEST_ID:
-        raise ValueError(f"class and instance ids must be below {LARGEST_ID} to be exact in an EXR")
+    if max(int(layers.semantic.max(initial=0)), int(layers.instance.max(initial=0))) >= EXACT_IDS:
+        raise ValueError(f"class and instance ids must be below {EXACT_IDS} to be exact in an EXR")
     channels = _pass_channels(view)
     header = dict(notes or {})
     for matte in view.mattes:
@@ -41,9 +42,8 @@ def write_exr(path: Path, view: BakedView, notes: Mapping[str, str] | None = Non
 
 
 def read_exr(path: Path) -> PanopticLayers:
-    """The PLGS layer of a baked view. Raises ValueError when the file has no such layer, or is damaged, OSError when
-    unreadable.
-    """
+    """The PLGS layer of a baked view. Raises ValueError when the file is damaged or has no such layer, OSError when it
+    cannot be read."""
     _refuse_vast(path)
     found = _channels(path)
     names = [f"{LAYER}.Combined.{c}" for c in "RGBA"]
@@ -63,8 +63,8 @@ def read_exr(path: Path) -> PanopticLayers:
 
 
 def read_note(path: Path, name: str) -> str | None:
-    """An attribute of a baked view's header; None where it has none. Raises ValueError when the file is damaged,
-    OSError when it is unreadable."""
+    """An attribute of a baked view's header, None where it has none. Raises ValueError when the file is damaged,
+    OSError when it cannot be read."""
     value = _header(path).get(name)
     return value if isinstance(value, str) else None
 
@@ -95,13 +95,12 @@ def _channels(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _refuse_vast(path: Path) -> None:
-    """Raises ValueError for more than a picture has, or than memory holds, as that is taken for what the header claims;
-    OSError.
-    """
+    """Refuse a file whose header claims more than a picture has, or than memory holds, as reading takes memory for all
+    that the header claims. Raises ValueError, OSError."""
     refuse_special(path)
     try:
         header = read_exr_header(path)
-    except SceneError as error:
+    except PlgsError as error:
         raise ValueError(f"{path} is damaged ({error.what})") from error
     memory = main_memory()
     if memory is not None and 4 * header.numbers > memory.free:
@@ -125,6 +124,6 @@ def _write(path: Path, text: Mapping[str, str], channels: dict[str, NDArray[np.f
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **text}
-    OpenEXR.set_global_thread_count(worker_count())  # none to begin with, whatever a file asks for
+    OpenEXR.set_global_thread_count(worker_count())  # the library starts with none
     with OpenEXR.File(header, channels, worker_count()) as file:
         file.write(str(path))

@@ -1,4 +1,4 @@
-"""From soft coverage to layers: which class and which instance a pixel shows, and how sure that is."""
+"""From soft coverage to layers: which class and which instance a pixel shows, and with which probability."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..machine import memory
 from ..machine.threads import parallel_for, worker_count
 from ..model.rendering import PanopticRendering
 from ..scene import VOID, ClassTable
-from .deciding import BLOCK, Columns, Decided, Pixels, decide_blocks
+from .deciding import Columns, Decided, Pixels, decide_pixels
 
 LINEAR_STEPS = 4096
-"""Between so many equal steps of the encoded values, linear light is as good as straight: within 1e-7."""
+"""Steps of the encoded values in the table of linear light. Interpolation between them is exact to 1e-7."""
 
 
 @dataclass(frozen=True, eq=False)
 class PanopticLayers:
-    """A view as it is baked, all [H, W].
+    """The layers of a baked view, all [H, W].
 
-    ``combined`` float32 [H, W, 4], linear RGB over black and alpha; ``depth`` float32 planar metres (0 =
-    none); ``semantic`` int32 class ids (0 only where nothing was rendered); ``instance`` int32, 0 where the
-    class is stuff; ``confidence`` float32, the probability of the shown class; ``entropy`` float32 of the
-    class probabilities, over the logarithm of their number: 0 sure, 1 no idea.
+    ``combined`` float32 [H, W, 4], linear RGB over black and alpha; ``depth`` float32 planar metres (0 = none);
+    ``semantic`` int32 class ids (0 only where nothing was rendered); ``instance`` int32, 0 where the class is stuff;
+    ``confidence`` float32, the probability of the shown class; ``entropy`` float32, the normalised entropy of the class
+    probabilities: 0 = certain, 1 = all classes alike.
     """
 
     combined: NDArray[np.float32]
@@ -44,11 +44,11 @@ def decide(
 ) -> PanopticLayers:
     """Decide every pixel of a rendering.
 
-    The class is the one of largest coverage (void never, ties to the lower id), its probability the share of
-    the classes' coverage. A pixel of a thing class shows the instance of largest coverage, or none where no object has
-    more. With ``instance_classes`` (instance id to class id) an object is of one class throughout: its coverage is
-    part of its class's (see ``scene_labels``), and only the instances of the pixel's class are asked, those with
-    LEAST_OF_CLASS of its coverage. So what no object owns shows its own class and no instance.
+    The class is the one of largest coverage (never void; ties go to the lower id). Its probability is its share of the
+    classes' coverage. A pixel of a thing class shows the instance of largest coverage, unless no object has more. With
+    ``instance_classes`` (instance id to class id) an object is of one class throughout. Its coverage then is part of
+    its class's (see ``scene_labels``), and a pixel shows only an instance of its class with LEAST_OF_CLASS of that
+    class's coverage. So what no object owns shows its own class and no instance.
     """
     height, width = rendering.alpha.shape
     columns = _columns(rendering, classes, instance_classes or {})
@@ -68,9 +68,7 @@ def decide(
         confidence=layers.confidence.reshape(-1),
         entropy=layers.entropy.reshape(-1),
     )
-    workers = worker_count()
-    scratch = memory.empty((workers, 3 * len(columns.of_class) + 2, BLOCK), np.float32)
-    parallel_for(workers, decide_blocks, _pixels(rendering), columns, _linear_light(), scratch, decided)
+    parallel_for(worker_count(), decide_pixels, _pixels(rendering), columns, _linear_light(), decided)
     return layers
 
 
@@ -84,7 +82,7 @@ def _pixels(rendering: PanopticRendering) -> Pixels:
 
 
 def _columns(rendering: PanopticRendering, classes: ClassTable, instance_classes: Mapping[int, int]) -> Columns:
-    """The channels to look at, by ascending id. Raises ValueError when the rendering has no class at all."""
+    """The channels that are decided on, by ascending id. Raises ValueError when the rendering has no class."""
     of_class, of_slot = _by_id(rendering.class_ids), _by_id(rendering.instance_ids)
     if not of_class:
         raise ValueError("the rendering has no classes")

@@ -1,42 +1,69 @@
-"""A plain 3D Gaussian Splatting PLY that any splat viewer opens, with class and instance of every Gaussian."""
+"""PLY files, binary little endian: tables of named columns, and splats that any viewer of 3D Gaussian Splatting
+opens."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..job import write_atomically
-from ..model.baking import BakedGaussians
+
+if TYPE_CHECKING:  # a table is also written where there is no torch
+    from ..model.baking import BakedGaussians
 
 SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)
 """The constant spherical harmonic: colour = 0.5 + SH_DEGREE_0 * f_dc."""
-
-_FLOATS = ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity",
-           "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")  # fmt: skip
-_VERTEX = np.dtype([*((name, "<f4") for name in _FLOATS), ("class_id", "<i4"), ("instance_id", "<i4")])
+_KINDS = {"f4": "float", "i4": "int", "u1": "uchar"}
+_TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
-def write_ply(path: Path, splats: BakedGaussians) -> None:
-    """Binary little endian, spherical harmonics of degree 0, opacity as logit, scale as logarithm. Raises
-    OSError.
-    """
-    vertices = np.zeros(len(splats.means), _VERTEX)
-    opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
-    _set(vertices, ("x", "y", "z"), splats.means)
-    _set(vertices, ("f_dc_0", "f_dc_1", "f_dc_2"), (splats.colours - 0.5) / SH_DEGREE_0)
-    vertices["opacity"] = np.log(opacity / (1 - opacity))
-    _set(vertices, ("scale_0", "scale_1", "scale_2"), np.log(np.maximum(splats.scales, 1e-9)))
-    _set(vertices, ("rot_0", "rot_1", "rot_2", "rot_3"), splats.quats)
-    vertices["class_id"], vertices["instance_id"] = splats.class_id, splats.instance_id
-    kinds = {"<f4": "float", "<i4": "int"}
+def columns_of(names: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """The columns of ``values`` [N, K] by the K ``names``, which spaces part."""
+    return dict(zip(names.split(), values.T, strict=True))
+
+
+def write_ply_table(
+    path: Path, columns: Mapping[str, NDArray[Any]], triangles: NDArray[np.integer] | None = None
+) -> None:
+    """Vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them. Raises ValueError for columns of
+    other types or of different lengths, OSError."""
+    count = {len(values) for values in columns.values()}
+    if len(count) != 1:
+        raise ValueError(f"columns differ in length: {', '.join(columns)}")
+    kinds = [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+    unknown = [name for name, kind in kinds if kind.str[1:] not in _KINDS]
+    if unknown:
+        raise ValueError(f"the column {unknown[0]} is {columns[unknown[0]].dtype}, not float32, int32 or uint8")
+    vertices = np.empty(count.pop(), np.dtype(kinds))
+    for name, values in columns.items():
+        vertices[name] = values
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
-    lines += [f"property {kinds[_VERTEX[name].str]} {name}" for name in _VERTEX.names or ()]
-    write_atomically(path, "\n".join([*lines, "end_header\n"]).encode() + vertices.tobytes())
+    lines += [f"property {_KINDS[kind.str[1:]]} {name}" for name, kind in kinds]
+    body = vertices.tobytes()
+    if triangles is not None:
+        faces = np.empty(len(triangles), _TRIANGLE)
+        faces["count"], faces["corners"] = 3, triangles
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        body += faces.tobytes()
+    write_atomically(path, "\n".join([*lines, "end_header\n"]).encode() + body)
 
 
-def _set(vertices: NDArray[np.void], names: tuple[str, ...], values: NDArray[np.floating]) -> None:
-    for column, name in enumerate(names):
-        vertices[name] = values[:, column]
+def write_splats(path: Path, splats: BakedGaussians) -> None:
+    """Spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of every Gaussian.
+    Raises OSError."""
+    opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
+    floats = {
+        **columns_of("x y z", splats.means),
+        **columns_of("nx ny nz", np.zeros_like(splats.means)),
+        **columns_of("f_dc_0 f_dc_1 f_dc_2", (splats.colours - 0.5) / SH_DEGREE_0),
+        "opacity": np.log(opacity / (1 - opacity)),
+        **columns_of("scale_0 scale_1 scale_2", np.log(np.maximum(splats.scales, 1e-9))),
+        **columns_of("rot_0 rot_1 rot_2 rot_3", splats.quats),
+    }
+    labels = {"class_id": splats.class_id, "instance_id": splats.instance_id}
+    write_ply_table(path, {name: column.astype(np.float32) for name, column in floats.items()} | labels)

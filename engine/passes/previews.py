@@ -18,12 +18,11 @@ Picture = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 STUFF = (52, 54, 58)
-"""Where there is no instance: dark, so that objects stand out."""
-NOTHING = (0, 0, 0)
+"""Colour where there is no instance: dark, so that objects stand out."""
 LINEAR_STEPS = (1 << 16) - 1
-"""So finely linear values are told apart before they become bytes: the smallest byte is 20 steps wide."""
+"""Steps of linear light in the table of bytes. The smallest byte is 20 steps wide."""
 MOST_COLOURS = 1 << 16
-"""Ids below this are looked up in a table."""
+"""Ids below this have a place each in a table."""
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
@@ -34,11 +33,8 @@ def write_previews(
     classes: ClassTable,
     instance_colours: Mapping[int, Colour] | None = None,
 ) -> tuple[Path, Path, Path]:
-    """Write ``<frame>_colour.png``, ``<frame>_semantic.png``, ``<frame>_instance.png`` and return their
-    paths.
-
-    Raises OSError when a file cannot be written.
-    """
+    """Write ``<frame>_colour.png``, ``<frame>_semantic.png``, ``<frame>_instance.png`` and return their paths. Raises
+    OSError when a file cannot be written."""
     pictures = (
         colour_picture(layers),
         semantic_picture(layers.semantic, classes),
@@ -69,7 +65,7 @@ def _encoded_bytes() -> NDArray[np.uint8]:
 
 
 def semantic_picture(semantic: NDArray[np.int32], classes: ClassTable) -> Picture:
-    """Pure class colours; black where there is no class of the table."""
+    """Class colours; black where there is no class of the table."""
     table = np.zeros((max(int(semantic.max(initial=0)), max(classes.ids, default=0)) + 1, 3), np.uint8)
     for category in classes.categories:
         table[category.id] = category.colour
@@ -90,8 +86,8 @@ def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] 
 
 
 def panoptic_picture(layers: PanopticLayers, classes: ClassTable, instance_colours: Mapping[int, Colour]) -> Picture:
-    """Classes and instances laid over what was rendered: objects in their own colours, the rest in those of its
-    classes. Nothing rendered: black."""
+    """Classes and instances over the rendered colours: objects in their own colours, the rest in those of its classes.
+    Black where nothing was rendered."""
     labels = semantic_picture(layers.semantic, classes)
     owned = layers.instance > 0
     labels[owned] = instance_picture(layers.instance, instance_colours)[owned]
@@ -101,7 +97,7 @@ def panoptic_picture(layers: PanopticLayers, classes: ClassTable, instance_colou
 
 
 def shaded(labels: Picture, photo: Picture) -> Picture:
-    """A label picture that lets the photo's light and edges through, with thin dark lines between labels."""
+    """A label picture in the light of the photo, with thin dark lines between labels."""
     luma = photo.astype(np.float32) @ LUMA / 255
     lit = labels * (0.6 + 0.4 * luma[..., None])
     edge = np.zeros(labels.shape[:2], bool)

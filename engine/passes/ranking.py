@@ -13,9 +13,9 @@ from ..machine.threads import parallel_for, worker_count
 from .deciding import FAINT, ONE, ZERO
 
 RANKS = 6
-"""Pairs a pixel: three layers of channels of two pairs each."""
+"""Pairs a pixel: three layers of channels with two pairs each."""
 SMALLEST = 1 / 256
-"""Coverage below this is left out: no picture shows it, and noise does not compress."""
+"""Coverage below which a pair is left out: no picture shows it, and noise does not compress."""
 CHUNK = 4096
 """Pixels that a worker takes at a time."""
 
@@ -34,15 +34,14 @@ def rank_coverage(
     """The RANKS largest of some columns of a coverage float32 [h, W, C], as (id, coverage) pairs in descending order,
     ties to the earlier column.
 
-    ``ids`` float32 [L]: what stands for each of the L ``columns``; ``limit`` float32 [h, W] or None: what the pixel's
-    pairs cover together at most, given to the largest first; ``out`` float32 [2 RANKS, H, W], in one piece, of which h
-    rows from ``first_row`` are written. Nothing (0, 0) follows the last pair, and pixels where nothing was rendered
-    have none.
+    ``ids`` float32 [L]: the id of each of the L ``columns``. ``limit`` float32 [h, W] or None: what the pixel's pairs
+    cover together at most, given to the largest first. ``out`` float32 [2 RANKS, H, W], in one piece: h rows from
+    ``first_row`` are written. (0, 0) follows the last pair; pixels where nothing was rendered have no pairs.
     """
     height, width, count = coverage.shape
     flat = coverage.reshape(height * width, count)
     limits = np.empty(0, np.float32) if limit is None else limit.reshape(-1)
-    planes = out.reshape(2 * RANKS, -1)  # in one piece, whatever the rows: the kernel is compiled for one layout
+    planes = out.reshape(2 * RANKS, -1)  # one piece, as the kernel is compiled for one layout
     workers = worker_count()
     best = np.empty((workers, 2, RANKS), np.float32)
     wanted = np.array(columns, np.int64)

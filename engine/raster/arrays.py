@@ -15,7 +15,7 @@ from ..machine.compiled import Array
 
 
 class Size(NamedTuple):
-    """Of the picture, in pixels, and the channels of its labels."""
+    """A picture's ``width`` and ``height`` in pixels, and the ``channels`` of its labels."""
 
     width: int
     height: int
@@ -23,8 +23,8 @@ class Size(NamedTuple):
 
 
 class Gaussians(NamedTuple):
-    """``rasterize``'s own arguments, float32: ``means`` and ``scales`` [N, 3] in metres, ``quats`` [N, 4] wxyz,
-    ``opacities`` [N], ``colours`` [N, 3]."""
+    """``rasterize``'s own arguments as float32 arrays: ``means`` and ``scales`` [N, 3] in metres, ``quats`` [N, 4]
+    wxyz, ``opacities`` [N], ``colours`` [N, 3]."""
 
     means: Array
     scales: Array
@@ -42,9 +42,10 @@ class Shapes(NamedTuple):
 
 
 class Projected(NamedTuple):
-    """What projection makes of each Gaussian: ``records`` float32 [N, RECORD]; ``boxes`` int32 [N, 4], columns and rows
-    of tiles, last ones excluded; ``depths`` float32 [N], metres; ``means2d`` float32 [N, 2], pixels; ``visible`` bool
-    [N]. Of those that are not visible the boxes are empty, ``means2d`` is 0, the others mean nothing."""
+    """What projection makes of each Gaussian: ``records`` float32 [N, RECORD]; ``boxes`` int32 [N, 4], the first and
+    one past the last column of tiles, then the same for rows; ``depths`` float32 [N], metres; ``means2d`` float32 [N,
+    2], pixels; ``visible`` bool [N]. A Gaussian that is not visible has an empty box and a ``means2d`` of 0; its record
+    and depth mean nothing."""
 
     records: Array
     boxes: Array
@@ -76,9 +77,9 @@ class Splats(NamedTuple):
 
 
 class Blended(NamedTuple):
-    """What blending makes of each pixel, float32: ``image`` [P * 3], ``labels`` [P * C], ``alpha``, ``depth``, the
-    ``final`` transmittance, and in ``last`` the place in its tile's list of the last Gaussian blended, -1 for none
-    [P]."""
+    """What blending makes of each pixel, float32: ``image`` [P * 3], ``labels`` [P * C], ``alpha``, ``depth`` and the
+    ``final`` transmittance [P]. ``last`` [P] is the last Gaussian blended, as its place in the tile's list; -1 is
+    none."""
 
     image: Array
     labels: Array
@@ -89,8 +90,8 @@ class Blended(NamedTuple):
 
 
 class PixelGradients(NamedTuple):
-    """Of ``image`` [P * 3], ``labels`` [P * C], ``alpha`` and ``depth`` [P]; with what the forward pass left of each
-    pixel, ``final`` and ``last`` [P]. All float32."""
+    """The gradients of ``image`` [P * 3], ``labels`` [P * C], ``alpha`` and ``depth`` [P]; and ``final`` and ``last``
+    [P] as the forward pass left them. All float32."""
 
     image: Array
     labels: Array
@@ -101,8 +102,8 @@ class PixelGradients(NamedTuple):
 
 
 class IsectGradients(NamedTuple):
-    """Of each intersection, by its number: ``touched`` uint8 [T]; where that is 0 the others mean nothing. ``values``
-    float32 [T * GRADIENT_WIDTH], and of labels [T * padded channels]."""
+    """The gradients of each intersection, by its number: ``values`` float32 [T * GRADIENT_WIDTH] and ``labels`` [T *
+    padded channels]. Where ``touched`` uint8 [T] is 0 they mean nothing."""
 
     touched: Array
     values: Array
@@ -110,7 +111,7 @@ class IsectGradients(NamedTuple):
 
 
 class GaussianGradients(NamedTuple):
-    """In the order of ``rasterize``'s arguments, shaped as they are; and of ``means2d`` [N, 2]. All float32."""
+    """The gradients of ``rasterize``'s arguments, in their order and shapes, and of ``means2d`` [N, 2]. All float32."""
 
     means: Array
     scales: Array
@@ -122,8 +123,8 @@ class GaussianGradients(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """``next_one`` int64 [1]: the tile or chunk whose turn it is. Each worker's room to work in: ``floats`` float32
-    [workers, n], ``members`` int32 [workers, MEMBERS], ``words`` int64 [workers, w], a word a patch, row or batch."""
+    """Room to work in. ``next_one`` int64 [1] is the next tile to take. Each worker has ``floats`` float32 [workers,
+    n], ``members`` int32 [workers, MEMBERS] and ``words`` int64 [workers, w], a word for each patch, row or batch."""
 
     next_one: Array
     floats: Array
@@ -138,14 +139,6 @@ class Tile(NamedTuple):
     top: int
     first: int
     length: int
-
-
-class Blocks(NamedTuple):
-    """``next_one`` int64 [1]: the chunk whose turn it is. ``rows`` float64 [workers, n]: a block of lanes for each
-    worker."""
-
-    next_one: Array
-    rows: Array
 
 
 def flat(array: Array) -> NDArray[np.float32]:

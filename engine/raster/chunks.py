@@ -1,22 +1,24 @@
-"""Gaussians are dealt out in chunks: a worker that is done with one takes the next. With equal shares, the slowest
-worker, or one that wakes late, would hold up all others."""
+"""Chunks of Gaussians. A worker that is done with one takes the next.
+
+With equal shares the slowest worker, or one that wakes late, would hold up all others.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
-from ..machine.atomics import fetch_add
 from ..machine.compiled import Array, device_function
+from ..machine.intrinsics import fetch_add
 
 CHUNK = 256
-"""Gaussians, about: fewer would leave too many blocks of lanes half empty, of which each chunk begins new ones."""
+"""Gaussians of a chunk, about. With fewer, taking chunks would cost more."""
 MOST_CHUNKS = 256
-"""Some for each of many workers; who lists the visible of a chunk adds up the counts of all before it."""
+"""At most this many chunks: some for each of many workers."""
 
 
 @device_function
 def chunk_count(count: int) -> int:
-    """How many chunks so many Gaussians make: one at least."""
+    """How many chunks ``count`` Gaussians make. It is at least one."""
     return max(1, min(MOST_CHUNKS, (count + CHUNK - 1) // CHUNK))
 
 
@@ -28,6 +30,6 @@ def chunk_range(chunk: int, chunks: int, count: int) -> Any:
 
 @device_function
 def next_chunk(next_one: Array, chunks: int, count: int) -> Any:
-    """As ``chunk_range`` for the chunk whose turn it is; an empty range when all have been taken."""
+    """``chunk_range`` of the next chunk, which is then taken. The range is empty when all have been taken."""
     first, end = chunk_range(fetch_add(next_one), chunks, count)
     return first, min(end, count)

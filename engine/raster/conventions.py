@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 NEAR = 0.01
-"""Metres: nothing at or before this depth is drawn."""
+"""Metres. Nothing at or before this depth is drawn."""
 BLUR = 0.3
 """Pixels squared, added to both diagonal entries of a 2D covariance: nothing is thinner than a pixel."""
 ALPHA_MAX = 0.99
-"""One Gaussian never closes a pixel; (1 - 0.99)^2 is the transmittance at which a pixel ends."""
+"""The largest alpha of a Gaussian, so that one alone never closes a pixel."""
 ALPHA_MIN = 1.0 / 255.0
-"""A weaker contribution than this is skipped."""
+"""A Gaussian with a smaller alpha than this is skipped."""
 TRANSMITTANCE_END = 1e-4
 """A Gaussian that would leave this transmittance or less is not blended, and the pixel ends."""
 CLAMP_MARGIN = 0.3
@@ -26,7 +26,7 @@ class Pinhole:
 
     ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world; ``focal`` and
     ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. Where only some rows of a
-    picture are drawn ``height`` is theirs, ``above`` the rows before them and ``whole_height`` the picture's.
+    picture are drawn, ``height`` counts them, ``above`` those before them and ``whole_height`` all of the picture.
     """
 
     rotation: tuple[float, ...]
@@ -42,7 +42,7 @@ class Pinhole:
     def slope_limits(self) -> tuple[float, float, float, float]:
         """(x low, x high, y low, y high): the slopes x/z and y/z to which the Jacobian's point is clamped.
 
-        Those of the whole picture, so that a Gaussian has the same footprint in all of its rows.
+        They are those of the whole picture, so that a Gaussian has the same footprint in all of its rows.
         """
         (fx, fy), (cx, cy) = self.focal, self.principal
         cy, height = cy + self.above, self.whole_height or self.height

@@ -11,12 +11,13 @@ from torch import Tensor
 from ..machine import memory
 from ..machine.compiled import Array
 from ..machine.threads import parallel_for, worker_count
-from .arrays import Blended, Blocks, Gaussians, Intersections, Projected, Scratch, Size, Splats, flat
-from .binning.isect_tiles import blending_workers, isect_tiles
+from .arrays import Blended, Gaussians, Intersections, Projected, Scratch, Size, Splats, flat
+from .blending.contributors import list_contributors
+from .blending.forward import blend_forward, scratch_size
 from .chunks import chunk_count
 from .conventions import Pinhole
-from .kernels import Kernels
-from .projection.forward import PROJECTION_BLOCK, camera_array, project
+from .isect_tiles import blending_workers, isect_tiles
+from .projection import camera_array, project
 from .records import BATCH, MEMBERS, RECORD, TILE
 
 WORDS_OF_LINE = memory.ALIGNMENT // 8
@@ -30,7 +31,6 @@ class ForwardState:
     tile; ``final`` and ``last`` float32 [H * W] as in ``Blended``.
     """
 
-    kernels: Kernels
     camera: Array
     records: Array
     isects: Intersections
@@ -60,19 +60,19 @@ class Layers:
 
 @dataclass(frozen=True, eq=False)
 class OnImage:
-    """What the forward pass tells of each Gaussian: ``means2d`` float32 [N, 2], and ``visible`` bool [N]."""
+    """Where the forward pass puts each Gaussian: ``means2d`` float32 [N, 2], and ``visible`` bool [N]."""
 
     means2d: Array
     visible: Array
 
 
 def as_array(tensor: Tensor) -> Array:
-    """The same numbers in one piece, without their history."""
+    """The tensor's numbers as a contiguous array, without their history."""
     return np.ascontiguousarray(tensor.numpy(force=True))
 
 
 def rasterize_forward(
-    kernels: Kernels, gaussians: Gaussians, labels: Array, pinhole: Pinhole, on_image: OnImage
+    gaussians: Gaussians, labels: Array, pinhole: Pinhole, on_image: OnImage
 ) -> tuple[Layers, ForwardState]:
     """``labels`` float32 [N, C]. Fills ``on_image``."""
     count, channels = labels.shape
@@ -85,28 +85,27 @@ def rasterize_forward(
     boxes, depths, counts = _project(gaussians, records, camera, size, on_image)
     isects, longest = isect_tiles(worker_count(), boxes, depths, counts, size.width, size.height)
     workers = blending_workers(worker_count(), isects, longest)
-    scratch = new_scratch(workers, kernels.forward_scratch(channels, longest), longest)
-    parallel_for(workers, kernels.blend_forward, isects, Splats(flat(records), flat(labels)), out, size, scratch)
-    return layers, ForwardState(kernels, camera, records, isects, longest, final, last)
+    scratch = new_scratch(workers, scratch_size(channels, longest), longest)
+    parallel_for(workers, blend_forward, isects, Splats(flat(records), flat(labels)), out, size, scratch)
+    return layers, ForwardState(camera, records, isects, longest, final, last)
 
 
 def _project(
     gaussians: Gaussians, records: Array, camera: Array, size: Size, on_image: OnImage
 ) -> tuple[Array, Array, Array]:
     """Boxes, depths and counts as ``isect_tiles`` takes them; fills ``records`` and ``on_image``."""
-    count, workers = len(records), worker_count()
+    count = len(records)
     boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
     projected = Projected(records, boxes, depths, on_image.means2d, on_image.visible)
     counts = np.empty((chunk_count(count), 2), np.int64)
-    blocks = Blocks(np.zeros(1, np.int64), memory.empty((workers, PROJECTION_BLOCK), np.float64))
-    parallel_for(workers, project, gaussians, camera, size, projected, counts, blocks)
+    parallel_for(worker_count(), project, gaussians, camera, size, projected, counts, np.zeros(1, np.int64))
     return boxes, depths, counts
 
 
 def new_scratch(workers: int, floats: int, longest: int) -> Scratch:
-    """For so many workers, each with so many floats; the longest list of a tile has ``longest`` Gaussians.
+    """Scratch for ``workers``, each with ``floats``, where the longest list of a tile has ``longest`` Gaussians.
 
-    Each worker has whole cache lines: workers that write to one and the same would wait for each other.
+    Each worker has whole cache lines: workers that write to the same line would wait for each other.
     """
     words = max(TILE + 1, -(-longest // BATCH))
     return Scratch(
@@ -121,9 +120,7 @@ def new_scratch(workers: int, floats: int, longest: int) -> Scratch:
 
 def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
     """The largest weights of each pixel: Gaussians int32 and weights float32 [H, W, k]."""
-    from .blending.contributors import list_contributors  # compiled only where it is asked for
-
     indices, weights = torch.empty(shape, dtype=torch.int32), torch.empty(shape, dtype=torch.float32)
     tops = indices.numpy(), weights.numpy()
-    parallel_for(worker_count(), list_contributors, state.isects, state.records, *tops)
+    parallel_for(worker_count(), list_contributors, state.isects, flat(state.records), *tops)
     return indices, weights

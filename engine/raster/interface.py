@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .conventions import NEAR, Pinhole
-from .rendering import Rendering
+from .rendering import GaussianSet, Rendering
 
 Backend = Literal["numba", "gsplat", "reference"]
 BACKENDS: tuple[Backend, ...] = ("numba", "gsplat", "reference")
@@ -28,8 +28,7 @@ _device: ContextVar[torch.device | None] = ContextVar("the device to draw on", d
 
 @contextmanager
 def drawing_on(device: torch.device | str) -> Iterator[None]:
-    """Within it, ``rasterize`` draws on this device, wherever the tensors are that it is given: it moves them there and
-    the layers back."""
+    """Within it, ``rasterize`` draws on this device. It moves its tensors there and the layers back."""
     before = _device.set(torch.device(device))
     try:
         yield
@@ -64,34 +63,35 @@ def rasterize(
     ``camera_to_world`` [4, 4] with OpenCV axes (x right, y down, z forward); ``K`` [3, 3] with any fx, fy,
     cx, cy, no skew; the centre of pixel (i, j) is (i + 0.5, j + 0.5). No gradient flows to the camera.
 
-    Conventions (gsplat's "classic"; ``cuda`` says where versions of it differ): 0.3 px^2 added to the diagonal of
+    Conventions (gsplat's "classic"; ``cuda`` says where gsplat itself differs): 0.3 px^2 added to the diagonal of
     the 2D covariance; Gaussians with z <= ``near`` (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)),
     skipped below 1/255 and nowhere else; a pixel ends before the Gaussian that would leave a transmittance <= 1e-4;
     order by planar depth rounded to float32, ties by index.
 
-    ``rows``: first and one past the last row to draw of the picture; the layers have these rows only, with the values
-    that they have in the whole (the back end ``gsplat`` draws Gaussians that are centred far above or below them a
-    little otherwise).
+    ``rows``: the first row of the picture to draw, and one past the last. The layers have these rows only, with the
+    values that they have in the whole picture. (The back end ``gsplat`` draws Gaussians whose centres are far above or
+    below the rows a little differently.)
 
-    ``top_k`` > 0 asks for the largest contributors of every pixel. ``backend`` None picks by device (the tensors', or
-    that of ``drawing_on``): ``numba`` on the CPU, ``gsplat`` on CUDA.
+    ``top_k`` > 0 asks for the largest contributors of every pixel; such a picture is drawn on the CPU. ``backend`` None
+    picks by device (the tensors', or that of ``drawing_on``): ``numba`` on the CPU, ``gsplat`` on CUDA.
 
     Raises ``ValueError`` on shapes, dtypes or devices that do not fit, an empty image, rows that are not in it, skew,
     or an unknown back end.
     """
-    _check(means, scales, quats, opacities, colours, labels)
+    gaussians = GaussianSet(means, scales, quats, opacities, colours, labels)
+    _check(gaussians)
     pinhole = _pinhole(camera_to_world, K, width, height, near, rows)
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
-    here, there = means.device, _device.get() or means.device
-    gaussians = [tensor.to(there) for tensor in (means, scales, quats, opacities, colours)]
-    labelled = None if labels is None else labels.to(there)
-    rasterize_there = _load(_pick(backend, gaussians[0]))
-    return _moved(rasterize_there(*gaussians, labelled, pinhole, top_k, want_means2d_grad), here)
+    here = means.device
+    there = torch.device("cpu") if top_k and backend is None else _device.get() or here
+    gaussians = gaussians.changed(lambda tensor: tensor.to(there))
+    rasterize_there = _load(_pick(backend, gaussians.means))
+    return _moved(rasterize_there(gaussians, pinhole, top_k, want_means2d_grad), here)
 
 
 def _moved(drawn: Rendering, device: torch.device) -> Rendering:
-    """The layers on this device. ``means2d`` stays where it was drawn, as a leaf that has the gradient."""
+    """The layers on this device. ``means2d`` stays where it was drawn: it is the leaf that gets the gradient."""
     if drawn.image.device == device:
         return drawn
     names = ("image", "labels", "alpha", "depth", "visible", "top_indices", "top_weights")
@@ -100,8 +100,8 @@ def _moved(drawn: Rendering, device: torch.device) -> Rendering:
 
 
 @cache
-def _load(backend: Backend) -> Callable[..., Rendering]:
-    """Imported only when called, so that a program that asks for one back end does not wait for the others."""
+def _load(backend: Backend) -> Callable[[GaussianSet, Pinhole, int, bool], Rendering]:
+    """The back end's function. Its module is imported only here: a program does not wait for those it does not use."""
     if backend == "reference":
         from .reference import rasterize_reference
 
@@ -116,51 +116,37 @@ def _load(backend: Backend) -> Callable[..., Rendering]:
 
 
 def _pick(backend: Backend | None, means: Tensor) -> Backend:
-    """The back end's name; said once in the log."""
+    """The back end's name; the log says it once."""
     by_device: Backend = "numba" if means.device.type == "cpu" else "gsplat"
     name: Backend = backend if backend is not None else by_device
     if name not in BACKENDS:
         raise ValueError(f"unknown back end {name!r}; there are {', '.join(BACKENDS)}")
-    if name == "numba" and (means.device.type != "cpu" or means.dtype != torch.float32):
+    wanted, other = ("cuda", "numba") if name == "gsplat" else ("cpu", "reference")
+    if name != "reference" and (means.device.type != wanted or means.dtype != torch.float32):
         raise ValueError(
-            f"the back end numba takes float32 tensors on the CPU, these are {means.dtype} on {means.device}; "
-            "move them or choose the back end reference"
+            f"the back end {name} takes float32 tensors on the device {wanted}, these are {means.dtype} on "
+            f"{means.device}; move them or choose the back end {other}"
         )
     if name == "gsplat":
-        _check_gsplat(means)
+        from .cuda import what_is_missing
+
+        missing = what_is_missing()
+        if missing is not None:
+            raise ValueError(f"the back end gsplat cannot be used: {missing}, or move the tensors to the CPU")
     if name not in _announced:
         _announced.add(name)
         log.info("rasterising with the back end %s on %s", name, means.device)
     return name
 
 
-def _check_gsplat(means: Tensor) -> None:
-    from .cuda import what_is_missing
-
-    if means.device.type != "cuda":
-        raise ValueError(
-            f"the back end gsplat takes tensors on a CUDA device, these are on {means.device}; "
-            "move them or choose the back end numba"
-        )
-    missing = what_is_missing()
-    if missing is not None:
-        raise ValueError(f"the back end gsplat cannot be used: {missing}, or move the tensors to the CPU")
-
-
-def _check(
-    means: Tensor, scales: Tensor, quats: Tensor, opacities: Tensor, colours: Tensor, labels: Tensor | None
-) -> None:
+def _check(gaussians: GaussianSet) -> None:
+    means, labels = gaussians.means, gaussians.labels
     count = means.shape[0] if means.ndim else 0
-    expected = {
-        "means": (means, (count, 3)),
-        "scales": (scales, (count, 3)),
-        "quats": (quats, (count, 4)),
-        "opacities": (opacities, (count,)),
-        "colours": (colours, (count, 3)),
-    }
-    if labels is not None:
-        expected["labels"] = (labels, (count, labels.shape[-1] if labels.ndim else 0))
-    for name, (tensor, shape) in expected.items():
+    channels = 0 if labels is None or not labels.ndim else labels.shape[-1]
+    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels))
+    for name, tensor, shape in zip(GaussianSet._fields, gaussians, shapes, strict=True):
+        if tensor is None:
+            continue
         if tensor.shape != shape:
             raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected {shape}")
         if tensor.dtype != means.dtype or tensor.device != means.device:

@@ -13,41 +13,29 @@ from ..machine import memory
 from ..machine.compiled import Array
 from ..machine.log_compilation import log_compilation
 from .arrays import Gaussians, Shapes
-from .backward_pass import LayerGradients, rasterize_backward
+from .backward_pass import rasterize_backward
 from .conventions import Pinhole
-from .forward_pass import OnImage, as_array, rasterize_forward, top_contributors
-from .kernels import choose_kernels
-from .rendering import Rendering
+from .forward_pass import Layers, OnImage, as_array, rasterize_forward, top_contributors
+from .rendering import GaussianSet, Rendering
 
 LABELS = 5
-"""Their place among the arguments."""
+"""The place of the labels among the arguments."""
 COMPILATION = "10 s"
-"""What compiling a pass takes, for the log."""
+"""How long it takes to compile a pass, for the log."""
 
 
-def rasterize_native(
-    means: Tensor,
-    scales: Tensor,
-    quats: Tensor,
-    opacities: Tensor,
-    colours: Tensor,
-    labels: Tensor | None,
-    pinhole: Pinhole,
-    top_k: int,
-    want_means2d_grad: bool,
-) -> Rendering:
-    """As ``rasterize``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
-    count = means.shape[0]
+def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_means2d_grad: bool) -> Rendering:
+    """As ``rasterize``, for float32 tensors on the CPU. It uses ``torch.get_num_threads()`` threads."""
+    count = gaussians.means.shape[0]
     on_image = OnImage(*memory.several(((count, 2), np.float32), (count, np.bool_)))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it
     centres = torch.from_numpy(on_image.means2d)
     if want_means2d_grad:
         centres.requires_grad_()
-    inputs = (means, scales, quats, opacities, colours, labels, centres)
-    image, labels_out, alpha, depth, *top = _Blend.apply(*inputs, pinhole, on_image, top_k)
+    image, labels, alpha, depth, *top = _Blend.apply(*gaussians, centres, pinhole, on_image, top_k)
     return Rendering(
         image=image,
-        labels=labels_out if labels is not None else None,
+        labels=labels if gaussians.labels is not None else None,
         alpha=alpha,
         depth=depth,
         visible=torch.from_numpy(on_image.visible),
@@ -74,9 +62,8 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         gaussians = Gaussians(*map(as_array, (means, scales, quats, opacities, colours)))
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
-        kernels = choose_kernels()
-        is_compiled = log_compilation(f"the forward pass of the {kernels.name} rasteriser", COMPILATION)
-        layers, state = rasterize_forward(kernels, gaussians, features, pinhole, on_image)
+        is_compiled = log_compilation("the forward pass of the rasteriser", COMPILATION)
+        layers, state = rasterize_forward(gaussians, features, pinhole, on_image)
         is_compiled()
         top: tuple[Tensor, ...] = ()
         if top_k:
@@ -98,14 +85,14 @@ class _Blend(torch.autograd.Function):
         *_: Any,
     ) -> tuple[Tensor | None, ...]:
         size, needed = ctx.size, ctx.needs_input_grad
-        d_layers = LayerGradients(
+        d_layers = Layers(
             _or_zeros(d_image, (*size, 3)),
             _or_zeros(d_labels if needed[LABELS] else None, (*size, 0)),
             _or_zeros(d_alpha, size),
             _or_zeros(d_depth, size),
         )
         shapes = Shapes(*map(as_array, ctx.saved_tensors))
-        is_compiled = log_compilation(f"the backward pass of the {ctx.state.kernels.name} rasteriser", COMPILATION)
+        is_compiled = log_compilation("the backward pass of the rasteriser", COMPILATION)
         gradients = list(rasterize_backward(ctx.state, shapes, d_layers))
         is_compiled()
         if d_labels is None:
@@ -115,12 +102,12 @@ class _Blend(torch.autograd.Function):
 
 
 def _or_zeros(gradient: Tensor | None, shape: tuple[int, ...]) -> Array:
-    """That of a layer, of which torch says nothing where no loss looks at it."""
+    """A layer's gradient. It is None in torch where no loss looks at the layer."""
     return _zeros(shape) if gradient is None else as_array(gradient)
 
 
 @lru_cache(maxsize=2)
 def _zeros(shape: tuple[int, ...]) -> Array:
-    """Made once for passes of one size; who gets them only reads. (Read-only arrays would be another type to Numba, and
-    have kernels compiled anew.)"""
+    """Zeros that all passes of one size share and only read. (Numba would compile kernels anew for read-only
+    arrays.)"""
     return np.zeros(shape, np.float32)

@@ -1,5 +1,4 @@
-"""What the kernels know of a projected Gaussian: one cache line of float32, and the form in which its
-footprint is kept.
+"""What the kernels know of a projected Gaussian: one cache line of float32, and the form of its footprint.
 
 A footprint is kept whitened. With the inverse 2D covariance written as L^T L, L upper triangular, and d the
 offset of a pixel from the centre, s = sqrt(log2(e) / 2) * L d has |s|^2 = log2(e) * d^T inv(cov) d / 2, so
@@ -17,19 +16,19 @@ import numpy as np
 from ..machine.compiled import device_function
 
 TILE = 16
-"""Pixels: the side of a tile, and how many the vector kernels work on at once."""
+"""Pixels of a tile's side, and of a vector."""
 PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
-"""What those are: a patch, eight columns of two rows."""
+"""Pixels of a patch's sides. A patch is what a vector holds: eight columns of two rows."""
 assert (PATCH_WIDTH, PATCH_HEIGHT) == (8, 2), "the vector kernels take the rows of a patch in turns, in pairs of lanes"
 BATCH = 64
-"""Gaussians of a tile that are blended together: whole vectors of them, and no more than a word has bits."""
+"""Gaussians of a tile that are blended together. They are whole vectors, and no more than a word has bits."""
 assert BATCH % TILE == 0 and BATCH <= 64
 PENDING = 2 * BATCH
-"""When more Gaussians than this are listed as blended on a patch, their labels are added up before the next batch."""
+"""A patch that lists more blended Gaussians than this adds up their labels before the next batch."""
 BACKWARD_BATCH = 96
 """Gaussians of a tile whose label gradients are added up together."""
 MEMBERS = TILE * (BACKWARD_BATCH + 4)
-"""Room for the Gaussians listed on each patch of a tile, and for as many as are missing from the last four."""
+"""Places for the Gaussians listed on each patch of a tile, and for those that fill up the last four."""
 assert 2 * (PENDING + BATCH + 4) <= MEMBERS, "the two patches of a strip list more of them"
 
 # columns of a record; the centre is the sum of two floats (a double's precision where it matters)

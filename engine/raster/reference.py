@@ -1,5 +1,6 @@
-"""The oracle: every Gaussian against every pixel, float64, ordinary autograd. Memory and time grow as N * H *
-W."""
+"""The oracle: every Gaussian against every pixel, in float64, with torch's autograd.
+
+Memory and time grow as N * H * W."""
 
 from __future__ import annotations
 
@@ -7,25 +8,13 @@ import torch
 from torch import Tensor
 
 from .conventions import ALPHA_MAX, ALPHA_MIN, BLUR, TINY_NORM, TRANSMITTANCE_END, Pinhole
-from .rendering import Rendering
+from .rendering import GaussianSet, Rendering
 
 
-def rasterize_reference(
-    means: Tensor,
-    scales: Tensor,
-    quats: Tensor,
-    opacities: Tensor,
-    colours: Tensor,
-    labels: Tensor | None,
-    pinhole: Pinhole,
-    top_k: int,
-    want_means2d_grad: bool,
-) -> Rendering:
+def rasterize_reference(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_means2d_grad: bool) -> Rendering:
     """As ``rasterize``; computes in float64 whatever the dtype of its input, and returns that dtype."""
-    dtype = means.dtype
-    means, scales, quats, opacities, colours = (
-        tensor.double() for tensor in (means, scales, quats, opacities, colours)
-    )
+    dtype, labels = gaussians.means.dtype, gaussians.labels
+    means, scales, quats, opacities, colours = (tensor.double() for tensor in gaussians[:5])
     centres, covariances, depths = project(means, scales, quats, pinhole)
     handle = centres.detach().clone().requires_grad_(want_means2d_grad)
     # the value of the handle, the gradient of both
@@ -55,14 +44,12 @@ def rasterize_reference(
 
 
 def project(means: Tensor, scales: Tensor, quats: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor, Tensor]:
-    """Centres [N, 2] in pixels, blurred 2D covariances [N, 2, 2] in pixels squared, planar depths [N] in
-    metres.
+    """Centres [N, 2] in pixels, blurred 2D covariances [N, 2, 2] in pixels squared, planar depths [N] in metres.
 
-    Rows at or behind the near plane are computed for a point at depth 1, so that no infinity enters the
-    gradients.
+    Rows at or behind the near plane are computed for a point at depth 1, so that no infinity enters the gradients.
     """
-    rotation = torch.as_tensor(pinhole.rotation, dtype=means.dtype, device=means.device).reshape(3, 3)
-    centre = torch.as_tensor(pinhole.centre, dtype=means.dtype, device=means.device)
+    rotation = torch.as_tensor(pinhole.rotation, dtype=means.dtype).reshape(3, 3)
+    centre = torch.as_tensor(pinhole.centre, dtype=means.dtype)
     x, y, z = ((means - centre) @ rotation.T).unbind(-1)
     safe = torch.where(z > pinhole.near, z, torch.ones_like(z))
     (fx, fy), (cx, cy) = pinhole.focal, pinhole.principal
@@ -78,7 +65,7 @@ def project(means: Tensor, scales: Tensor, quats: Tensor, pinhole: Pinhole) -> t
         -2,
     )
     spread = jacobian @ rotation @ (rotation_matrices(quats) * scales[:, None, :])
-    covariances = spread @ spread.transpose(-1, -2) + BLUR * torch.eye(2, dtype=means.dtype, device=means.device)
+    covariances = spread @ spread.transpose(-1, -2) + BLUR * torch.eye(2, dtype=means.dtype)
     centres = torch.stack([fx * x / safe + cx, fy * y / safe + cy], -1)
     return centres, covariances, z
 
@@ -97,29 +84,20 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 def footprint_visible(
     centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, pinhole: Pinhole
 ) -> Tensor:
-    """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} holds a pixel centre of the
-    image."""
-    return footprint_boxes(centres, covariances, depths, opacities, pinhole)[2]
-
-
-def footprint_boxes(
-    centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, pinhole: Pinhole
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The box of the pixels of the image within that around {alpha >= 1/255}: its first and last (column, row),
-    [N, 2] each, and ``footprint_visible``, without which the two say nothing."""
+    """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} holds a pixel centre of the image."""
     reach = 2.0 * torch.log(opacities.clamp(min=1e-30) / ALPHA_MIN)
     extent = torch.sqrt(reach.clamp(min=0.0)[:, None] * torch.diagonal(covariances, dim1=-2, dim2=-1))
-    size = torch.tensor([pinhole.width, pinhole.height], dtype=centres.dtype, device=centres.device)
+    size = torch.tensor([pinhole.width, pinhole.height], dtype=centres.dtype)
     first = torch.ceil(centres - extent - 0.5).clamp(min=0.0)
     last = torch.minimum(torch.floor(centres + extent - 0.5), size - 1.0)
-    return first, last, (depths > pinhole.near) & (opacities >= ALPHA_MIN) & (first <= last).all(-1)
+    return (depths > pinhole.near) & (opacities >= ALPHA_MIN) & (first <= last).all(-1)
 
 
 def raw_alphas(centres: Tensor, covariances: Tensor, opacities: Tensor, pinhole: Pinhole) -> Tensor:
     """[n, H * W]: opacity * exp(-d^2 / 2), neither capped nor cut."""
     rows, columns = torch.meshgrid(
-        torch.arange(pinhole.height, dtype=centres.dtype, device=centres.device) + 0.5,
-        torch.arange(pinhole.width, dtype=centres.dtype, device=centres.device) + 0.5,
+        torch.arange(pinhole.height, dtype=centres.dtype) + 0.5,
+        torch.arange(pinhole.width, dtype=centres.dtype) + 0.5,
         indexing="ij",
     )
     dx = columns.reshape(1, -1) - centres[:, 0:1]
@@ -142,8 +120,7 @@ def blending_weights(raw: Tensor) -> Tensor:
 def top_contributors(
     weights: Tensor, order: Tensor, pinhole: Pinhole, top_k: int
 ) -> tuple[Tensor | None, Tensor | None]:
-    """int32 [H, W, k] Gaussian indices and [H, W, k] weights, largest first; -1 and 0 where there are
-    fewer."""
+    """int32 [H, W, k] Gaussian indices and [H, W, k] weights, largest first; -1 and 0 where there are fewer."""
     if top_k == 0:
         return None, None
     count = min(top_k, weights.shape[0])

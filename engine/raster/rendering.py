@@ -1,16 +1,37 @@
-"""What every back end returns."""
+"""What every back end takes and returns."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from torch import Tensor
 
 
+class GaussianSet(NamedTuple):
+    """N Gaussians, as ``rasterize`` takes them: ``means`` and ``scales`` [N, 3] in metres, ``quats`` [N, 4] wxyz,
+    ``opacities`` [N], ``colours`` [N, 3], ``labels`` [N, C] or None."""
+
+    means: Tensor
+    scales: Tensor
+    quats: Tensor
+    opacities: Tensor
+    colours: Tensor
+    labels: Tensor | None
+
+    def changed(self, change: Callable[[Tensor], Tensor]) -> GaussianSet:
+        """Every tensor of it as ``change`` makes it."""
+        means, scales, quats, opacities, colours = map(change, self[:5])
+        return GaussianSet(
+            means, scales, quats, opacities, colours, None if self.labels is None else change(self.labels)
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """One view of a set of N Gaussians, over black. Float tensors have the dtype of ``means`` and are where it is, but
-    for ``means2d``, which stays where the view was drawn (see ``drawing_on``).
+    """One view of a set of N Gaussians, over black. Float tensors have the dtype and the device of ``means``. Only
+    ``means2d`` stays on the device that the view was drawn on (see ``drawing_on``).
 
     With the blending weights w_i = alpha_i * prod_{j<i} (1 - alpha_j) of a pixel's Gaussians, front to back:
 

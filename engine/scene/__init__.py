@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
+from ..scene_source import UpAxis
 from .camera import Camera
 from .checks import check_scene
 from .class_listing import ClassList, class_list_path, class_list_text, list_classes
 from .class_map import NamedClass
 from .class_tables import TABLES, is_thing_by_name
 from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
-from .formats import FORMATS
-from .frame import Frame, GroundTruth, PanopticMask, Scene, SceneError, Segment, Size
-from .frame_choice import choose_frames
-from .liftable import open_scene_to_lift, require_liftable
-from .matrices import UpAxis
-from .on_demand import OnDemand, StoredArrays, chained, stored
-from .opening import AskedScene, open_asked, open_scene
+from .formats import FORMATS, SceneFormat
+from .frame import Frame, GroundTruth, PanopticMask, Scene, Segment, Size, SparsePoints
+from .frame_choice import choose_frames, photo_detail
+from .on_demand import OnDemand, StoredArrays, StoredViews, chained, stored
+from .opening import open_asked, open_scene, open_scene_to_lift, require_liftable
 from .pixels import distinct_ids
-from .reading_ahead import read_ahead
 from .report import ClassReport, SceneReport, describe
-from .sharpness import photo_detail
-from .sparse_points import SparsePoints
-from .stored_views import StoredViews
-from .view import View, load_view, size_within
+from .view import View, load_view, read_ahead, size_within
 
 __all__ = [
     "FORMATS",
     "TABLES",
     "VOID",
-    "AskedScene",
     "Camera",
     "Category",
     "ClassLabel",
@@ -40,7 +34,7 @@ __all__ = [
     "OnDemand",
     "PanopticMask",
     "Scene",
-    "SceneError",
+    "SceneFormat",
     "SceneReport",
     "Segment",
     "Size",

@@ -1,30 +1,44 @@
-"""NumPy's .npy and .npz: never pickled, never larger than they may be, whatever their bytes say."""
+"""NumPy's .npy and .npz: never pickled, never larger than a limit, whatever their bytes say."""
 
 from __future__ import annotations
 
 import math
+import tokenize
+import zlib
 from collections.abc import Collection
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
-from zipfile import ZipFile
+from typing import IO, Any
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PlgsError
 from ..gates import open_plain, read_plain
-from .frame import SceneError
 
 MOST_BYTES = 1 << 28
-"""Unpacked, of all arrays of a file together: some five million labelled points."""
+"""Bytes of all unpacked arrays of a file, at most: some five million labelled points."""
+LARGEST_PICTURE = 1 << 30
+"""Bytes of an array with one frame's masks, at most."""
+_NO_ARRAYS = "this is no NumPy file of numbers, or it is cut off"
+_SAVE_FIX = "Write it again with numpy.save."
+_DAMAGED = (
+    ValueError, TypeError, EOFError, KeyError, SyntaxError, tokenize.TokenError, NotImplementedError, RuntimeError,
+    BadZipFile, zlib.error,
+)  # fmt: skip
+"""What numpy and zipfile raise for a file that is damaged or something else."""
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 def read_npz(
     path: Path, fix: str, names: Collection[str] | None = None, most_bytes: int = MOST_BYTES
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of a .npz by name: those of ``names``, or all. Raises SceneError, with ``fix`` as the advice, for what
-    is damaged, missing, of objects, or would unpack to more than ``most_bytes``.
+    """The arrays of a .npz by name: those of ``names``, or all.
+
+    Raises PlgsError, with ``fix`` as the advice, for a damaged file, a missing array, an array of objects, and more
+    than ``most_bytes`` of unpacked numbers.
     """
     try:
         with open_plain(path) as file, ZipFile(file) as archive:
@@ -33,30 +47,30 @@ def read_npz(
             size = sum(entry.file_size for entry in wanted.values())
             if size > most_bytes:
                 what = f"it would unpack to {size / 1e6:.0f} MB, at most {most_bytes / 1e6:.0f} may be"
-                raise SceneError(what, path, fix)
+                raise PlgsError(what, path, fix)
             return {name: parse_npy(archive.read(entry)) for name, entry in wanted.items()}
-    except SceneError:
+    except PlgsError:
         raise
     except KeyError as error:
-        raise SceneError(f"it has no array {error}", path, fix) from error
-    except Exception as error:  # zip, deflate, a header that is Python: whatever they raise, these bytes are no arrays
-        raise SceneError(f"the arrays cannot be read ({_reason(error)})", path, fix) from error
+        raise PlgsError(f"it has no array {error}", path, fix) from error
+    except Exception as error:  # zip, deflate and the parser of headers raise errors of many kinds
+        raise PlgsError(f"the arrays cannot be read ({_reason(error)})", path, fix) from error
 
 
 def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]:
-    """The array of a .npy. Raises SceneError as ``read_npz`` does."""
+    """The array of a .npy. Raises PlgsError as ``read_npz`` does."""
     try:
         return parse_npy(read_plain(path, most_bytes))
     except OSError as error:
-        raise SceneError(f"the file cannot be read ({error.strerror})", path, fix) from error
+        raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
     except Exception as error:
-        raise SceneError(f"this is no NumPy array of numbers ({_reason(error)})", path, fix) from error
+        raise PlgsError(f"this is no NumPy array of numbers ({_reason(error)})", path, fix) from error
 
 
 def parse_npy(data: bytes) -> NDArray[Any]:
-    """The array that a .npy's bytes hold. What its header claims has to be there, before memory is taken for it.
+    """The array in the bytes of a .npy. Memory is only taken for numbers that are there.
 
-    Raises ValueError, and whatever NumPy's parser of headers raises.
+    Raises ValueError, and the errors of NumPy's parser of headers.
     """
     stream = BytesIO(data)
     version = np.lib.format.read_magic(stream)
@@ -73,5 +87,54 @@ def parse_npy(data: bytes) -> NDArray[Any]:
 
 
 def _reason(error: Exception) -> str:
-    """In one line."""
+    """The error in one line."""
     return " ".join(str(error).split())[:100] or type(error).__name__
+
+
+@dataclass(frozen=True)
+class ArrayHeader:
+    """What an array is, without its numbers. ``kind`` is numpy's letter: b, i, u, f, U."""
+
+    shape: tuple[int, ...]
+    kind: str
+
+
+def array_headers(path: Path) -> dict[str, ArrayHeader]:
+    """The arrays of an .npz by name; the one of an .npy is called "". Raises PlgsError, also for pickles."""
+    try:
+        with open_plain(path) as file:
+            if path.suffix.lower() == ".npy":
+                return {"": _header(file, path)}
+            found = {}
+            with ZipFile(file) as archive:
+                for info in archive.infolist():
+                    if info.filename.endswith(".npy"):
+                        with archive.open(info) as member:
+                            found[info.filename.removesuffix(".npy")] = _header(member, path)
+            return found
+    except OSError as error:
+        raise PlgsError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    except _DAMAGED as error:
+        raise PlgsError(_NO_ARRAYS, path, _SAVE_FIX) from error
+
+
+def read_array(path: Path, name: str = "") -> NDArray[Any]:
+    """The array ``name`` of an .npz, or that of an .npy, with a frame's masks. Raises PlgsError."""
+    headers = array_headers(path)
+    if name not in headers:
+        raise PlgsError(f'there is no array called "{name}"', path, f"It has {', '.join(headers) or 'none'}.")
+    if not name and path.suffix.lower() == ".npy":
+        return read_npy(path, _SAVE_FIX, LARGEST_PICTURE)
+    return read_npz(path, _SAVE_FIX, [name], LARGEST_PICTURE)[name]
+
+
+def _header(file: IO[bytes], path: Path) -> ArrayHeader:
+    version = np.lib.format.read_magic(file)
+    shape, _, dtype = _HEADERS.get(version, np.lib.format.read_array_header_2_0)(file)
+    if dtype.hasobject:
+        fix = "Save numbers with numpy.save, and what belongs to them as JSON."
+        raise PlgsError("this is a pickled array, which could run code when it is read", path, fix)
+    if float(np.prod(shape, dtype=np.float64)) * dtype.itemsize > LARGEST_PICTURE:
+        sides = " x ".join(map(str, shape))
+        raise PlgsError(f"an array of {sides} numbers is too large for a picture", path, "Save one frame a file.")
+    return ArrayHeader(tuple(shape), dtype.kind)

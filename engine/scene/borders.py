@@ -1,4 +1,4 @@
-"""Black borders: what an undistortion leaves along a picture's sides, where the camera saw nothing."""
+"""Black borders that an undistortion leaves along a picture's sides: the camera saw nothing there."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLACK, JPEG_BLACK = 2, 12
-"""A border is black. JPEG makes its pixels a little brighter near the picture beside it, seldom more than this."""
+"""Largest median brightness of a border, and of its pixels: JPEG brightens those near the picture."""
 THICKEST = 0.1
-"""Share of the picture that a border reaches inwards at most: what is dark beyond that is a thing in the picture."""
+"""Share of the picture that a border reaches inwards at most. Thicker dark areas are things in the picture."""
 SHORTEST = 0.125
 """Share of a side that a border runs along at least."""
 STEEPEST = 2
-"""Pixels that the thickness of a border changes by, at most, from one pixel along the side to the next: an undistortion
+"""Pixels by which the thickness of a border changes at most from one pixel along the side to the next: an undistortion
 is smooth, the outlines of furniture are not."""
 SEAM = 2
 """Pixels beside a border in which resampling and JPEG have mixed it with the picture."""
 
 
 def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Where a picture uint8 [H, W, 3] shows nothing but a black border; bool [H, W].
+    """The pixels of a picture uint8 [H, W, 3] that show only a black border; bool [H, W].
 
     A border is thin, black, smooth and runs along a side, at full size: measure it before the picture is made smaller.
     Dark things that touch the edge stay: they reach too far in, have ragged outlines or are not quite black.

@@ -6,7 +6,7 @@ world z up, and pixel (i, j) centred at (i + 0.5, j + 0.5), so that ``cx = width
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,10 @@ class Camera:
     cx: float
     cy: float
     camera_to_world: NDArray[np.float64]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.width, self.height
 
     @property
     def K(self) -> NDArray[np.float64]:
@@ -47,6 +51,10 @@ class Camera:
         """The same camera for a picture of another size (edges stay edges, so no half-pixel shift arises)."""
         x, y = width / self.width, height / self.height
         return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.camera_to_world)
+
+    def at(self, pose: NDArray[np.float64]) -> Camera:
+        """The same lens at another pose, float64 [4, 4] camera-to-world."""
+        return replace(self, camera_to_world=pose)
 
     def of_rows(self, first: int, end: int) -> Camera:
         """The camera whose picture is rows ``first`` to ``end`` (not included) of this one's."""

@@ -1,4 +1,4 @@
-"""Looking into every frame's pixels before any work starts: a bad file is found in seconds, not after an hour."""
+"""Checking every frame's pixels before any work starts: a bad file is found in seconds, not after an hour."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PlgsError
 from .classes import VOID
-from .frame import Frame, PanopticMask, Scene, SceneError, Size
+from .frame import Frame, PanopticMask, Scene, Size
 from .ground_truth import GroundTruthReader
 from .image_header import check_image_file
 from .layout import listed
-from .liftable import require_liftable
+from .opening import require_liftable
 from .overlap import Thumbnail, measure_overlap
 from .pixels import distinct_ids, resize_nearest
 
 Progress = Callable[[int, int], object]
-"""Called often with the frames done and their number; what it raises ends the check."""
+"""Is called often with the frames done and their number. Its errors end the check."""
 
 _THUMBNAIL_WIDTH = 40
 _COLOURS_DECODED = 16
 _MEDIAN_STEP = 7
-"""Every how many pixels the median depth looks: a seventh of a frame is plenty."""
+"""Pixels between those that count for the median depth: a seventh of a frame is plenty."""
 _LOOKS_LIKE_METRES = 0.1
-"""Depth that stays below these metres all over a scene was hardly written in millimetres."""
+"""Metres that some depth of a scene in millimetres exceeds."""
 _LOOKS_TOO_FAR = 15.0
 _SPARSE_DEPTH = 0.05
 _DISAGREEING = 0.4
@@ -44,8 +45,9 @@ class DepthFacts:
 
 @dataclass(frozen=True)
 class MaskFacts:
-    """``segments`` counts the segments that have pixels, ``unpainted`` lists those that have none; ``class_pixels`` are
-    (class id, share of the mask's pixels), void (0) included.
+    """``segments`` counts the segments with pixels, ``unpainted`` lists those without.
+
+    ``class_pixels`` are (class id, share of the mask's pixels), void (0) included.
     """
 
     size: Size
@@ -56,8 +58,9 @@ class MaskFacts:
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """What the pixels of one frame say; None where it has no such pixels. ``unknown_truth`` are class ids of the ground
-    truth that the masks' table does not have.
+    """The facts of one frame's pixels, None without such pixels.
+
+    ``unknown_truth`` are class ids of the ground truth that the masks' table does not have.
     """
 
     name: str
@@ -68,7 +71,7 @@ class FrameFacts:
 
 @dataclass(frozen=True)
 class Survey:
-    """The facts of every frame, and what a user should know that opening the scene did not show."""
+    """The facts of every frame, and warnings beside those of opening the scene."""
 
     frames: tuple[FrameFacts, ...]
     warnings: tuple[str, ...]
@@ -77,7 +80,7 @@ class Survey:
 def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ...]:
     """Check every file of a scene and how the frames fit together; warnings beside those the scene has already.
 
-    Raises SceneError for the first thing that cannot be lifted, missing depth or masks included. Takes about 20 ms a
+    Raises PlgsError for the first thing that cannot be lifted, missing depth or masks included. Takes about 20 ms a
     frame of 640x480. Depth, masks and ground truth of all frames are decoded; of colour all files are checked for
     damage and 16 are decoded.
     """
@@ -86,7 +89,7 @@ def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ..
 
 
 def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
-    """``check_scene`` with what was found on the way; depth and masks may be missing."""
+    """``check_scene`` with the facts of all frames. Depth and masks may be missing."""
     total = len(scene.frames)
     tick = progress or (lambda done, total: None)
     facts: list[FrameFacts] = []
@@ -102,7 +105,7 @@ def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
     depths = [fact.depth for fact in facts if fact.depth is not None]
     farthest = max((depth.range[2] for depth in depths), default=_LOOKS_LIKE_METRES)
     if farthest < _LOOKS_LIKE_METRES:
-        raise SceneError(
+        raise PlgsError(
             f"depth looks like metres, not millimetres (the largest value is {farthest * 1000.0:.0f})",
             (scene.frames[0].depth_path or scene.folder).parent,
             "Multiply it by 1000 and save it as 16-bit PNGs.",
@@ -111,7 +114,7 @@ def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
     classes_seen = {class_id for mask in training if mask is not None for class_id, _ in mask.class_pixels}
     if classes_seen == {VOID}:
         fix = "Give masks that have segments in the frames to train on."
-        raise SceneError("the masks are empty", scene.folder, fix)
+        raise PlgsError("the masks are empty", scene.folder, fix)
     overlap_warnings = _overlap_warnings(scene, thumbnails, tick) if depths else ()
     return Survey(tuple(facts), (*_pixel_warnings(facts), *overlap_warnings))
 
@@ -143,7 +146,7 @@ def _depth_facts(frame: Frame, depth: NDArray[np.float32]) -> DepthFacts:
     valid = depth[depth > 0.0]
     if not len(valid):
         where = frame.depth_path or frame.colour_path
-        raise SceneError("depth is 0 everywhere", where, "Give depth, or leave this frame out.")
+        raise PlgsError("depth is 0 everywhere", where, "Give depth, or leave this frame out.")
     return DepthFacts(
         size=(depth.shape[1], depth.shape[0]),
         range=(float(valid.min()), float(np.median(valid[::_MEDIAN_STEP])), float(valid.max())),
@@ -200,7 +203,7 @@ def _overlap_warnings(scene: Scene, thumbnails: Sequence[Thumbnail], tick: Progr
         return
     overlap = measure_overlap(thumbnails, lambda: tick(len(thumbnails), len(thumbnails)))
     if not overlap.overlaps:
-        raise SceneError(
+        raise PlgsError(
             "no two frames see the same surface",
             scene.folder / "pose" if (scene.folder / "pose").is_dir() else scene.folder,
             f"Check that poses are {_POSE_RULES}, and that depth is in millimetres.",

@@ -1,4 +1,4 @@
-"""From the numbers in mask files to the classes of a scene: which number is which class, and which are things."""
+"""From the numbers in mask files to the classes of a scene, and which of these are things."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ..errors import PlgsError
 from .class_choice import FILE_NAME, ClassChoice, ClassRow
 from .class_tables import REDUCED, known_table, reduced_by_name
 from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
-from .frame import SceneError
 from .layout import listed
 
 OBJECT = ClassLabel(0, "object", is_thing=True)
@@ -17,8 +17,9 @@ OBJECT = ClassLabel(0, "object", is_thing=True)
 
 @dataclass(frozen=True)
 class ClassMap:
-    """``class_of``: the class id of each label, 0 = void. ``others``: that of labels which it does not have; None where
-    these are an error. ``merges``: several labels became one class.
+    """``class_of`` maps labels to class ids, 0 = void. ``merges``: several labels became one class.
+
+    ``others`` is the class id of all further labels, or None when these are an error.
     """
 
     classes: ClassTable
@@ -29,8 +30,9 @@ class ClassMap:
 
 @dataclass(frozen=True)
 class NamedClass:
-    """One row for a list of classes that a user edits: a ``label`` as the masks number it, its own ``name``, the name
-    that it counts ``into`` (its own where nothing is merged, "void" where it is dropped), and whether that is a thing.
+    """One row of a list of classes that a user edits: a ``label`` of the masks, its ``name``, and its kind.
+
+    ``into`` is the name of the class that it counts as: its own, another to merge it, or "void" to drop it.
     """
 
     label: int
@@ -40,16 +42,16 @@ class NamedClass:
 
 
 def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, where: Path, objects: bool) -> ClassMap:
-    """The classes of masks whose files say ``labels`` (None: nothing), after the user's ``choice``.
+    """The classes of masks whose files have ``labels`` (None: no classes), after the user's ``choice``.
 
-    A table that uses the number 0 is shifted by one as a whole, as 0 is void here. ``objects``: labels number objects,
-    and those that nobody named are of the class "object". Raises SceneError.
+    A table that uses the number 0 is shifted by one as a whole, as 0 is void here. With ``objects``, labels number
+    objects, and those without a name are of the class "object". Raises PlgsError.
     """
     choice = choice or ClassChoice()
     own = _labels(labels if choice.labels is None else choice.labels, choice)
     if not own and not objects:
         fix = f'Write {FILE_NAME} beside them, such as table = "nyu40", or name a table with --classes.'
-        raise SceneError("the masks do not say what their classes are", where, fix)
+        raise PlgsError("the masks do not say what their classes are", where, fix, option="--classes")
     into = _targets(own, choice)
     if choice.to_reduced:
         final, class_of = _reduced(own, into, choice)
@@ -67,8 +69,7 @@ def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, w
 
 
 def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> list[NamedClass]:
-    """The classes of masks as a list to edit, in order of their numbers. Raises SceneError for a choice that does not
-    fit them."""
+    """The classes of masks as a list to edit, in order of their numbers. Raises PlgsError for a wrong choice."""
     known = class_map(labels, choice, Path(FILE_NAME), objects=False)
     own = _labels(labels if choice is None or choice.labels is None else choice.labels, choice or ClassChoice())
     rows = []
@@ -81,7 +82,7 @@ def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> l
 
 
 def choice_of(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) -> ClassChoice:
-    """The choice that an edited list says: every class with its number, so that it needs no other table."""
+    """The choice in an edited list: every class with its number, so that it needs no other table."""
     return ClassChoice(
         void=void,
         rows=tuple(
@@ -99,15 +100,15 @@ def _labels(labels: Sequence[ClassLabel] | None, choice: ClassChoice) -> dict[in
     for row in choice.rows:
         number = row.id
         if number is None:
-            assert row.name is not None  # said by the file's reader
+            assert row.name is not None  # the file's reader refuses that
             if row.name.casefold() not in by_name:
                 fix = "Correct the name, or give its number in the masks as id."
-                raise SceneError(f'the masks have no class called "{row.name}"'[:90], where, fix)
+                raise PlgsError(f'the masks have no class called "{row.name}"'[:90], where, fix)
             number = by_name[row.name.casefold()]
         known = found.get(number)
         if known is None:
             if row.name is None:
-                raise SceneError(f"the class {number} has no name", where, "Add name and thing.")
+                raise PlgsError(f"the class {number} has no name", where, "Add name and thing.")
             found[number] = ClassLabel(number, row.name, row.thing is not False)
         else:
             name = known.name if row.name is None or row.id is None else row.name
@@ -116,7 +117,7 @@ def _labels(labels: Sequence[ClassLabel] | None, choice: ClassChoice) -> dict[in
 
 
 def _targets(labels: Mapping[int, ClassLabel], choice: ClassChoice) -> dict[int, str]:
-    """What labels count into, by number; those that nobody merges are missing."""
+    """The names that merged labels count into, by number."""
     by_name = {label.name.casefold(): number for number, label in labels.items()}
     found = {}
     for row in choice.rows:
@@ -146,7 +147,7 @@ def _merged(labels: Mapping[int, ClassLabel], into: Mapping[int, str]) -> tuple[
 def _reduced(
     labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
 ) -> tuple[list[ClassLabel], dict[int, int]]:
-    """The paper's 21 classes, and which of them each label is. Raises SceneError for labels that nobody placed."""
+    """The paper's 21 classes, and which of them each label is. Raises PlgsError for labels without a place."""
     final = list(known_table(REDUCED).labels)
     by_name = {label.name: label.id for label in final} | {"void": VOID}
     table = {} if choice.table is None else known_table(choice.table).reduced
@@ -161,7 +162,7 @@ def _reduced(
             class_of[number] = class_id
     if unplaced:
         what = f"classes have no place among the paper's 21 ({listed(unplaced)})"
-        raise SceneError(what, choice.path or FILE_NAME, "Say which class each counts into, with into.")
+        raise PlgsError(what, choice.path or FILE_NAME, "Say which class each counts into, with into.")
     return final, class_of
 
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 LARGEST_ID = 65535
-"""Of classes, and of a result's instances: tables by id (palettes, label images of 16 bits) stay small."""
+"""Largest id of a class or of a result's instance: tables by id (palettes, label images of 16 bits) stay small."""
 VOID = 0
 """Class id of pixels without a label. It is never predicted."""
 LARGEST_CLASS_ID = LARGEST_ID - 1
-"""Of classes as masks number them: a table that uses 0 is shifted by one."""
+"""Largest class id in mask files: a table that uses 0 is shifted by one."""
 
 
 @dataclass(frozen=True)
 class ClassLabel:
-    """A class as the masks' own files number it: ``id`` may be 0 there, ``colour`` None where they have none."""
+    """A class with its number in the masks' own files: ``id`` may be 0 there, and ``colour`` None."""
 
     id: int
     name: str
@@ -72,3 +73,18 @@ def distinct_colour(index: int) -> tuple[int, int, int]:
     lightness = (0.55, 0.42, 0.68)[index % 3]
     red, green, blue = colorsys.hls_to_rgb(hue, lightness, 0.62)
     return round(red * 255), round(green * 255), round(blue * 255)
+
+
+def matte_names(names: Mapping[int, str]) -> dict[int, str]:
+    """The names of classes or instances in Cryptomatte: without commas, quotes and backslashes, and each only once.
+
+    The id follows a name that several have.
+    """
+    clean = {
+        key: " ".join("".join(" " if c in ",\"'\\" else c for c in name).split()) or f"id {key}"
+        for key, name in names.items()
+    }
+    seen: dict[str, int] = {}
+    for name in clean.values():
+        seen[name] = seen.get(name, 0) + 1
+    return {key: name if seen[name] == 1 else f"{name} #{key}" for key, name in clean.items()}

@@ -1,123 +1,171 @@
-"""Depth images: 16-bit PNGs along the optical axis, in millimetres unless a format says otherwise."""
+"""Depth maps: planar metres, out of 16-bit PNGs or NumPy arrays, in the picture of the colour camera."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PlgsError
+from .array_file import read_npy
 from .camera import Camera
-from .frame import SceneError, Size
+from .frame import Size
 from .image_header import read_image_header
 from .layout import files_by_stem, require_all, same_shape, shown_size
 from .matrices import read_intrinsics
-from .pixels import Alignment, decode, resize_aligned
+from .pixels import Alignment, decode, decode_single_channel, resize_aligned
 
 MILLIMETRES = 0.001
 _NEARLY_ALIGNED = 0.15
-"""Largest difference, in shares of the picture, of lenses that one sensor's colour and depth may have."""
+"""Share of the picture by which the lenses of one sensor's colour and depth may differ at most."""
 
 
-@dataclass(frozen=True)
-class DepthReader:
-    """Reads one frame's depth into the frame of its colour image.
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """One frame's depth. ``path`` is the file that holds it.
 
-    ``unit`` is the length of one step in metres; values from ``none_from`` on mean no depth, as 0 does.
+    ``read`` gives planar depth, float32 [H, W] metres with 0 = none, at its own size. ``alignment`` says where colour
+    pixels lie in it.
     """
 
     path: Path
+    read: Callable[[], NDArray[np.float32]]
     alignment: Alignment = Alignment()
-    unit: float = MILLIMETRES
-    none_from: int = 65536
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
-        """Planar depth, float32 [H, W] metres, 0 = none, at ``size`` (width, height) or its own. Raises SceneError."""
-        steps = decode(self.path, as_colour=False)
-        if steps.ndim != 2 or steps.dtype != np.uint16:
-            raise SceneError("depth is not a 16-bit grey PNG", self.path, "Save millimetres with 16 bits.")
-        if self.none_from < 65536:
-            steps[steps >= self.none_from] = 0
-        height, width = steps.shape
-        return resize_aligned(steps, size or (width, height), self.alignment) * np.float32(self.unit)
+        """Depth in the colour picture at ``size`` (width, height), or at its own size. Raises PlgsError."""
+        depth = self.read()
+        return resize_aligned(depth, size or (depth.shape[1], depth.shape[0]), self.alignment)
+
+    def through(self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> DepthMap:
+        """The same map with ``change`` applied after reading."""
+        return replace(self, read=lambda: change(self.read()))
 
 
-@dataclass(frozen=True)
-class DepthSet:
-    """Readers by frame, and warnings."""
+def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES, none_from: int = 65536) -> DepthMap:
+    """The depth map in a 16-bit grey PNG for the colour camera ``lens``; only its header is read. Raises PlgsError.
 
-    readers: Mapping[str, DepthReader]
-    warnings: tuple[str, ...] = ()
+    ``unit`` is the length of one step in metres. Values from ``none_from`` on mean no depth, as 0 does.
+    """
+    check_depth_header(path, lens)
+    return DepthMap(path, partial(_read_png, path, unit, none_from))
 
 
-def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> DepthSet:
-    """Open the depth images of frames whose colour cameras are ``lenses``; headers only. Raises SceneError."""
-    folder = scene / "depth"
-    files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
-    names = list(lenses)
-    require_all(names, files, "depth", folder, "Add depth/<name>.png, or take their colour images away.")
-    sizes = {name: check_depth_header(files[name], lenses[name]) for name in names}
-    path = scene / "intrinsic" / "intrinsic_depth.txt"
-    if not path.is_file():
-        return DepthSet({name: DepthReader(files[name]) for name in names})
-    depth_lens = read_intrinsics(path, Counter(sizes.values()).most_common(1)[0][0])
-    own = {name for name in names if (scene / "intrinsic" / f"{name}.txt").is_file()}
-    alignments = {name: Alignment() if name in own else _alignment(lenses[name], depth_lens) for name in names}
-    if all(_is_plausible(alignment) for alignment in alignments.values()):
-        return DepthSet({name: DepthReader(files[name], alignments[name]) for name in names})
-    warning = f"{path.name} does not fit the colour intrinsics and is ignored: depth is taken to lie on the colour"
-    return DepthSet({name: DepthReader(files[name]) for name in names}, (warning,))
+def _read_png(path: Path, unit: float, none_from: int) -> NDArray[np.float32]:
+    steps = decode(path, as_colour=False)
+    if steps.ndim != 2 or steps.dtype != np.uint16:
+        raise PlgsError("depth is not a 16-bit grey PNG", path, "Save millimetres with 16 bits.")
+    if none_from < 65536:
+        steps[steps >= none_from] = 0
+    return steps * np.float32(unit)
 
 
 def check_depth_header(path: Path, lens: Camera) -> Size:
-    """The size of a depth image for the colour camera ``lens``. Raises SceneError unless it is a 16-bit grey PNG."""
+    """The size of a depth image for the colour camera ``lens``. Raises PlgsError unless it is a 16-bit grey PNG."""
     header = read_image_header(path)
     if header.format != "png" or header.channels != 1 or header.palette:
-        raise SceneError("depth is not a grey PNG", path, "Save millimetres as a 16-bit grey PNG.")
+        raise PlgsError("depth is not a grey PNG", path, "Save millimetres as a 16-bit grey PNG.")
     if header.bit_depth != 16:
-        raise SceneError(f"depth has {header.bit_depth} bits, not 16", path, "Save millimetres as a 16-bit grey PNG.")
-    colour = (lens.width, lens.height)
-    if not same_shape(header.size, colour):
-        raise SceneError(
-            f"depth of {shown_size(header.size)} does not fit the colour of {shown_size(colour)}",
-            path,
-            "Bring depth to the colour images' aspect ratio.",
-        )
+        raise PlgsError(f"depth has {header.bit_depth} bits, not 16", path, "Save millimetres as a 16-bit grey PNG.")
+    if not same_shape(header.size, lens.size):
+        what = f"depth of {shown_size(header.size)} does not fit the colour of {shown_size(lens.size)}"
+        raise PlgsError(what, path, "Bring depth to the colour images' aspect ratio.")
     return header.size
 
 
+def npy_depth(path: Path) -> DepthMap:
+    """The depth map in a .npy file: metres as floats, or millimetres as whole numbers."""
+    return DepthMap(path, lambda: in_metres(read_depth_array(path)))
+
+
+def read_depth_array(path: Path) -> NDArray[Any]:
+    """The numbers [H, W] in a .npy file. Further sides of length 1 are dropped. Raises PlgsError."""
+    values = read_npy(path, "Save one array with numpy.save.")
+    while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
+        values = values[0] if values.shape[0] == 1 else values[..., 0]
+    if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:
+        raise PlgsError("depth is no picture of numbers", path, "Save an array [height, width].")
+    return values
+
+
+def in_metres(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Depth, float32 [H, W], of metres as floats or of millimetres as whole numbers. See ``only_depth``."""
+    return only_depth(values.astype(np.float32) * np.float32(1.0 if values.dtype.kind == "f" else MILLIMETRES))
+
+
+def only_depth(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """``depth`` with 0 for all values that are not finite and positive."""
+    return np.where(np.isfinite(depth) & (depth > 0.0), depth, np.float32(0.0))
+
+
+def trusted(depth: DepthMap, confidence: Path | None) -> DepthMap:
+    """``depth`` without the pixels that the image ``confidence`` shows as 0, the lowest of ARKit's levels."""
+    if confidence is None:
+        return depth
+    return depth.through(lambda values: drop_untrusted(values, decode_single_channel(confidence), confidence))
+
+
+def drop_untrusted(depth: NDArray[np.float32], level: NDArray[np.integer], path: Path) -> NDArray[np.float32]:
+    """``depth`` [H, W] where ``level`` [H, W] is above 0, else 0. Raises PlgsError when they differ in size."""
+    if depth.shape != level.shape:
+        raise PlgsError("confidence has another size than depth", path, "Remove the confidence, or copy it again.")
+    return np.where(level > 0, depth, np.float32(0.0))
+
+
+def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> NDArray[np.float32]:
+    """Depth [H, W] that ``camera`` measured, as the camera ``colour`` beside it sees it, 0 = none."""
+    height, width = depth.shape
+    points = camera.resized(width, height).unproject(depth)[depth > 0.0]
+    pixels, z = colour.resized(width, height).project(points)
+    columns, rows = np.floor(pixels).astype(np.int64).T
+    inside = (z > 0.0) & (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    nearest = np.full(height * width, np.inf, np.float32)
+    # Of all surfaces that fall into a pixel, the nearest hides the others.
+    np.minimum.at(nearest, rows[inside] * width + columns[inside], z[inside].astype(np.float32))
+    nearest[np.isinf(nearest)] = 0.0
+    return nearest.reshape(height, width)
+
+
+def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, DepthMap], tuple[str, ...]]:
+    """Depth maps of the frames in the folder ``depth``, and warnings; only headers are read. Raises PlgsError.
+
+    ``lenses`` are the colour cameras by frame.
+    """
+    folder = scene / "depth"
+    files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
+    require_all(list(lenses), files, "depth", folder, "Add depth/<name>.png, or take their colour images away.")
+    maps = {name: png_depth(files[name], lens) for name, lens in lenses.items()}
+    path = scene / "intrinsic" / "intrinsic_depth.txt"
+    if not path.is_file():
+        return maps, ()
+    sizes = Counter(read_image_header(each.path).size for each in maps.values())
+    depth_lens = read_intrinsics(path, sizes.most_common(1)[0][0])
+    own = {name for name in lenses if (scene / "intrinsic" / f"{name}.txt").is_file()}
+    found = {name: Alignment() if name in own else fitting_alignment(lens, depth_lens) for name, lens in lenses.items()}
+    alignments = {name: alignment for name, alignment in found.items() if alignment is not None}
+    if len(alignments) == len(maps):
+        return {name: replace(maps[name], alignment=alignment) for name, alignment in alignments.items()}, ()
+    warning = f"{path.name} does not fit the colour intrinsics and is ignored: depth is taken to lie on the colour"
+    return maps, (warning,)
+
+
 def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
-    """Where a depth camera with the same centre sees what the colour camera does; None when no sensor is built so."""
-    alignment = _alignment(colour, depth)
-    return alignment if _is_plausible(alignment) else None
+    """The alignment of a colour camera with a depth camera at the same centre; None if no sensor is built so.
 
-
-def _alignment(colour: Camera, depth: Camera) -> Alignment:
-    """Both see the ray (x, y, 1): u = f x + c in either, so that depth's u is a linear function of colour's."""
+    Both see the ray (x, y, 1): u = f x + c in either, so that depth's u is a linear function of colour's.
+    """
     x_scale = (depth.fx / depth.width) / (colour.fx / colour.width)
     y_scale = (depth.fy / depth.height) / (colour.fy / colour.height)
-    found = Alignment(
-        x_scale,
-        depth.cx / depth.width - x_scale * colour.cx / colour.width,
-        y_scale,
-        depth.cy / depth.height - y_scale * colour.cy / colour.height,
-    )
-    # The same lens written with other digits must not lose a row of pixels to rounding.
-    return Alignment() if _largest_shift(found) < 1e-4 else found
-
-
-def _largest_shift(alignment: Alignment) -> float:
-    """How far the picture's edges move, in shares of its size."""
-    return max(
-        abs(alignment.x_shift),
-        abs(alignment.x_scale + alignment.x_shift - 1.0),
-        abs(alignment.y_shift),
-        abs(alignment.y_scale + alignment.y_shift - 1.0),
-    )
-
-
-def _is_plausible(alignment: Alignment) -> bool:
-    return _largest_shift(alignment) < _NEARLY_ALIGNED
+    x_shift = depth.cx / depth.width - x_scale * colour.cx / colour.width
+    y_shift = depth.cy / depth.height - y_scale * colour.cy / colour.height
+    # How far the picture's edges move, in shares of its size.
+    moves = max(abs(x_shift), abs(x_scale + x_shift - 1.0), abs(y_shift), abs(y_scale + y_shift - 1.0))
+    if moves < 1e-4:  # the same lens with other digits must not lose a row of pixels to rounding
+        return Alignment()
+    return Alignment(x_scale, x_shift, y_scale, y_shift) if moves < _NEARLY_ALIGNED else None

@@ -1,44 +1,44 @@
 """Monocular depth maps fitted to a reconstruction's sparse points: the paper's estimated-depth path.
 
-A network's map of one picture is right but for a scale and a shift, of depth or, with many networks, of its inverse. A
-frame's sparse points, whose depth is known, tell both.
+A network's map of one picture is right but for a scale and a shift, of depth or, with many networks, of its inverse.
+Both follow from the frame's sparse points, whose depth is known.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .depth import MILLIMETRES
-from .formats.npy_depth import read_picture
-from .frame import Frame, SceneError, Size
+from ..errors import PlgsError
+from .depth import DepthMap, in_metres, read_depth_array
+from .frame import Frame, SparsePoints
 from .image_header import read_image_header
 from .layout import files_by_stem, listed, require_all
-from .pixels import decode, resize_nearest
-from .sparse_points import SparsePoints
+from .pixels import decode
 
 LEAST_POINTS = 12
-"""A frame that sees fewer points has no depth."""
+"""Points that a frame must see at least to have depth."""
 _FIX = "Give one map a frame, called as the frame is: .npy, or .png of 8 or 16 bits."
 _PAIRS = 256
 _MOST_POINTS = 2000
 _CLOSE = 0.01
 _FARTHEST = 3.0
-"""Depth beyond so many times that of the farthest point is a guess, and none."""
+"""Times the depth of the farthest point, beyond which a map's depth is a guess and dropped."""
 
 Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DepthFit:
-    """Depth is ``scale`` * value + ``shift``, or 1 / that where ``is_inverse``; up to ``farthest``.
+    """Depth is ``scale`` * value + ``shift``, or 1 / that if ``is_inverse``, and at most ``farthest``.
 
-    ``error`` is the median over the points of the error in shares of their depth.
+    ``error`` is the median error of the points in shares of their depth.
     """
 
     scale: float
@@ -48,7 +48,7 @@ class DepthFit:
     error: float
 
     def depth(self, values: NDArray[Any]) -> NDArray[np.float32]:
-        """Depth of a map's values, float32; 0 where it is none."""
+        """Depth of a map's values, float32, 0 = none."""
         line = self.scale * values.astype(np.float64) + self.shift
         depth = np.divide(1.0, line, out=np.zeros_like(line), where=line > 1e-9) if self.is_inverse else line
         good = np.isfinite(depth) & (depth > 0.0) & (depth <= self.farthest)
@@ -93,7 +93,7 @@ def _fit_line(values: Values, depths: Values, inverse: bool) -> DepthFit | None:
 
 
 def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inverse: bool) -> Values:
-    """Errors in shares of the depth; inf where the line gives no depth."""
+    """Errors in shares of the depth, inf without a depth."""
     line = scale * values + shift
     with np.errstate(divide="ignore", invalid="ignore"):
         found = 1.0 / line if inverse else line
@@ -110,49 +110,29 @@ def _refined(values: Values, depths: Values, scale: float, shift: float, inverse
     return (float(solution[0]), float(solution[1])) if rank == 2 else (scale, shift)
 
 
-@dataclass(frozen=True, eq=False)
-class EstimatedDepthReader:
-    """Reads a frame's map and fits it to the points at ``pixels`` (x, y in shares of the picture) with ``depths``."""
+def fitted_map(path: Path, pixels: NDArray[np.float64], depths: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Depth, float32 [H, W] in the world's lengths, 0 = none: a map fitted to points of known ``depths`` [N].
 
-    path: Path
-    pixels: NDArray[np.float64]
-    depths: NDArray[np.float64]
-
-    def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
-        """Planar depth, float32 [H, W] in the world's lengths, 0 = none. Raises SceneError."""
-        values = read_map(self.path)
-        height, width = values.shape
-        columns = (self.pixels[:, 0] * width).astype(np.int64).clip(0, width - 1)
-        rows = (self.pixels[:, 1] * height).astype(np.int64).clip(0, height - 1)
-        fit = fit_depth(values[rows, columns].astype(np.float64), self.depths)
-        if fit is None:
-            what = "the map does not rise or fall with the depth of the reconstruction's points"
-            raise SceneError(what, self.path, "See that it belongs to this frame, or leave the frame out.")
-        depth = fit.depth(values)
-        return resize_nearest(depth, size) if size else depth
-
-
-@dataclass(frozen=True)
-class MetricMapReader:
-    """Reads a frame's map where there is nothing to fit it to: metres as floats, millimetres as whole numbers."""
-
-    path: Path
-
-    def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
-        """Planar depth, float32 [H, W] metres, 0 = none. Raises SceneError."""
-        values = read_map(self.path)
-        depth = values.astype(np.float32) * np.float32(1.0 if values.dtype.kind == "f" else MILLIMETRES)
-        depth = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.float32(0.0))
-        return resize_nearest(depth, size) if size else depth
+    ``pixels`` [N, 2] are the points' x and y in shares of the picture. Raises PlgsError when nothing fits.
+    """
+    values = read_map(path)
+    height, width = values.shape
+    columns = (pixels[:, 0] * width).astype(np.int64).clip(0, width - 1)
+    rows = (pixels[:, 1] * height).astype(np.int64).clip(0, height - 1)
+    fit = fit_depth(values[rows, columns].astype(np.float64), depths)
+    if fit is None:
+        what = "the map does not rise or fall with the depth of the reconstruction's points"
+        raise PlgsError(what, path, "See that it belongs to this frame, or leave the frame out.")
+    return fit.depth(values)
 
 
 def read_map(path: Path) -> NDArray[Any]:
-    """A map as it is stored, [H, W] of numbers. Raises SceneError."""
+    """A map as it is stored, [H, W] of numbers. Raises PlgsError."""
     if path.suffix.lower() == ".npy":
-        return read_picture(path)
+        return read_depth_array(path)
     values = decode(path, as_colour=False)
     if values.ndim != 2:
-        raise SceneError("a depth map must have one channel, not colours", path, _FIX)
+        raise PlgsError("a depth map must have one channel, not colours", path, _FIX)
     return values
 
 
@@ -161,7 +141,7 @@ def with_estimated_depth(
 ) -> tuple[tuple[Frame, ...], list[str]]:
     """The frames with depth from the maps in ``folder``, and warnings. Frames that see too few points are left out.
 
-    Maps are read when depth is asked for. Raises SceneError when a map is missing, or no frame is left.
+    Maps are read on demand. Raises PlgsError when a map is missing, or no frame is left.
     """
     files = files_by_stem(folder, {".npy", ".png"}, _FIX)
     require_all([frame.name for frame in frames], files, "depth map", folder, _FIX)
@@ -169,7 +149,7 @@ def with_estimated_depth(
         if path.suffix.lower() == ".png":
             read_image_header(path)
     if points is None or not len(points):
-        found = tuple(_with_depth(frame, files[frame.name], MetricMapReader(files[frame.name])) for frame in frames)
+        found = tuple(_with_depth(frame, files[frame.name], lambda path: in_metres(read_map(path))) for frame in frames)
         return found, ["there are no sparse points to fit depth to: maps are taken for metres (.png: millimetres)"]
     kept, blind = [], []
     for frame in frames:
@@ -177,21 +157,20 @@ def with_estimated_depth(
         if len(depths) < LEAST_POINTS:
             blind.append(frame.name)
             continue
-        reader = EstimatedDepthReader(files[frame.name], pixels, depths)
-        kept.append(_with_depth(frame, files[frame.name], reader))
+        kept.append(_with_depth(frame, files[frame.name], partial(fitted_map, pixels=pixels, depths=depths)))
     if not any(not frame.held_out for frame in kept):
         fix = f"Each needs {LEAST_POINTS} points of the reconstruction."
-        raise SceneError("no frame to train on sees enough points to fit depth to", folder, fix)
+        raise PlgsError("no frame to train on sees enough points to fit depth to", folder, fix)
     note = f"{len(blind)} frames see fewer than {LEAST_POINTS} points and are left out: {listed(blind)}"
     return tuple(kept), [note] if blind else []
 
 
-def _with_depth(frame: Frame, path: Path, reader: Callable[[Size | None], NDArray[np.float32]]) -> Frame:
-    return replace(frame, depth_path=path, read_depth=reader)
+def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.float32]]) -> Frame:
+    return replace(frame, depth_path=path, read_depth=DepthMap(path, partial(read, path)))
 
 
 def _seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where a frame's points lie, (x, y) in shares of the picture, and their depth. All in view without tracks."""
+    """(x, y) of a frame's points in shares of the picture, and their depth. Without tracks, of all points in view."""
     xyz = points.xyz[points.seen_by.get(frame.name, np.zeros(0, np.int64))] if points.seen_by else points.xyz
     pixels, depths = frame.camera.project(xyz)
     shares = pixels / [frame.camera.width, frame.camera.height]

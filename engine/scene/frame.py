@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gates import printable
+from ..errors import PlgsError
 from .camera import Camera
 from .classes import ClassTable
-from .sparse_points import SparsePoints
 
 Size = tuple[int, int]
 """(width, height) in pixels."""
@@ -22,8 +21,8 @@ Size = tuple[int, int]
 class Segment:
     """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1].
 
-    ``is_group``: a region of a thing's class without an instance, which may be several objects: it tells the class, and
-    founds no object. ``track``: the object's id over all frames, where a tracker followed it; None elsewhere.
+    ``is_group`` marks a region of a thing's class without an instance. It may show several objects, so it gives its
+    pixels a class and founds no object. ``track`` is the object's id over all frames, None without a tracker.
     """
 
     id: int
@@ -59,14 +58,34 @@ class GroundTruth:
 
 
 @dataclass(frozen=True, eq=False)
+class SparsePoints:
+    """The points of the reconstruction that a scene's poses come from.
+
+    ``xyz`` is float64 [N, 3] in the world of the poses, ``rgb`` uint8 [N, 3] sRGB. ``seen_by`` maps a frame's name to
+    the indices int64 [K] of the points that were found in its picture. It is empty in formats without tracks.
+    """
+
+    xyz: NDArray[np.float64]
+    rgb: NDArray[np.uint8]
+    seen_by: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def turned(self, turn: NDArray[np.float64]) -> SparsePoints:
+        """The same points in the world that the rotation ``turn``, float64 [3, 3], makes."""
+        return SparsePoints(self.xyz @ turn.T, self.rgb, self.seen_by)
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
-    """One view. Pixels are read when asked for: each reader is called with a size (width, height) or None for its own.
+    """One view. Pixels are read on demand: each reader is called with a size (width, height), or None for its own.
 
     ``read_colour`` gives uint8 [H, W, 3] RGB, ``read_depth`` float32 [H, W] planar metres (0 = none), ``read_mask`` a
-    PanopticMask, ``read_ground_truth`` a GroundTruth; the last three are None where there is none. They raise
-    SceneError. ``colour_path`` and ``depth_path`` are the files that the pixels come out of.
-    ``file_shows_colour`` is whether the file at ``colour_path`` is an image that looks as ``read_colour`` does: not so
-    in a video or an archive, and where the lens is undistorted on reading.
+    PanopticMask, ``read_ground_truth`` a GroundTruth. The last three may be None. Readers raise PlgsError.
+    ``colour_path`` and ``depth_path`` are the files that hold the pixels. ``file_shows_colour`` is true when the file
+    at ``colour_path`` is an image that looks as ``read_colour`` does. It is false for videos, archives, and pictures
+    that are undistorted on reading.
     """
 
     name: str
@@ -85,15 +104,15 @@ class Frame:
         return self.camera.width, self.camera.height
 
     def depth(self, size: Size | None = None) -> NDArray[np.float32]:
-        """``read_depth`` of a frame that must have it. Raises SceneError."""
+        """``read_depth`` of a frame that must have it. Raises PlgsError."""
         if self.read_depth is None:
-            raise SceneError("a frame has no depth", self.colour_path, "Give depth for every frame.")
+            raise PlgsError("a frame has no depth", self.colour_path, "Give depth for every frame.")
         return self.read_depth(size)
 
     def mask(self, size: Size | None = None) -> PanopticMask:
-        """``read_mask`` of a frame that must have it. Raises SceneError."""
+        """``read_mask`` of a frame that must have it. Raises PlgsError."""
         if self.read_mask is None:
-            raise SceneError("a frame has no mask", self.colour_path, "Give a panoptic mask for every frame.")
+            raise PlgsError("a frame has no mask", self.colour_path, "Give a panoptic mask for every frame.")
         return self.read_mask(size)
 
 
@@ -101,9 +120,9 @@ class Frame:
 class Scene:
     """Posed frames in recording order, the classes their masks use, and what a user should know about them.
 
-    ``folder`` is what the user named: a folder, or the one file that holds it all. ``format`` names the reader that
-    took it. ``points`` are those of the reconstruction that the poses come from, where the format has them. ``turn``,
-    float64 [3, 3], is how the world of the poses was turned for z to point up; None where it was not.
+    ``folder`` is what the user named: a folder, or the one file that holds it all. ``format`` is the name of its
+    reader. ``points`` are those of the reconstruction that the poses come from, if the format has them. ``turn``,
+    float64 [3, 3], is the rotation that made z point up, or None.
     """
 
     folder: Path
@@ -129,11 +148,3 @@ class Scene:
     @property
     def has_masks(self) -> bool:
         return all(frame.read_mask is not None for frame in self.frames)
-
-
-class SceneError(Exception):
-    """Input that cannot be lifted: what is wrong, where (a file or folder), and what to do about it."""
-
-    def __init__(self, what: str, where: Path | str, fix: str) -> None:
-        super().__init__(printable(f"{what}: {where}. {fix}").replace("\n", " "))
-        self.what, self.where, self.fix = what, str(where), fix

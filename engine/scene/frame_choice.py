@@ -1,9 +1,9 @@
-"""Which frames of a long capture are lifted: as many as do, evenly over what the camera saw, and the sharpest.
+"""Which frames of a long capture are lifted: enough of them, evenly over the camera's way, and the sharpest.
 
-A hand-held camera takes more pictures than a room needs. As Panoptic Lifting does, the recording is cut into windows,
-and the sharpest frame of each is kept. Windows are equal in time and motion together: where the camera stands still
-few frames tell all, and where it turns quickly none can be spared. The masks of the frames that are not chosen vote all
-the same (``engine/lift/voters.py``).
+A hand-held camera takes more pictures than a room needs. As in Panoptic Lifting, the recording is cut into windows, and
+the sharpest frame of each is kept. Windows are equal in time and motion together: a camera that stands still needs few
+frames, and one that turns quickly needs all. The masks of the other frames vote all the same
+(``engine/lift/voters.py``).
 """
 
 from __future__ import annotations
@@ -15,20 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .frame import Frame, Scene
-from .reading_ahead import read_ahead
-from .sharpness import photo_detail
-from .view import size_within
+from .view import read_ahead, size_within
 
 STEP_METRES, STEP_DEGREES = 0.8, 15.0
-"""Going so far changes a view as much as turning by so much."""
+"""A step of this length changes a view as much as a turn by this angle."""
 CANDIDATES = 3
-"""Frames of a window whose sharpness is looked at: reading does not grow with the recording."""
+"""Frames of a window whose sharpness is measured, at most. So reading does not grow with the recording."""
 LOOKED_AT_WITHIN = (480, 480)
+"""Pixels (width, height) that a picture is brought into to measure its sharpness."""
 
 
 def choose_frames(scene: Scene, most: int, progress: Callable[[int, int], object] | None = None) -> Scene:
-    """The scene with at most ``most`` of the frames to train on; those held out stay. ``progress`` is told of windows
-    done, and their number. Raises SceneError when a picture cannot be read."""
+    """The scene with at most ``most`` of the frames to train on; those held out stay.
+
+    ``progress`` is called with the windows done and their number. Raises PlgsError when a picture cannot be read.
+    """
     frames = scene.train_frames
     if len(frames) <= most:
         return scene
@@ -66,5 +67,16 @@ def candidates(frames: Sequence[Frame]) -> list[Frame]:
 
 
 def frame_detail(frame: Frame) -> float:
-    """How sharp a frame is. Raises SceneError when its picture cannot be read."""
+    """How sharp a frame is. Raises PlgsError when its picture cannot be read."""
     return photo_detail(frame.read_colour(size_within(frame.size, LOOKED_AT_WITHIN)))
+
+
+def photo_detail(photo: NDArray[np.uint8]) -> float:
+    """The detail of a photo uint8 [H, W, 3]: the mean absolute Laplacian over the mean brightness.
+
+    Exposure does not matter. A blurred photo has less detail than its neighbours, which show about the same.
+    """
+    import cv2
+
+    grey = photo.mean(axis=2, dtype=np.float32)
+    return float(np.abs(cv2.Laplacian(grey, cv2.CV_32F)).mean() / (grey.mean() + 1.0))

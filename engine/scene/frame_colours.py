@@ -13,18 +13,19 @@ from .frame import PanopticMask
 _GRADIENT = np.array(
     [[255, 240, 190], [250, 170, 70], [220, 80, 90], [130, 40, 140], [45, 25, 110], [12, 10, 40]], np.float64
 )
-"""sRGB from near to far; each is darker than the one before, so that a grey print still tells near from far."""
-_LINE = 0.45
-_BORDER = 0.4
-"""How much darker the lines of whole metres, and the borders of segments, are drawn."""
+"""sRGB from near to far; each is darker than the one before, so that a grey print still shows near and far."""
+_LINE, _BORDER = 0.45, 0.4
+"""Brightness of the lines at whole metres and of the borders of segments, as a share of the pixel's own."""
 _MOST_LINES = 40
+"""Lines in a picture, at most; deeper scenes have none."""
 _NONE = (60, 60, 60)
 """sRGB of pixels without depth or without a class."""
 
 
 class DepthColours(NamedTuple):
-    """``rgb`` uint8 [H, W, 3]: light is ``near``, dark is ``far`` (metres; 0 and 0 where there is no depth). A line is
-    drawn at each whole metre.
+    """``rgb`` uint8 [H, W, 3]: light is ``near``, dark is ``far`` (metres; 0 and 0 without depth).
+
+    A line is drawn at each whole metre.
     """
 
     rgb: NDArray[np.uint8]

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import PlgsError
 from .class_tables import REDUCED, known_table
 from .classes import ClassTable
-from .frame import GroundTruth, SceneError, Size
+from .frame import GroundTruth, Size
 from .image_header import check_image_file
 from .label_image import check_label_header
 from .layout import files_by_stem, natural_order, same_shape, shown_size
@@ -21,50 +22,50 @@ _FIX = "Correct it, or take the ground truth away: only the metrics need it."
 
 @dataclass(frozen=True)
 class GroundTruthReader:
-    """Reads one frame's ground truth; class ids that the masks' table does not have become void."""
+    """Reads one frame's ground truth. Class ids that the masks' table does not have become void."""
 
     semantic: Path
     instance: Path
     class_ids: frozenset[int]
 
     def __call__(self, size: Size | None = None) -> GroundTruth:
-        """Ground truth at ``size`` (width, height) or its own. Raises SceneError when a file is bad."""
-        semantic, instance = decode_single_channel(self.semantic), decode_single_channel(self.instance)
-        if semantic.shape != instance.shape:
-            raise SceneError("classes and instances differ in size", self.instance, _FIX)
-        known = np.zeros(int(semantic.max(initial=0)) + 1, np.int32)
+        """Ground truth at ``size`` (width, height) or its own. Raises PlgsError when a file is bad."""
+        stored = read_label_pair(self.semantic, self.instance)
+        known = np.zeros(int(stored.semantic.max(initial=0)) + 1, np.int32)
         for class_id in self.class_ids:
             if class_id < len(known):
                 known[class_id] = class_id
-        semantic = known[semantic]
+        semantic, instance = known[stored.semantic], stored.instance
         if size is not None:
             semantic, instance = resize_nearest(semantic, size), resize_nearest(instance, size)
         return GroundTruth(semantic, instance)
 
     def unknown_ids(self) -> frozenset[int]:
-        """Class ids in the file, void aside, that the masks' table does not have. Raises SceneError for a bad file."""
+        """Class ids in the file, void aside, that the masks' table does not have. Raises PlgsError for a bad file."""
         check_image_file(self.instance)
         found, _ = distinct_ids(decode_single_channel(self.semantic))
         return frozenset(found.tolist()) - self.class_ids - {0}
 
 
-@dataclass(frozen=True)
-class GroundTruthSet:
-    """Readers by frame, for those frames that have ground truth, and warnings."""
+def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
+    """Class ids and instance ids out of two label images. Raises PlgsError when a file is bad."""
+    stored = GroundTruth(decode_single_channel(semantic), decode_single_channel(instance))
+    if stored.semantic.shape != stored.instance.shape:
+        raise PlgsError("classes and instances differ in size", instance, "Make both of one size.")
+    return stored
 
-    readers: Mapping[str, GroundTruthReader]
-    warnings: tuple[str, ...] = ()
 
+def open_ground_truth(
+    scene: Path, sizes: Mapping[str, Size], classes: ClassTable
+) -> tuple[dict[str, GroundTruthReader], list[str]]:
+    """Ground truth in ``rs_semantics`` and ``rs_instance``, or ``gt/semantic*`` and ``gt/instance``; headers only.
 
-def open_ground_truth(scene: Path, sizes: Mapping[str, Size], classes: ClassTable) -> GroundTruthSet:
-    """Find ``rs_semantics`` and ``rs_instance``, or ``gt/semantic*`` and ``gt/instance``; headers only.
-
-    ``sizes`` are the colour images' by frame. Class ids are those of the masks' table. Raises SceneError when an image
-    is no label image or shows another part of the view.
+    The result has a reader for each frame with ground truth, and warnings. ``sizes`` are those of the colour images by
+    frame, class ids those of the masks' table. Raises PlgsError when an image is no label image or has another shape.
     """
     folders = _find_folders(scene)
     if folders is None:
-        return GroundTruthSet({})
+        return {}, []
     semantics = files_by_stem(folders[0], {".png"}, _FIX)
     instances = files_by_stem(folders[1], {".png"}, _FIX)
     readers: dict[str, GroundTruthReader] = {}
@@ -74,10 +75,9 @@ def open_ground_truth(scene: Path, sizes: Mapping[str, Size], classes: ClassTabl
             for path in (semantics[name], instances[name]):
                 own = check_label_header(path)
                 if not same_shape(own, size):
-                    raise SceneError(
-                        f"ground truth of {shown_size(own)} does not fit the colour of {shown_size(size)}", path, _FIX
-                    )
-    return GroundTruthSet(readers, tuple(_warnings(folders[0], list(sizes), readers, classes)))
+                    what = f"ground truth of {shown_size(own)} does not fit the colour of {shown_size(size)}"
+                    raise PlgsError(what, path, _FIX)
+    return readers, _warnings(folders[0], list(sizes), readers, classes)
 
 
 def _find_folders(scene: Path) -> tuple[Path, Path] | None:

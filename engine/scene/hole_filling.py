@@ -2,7 +2,7 @@
 
 A surface without depth has no points, so no anchors and no labels. Most holes lie in a plane with what surrounds them:
 a screen on a wall, the far end of a floor. The inverse depth of a plane is an affine function of the pixel, so a hole
-is filled from the ring of measured pixels around it, of its own segment where that has enough of them. A hole whose
+is filled from the ring of measured pixels around it, of its own segment if that has enough of them. A hole whose
 ring is no plane stays a hole.
 """
 
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class HoleFilling:
-    """``ring`` pixels around a hole are looked at, of which at least ``least_ring`` must have depth. ``flatness``: the
-    median residual of the plane in shares of the depth, above which the hole stays. Filled depth is within
-    ``stretch`` times the ring's nearest and farthest. Where a segment has more than ``many`` holes, those of at most
-    ``speck`` pixels take the mean of what is around them instead, if that is flat: a noisy sensor has thousands, and a
-    plane for each would take long."""
+    """``ring`` is the width in pixels of the ring around a hole; at least ``least_ring`` of its pixels must have depth.
+
+    ``flatness`` is the largest median residual of the plane in shares of the depth; above it the hole stays. Filled
+    depth is within ``stretch`` times the ring's nearest and farthest. In a segment with more than ``many`` holes, those
+    of at most ``speck`` pixels take the mean of the pixels around them, if these are flat: a noisy sensor has thousands
+    of holes, and a plane for each would take long.
+    """
 
     ring: int = 6
     least_ring: int = 12
@@ -33,9 +35,9 @@ class HoleFilling:
 def fill_holes(
     depth: NDArray[np.float32], segments: NDArray[np.int32], options: HoleFilling | None = None
 ) -> NDArray[np.float32]:
-    """Depth with planar holes filled, float32 [H, W] metres, 0 where it stays unknown.
+    """Depth with planar holes filled, float32 [H, W] metres, 0 = unknown.
 
-    ``segments`` int32 [H, W] are the mask's ids: a hole ends where its segment does. What was measured never changes.
+    ``segments`` int32 [H, W] are the mask's ids: a hole ends where its segment does. Measured depth never changes.
     """
     import cv2
 
@@ -107,7 +109,7 @@ def _fill_one(
 
 
 def _plane(x: NDArray[np.intp], y: NDArray[np.intp], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Coefficients of x, y and 1 that fit the inverse depth, by least squares that a few outliers do not move."""
+    """Coefficients of x, y and 1 that fit the inverse depth, by robust least squares."""
     system = np.column_stack([x, y, np.ones(len(x))])
     weight = np.ones(len(x))
     solution = np.zeros(3)

@@ -13,8 +13,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, Literal
 
+from ..errors import PlgsError
 from ..gates import open_plain, read_plain
-from .frame import SceneError, Size
+from .frame import Size
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB\x60\x82"
@@ -23,13 +24,13 @@ _JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _TAIL = 4096
 MOST_PIXELS = 160_000_000
-"""More no camera has. Decoded, they take half a gigabyte."""
+"""Pixels of an image, at most. No camera has more; decoded, they take half a gigabyte."""
 _MOST_BYTES = 1 << 29
 
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What the first bytes of an image say; ``palette`` means its values are indices into a colour table."""
+    """The header of an image. ``palette`` means that its values are indices into a colour table."""
 
     format: Literal["png", "jpeg"]
     width: int
@@ -44,12 +45,12 @@ class ImageHeader:
 
 
 def read_image_header(path: Path) -> ImageHeader:
-    """Read the header of a PNG or JPEG and see that the file has an end. Raises SceneError."""
+    """Read the header of a PNG or JPEG and see that the file has an end. Raises PlgsError."""
     try:
         with open_plain(path) as file:
             start = file.read(33)
             if not start:
-                raise SceneError("the image is empty", path, "Write this file again.")
+                raise PlgsError("the image is empty", path, "Write this file again.")
             if start.startswith(_PNG_SIGNATURE):
                 header, end = _png_header(start, path), _PNG_END
             elif start.startswith(_JPEG_START):
@@ -61,7 +62,7 @@ def read_image_header(path: Path) -> ImageHeader:
             file.seek(max(after_header, file.seek(0, 2) - _TAIL))
             tail = file.read()
     except OSError as error:
-        raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
+        raise PlgsError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
     # Some cameras append data after a JPEG's end; then the whole file has to be searched.
     if end not in tail and (header.format == "png" or not _jpeg_is_whole(_read(path))):
         raise _truncated(path)
@@ -69,7 +70,7 @@ def read_image_header(path: Path) -> ImageHeader:
 
 
 def check_image_file(path: Path) -> bytes:
-    """Read an image's bytes and see that they are whole and, for a PNG, undamaged (checksums). Raises SceneError."""
+    """Read an image's bytes and see that they are whole and, for a PNG, undamaged (checksums). Raises PlgsError."""
     data = _read(path)
     check_image_bytes(data, path)
     return data
@@ -79,15 +80,16 @@ def _read(path: Path) -> bytes:
     try:
         return read_plain(path, _MOST_BYTES)
     except OSError as error:
-        raise SceneError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
+        raise PlgsError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
 
 
 def check_image_bytes(data: bytes, path: Path) -> None:
-    """``check_image_file`` for bytes that come out of the file ``path``. Raises SceneError, also for images of other
-    kinds than PNG and JPEG, whose decoders never get to see them, and for more pixels than memory should be given to.
+    """``check_image_file`` for bytes out of the file ``path``.
+
+    Raises PlgsError, also for other kinds than PNG and JPEG, which no decoder gets, and for too many pixels.
     """
     if not data:
-        raise SceneError("the image is empty", path, "Write this file again.")
+        raise PlgsError("the image is empty", path, "Write this file again.")
     if data.startswith(_PNG_SIGNATURE):
         _png_header(data[:33], path)
         _check_png_chunks(data, path)
@@ -99,18 +101,18 @@ def check_image_bytes(data: bytes, path: Path) -> None:
         raise _neither(path)
 
 
-def _neither(path: Path) -> SceneError:
-    return SceneError("this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
+def _neither(path: Path) -> PlgsError:
+    return PlgsError("this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
 
 
 def _refuse_vast(width: int, height: int, path: Path) -> None:
     if width * height > MOST_PIXELS:
         what = f"the image claims {width}x{height} pixels, at most {MOST_PIXELS // 10**6} million may be"
-        raise SceneError(what, path, "Make it smaller, or write this file again.")
+        raise PlgsError(what, path, "Make it smaller, or write this file again.")
 
 
-def _truncated(path: Path) -> SceneError:
-    return SceneError("the image is cut off", path, "Copy or write this file again.")
+def _truncated(path: Path) -> PlgsError:
+    return PlgsError("the image is cut off", path, "Copy or write this file again.")
 
 
 def _png_header(start: bytes, path: Path) -> ImageHeader:
@@ -118,7 +120,7 @@ def _png_header(start: bytes, path: Path) -> ImageHeader:
         raise _truncated(path)
     width, height, bit_depth, kind = struct.unpack(">IIBB", start[16:26])
     if kind not in _PNG_CHANNELS or not width or not height:
-        raise SceneError("the PNG header makes no sense", path, "Write this file again.")
+        raise PlgsError("the PNG header makes no sense", path, "Write this file again.")
     _refuse_vast(width, height, path)
     return ImageHeader("png", width, height, bit_depth, _PNG_CHANNELS[kind], palette=kind == 3)
 
@@ -140,7 +142,7 @@ def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
                 raise _truncated(path)
             bit_depth, height, width, channels = struct.unpack(">BHHB", body)
             if not width or not height:
-                raise SceneError("the JPEG header makes no sense", path, "Write this file again.")
+                raise PlgsError("the JPEG header makes no sense", path, "Write this file again.")
             _refuse_vast(width, height, path)
             return ImageHeader("jpeg", width, height, bit_depth, channels)
         file.seek(length - 2, 1)
@@ -168,7 +170,7 @@ def _check_png_chunks(data: bytes, path: Path) -> None:
         if len(checksum) < 4:
             break
         if zlib.crc32(kind_and_body) != int.from_bytes(checksum, "big"):
-            raise SceneError("the image is damaged (checksum)", path, "Copy or write this file again.")
+            raise PlgsError("the image is damaged (checksum)", path, "Copy or write this file again.")
         if kind_and_body.startswith(b"IEND"):
             return
         position += 12 + length

@@ -1,23 +1,25 @@
-"""Folders of label images, of whichever program: classes and instances of a frame, to be compared with others."""
+"""Folders of label images by any program: classes and instances of each frame, to be compared with others."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from ..errors import PlgsError
+from ..json_file import read_json_object, take_flag, take_objects, take_text, take_whole_number
 from .class_map import class_map
 from .class_tables import REDUCED, known_table
 from .classes import VOID, Category, ClassTable, distinct_colour
-from .frame import GroundTruth, PanopticMask, SceneError
-from .json_file import read_json_object, take_flag, take_objects, take_text, take_whole_number
+from .frame import GroundTruth, PanopticMask
+from .ground_truth import read_label_pair
 from .label_image import check_label_header
 from .layout import files_by_stem, require_all
 from .mask_formats import label_pairs
 from .masks import open_masks
-from .pixels import decode_single_channel
 
 PAIRS = (
     ("gt/semantic", "gt/instance"),
@@ -35,61 +37,44 @@ _TABLE_FIX = 'Put COCO\'s panoptic.json, or a labels.json with its "classes", in
 
 @dataclass(frozen=True, eq=False)
 class LabelFolder:
-    """``readers``: by frame, what reads its labels at their own size; ``classes``: None where nothing tells them."""
+    """``readers`` read the labels of each frame at their own size. ``classes`` are None without a table."""
 
     folder: Path
     classes: ClassTable | None
     readers: Mapping[str, Callable[[], GroundTruth]]
 
 
-@dataclass(frozen=True)
-class _PairReader:
-    semantic: Path
-    instance: Path
-
-    def __call__(self) -> GroundTruth:
-        """Raises SceneError when a file is bad."""
-        semantic, instance = decode_single_channel(self.semantic), decode_single_channel(self.instance)
-        if semantic.shape != instance.shape:
-            raise SceneError("classes and instances differ in size", self.instance, "Make both of one size.")
-        return GroundTruth(semantic, instance)
-
-
-@dataclass(frozen=True)
-class _MaskReader:
-    read: Callable[[None], PanopticMask]
-
-    def __call__(self) -> GroundTruth:
-        """A thing's instance is its segment; stuff has none."""
-        mask = self.read(None)
-        things = [segment.id for segment in mask.segments if segment.is_thing]
-        return GroundTruth(mask.class_map(), np.where(np.isin(mask.ids, things), mask.ids, 0).astype(np.int32))
+def _as_labels(mask: PanopticMask) -> GroundTruth:
+    """Classes and instances of a mask: a thing's instance is its segment, stuff has none."""
+    things = [segment.id for segment in mask.segments if segment.is_thing]
+    return GroundTruth(mask.class_map(), np.where(np.isin(mask.ids, things), mask.ids, 0).astype(np.int32))
 
 
 def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
-    """Find the labels in a folder; headers only. A scene's folder may hold both: ``is_truth`` says which are meant.
+    """Find the labels in a folder; headers only. In a scene's folder, which may hold both, ``is_truth`` chooses.
 
-    Raises SceneError when there are none, or a file is bad.
+    Raises PlgsError when there are none, or a file is bad.
     """
     if not folder.is_dir():
-        raise SceneError("is no folder", folder, _FIX)
+        raise PlgsError("is no folder", folder, _FIX)
     table = folder / "panoptic.json"
     pairs = [(folder / one, folder / other) for one, other in PAIRS if (folder / one).is_dir()]
     if table.is_file() and not (is_truth and pairs):
         return _coco(folder)
     if not pairs:
-        raise SceneError("there are no labels here", folder, _FIX)
+        raise PlgsError("there are no labels here", folder, _FIX)
     semantics, instances = (files_by_stem(each, {".png"}, _FIX) for each in pairs[0])
     require_all(list(semantics), instances, "instance image", pairs[0][1], "Call it as the class image is called.")
     for path in (*semantics.values(), *(instances[name] for name in semantics)):
         check_label_header(path)
-    readers = {name: _PairReader(path, instances[name]) for name, path in semantics.items()}
+    readers = {name: partial(read_label_pair, path, instances[name]) for name, path in semantics.items()}
     return LabelFolder(folder, _classes(folder, pairs[0][0]), readers)
 
 
 def _coco(folder: Path) -> LabelFolder:
     masks = open_masks(folder, list(files_by_stem(folder / "panoptic", {".png"}, _FIX)), "coco")
-    return LabelFolder(folder, masks.classes, {name: _MaskReader(read) for name, read in masks.readers.items()})
+    readers = {name: lambda read=read: _as_labels(read()) for name, read in masks.readers.items()}
+    return LabelFolder(folder, masks.classes, readers)
 
 
 def _classes(folder: Path, semantics: Path) -> ClassTable | None:
@@ -103,29 +88,28 @@ def _classes(folder: Path, semantics: Path) -> ClassTable | None:
 
 
 def _classes_of_export(path: Path) -> ClassTable:
-    """Of the labels.json that ``export --to instances`` writes. Raises SceneError."""
+    """The classes in the labels.json that ``export --to instances`` writes. Raises PlgsError."""
     found: dict[int, Category] = {}
     for number, entry in enumerate(take_objects(read_json_object(path), "classes", "the table", path)):
         whose = f"class {number}"
         class_id = take_whole_number(entry, "id", whose, path)
         if class_id <= VOID or class_id in found:
-            raise SceneError(f"{whose} has the id {class_id}", path, "Give each class an id of its own, from 1.")
+            raise PlgsError(f"{whose} has the id {class_id}", path, "Give each class an id of its own, from 1.")
         name, is_thing = take_text(entry, "name", whose, path), take_flag(entry, "is_thing", whose, path)
         found[class_id] = Category(class_id, name, is_thing, distinct_colour(class_id))
     return ClassTable(tuple(found[class_id] for class_id in sorted(found)))
 
 
 def common_classes(predictions: LabelFolder, truth: LabelFolder) -> ClassTable:
-    """The class table of both: what one tells goes for the other, whose ids mean the same. Raises SceneError when
-    neither tells, or when an id has two names."""
+    """The class table of both, whose ids mean the same. Raises PlgsError if there is none, or an id has two names."""
     tables = [each.classes for each in (truth, predictions) if each.classes is not None]
     if not tables:
-        raise SceneError("nothing tells which classes there are, and which are things", truth.folder, _TABLE_FIX)
+        raise PlgsError("there is no table of classes and of which are things", truth.folder, _TABLE_FIX)
     merged: dict[int, Category] = {}
     for table in tables:
         for category in table.categories:
             known = merged.setdefault(category.id, category)
             if (known.name, known.is_thing) != (category.name, category.is_thing):
                 what = f"class {category.id} is {category.name!r} here and {known.name!r} in the ground truth"
-                raise SceneError(what, predictions.folder, "Bring both to one class table.")
+                raise PlgsError(what, predictions.folder, "Bring both to one class table.")
     return ClassTable(tuple(merged[class_id] for class_id in sorted(merged)))

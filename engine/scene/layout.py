@@ -1,15 +1,33 @@
-"""Which files belong to which frame: folders of files that share their stems."""
+"""Files of a scene: reading them, and which of them belong to which frame by their stems."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Sequence
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
-from .frame import SceneError, Size
+from ..errors import PlgsError
+from ..gates import read_plain
+from .frame import Size
 
 _SAME_SHAPE = 0.02
 """Relative difference of two aspect ratios that still counts as one: ScanNet has 1296x968 beside 640x480 (0.4 %)."""
+
+
+def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -> bytes:
+    """The content of a regular file of at most ``most_bytes``. Raises PlgsError, with ``fix`` as the advice."""
+    try:
+        return read_plain(path, most_bytes)
+    except OSError as error:
+        raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
+
+
+def read_text(path: Path, most_bytes: int, fix: str) -> str:
+    """The content of a text file in UTF-8. Raises PlgsError; ``fix`` is the advice for other files."""
+    try:
+        return read_file(path, most_bytes).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise PlgsError("this is not a text file", path, fix) from error
 
 
 def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
@@ -21,37 +39,61 @@ def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
 def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
     """Files of ``folder`` with one of ``suffixes`` (lower case, with the dot), by stem, in natural order.
 
-    Raises SceneError, with ``fix`` as the advice, when there is no such folder or file, or when a stem occurs twice.
+    Raises PlgsError, with ``fix`` as the advice, when there is no such folder or file, or when a stem occurs twice.
     """
     if not folder.is_dir():
-        raise SceneError("a folder is missing", folder, fix)
+        raise PlgsError("a folder is missing", folder, fix)
     try:
         paths = [*folder.iterdir()]
     except OSError as error:
-        raise SceneError(f"the folder cannot be read ({error.strerror})", folder, "Check its permissions.") from error
+        raise PlgsError(f"the folder cannot be read ({error.strerror})", folder, "Check its permissions.") from error
     found: dict[str, Path] = {}
     for path in sorted(paths, key=lambda path: (natural_order(path.stem), path.name)):
         # A name that starts with a dot is a file system's own note, such as macOS writes.
         if path.suffix.lower() not in suffixes or path.name.startswith("."):
             continue
         if path.is_symlink() and not path.exists():
-            raise SceneError("this link leads nowhere", path, "Give the file it should lead to, or remove the link.")
+            raise PlgsError("this link leads nowhere", path, "Give the file it should lead to, or remove the link.")
         if not path.is_file():
             continue
         if path.stem in found:
-            raise SceneError(f"there is {found[path.stem].name} as well", path, "Keep one of the two.")
+            raise PlgsError(f"there is {found[path.stem].name} as well", path, "Keep one of the two.")
         found[path.stem] = path
     if not found:
-        raise SceneError(f"the folder has no {' or '.join(sorted(suffixes))} files", folder, fix)
+        raise PlgsError(f"the folder has no {' or '.join(sorted(suffixes))} files", folder, fix)
     return found
 
 
+def files_if_any(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
+    """``files_by_stem``, but no files at all when there is no such folder."""
+    return files_by_stem(folder, suffixes, fix) if folder.is_dir() else {}
+
+
 def require_all(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> None:
-    """Raise SceneError unless every frame of ``names`` is ``present``; ``what`` is what the frame would lack."""
+    """Raise PlgsError unless every frame of ``names`` is ``present``. ``what`` names the missing thing."""
     lacking = [name for name in names if name not in present]
     if lacking:
         count = f"{len(lacking)} of {len(names)} frames have" if len(lacking) > 1 else "a frame has"
-        raise SceneError(f"{count} no {what} ({listed(lacking)})", where, fix)
+        raise PlgsError(f"{count} no {what} ({listed(lacking)})", where, fix)
+
+
+def files_of_frames(
+    folder: Path, names: Sequence[str], suffixes: Collection[str], what: str, fix: str
+) -> dict[str, Path]:
+    """The file of each frame of ``names`` in ``folder``, as ``files_by_stem`` and ``require_all`` find them."""
+    files = files_by_stem(folder, suffixes, fix)
+    require_all(names, files, what, folder, fix)
+    return {name: files[name] for name in names}
+
+
+def file_inside(folder: Path, name: str, path: Path) -> Path:
+    """The file in ``folder`` that the file ``path`` calls ``name``. Raises PlgsError if it is outside."""
+    # Windows' rules are the wider ones: drives, both kinds of slashes.
+    parts = PureWindowsPath(name)
+    if parts.anchor or ".." in parts.parts or "\0" in name or not parts.parts:
+        what = f'the file name "{shown(name)}" leaves the folder {folder.name}'
+        raise PlgsError(what, path, "Use plain names of files in that folder.")
+    return folder.joinpath(*parts.parts)
 
 
 def listed(names: Iterable[object], most: int = 5) -> str:
@@ -62,7 +104,7 @@ def listed(names: Iterable[object], most: int = 5) -> str:
 
 
 def shown(name: object) -> str:
-    """A name out of somebody's file, fit for one line of a terminal."""
+    """A foreign file's name for something, fit for one line of a terminal."""
     text = "".join(character if character.isprintable() else "?" for character in str(name))
     return text if len(text) <= 60 else f"{text[:59]}…"
 

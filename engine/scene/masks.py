@@ -1,46 +1,53 @@
-"""Finding a scene's panoptic masks: a format's reader gives numbered segments, the class table says what they mean."""
+"""Finding a scene's panoptic masks: a format's reader gives numbered segments, the class table gives their classes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from ..errors import ErrorCode, PlgsError
 from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
-from .classes import VOID
-from .frame import PanopticMask, SceneError, Segment, Size
+from .classes import VOID, ClassTable
+from .frame import PanopticMask, Segment, Size
 from .layout import listed
-from .mask_formats import MASK_FORMATS, FoundMask, FoundSegment, MaskSource, find_mask_format
-from .mask_set import NO_MASKS, MaskSet
+from .mask_formats import MASK_FORMATS, FoundSegment, MaskSource, StoredMask, find_mask_format
 from .pixels import resize_nearest
 
 MASK_FOLDER = "masks"
-"""Where a scene's own folder may have masks of any format."""
+"""The folder of a scene that may hold masks of any format."""
+
+
+def no_masks(scene: Path) -> PlgsError:
+    """The error for a scene that has no masks."""
+    fix = "Give masks with --masks, such as COCO panoptic ones, or let the command segment make them."
+    return PlgsError("there are no masks", scene, fix, code=ErrorCode.NO_MASKS, option="--masks")
 
 
 @dataclass(frozen=True)
 class MaskReader:
-    """Reads one frame's mask: what the format's ``read`` finds, in the classes of ``known``. ``void``: labels that mean
-    nothing where the table does not have them; ``fuses``: stuff of one class becomes one segment.
+    """Reads one frame's mask and gives its segments the classes of ``known``.
+
+    Labels in ``void`` mean nothing unless the table has them. ``fuses`` joins stuff of one class into one segment.
+    ``table`` is what messages call the classes' table.
     """
 
-    read: Callable[[], FoundMask]
-    path: Path
+    stored: StoredMask
     known: ClassMap
     void: frozenset[int]
     fuses: bool
     table: str
 
     def __call__(self, size: Size | None = None) -> PanopticMask:
-        """The mask at ``size`` (width, height) or its own. Raises SceneError for a class outside the table."""
-        found = self.read()
+        """The mask at ``size`` (width, height) or its own. Raises PlgsError for a class outside the table."""
+        found = self.stored.read()
         unknown = sorted({one.label for one in found.segments if self._class_of(one) is None})
         if unknown:
             fix = f"Add them to {FILE_NAME} beside the masks: [[class]] with id, name, thing (or into)."
-            raise SceneError(f"class ids {listed(unknown)} are not in {self.table}", self.path, fix)
+            raise PlgsError(f"class ids {listed(unknown)} are not in {self.table}", self.stored.path, fix)
         segments = [segment for one in found.segments if (segment := self._segment(one)) is not None]
         new_id = {one.id: one.id for one in segments}
         if self.fuses:
@@ -55,7 +62,7 @@ class MaskReader:
         return PanopticMask(resize_nearest(ids, size) if size else ids, tuple(segments))
 
     def _class_of(self, one: FoundSegment) -> int | None:
-        """The class id of a segment, 0 = void; None where nobody knows."""
+        """The class id of a segment, 0 = void, None if it is unknown."""
         known = self.known.class_of.get(one.label, self.known.others)
         return VOID if known is None and one.label in self.void else known
 
@@ -70,8 +77,10 @@ class MaskReader:
 
 
 def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
-    """Stuff and groups of one class as one segment each, with the id and the score of the one listed first; and the new
-    id of each segment."""
+    """Stuff and groups of one class as one segment each, which keeps the id and the score of the first one.
+
+    The second value is the new id of each segment.
+    """
     first: dict[int, int] = {}
     new_id, kept = {}, []
     for one in segments:
@@ -81,16 +90,25 @@ def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
     return kept, new_id
 
 
+@dataclass(frozen=True)
+class MaskSet:
+    """The masks of a scene's frames: the class table, one reader a frame, and warnings."""
+
+    classes: ClassTable = ClassTable(())
+    readers: Mapping[str, MaskReader] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
 def find_masks(
     scene: Path, masks: Path | None, names: Sequence[str], mask_format: str | None = None, classes: str | None = None
 ) -> MaskSet:
-    """``open_masks``, or none at all where nobody named masks and the scene's folder has none. Raises SceneError."""
+    """``open_masks``, or no masks when none are named and the scene's folder has none. Raises PlgsError."""
     place = mask_place(scene, masks)
-    return NO_MASKS if place is None else open_masks(place, names, mask_format, classes)
+    return MaskSet() if place is None else open_masks(place, names, mask_format, classes)
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:
-    """Where a scene's masks are: what was named, else the scene's own folder or the folder ``masks`` in it."""
+    """Where a scene's masks are: the named place, else the scene's own folder or the folder ``masks`` in it."""
     if masks is not None:
         return masks
     if any(each.in_scene and each.recognises(scene) for each in MASK_FORMATS):
@@ -101,27 +119,24 @@ def mask_place(scene: Path, masks: Path | None) -> Path | None:
 def open_masks(
     place: Path, names: Sequence[str], mask_format: str | None = None, classes: str | None = None
 ) -> MaskSet:
-    """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises SceneError.
+    """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises PlgsError.
 
-    ``mask_format`` names their format when its looks do not tell. ``classes``: see ``find_class_choice``.
+    ``mask_format`` names their format, which is recognised otherwise. ``classes``: see ``find_class_choice``.
     """
     source = open_mask_source(place, names, mask_format)
     choice = find_class_choice(classes, place if place.is_dir() else place.parent)
     known = class_map(source.labels, choice, place, source.tells_no_class)
     fuses = source.stuff_in_pieces or known.merges
     table = source.table if choice is None else "the class table"
-    readers = {
-        name: MaskReader(read, source.paths[name], known, source.void, fuses, table)
-        for name, read in source.readers.items()
-    }
-    return MaskSet(known.classes, readers, source.sizes, source.paths, source.warnings)
+    readers = {name: MaskReader(mask, known, source.void, fuses, table) for name, mask in source.masks.items()}
+    return MaskSet(known.classes, readers, source.warnings)
 
 
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None = None) -> MaskSource:
-    """What the masks' own files say, before the user's table is looked at. Raises SceneError."""
+    """The masks as their own files have them, without the user's table. Raises PlgsError."""
     reader = find_mask_format(place, mask_format)
     try:
         return reader.read(place, names)
     except OSError as error:
         fix = "Check that it exists, and its permissions."
-        raise SceneError(f"this cannot be read ({error.strerror})", error.filename or place, fix) from error
+        raise PlgsError(f"this cannot be read ({error.strerror})", error.filename or place, fix) from error

@@ -1,4 +1,4 @@
-"""Sequences that hold nothing: each item is made when it is asked for, or read back from disk."""
+"""Sequences that hold nothing: each item is made on demand, or read back from disk."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from typing import Any, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from .camera import Camera
+from .frame import PanopticMask, Segment
+from .view import View
+
 Item = TypeVar("Item", covariant=True)
 
 
 class OnDemand(Sequence[Item]):
-    """``count`` items, each made by ``make`` from its number (0..) whenever it is asked for: nothing is kept."""
+    """``count`` items, each made by ``make`` from its number (0..) at every access."""
 
     def __init__(self, count: int, make: Callable[[int], Item]) -> None:
         self._count, self._make = count, make
@@ -36,7 +40,7 @@ class OnDemand(Sequence[Item]):
 
 
 def chained(first: Sequence[Item], second: Sequence[Item]) -> OnDemand[Item]:
-    """The items of ``first``, then those of ``second``, each asked for when it is asked for here."""
+    """The items of ``first``, then those of ``second``, each fetched on demand."""
     start = len(first)
     return OnDemand(start + len(second), lambda place: first[place] if place < start else second[place - start])
 
@@ -44,12 +48,12 @@ def chained(first: Sequence[Item], second: Sequence[Item]) -> OnDemand[Item]:
 class StoredArrays:
     """Arrays on disk, read back by number. For one thread.
 
-    The file lies in ``folder`` (None: the system's for temporary files), has no name where the system allows that, and
-    is gone when this object or the process is. Raises OSError when the disk is full.
+    The file lies in ``folder`` (None: the system's for temporary files), has no name if the system allows that, and is
+    deleted with this object or at the end of the process. Raises OSError when the disk is full.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
-        self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - open as long as this object is
+        self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - open until this object is gone
         self._end = 0
         self._stored: list[tuple[int, tuple[int, ...], np.dtype[Any]]] = []
 
@@ -58,7 +62,7 @@ class StoredArrays:
 
     @property
     def nbytes(self) -> int:
-        """Of all arrays together."""
+        """Bytes of all arrays together."""
         return self._end
 
     def append(self, array: NDArray[Any]) -> int:
@@ -88,8 +92,40 @@ class StoredArrays:
 
 
 def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDemand[NDArray[Any]]:
-    """The arrays, read back from disk whenever they are asked for (see StoredArrays)."""
+    """The arrays, read back from disk on demand (see StoredArrays)."""
     on_disk = StoredArrays(folder)
     for array in arrays:
         on_disk.append(array)
     return OnDemand(len(on_disk), on_disk.__getitem__)
+
+
+class StoredViews(OnDemand[View]):
+    """Views on disk, in their order, each read back on demand, bit for bit: a long scan has more than memory holds.
+
+    They are stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with their number so far.
+    """
+
+    def __init__(
+        self, views: Iterable[View], folder: Path | None = None, stored: Callable[[int], object] | None = None
+    ) -> None:
+        self._arrays = StoredArrays(folder)
+        self._about: list[tuple[str, Camera, tuple[Segment, ...], int | None]] = []
+        for view in views:
+            for array in (view.colour, view.depth, view.mask.ids):
+                self._arrays.append(array)
+            border = None if view.border is None else self._arrays.append(view.border)
+            self._about.append((view.name, view.camera, view.mask.segments, border))
+            if stored is not None:
+                stored(len(self._about))
+        self._first = np.cumsum([0, *(3 + (border is not None) for *_, border in self._about)]).tolist()
+        super().__init__(len(self._about), self._read)
+
+    @property
+    def cameras(self) -> list[Camera]:
+        return [camera for _, camera, _, _ in self._about]
+
+    def _read(self, number: int) -> View:
+        name, camera, segments, border = self._about[number]
+        colour, depth, ids = (self._arrays[self._first[number] + place] for place in range(3))
+        edge = None if border is None else self._arrays[border]
+        return View(name, camera, colour, depth, PanopticMask(ids, segments), edge)

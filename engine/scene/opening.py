@@ -8,54 +8,31 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PlgsError
+from ..scene_source import SceneSource, UpAxis
 from .camera import Camera
 from .estimated_depth import with_estimated_depth
 from .formats import Capture, Shot, find_format
-from .frame import Frame, Scene, SceneError, Size
-from .ground_truth import GroundTruthSet, open_ground_truth
+from .formats.lens import UNDISTORTED, undistorted
+from .frame import Frame, Scene, Size
+from .ground_truth import open_ground_truth
 from .layout import listed, same_shape, shown_size
-from .mask_set import MaskSet
-from .masks import find_masks
-from .matrices import UpAxis, placed, to_z_up, turned, up_axis_warning
+from .masks import MaskSet, find_masks, no_masks
+from .pixels import ColourReader, decode
 from .splits import find_split
-from .upright import upright_rotation
+from .up_axis import to_z_up, turned, up_axis_warning, upright_rotation
 
 _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
 _READABLE = "Check that it exists, and its permissions."
 _UNKNOWN_UP = "the format does not say which way is up: the world is turned so that the cameras stand upright"
-
-
-class AskedScene(Protocol):
-    """Who knows which scene is meant and how it is read, as ``open_scene`` has it: a lift's request, a SceneSource."""
-
-    @property
-    def scene(self) -> Path: ...
-    @property
-    def masks(self) -> Path | None: ...
-    @property
-    def up(self) -> UpAxis: ...
-    @property
-    def scene_format(self) -> str | None: ...
-    @property
-    def depth(self) -> Path | None: ...
-    @property
-    def mask_format(self) -> str | None: ...
-    @property
-    def classes(self) -> str | None: ...
-
-
-def open_asked(asked: AskedScene) -> Scene:
-    """``open_scene`` of the scene that is asked for."""
-    return open_scene(
-        asked.scene, asked.masks, asked.up, asked.scene_format, asked.depth, asked.mask_format, asked.classes
-    )
 
 
 def open_scene(
@@ -67,54 +44,45 @@ def open_scene(
     mask_format: str | None = None,
     classes: str | None = None,
 ) -> Scene:
-    """Open a scene without decoding an image.
+    """``open_asked`` of the scene in a folder or file; the arguments are the fields of a SceneSource."""
+    return open_asked(SceneSource(folder, masks, up, scene_format, depth, mask_format, classes))
 
-    ``folder`` may be a file in formats that are one. ``masks`` names the panoptic masks when they are not in the
-    folder. ``up`` is the axis of its poses' world that points up; "z" leaves it to formats that say it themselves.
-    ``scene_format`` names the format when its looks do not tell. ``depth`` is a folder of monocular depth maps, which
-    take the place of the scene's depth, see ``estimated_depth``. ``mask_format`` names the masks' format when its looks
-    do not tell; ``classes`` a table of their classes or a file, see ``find_class_choice``. Masks and depth may be
-    missing, see ``require_liftable``.
 
-    Raises SceneError for the first thing that is wrong; ``check_scene`` looks into the pixels as well.
+def open_asked(source: SceneSource) -> Scene:
+    """Open a scene without decoding an image. Masks and depth may be missing, see ``require_liftable``.
+
+    Raises PlgsError for the first thing that is wrong; ``check_scene`` looks into the pixels as well.
     """
-    place, masks = Path(folder), None if masks is None else Path(masks)
-    reader = find_format(place, scene_format)
+    place, masks = Path(source.scene), None if source.masks is None else Path(source.masks)
+    reader = find_format(place, source.scene_format)
     try:
         capture = reader.read(place)
     except OSError as error:
-        raise SceneError(f"this cannot be read ({error.strerror})", error.filename or place, _READABLE) from error
+        raise PlgsError(f"this cannot be read ({error.strerror})", error.filename or place, _READABLE) from error
     _refuse_repeated_names(capture.shots, place)
     beside = place if place.is_dir() else place.with_suffix("")
     split = capture.split or find_split(beside, [shot.name for shot in capture.shots], capture.lost)
     chosen, held_out = {*split.train, *split.test}, frozenset(split.test)
     shots = [shot for shot in capture.shots if shot.name in chosen]
-    turn, turn_warnings = _turn_upright(capture, up)
-    cameras = {shot.name: placed(shot.camera, turned(shot.camera.camera_to_world, turn)) for shot in shots}
-    sizes = {shot.name: (shot.camera.width, shot.camera.height) for shot in shots}
-    mask_set = find_masks(beside, masks, list(sizes), mask_format, classes)
+    turn, turn_warnings = _turn_upright(capture, source.up)
+    cameras = {shot.name: shot.camera.at(turned(shot.camera.camera_to_world, turn)) for shot in shots}
+    sizes = {shot.name: shot.camera.size for shot in shots}
+    mask_set = find_masks(beside, masks, list(sizes), source.mask_format, source.classes)
     _check_mask_shapes(mask_set, sizes)
-    truth = open_ground_truth(beside, sizes, mask_set.classes) if mask_set.readers else GroundTruthSet({})
+    truth, truth_warnings = open_ground_truth(beside, sizes, mask_set.classes) if mask_set.readers else ({}, [])
     lost = f"{len(capture.lost)} frames without a pose are left out: {listed(capture.lost)}"
     points = None if capture.points is None else capture.points.turned(turn)
     frames = tuple(
-        Frame(
-            name=shot.name,
-            camera=cameras[shot.name],
-            held_out=shot.name in held_out,
-            colour_path=shot.colour_path,
-            depth_path=shot.depth_path,
-            read_colour=shot.read_colour,
-            read_depth=shot.read_depth,
+        replace(
+            _frame(shot, cameras[shot.name], shot.name in held_out),
             read_mask=mask_set.readers.get(shot.name),
-            read_ground_truth=truth.readers.get(shot.name),
-            file_shows_colour=shot.file_shows_colour,
+            read_ground_truth=truth.get(shot.name),
         )
         for shot in shots
     )
     depth_warnings: list[str] = []
-    if depth is not None:
-        frames, depth_warnings = with_estimated_depth(frames, Path(depth), points)
+    if source.depth is not None:
+        frames, depth_warnings = with_estimated_depth(frames, Path(source.depth), points)
     return Scene(
         folder=place,
         frames=frames,
@@ -124,10 +92,11 @@ def open_scene(
             *split.warnings,
             *turn_warnings,
             *_lens_warnings(cameras),
+            *([UNDISTORTED] if any(shot.distortion.bends for shot in shots) else []),
             *capture.warnings,
             *depth_warnings,
             *mask_set.warnings,
-            *truth.warnings,
+            *truth_warnings,
         ),
         format=reader.name,
         points=points,
@@ -137,10 +106,32 @@ def open_scene(
 
 def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
     if not shots:
-        raise SceneError("there is no picture with a pose", place, "Give frames whose pose is known.")
+        raise PlgsError("there is no picture with a pose", place, "Give frames whose pose is known.")
     twice = [name for name, count in Counter(shot.name for shot in shots).items() if count > 1]
     if twice:
-        raise SceneError(f"frames share a name ({listed(twice)})", place, "Give each picture a name of its own.")
+        raise PlgsError(f"frames share a name ({listed(twice)})", place, "Give each picture a name of its own.")
+
+
+def _frame(shot: Shot, camera: Camera, held_out: bool) -> Frame:
+    """The frame of a shot, without mask and ground truth."""
+    path, bend, depth = shot.colour_path, shot.distortion, shot.depth
+    read = shot.read_colour or partial(decode, path, as_colour=True)
+    if bend.bends:
+        bent, lens = read, shot.camera
+        read = lambda: undistorted(bent(), lens, bend, path, smooth=True)  # noqa: E731
+        if depth is not None:
+            depth = depth.through(lambda values: undistorted(values, lens, bend, path, smooth=False))
+    return Frame(
+        name=shot.name,
+        camera=camera,
+        held_out=held_out,
+        colour_path=path,
+        depth_path=None if depth is None else depth.path,
+        read_colour=ColourReader(read),
+        read_depth=depth,
+        read_mask=None,
+        file_shows_colour=shot.read_colour is None and not bend.bends,
+    )
 
 
 def _turn_upright(capture: Capture, up: UpAxis) -> tuple[NDArray[np.float64], list[str]]:
@@ -158,13 +149,11 @@ def _turn_upright(capture: Capture, up: UpAxis) -> tuple[NDArray[np.float64], li
 
 
 def _check_mask_shapes(masks: MaskSet, sizes: Mapping[str, Size]) -> None:
-    for name in masks.readers:
-        if not same_shape(masks.sizes[name], sizes[name]):
-            raise SceneError(
-                f"a mask of {shown_size(masks.sizes[name])} does not fit the colour of {shown_size(sizes[name])}",
-                masks.paths[name],
-                "Bring masks to the colour images' aspect ratio.",
-            )
+    for name, reader in masks.readers.items():
+        own = reader.stored
+        if not same_shape(own.size, sizes[name]):
+            what = f"a mask of {shown_size(own.size)} does not fit the colour of {shown_size(sizes[name])}"
+            raise PlgsError(what, own.path, "Bring masks to the colour images' aspect ratio.")
 
 
 def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
@@ -175,3 +164,19 @@ def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
 
 def _is_far_aside(lens: Camera) -> bool:
     return abs(lens.cx / lens.width - 0.5) > _FAR_ASIDE or abs(lens.cy / lens.height - 0.5) > _FAR_ASIDE
+
+
+def require_liftable(scene: Scene) -> None:
+    """Raise PlgsError when a scene has no masks or no depth, which a lift needs beside cameras and pictures."""
+    if not scene.has_depth:
+        fix = "Give depth images in the scene, or a folder of depth maps with --depth."
+        raise PlgsError("the scene has no depth", scene.folder, fix, option="--depth")
+    if not scene.has_masks:
+        raise no_masks(scene.folder)
+
+
+def open_scene_to_lift(source: SceneSource) -> Scene:
+    """``open_asked`` for a lift. Raises PlgsError also when masks or depth are missing."""
+    scene = open_asked(source)
+    require_liftable(scene)
+    return scene

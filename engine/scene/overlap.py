@@ -1,4 +1,4 @@
-"""Do frames see the same surfaces, and do they agree where these are?
+"""Whether frames see the same surfaces, and agree about their places.
 
 The cheapest test that poses, intrinsics and depth belong together: lift one frame's depth, project it into another and
 compare with the depth there (equation "ProjectionEquation" of the paper, with a depth test).
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .camera import Camera
 
 _TOLERANCE = 0.1
-"""Metres, or 5 % of the depth where that is more: thumbnails of slanted surfaces are coarse."""
+"""Metres, or 5 % of the depth if that is more: thumbnails of slanted surfaces are coarse."""
 _NEXT = 3
 _SPREAD = 24
 _OVERLAPPING = 0.05

@@ -1,7 +1,7 @@
-"""Decoding and resizing of images. OpenCV is imported only when pixels are asked for.
+"""Decoding and resizing of images. OpenCV is imported only when pixels are read.
 
 Resizing keeps the edges of the picture where they are, as ``Camera.resized`` does: the centre of target pixel i of n
-lies at (i + 0.5) / n of the way across. Labels and depth take the source pixel that this point falls in.
+lies at (i + 0.5) / n of the way across. Labels and depth take the source pixel that contains this point.
 """
 
 from __future__ import annotations
@@ -16,18 +16,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .frame import SceneError, Size
+from ..errors import PlgsError
+from .frame import Size
 from .image_header import check_image_bytes, check_image_file
 
 Decoder = Callable[[Path, bool], NDArray[Any]]
-"""What ``decode`` does, for an image file that is whole."""
+"""Does what ``decode`` does, for an image file that is whole."""
 
 _decoder: ContextVar[Decoder | None] = ContextVar("decoder", default=None)
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where a point of the colour image lies in the depth image, in shares of their widths and heights.
+    """The place of a point of the colour image in the depth image, in shares of their widths and heights.
 
     depth_x = x_scale * colour_x + x_shift, and y alike. The identity unless the depth camera has a lens of its own.
     """
@@ -51,14 +52,14 @@ def decoding_with(decoder: Decoder) -> Iterator[None]:
 def decode(path: Path, as_colour: bool) -> NDArray[Any]:
     """Decode an image as uint8 [H, W, 3] RGB, or as it is stored (RGB order), uint8 or uint16 [H, W] or [H, W, C].
 
-    Orientation tags are ignored, as intrinsics refer to the stored pixels. Raises SceneError when the file is damaged.
+    Orientation tags are ignored, as intrinsics refer to the stored pixels. Raises PlgsError when the file is damaged.
     """
     data, decoder = check_image_file(path), _decoder.get()
     return decode_bytes(data, path, as_colour) if decoder is None else decoder(path, as_colour)
 
 
 def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
-    """``decode`` for an image's bytes that come out of the file ``path``. Raises SceneError when they are damaged."""
+    """``decode`` for an image's bytes that come out of the file ``path``. Raises PlgsError when they are damaged."""
     import cv2
 
     check_image_bytes(data, path)
@@ -67,19 +68,31 @@ def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except (cv2.error, MemoryError) as error:
         reason = getattr(error, "err", "no memory is left for it")
-        raise SceneError(f"the image cannot be decoded ({reason})", path, "Write it again.") from error
+        raise PlgsError(f"the image cannot be decoded ({reason})", path, "Write it again.") from error
     if pixels is None:
-        raise SceneError("the image cannot be decoded", path, "Write this file again.")
+        raise PlgsError("the image cannot be decoded", path, "Write this file again.")
     if pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB)
     return pixels
 
 
+@dataclass(frozen=True, eq=False)
+class ColourReader:
+    """Reads a picture through ``read`` (uint8 [H, W, 3] RGB at its own size) and resizes it."""
+
+    read: Callable[[], NDArray[np.uint8]]
+
+    def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
+        """uint8 [H, W, 3] RGB at ``size`` (width, height), or at its own size. Raises PlgsError."""
+        pixels = self.read()
+        return resize_colour(pixels, size) if size else pixels
+
+
 def decode_single_channel(path: Path) -> NDArray[np.int32]:
-    """Decode a label image of 8 or 16 bits a pixel to int32 [H, W]. Raises SceneError for a colour image."""
+    """Decode a label image of 8 or 16 bits a pixel to int32 [H, W]. Raises PlgsError for a colour image."""
     pixels = decode(path, as_colour=False)
     if pixels.ndim != 2:
-        raise SceneError(
+        raise PlgsError(
             "a label image must have one channel, not colours", path, "Save the ids themselves as 8- or 16-bit grey."
         )
     return pixels.astype(np.int32)
@@ -107,7 +120,7 @@ def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
 
 
 def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> NDArray[Any]:
-    """As ``resize_nearest`` into the colour image's frame; 0 where the source has no such pixel."""
+    """As ``resize_nearest`` into the colour image's frame, 0 beyond the source."""
     if alignment == Alignment():
         return resize_nearest(pixels, size)
     height, width = pixels.shape
@@ -121,7 +134,7 @@ def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> ND
 
 def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """The values that occur in int32 [H, W] (>= 0), ascending, and how many pixels each has. Void (0) included."""
-    # Counting is faster than sorting, as long as the table is not much larger than the picture.
+    # Counting is faster than sorting, unless the table is much larger than the picture.
     if int(ids.max(initial=0)) > ids.size + 65536:
         values, counts = np.unique(ids, return_counts=True)
         return values.astype(np.intp), counts

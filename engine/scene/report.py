@@ -1,4 +1,4 @@
-"""What is in a scene: for ``python -m engine inspect`` and the panel."""
+"""The contents of a scene, for ``python -m engine inspect`` and the panel."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class ClassReport:
 class SceneReport:
     """Counts and ranges over all frames that a lift would use.
 
-    ``format`` names the reader that took the scene, ``sparse_points`` counts the points of the reconstruction that its
-    poses come from, ``picture_files`` the frames whose picture is an image file as it is. Sizes are (width, height)
-    with the number of frames that have them, the commonest first. ``depth_range`` is the nearest, the median and the
-    farthest depth in metres; ``segments_per_frame`` the fewest, the median and the most; None where there is no depth,
-    no mask. ``void_share`` is the share of mask pixels without a label. ``classes`` are those that occur. ``extent`` is
-    the size of the box around the cameras' centres, in metres along x, y, z.
+    ``format`` is the name of the scene's reader. ``sparse_points`` counts the points of the reconstruction behind the
+    poses, ``picture_files`` the frames whose picture is an image file as it is. Sizes are (width, height) with their
+    number of frames, the commonest first. ``depth_range`` is the nearest, the median and the farthest depth in metres,
+    ``segments_per_frame`` the fewest, the median and the most; they are None without depth or masks. ``void_share`` is
+    the share of mask pixels without a label. ``classes`` are those that occur. ``extent`` is the size of the box around
+    the cameras' centres, in metres along x, y, z.
     """
 
     folder: Path
@@ -55,8 +55,9 @@ class SceneReport:
 
 
 def describe(scene: Scene) -> SceneReport:
-    """Survey a scene and sum it up. Decodes every frame and raises SceneError, as ``check_scene`` does, but for depth
-    and masks that are missing.
+    """Survey a scene and sum it up. Decodes every frame and raises PlgsError as ``check_scene`` does.
+
+    Depth and masks may be missing.
     """
     survey = survey_scene(scene)
     depths = [fact.depth for fact in survey.frames if fact.depth is not None]

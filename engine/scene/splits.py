@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from .frame import SceneError
-from .json_file import read_json_object, take_list, wrong_type
+from ..errors import PlgsError
+from ..json_file import read_json_object, take_list, wrong_type
 from .layout import listed
 
-_EVERY = 8
-_FIRST = 4
+_EVERY, _FIRST = 8, 4
+"""Every 8th frame is held out, starting with the 5th."""
 _MOST = 40
-"""More frames held out measure nothing better, and each is rendered and scored."""
+"""Frames that are held out, at most. More measure nothing better, and each is rendered and scored."""
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,21 @@ class Split:
 
 
 def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split:
-    """The split of the frames ``names`` by ``splits.json`` in ``folder``, or the default where there is none.
+    """The split of the frames ``names`` by ``splits.json`` in ``folder``, or the default without that file.
 
-    ``lost`` names frames without a pose. Raises SceneError as ``read_split`` does, or when no frame is to train on.
+    ``lost`` names frames without a pose. Raises PlgsError as ``read_split`` does, or when no frame is to train on.
     """
     table = folder / "splits.json"
     split = read_split(table, names, lost) if table.is_file() else default_split(names)
     if not split.train:
-        raise SceneError("there is no frame to train on", table, "Name frames in train.")
+        raise PlgsError("there is no frame to train on", table, "Name frames in train.")
     return split
 
 
 def default_split(names: Sequence[str]) -> Split:
-    """Hold out every 8th frame: the 5th, the 13th, ..., and of long recordings 40 at most. The first and often the
-    last, which see the most by themselves, are trained on. A scene of fewer than five frames has nothing held out.
+    """Hold out every 8th frame: the 5th, the 13th, ..., and 40 at most. Fewer than five frames are all trained on.
+
+    The first and often the last frame see the most by themselves, and are trained on.
     """
     every = max(_EVERY, -(-len(names) // _MOST))
     test = names[_FIRST::every]
@@ -51,7 +52,7 @@ def default_split(names: Sequence[str]) -> Split:
 def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Split:
     """Read ``splits.json``: {"train": [...], "test": [...]} with stems of colour images.
 
-    Names in ``dropped`` (frames without a pose) are passed over. Raises SceneError for unknown names, and for
+    Names in ``dropped`` (frames without a pose) are skipped. Raises PlgsError for unknown names, and for
     names that are in both lists or twice in one.
     """
     content = read_json_object(path)
@@ -64,17 +65,17 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
         parts[key] = {*listed_names}
         if len(parts[key]) < len(listed_names):
             twice = sorted({name for name in listed_names if listed_names.count(name) > 1})
-            raise SceneError(f'"{key}" names frames twice ({listed(twice)})', path, "Name each frame once.")
+            raise PlgsError(f'"{key}" names frames twice ({listed(twice)})', path, "Name each frame once.")
     unknown = sorted((parts["train"] | parts["test"]) - {*names} - {*dropped})
     if unknown:
-        raise SceneError(
+        raise PlgsError(
             f"frames that do not exist are named ({listed(unknown)})",
             path,
             "Use the colour images' names without suffix.",
         )
     both = sorted(parts["train"] & parts["test"])
     if both:
-        raise SceneError(f"frames are in train and in test ({listed(both)})", path, "Put each in one of the two.")
+        raise PlgsError(f"frames are in train and in test ({listed(both)})", path, "Put each in one of the two.")
     chosen = parts["train"] | parts["test"]
     left_out = [name for name in names if name not in chosen]
     warnings = []

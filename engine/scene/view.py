@@ -1,8 +1,12 @@
-"""A frame's pixels, all brought to one size: what the lift works on."""
+"""Views: a frame's pixels, all brought to one size, for the lift; and frames read ahead by threads."""
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +16,16 @@ from .camera import Camera
 from .frame import Frame, PanopticMask, Size
 from .pixels import resize_colour, resize_nearest
 
+Read = TypeVar("Read")
+READERS = 2
+"""Threads that read ahead. With more, waiting pictures would fill the memory."""
+
 
 @dataclass(frozen=True, eq=False)
 class View:
     """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
 
-    ``border`` bool [H, W]: where the picture shows nothing but a black border; None where it has none.
+    ``border`` bool [H, W] marks the pixels of a black border. It is None in pictures without one.
     """
 
     name: str
@@ -29,7 +37,7 @@ class View:
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
-    """Read a frame at ``size`` (width, height), or at its own size. Raises SceneError when a file is bad, or when
+    """Read a frame at ``size`` (width, height), or at its own size. Raises PlgsError when a file is bad, or when
     the frame has no depth or no mask.
     """
     width, height = size or frame.size
@@ -50,3 +58,24 @@ def size_within(size: Size, box: Size) -> Size:
     width, height = size
     scale = min(1.0, box[0] / width, box[1] / height)
     return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterator[Read]:
+    """``read`` of each frame in its order, a few frames ahead. Decoding a picture holds no lock of Python's.
+
+    Frames of one file, such as a video, are read one after another. Errors of ``read`` come at the frame's own place.
+    """
+    if not all(frame.file_shows_colour for frame in frames):
+        yield from map(read, frames)
+        return
+    with ThreadPoolExecutor(READERS, "read") as pool:
+        waiting: deque[Future[Read]] = deque()
+        try:
+            for frame in frames:
+                waiting.append(pool.submit(read, frame))
+                if len(waiting) > 2 * READERS:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)

@@ -1,4 +1,4 @@
-"""Which segments does each picture show? Masks by transformers' Mask2Former, for scenes that have none."""
+"""Masks by transformers' Mask2Former, for scenes that have none."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Masks of all frames of a scene as COCO panoptic, frame by frame: what is there already is not made again.
+"""Masks of all frames of a scene as COCO panoptic, frame by frame. Frames with a mask are not made again.
 
-``panoptic/<frame>.png`` and ``.json`` come one by one, ``panoptic/made_by.json`` says by which model; ``panoptic.json``
-is written last, and without it there are no masks yet.
+``panoptic/<frame>.png`` and ``.json`` come one by one; ``panoptic/made_by.json`` names the model. ``panoptic.json`` is
+written last, and without it there are no masks yet.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..job import JobError, write_atomically
-from ..job.json_file import read_object, read_value
+from ..errors import PlgsError
+from ..job import write_atomically
+from ..json_file import read_object, read_value
 from ..scene import ClassLabel, Scene, distinct_colour
 from .merging import MadeSegment
 
 TABLE, FOLDER, MADE_BY = "panoptic.json", "panoptic", "made_by.json"
 _OTHER_MASKS = ("m2f_semantics", "m2f_notta_semantics", "masks")
 Progress = Callable[[int, int, int], object]
-"""Called after each frame with those done, their number, and those made in this run. It may raise to stop."""
+"""Is called after each frame with those done, their number, and those made in this run. Its errors end the work."""
 
 
 class Segmenter(Protocol):
@@ -40,7 +41,7 @@ class Segmenter(Protocol):
 
 @dataclass(frozen=True)
 class Job:
-    """Where the masks go, whether somebody began with them before, and whether they are all there."""
+    """The folder of the masks, whether an earlier run began with them, and whether they are complete."""
 
     folder: Path
     is_begun: bool
@@ -51,34 +52,34 @@ class Job:
         return self.folder / FOLDER
 
     def discard_if_empty(self) -> None:
-        """Take away what ``begin_job`` made, as long as there is no mask yet."""
+        """Remove the files of ``begin_job`` if there is no mask yet."""
         if not self.is_begun:
             (self.pictures / MADE_BY).unlink(missing_ok=True)
             self.pictures.rmdir()
 
 
 def begin_job(folder: Path, model: str, frames: int) -> Job:
-    """Look at what ``folder`` holds, and begin or go on. Raises JobError where masks of somebody else, or of another
-    model, are there: nothing is written over."""
+    """Begin in ``folder``, or go on there. Raises PlgsError for masks of other programs or another model: nothing is
+    overwritten."""
     made_by = folder / FOLDER / MADE_BY
     fix = "Name another folder with -o, or take these away."
     if made_by.is_file():
         content = read_object(made_by, fix)
         if content.get("model") != model or content.get("frames") != frames:
-            raise JobError(f"masks by {content.get('model')} of {content.get('frames')} frames are here", folder, fix)
+            raise PlgsError(f"masks by {content.get('model')} of {content.get('frames')} frames are here", folder, fix)
         return Job(folder, True, (folder / TABLE).is_file())
     others = [name for name in (TABLE, FOLDER, *_OTHER_MASKS) if (folder / name).exists()]
     if others:
-        raise JobError(f"there are masks already ({others[0]})", folder, fix)
+        raise PlgsError(f"there are masks already ({others[0]})", folder, fix)
     try:
         write_atomically(made_by, json.dumps({"model": model, "frames": frames}) + "\n")
     except OSError as error:
-        raise JobError(f"cannot be written ({error.strerror})", folder, "Name another folder with -o.") from error
+        raise PlgsError(f"cannot be written ({error.strerror})", folder, "Name another folder with -o.") from error
     return Job(folder, False, False)
 
 
 def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -> None:
-    """Make the masks that are missing, then the table. Raises SceneError for a bad picture, JobError, OSError."""
+    """Make the masks that are missing, then the table. Raises PlgsError, OSError."""
     made = 0
     for done, frame in enumerate(scene.frames, start=1):
         segments, picture = (job.pictures / f"{frame.name}{suffix}" for suffix in (".json", ".png"))
@@ -100,11 +101,11 @@ def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -
 
 
 def read_list(path: Path) -> list[object]:
-    """The segments of a frame that was made before. Raises JobError when the file is damaged."""
+    """The segments of a frame that was made before. Raises PlgsError when the file is damaged."""
     fix = "Delete this file, then start again."
     content = read_value(path, fix)
     if not isinstance(content, list):
-        raise JobError("this frame's segments are no list", path, fix)
+        raise PlgsError("this frame's segments are no list", path, fix)
     return list(content)
 
 

@@ -1,7 +1,7 @@
 """From a network's queries to one panoptic mask, at the picture's own size (Mask2Former's panoptic inference).
 
-transformers' own post-processing works at 384x384 whatever the picture's shape, does not fuse stuff by default and,
-told to fuse, gives one id to several segments; so this is done here.
+transformers' own post-processing works at 384x384 for pictures of any shape and does not fuse stuff by default. Asked
+to fuse, it gives one id to several segments.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import torch
 from numpy.typing import NDArray
 
 LEAST_SCORE = 0.5
-"""A query below is no segment."""
+"""Score of a query that is a segment, at least."""
 INSIDE = 0.5
-"""A pixel of a query's mask has at least this probability."""
+"""Probability of a pixel of a query's mask, at least."""
 VISIBLE = 0.8
-"""A segment of which the others leave less than this share is dropped."""
+"""Share of a segment that the others must leave visible; else it is dropped."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ def merge_queries(
 ) -> tuple[NDArray[np.int32], list[MadeSegment]]:
     """Segment ids, int32 [H, W] with 0 = none, and the segments.
 
-    ``class_logits`` float [Q, C + 1], the last of no object; ``mask_probabilities`` float [Q, H, W]. A pixel goes to
-    the query with the greatest score times probability. ``stuff``: labels of which a picture has one segment, whose
-    score is the mean of its queries' by their pixels.
+    ``class_logits`` is float [Q, C + 1], with no object as the last class, ``mask_probabilities`` float [Q, H, W]. A
+    pixel goes to the query with the greatest score times probability. ``stuff`` are labels with one segment a picture;
+    its score is the mean of its queries', weighted by pixels.
     """
     ids = np.zeros(mask_probabilities.shape[1:], np.int32)
     scores, labels = class_logits.softmax(-1).max(-1)
@@ -65,5 +65,5 @@ def merge_queries(
 
 
 def _mean(parts: list[tuple[float, int]]) -> float:
-    """The mean score by pixels."""
+    """The mean score, weighted by pixels."""
     return sum(score * pixels for score, pixels in parts) / sum(pixels for _, pixels in parts)

@@ -14,17 +14,17 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..job import JobError
+from ..errors import PlgsError
 from ..scene import ClassLabel, is_thing_by_name, size_within
 from .merging import MadeSegment, merge_queries
 
 _LARGEST_SIDE = 1280
-"""Masks of larger pictures are made at this many pixels: networks see less than that anyway."""
+"""Pixels of a mask's longer side, at most: networks see less than that anyway."""
 
 
 @dataclass(frozen=True)
 class Mask2Former:
-    """A loaded network. ``name`` is what it was loaded as, ``labels`` its classes."""
+    """A loaded network: its ``name`` on loading, and its classes as ``labels``."""
 
     name: str
     labels: tuple[ClassLabel, ...]
@@ -38,7 +38,7 @@ class Mask2Former:
         inputs = self.processor(images=colour, return_tensors="pt", input_data_format="channels_last")
         seen = self.network(pixel_values=inputs["pixel_values"])
         masks = _resized(seen.masks_queries_logits, inputs["pixel_values"].shape[-2:])
-        valid = inputs["pixel_mask"][0]  # the rest is what the picture was padded with
+        valid = inputs["pixel_mask"][0]  # the rest is padding
         masks = masks[..., : int(valid[:, 0].sum()), : int(valid[0].sum())]
         width, height = size_within((width, height), (_LARGEST_SIDE, _LARGEST_SIDE))
         stuff = frozenset(label.id for label in self.labels if not label.is_thing)
@@ -50,11 +50,12 @@ def _resized(masks: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
 
 
 def load_model(name: str, *, download: bool) -> Mask2Former:
-    """Load the network in the folder ``name``, or the one that the hub has under this name: that is fetched only with
-    ``download``, else it has to be on this machine already. Raises JobError.
+    """Load the network in the folder ``name``, or the hub's of this name. Raises PlgsError.
+
+    Only with ``download`` is it fetched; else it has to be on this machine already.
     """
     _refuse_other_folders(name)
-    if not download:  # before transformers is imported: it asks nobody then
+    if not download:  # transformers reads this when it is imported
         os.environ["HF_HUB_OFFLINE"] = "1"
     try:
         from safetensors import SafetensorError
@@ -62,7 +63,7 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
         from transformers.utils import logging
     except ImportError as error:
         fix = "Let the engine's Python install it: python -m pip install -r requirements/segment.txt."
-        raise JobError(f"masks are made with the package transformers ({error})", name, fix) from error
+        raise PlgsError(f"masks are made with the package transformers ({error})", name, fix) from error
     logging.set_verbosity_error()
     logging.disable_progress_bar()
     place: dict[str, Any] = {"local_files_only": not download, "trust_remote_code": False}
@@ -85,14 +86,14 @@ def _refuse_other_folders(name: str) -> None:
     if folder.is_dir():
         if not (folder / "config.json").is_file() or not any(folder.glob("*.safetensors")):
             fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."
-            raise JobError("there is no model in this folder", folder, fix)
+            raise PlgsError("there is no model in this folder", folder, fix)
     elif name.count("/") != 1 or name.startswith((".", "/", "~")):
-        raise JobError("there is no such folder or model", name, "Name a folder, or a model as OWNER/NAME.")
+        raise PlgsError("there is no such folder or model", name, "Name a folder, or a model as OWNER/NAME.")
 
 
-def _not_loaded(name: str, download: bool, error: Exception) -> JobError:
+def _not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
     if not download and not Path(name).is_dir():
         fix = "Add --download to fetch it from huggingface.co, or name a folder that holds it."
-        return JobError("the model is not on this machine", name, fix)
+        return PlgsError("the model is not on this computer", name, fix, option="--download")
     lines = str(error).splitlines() or [type(error).__name__]
-    return JobError(f"the model cannot be loaded ({lines[0][:200]})", name, "Name another one, or fetch it again.")
+    return PlgsError(f"the model cannot be loaded ({lines[0][:200]})", name, "Name another one, or fetch it again.")

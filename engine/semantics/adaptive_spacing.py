@@ -1,5 +1,8 @@
-"""Where a large scene has more surface than the cloud may have points: points are dense where labels change, and sparse
-in between, on walls and floors."""
+"""Where the points of a large scene's cloud lie.
+
+Such a scene has more surface than the cloud may have points. So points are dense where labels change, and sparse in
+between, on walls and floors.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +13,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .cloud_index import cell_keys
-from .clustering import merge_cells, merged_points
+from .clustering import cell_keys, merge_cells, merged_points
 
 ENLARGED = 2.0
-"""Spacing adapts where it would be so many times the wanted one everywhere: smaller rooms are sampled evenly."""
+"""Times the wanted spacing above which spacing adapts. Smaller rooms are sampled evenly."""
 MIXED = 0.2
-"""Share of the votes that are not the winner's, from which on labels change within a cell."""
+"""Share of the votes against a cell's winner above which labels change within the cell."""
 LEAST_GAIN = 0.8
-"""Where labels change in more than this share of the cells, an even spacing does."""
+"""Share of the cells with changing labels above which an even spacing does as well."""
 
-LabelledPoints = tuple[NDArray[np.float64], NDArray[np.int64]]
-"""World points [n, 3] in metres, and the column of each one's class, -1 = none."""
-LabelledBatches = Callable[[], Iterable[LabelledPoints]]
+ColumnedPoints = tuple[NDArray[np.float64], NDArray[np.int64]]
+"""World points [n, 3] in metres, and the column of votes of each one's class, -1 = none."""
+LabelledBatches = Callable[[], Iterable[ColumnedPoints]]
 
 
 class _Cells(NamedTuple):
-    """``keys`` int64 [K] of cells of ``spacing`` metres, ascending; bool [K], whether labels change there."""
+    """Cells of ``spacing`` metres: ``keys`` int64 [K], ascending; ``is_edge`` bool [K], whether labels change there."""
 
     keys: NDArray[np.int64]
     is_edge: NDArray[np.bool_]
@@ -42,16 +44,19 @@ class _Cells(NamedTuple):
 def adapted_centres(
     batches: LabelledBatches, centres: NDArray[np.float64], spacing: float, classes: int, wanted: float, cap: int
 ) -> NDArray[np.float64]:
-    """Centres float64 [K, 3], about as many as ``centres`` (one for every occupied cell of ``spacing`` metres, in the
-    order of the cells) and ``cap`` at most: denser where the labels, of so many ``classes``, change, but not denser
-    than every ``wanted`` metres, and twice as far apart elsewhere."""
+    """Centres float64 [K, 3] that are dense where labels change, and twice as far apart elsewhere. There are about as
+    many as ``centres``, and at most ``cap``; none are nearer than ``wanted`` metres.
+
+    ``centres``: one for every occupied cell of ``spacing`` metres, in the order of the cells; ``classes``: the number
+    of classes that the columns stand for.
+    """
     cells = _edges(batches, np.sort(cell_keys(centres, spacing)), spacing, classes)
     share = float(cells.is_edge.mean())
     if share > LEAST_GAIN:
         return centres
     fine = max(wanted, spacing * math.sqrt(share + (1.0 - share) / 4.0))
-    at_edges = merged_points(((points[cells.hold(points)]) for points, _ in batches()), fine)
-    between = merged_points(((points[~cells.hold(points)]) for points, _ in batches()), 2.0 * fine)
+    at_edges = merged_points((points[cells.hold(points)] for points, _ in batches()), fine)
+    between = merged_points((points[~cells.hold(points)] for points, _ in batches()), 2.0 * fine)
     while len(at_edges) + len(between) > cap:
         fine *= max(1.01, math.sqrt((len(at_edges) + len(between)) / cap))
         at_edges, between = merge_cells(at_edges, fine), merge_cells(between, 2.0 * fine)

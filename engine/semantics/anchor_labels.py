@@ -1,6 +1,4 @@
-"""Anchors by voxelisation (paper, section "Structured Panoptic-Aware Scene Representation") and the label
-each gets.
-"""
+"""Anchors by voxelisation, and the label of each (paper, section "Structured Panoptic-Aware Scene Representation")."""
 
 from __future__ import annotations
 
@@ -12,8 +10,7 @@ from .point_cloud import SemanticPointCloud, majority_vote
 
 
 def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.float32]:
-    """V = {[P / eps]} * eps: points [N, 3] and eps in metres to anchor positions float32 [M, 3], lexically
-    ordered.
+    """V = {[P / eps]} * eps: points [N, 3] and eps in metres to anchor positions float32 [M, 3], in lexical order.
 
     [.] rounds half to even. Raises ValueError when eps is not positive.
     """
@@ -23,21 +20,18 @@ def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.floa
 
 def label_anchors(
     cloud: SemanticPointCloud,
-    instance_of_point: NDArray[np.int32] | None,
+    instance_of_point: NDArray[np.int32],
     anchor_xyz: NDArray[np.floating],
     voxel_size: float,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """s_v: class and instance of each anchor, int32 [M] each, by the majority of the cloud's points in its
-    voxel.
+    """s_v: class and instance of each anchor, int32 [M] each, by the majority of the cloud's points in its voxel.
 
-    Unknown points (0) do not vote; 0 where nobody votes; ties go to the lower id. ``instance_of_point`` int32
-    [N] or None; an anchor takes its instance from the points that carry its class.
+    Unknown points (0) do not vote. An anchor without votes gets 0, and ties go to the lower id. ``instance_of_point``
+    int32 [N]: an anchor takes its instance from the points that carry its class.
     """
     voxel_of_point, anchor_of_voxel = _shared_voxels(cloud.xyz, anchor_xyz, voxel_size)
     anchor = anchor_of_voxel[voxel_of_point]
     class_id = _majority(anchor, cloud.class_id, len(anchor_xyz))
-    if instance_of_point is None:
-        return class_id, np.zeros(len(anchor_xyz), np.int32)
     agrees = (anchor >= 0) & (cloud.class_id == class_id[np.maximum(anchor, 0)])
     return class_id, _majority(np.where(agrees, anchor, -1), instance_of_point, len(anchor_xyz))
 

@@ -1,8 +1,8 @@
 """Clustering the primary point cloud (paper: K-means, section "Robust Semantic Anchor Point Discovery").
 
-K, seeding and iterations are not given there. Here the seeds are the means of the occupied cells of a grid,
-and at most a few Lloyd steps follow in which a point moves to the nearest centre in the 27 cells around it:
-K-means without chance, in time linear in the points.
+The paper gives neither K nor the seeding nor the iterations. Here the seeds are the means of a grid's occupied cells.
+A few Lloyd steps follow, in which each point moves to the nearest centre within one spacing. So K-means needs no
+chance, and its time grows linearly with the points.
 """
 
 from __future__ import annotations
@@ -13,27 +13,42 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from .cloud_index import CloudIndex, cell_keys
+from .cloud_index import CloudIndex
 
 PointBatches = Callable[[], Iterable[NDArray[np.float64]]]
-"""Gives the primary cloud from its start each time it is called, in batches of world points, float64 [n, 3].
-"""
+"""Gives the primary cloud from its start each time it is called, in batches of world points, float64 [n, 3]."""
 
 _PENDING_ROWS = 2_000_000
+"""Rows of merged batches that are held before they are merged with each other."""
+_BITS = 21
+"""Bits of a cell's key for each axis."""
+_OFFSET = 1 << (_BITS - 1)
+
+
+def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
+    """The cell of each point, packed into one integer: points [N, 3] and ``size`` in metres, int64 [N].
+
+    Cells are floor(point / size). Raises ValueError when a point lies beyond 2^20 cells.
+    """
+    cells = np.floor(np.asarray(points, np.float64) / size).astype(np.int64)
+    if cells.size and (cells.min() < -_OFFSET or cells.max() >= _OFFSET):
+        raise ValueError(f"a point lies more than {_OFFSET} cells of {size} m from the origin")
+    cells += _OFFSET
+    keys: NDArray[np.int64] = (cells[:, 0] << (2 * _BITS)) | (cells[:, 1] << _BITS) | cells[:, 2]
+    return keys
 
 
 def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArray[np.float64], float]:
-    """One centre an occupied cell, the mean of its points: float64 [K, 3] with K <= ``cap``, and the spacing
-    used.
+    """One centre an occupied cell, the mean of its points: float64 [K, 3] with K <= ``cap``, ordered by cell; and the
+    spacing used.
 
-    ``spacing`` (metres) is enlarged until no more than ``cap`` cells are occupied. Centres are ordered by
-    cell.
+    ``spacing`` (metres) is enlarged until no more than ``cap`` cells are occupied.
     """
     if spacing <= 0 or cap < 1:
         raise ValueError(f"spacing and cap must be positive, got {spacing} and {cap}")
     cells = merged_points(batches(), spacing)
     while len(cells) > cap:
-        # Surfaces fill space as the square of the spacing; a little more, so that one or two rounds do.
+        # Surfaces fill space as the square of the spacing. The little more lets one or two rounds do.
         spacing *= max(1.01, math.sqrt(len(cells) / cap))
         cells = merge_cells(cells, spacing)
     return cells[:, :3], spacing
@@ -58,19 +73,17 @@ def merge_cells(rows: NDArray[np.float64], spacing: float) -> NDArray[np.float64
     if not len(rows):
         return rows
     keys, cell = np.unique(cell_keys(rows[:, :3], spacing), return_inverse=True)
-    cell = cell.reshape(-1)
     weight = np.bincount(cell, rows[:, 3], len(keys))
     means = [np.bincount(cell, rows[:, axis] * rows[:, 3], len(keys)) / weight for axis in range(3)]
     return np.column_stack([*means, weight])
 
 
 def lloyd_step(batches: PointBatches, centres: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Assign each point to the nearest centre within its 27 cells and return the members' means, float64 [K,
-    3].
+    """Assign each point to the nearest centre within ``spacing`` and return the members' means, float64 [K, 3].
 
     A centre that lost all its members is dropped, so K may shrink.
     """
-    index = CloudIndex(centres, spacing)
+    index = CloudIndex(centres)
     sums, counts = np.zeros((len(centres), 3)), np.zeros(len(centres))
     for points in batches():
         nearest = index.nearest(points, spacing)

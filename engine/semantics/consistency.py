@@ -1,16 +1,16 @@
 """Consistency-enhanced 2D masks: which pixels do the neighbouring views agree with?
 
-Paper, section "Consistency-enhanced 2D Mask Generation": q(u) is the product of 1{s_u = s_u'} over the pixels
-u' that the neighbouring views warp onto u. Used here in the backward form: each reference pixel is lifted by
-its own depth and looked up in each neighbour, which leaves no holes. A depth test (ours; the paper has none)
-discards what the neighbour does not see, so that an occluder's label cannot veto a correct pixel.
+Paper, section "Consistency-enhanced 2D Mask Generation": q(u) is the product of 1{s_u = s_u'} over the pixels u' that
+the neighbouring views warp onto u. The warp is backward here: each reference pixel is lifted by its own depth and
+looked up in each neighbour, which leaves no holes. A depth test (ours; the paper has none) leaves out surfaces that the
+neighbour does not see, so that an occluder's label cannot veto a correct pixel.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,16 +20,18 @@ from numpy.typing import NDArray
 from ..scene import VOID, View
 
 SPARSE_OVERLAP = 0.5
-"""Below this median overlap with the nearest view, views are too sparse to compare labels between them."""
+"""Median overlap with the next view below which views are too sparse to compare their labels."""
+OVERLAP_STRIDE = 8
+"""Every how many rows and columns a pixel is looked at to measure the overlap of two views."""
 
 
 @dataclass(frozen=True)
 class ConsistencyOptions:
     """How views are compared.
 
-    ``neighbours`` is N_w, half before and half after in recording order; 0 skips the step. A pixel is kept
-    when at least ``agreement`` of the neighbours that see its surface agree: 1.0 is the paper's product, 0.75
-    keeps more at a similar error; one that no neighbour sees is kept (the empty product is 1). The depth test allows
+    ``neighbours`` is N_w, half before and half after in recording order; 0 skips the step. A pixel is kept when at
+    least ``agreement`` of the neighbours that see its surface agree: 1.0 is the paper's product, 0.75 keeps more at a
+    similar error. A pixel that no neighbour sees is kept (the empty product is 1). The depth test allows
     max(``depth_tolerance_m``, ``depth_tolerance_share`` * z).
     """
 
@@ -46,18 +48,15 @@ class ConsistencyOptions:
 
 
 def neighbour_indices(index: int, count: int, neighbours: int) -> list[int]:
-    """The views compared with view ``index`` of ``count``: the nearest in recording order, as evenly on both
-    sides as the ends of the recording allow.
-    """
+    """The views compared with view ``index`` of ``count``: the nearest in recording order, as evenly on both sides as
+    the ends of the recording allow."""
     size = min(neighbours + 1, count)
     start = min(max(index - neighbours // 2, 0), count - size)
     return [i for i in range(start, start + size) if i != index]
 
 
 def consistency_masks(views: Sequence[View], options: ConsistencyOptions) -> Iterator[NDArray[np.bool_]]:
-    """q(u) of every view in turn: bool [H, W], True where the pixel's label is consistent. Void is never
-    True.
-    """
+    """q(u) of every view in turn: bool [H, W], True where the pixel's label is consistent. Void is never True."""
     window: dict[int, NDArray[np.int32]] = {}
     for index, view in enumerate(views):
         others = neighbour_indices(index, len(views), options.neighbours)
@@ -69,24 +68,17 @@ def consistency_masks(views: Sequence[View], options: ConsistencyOptions) -> Ite
         yield kept & (window[index] != VOID) & (view.depth > 0)
 
 
-def view_overlap(view: View, other: View, options: ConsistencyOptions, stride: int = 8) -> float:
-    """Share of a view's pixels with depth whose surface the other view sees, looked at in every ``stride``-th
-    pixel.
-    """
-    sampled = np.zeros_like(view.depth)
+def view_overlap(view: View, other: View, options: ConsistencyOptions) -> float:
+    """Share of a view's pixels with depth whose surface the other view sees."""
+    stride, sampled = OVERLAP_STRIDE, np.zeros_like(view.depth)
     sampled[::stride, ::stride] = view.depth[::stride, ::stride]
-    everything = np.ones(view.depth.shape, np.int32)
-    seen = _compare(
-        View(view.name, view.camera, view.colour, sampled, view.mask),
-        everything,
-        [(other, np.ones(other.depth.shape, np.int32))],
-        options,
-    )[1]
+    everywhere, there = np.ones(view.depth.shape, np.int32), np.ones(other.depth.shape, np.int32)
+    _, seen = _compare(replace(view, depth=sampled), everywhere, [(other, there)], options)
     return float(seen.sum()) / max(int((sampled > 0).sum()), 1)
 
 
 def views_are_sparse(views: Sequence[View], options: ConsistencyOptions) -> bool:
-    """Whether the step had better be skipped: the median overlap with the next view is below SPARSE_OVERLAP."""
+    """Whether the step should be skipped: the median overlap with the next view is below SPARSE_OVERLAP."""
     if len(views) < 2:
         return True
     overlaps = [view_overlap(view, other, options) for view, other in itertools.pairwise(views)]
@@ -105,7 +97,7 @@ class LabelledDepth(NamedTuple):
 def _compare(
     view: View, label: NDArray[np.int32], others: Sequence[tuple[View, NDArray[np.int32]]], options: ConsistencyOptions
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """How many neighbours agree with, and how many see with any label, each pixel: int32 [H, W] each."""
+    """How many neighbours agree with each pixel, and how many see it with any label: int32 [H, W] each."""
     agree = np.zeros(view.depth.shape, np.int32)
     seen = np.zeros(view.depth.shape, np.int32)
     share, metres = options.depth_tolerance_share, options.depth_tolerance_m
@@ -123,9 +115,7 @@ def _compare(
 def _warp_and_compare(
     one: LabelledDepth, two: LabelledDepth, relative: Any, metres: Any, share: Any, agree: Any, seen: Any
 ) -> None:
-    """w(u): lift by depth, move into the neighbour's camera, project, round to the nearest pixel (its centre
-    is +0.5).
-    """
+    """w(u): lift by depth, move into the neighbour's camera, project, take the nearest pixel (its centre is +0.5)."""
     fx, fy, cx, cy = one.intrinsics
     gx, gy, hx, hy = two.intrinsics
     depth, label = one.depth, one.label

@@ -1,8 +1,7 @@
 """The robust semantic point cloud (paper, section "Robust Semantic Anchor Point Discovery").
 
-Consistent labels are placed in space by depth, clustered, and each cluster takes the majority of its members'
-labels. Pixels without a consistent label still give geometry, else walls behind rejected edges would have no
-anchors.
+Consistent labels are placed in space by depth and clustered. Each cluster takes the majority of its members' labels.
+Pixels without a consistent label still give geometry; otherwise walls behind rejected edges would have no anchors.
 """
 
 from __future__ import annotations
@@ -14,9 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import VOID, View
-from .adaptive_spacing import ENLARGED, LabelledPoints, adapted_centres
+from .adaptive_spacing import ENLARGED, ColumnedPoints, adapted_centres
 from .cloud_index import CloudIndex
 from .clustering import lloyd_step, seed_centres
+
+LLOYD_STEPS = 1
+"""Steps of K-means after the seeding."""
+MOST_PIXELS = 16_000_000
+"""About at most this many pixels of all views are used: every s-th row and column."""
 
 Progress = Callable[[int, int], None]
 """Called with (done, total) after each view; may raise to stop."""
@@ -24,35 +28,31 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class CloudOptions:
-    """``spacing`` of the clusters in metres (half the anchors' voxel size does well), enlarged until at most
-    ``cap`` clusters remain, in very large scenes less where labels change (`adapted_centres`); ``lloyd_steps`` after
-    seeding; a cluster whose winner has less than ``majority`` of the votes is unknown. ``vote_by``: in each view a
-    cluster has as many votes as pixels ("pixels", the paper's points), or the square root of that ("views"), so that a
-    near view cannot outvote the others by its mass of pixels.
-    At most about ``max_pixels`` pixels are used, every s-th row and column.
+    """``spacing`` of the clusters in metres (half the anchors' voxel size does well) is enlarged until at most ``cap``
+    clusters remain; in very large scenes less where labels change (`adapted_centres`). A cluster whose winner has less
+    than ``majority`` of the votes is unknown. ``vote_by``: in each view a cluster has as many votes as pixels
+    ("pixels", the paper's points), or the square root of that ("views"), so that a near view cannot outvote the others
+    by its mass of pixels.
     """
 
     spacing: float = 0.025
     cap: int = 200_000
-    lloyd_steps: int = 1
     majority: float = 0.5
-    max_pixels: int = 16_000_000
     vote_by: str = "pixels"
 
     def __post_init__(self) -> None:
         if self.vote_by not in ("pixels", "views"):
             raise ValueError(f'vote_by must be "pixels" or "views", got {self.vote_by!r}')
-        if self.spacing <= 0 or self.cap < 1 or self.lloyd_steps < 0 or self.max_pixels < 1:
-            raise ValueError(f"spacing, cap and max_pixels must be positive: {self}")
+        if self.spacing <= 0 or self.cap < 1:
+            raise ValueError(f"spacing and cap must be positive: {self}")
 
 
 @dataclass(frozen=True, eq=False)
 class SemanticPointCloud:
-    """Clusters: ``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3], ``class_id`` int32 [N] (0 =
-    unknown), ``confidence`` float32 [N] (share of the winner among the votes, 0 without votes).
+    """Clusters: ``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3], ``class_id`` int32 [N] (0 = unknown),
+    ``confidence`` float32 [N] (share of the winner among the votes, 0 without votes).
 
-    ``votes`` float32 [N, C] holds the votes for each class of ``class_ids`` (length C); ``spacing`` in
-    metres.
+    ``votes`` float32 [N, C] holds the votes for each class of ``class_ids`` (length C); ``spacing`` in metres.
     """
 
     xyz: NDArray[np.float32]
@@ -68,7 +68,7 @@ class SemanticPointCloud:
 
     def index(self) -> CloudIndex:
         """Look-up of the nearest cluster, labelled or not."""
-        return CloudIndex(self.xyz, self.spacing)
+        return CloudIndex(self.xyz)
 
 
 def majority_vote(
@@ -76,7 +76,7 @@ def majority_vote(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The winner of each row of votes [N, C]: class id int32 [N] and its share float32 [N].
 
-    Ties go to the lower id; below the share ``majority``, and without votes, the class is 0 (unknown).
+    Ties go to the lower id. The class is 0 (unknown) below the share ``majority``, and without votes.
     """
     if not votes.shape[1]:
         return np.zeros(len(votes), np.int32), np.zeros(len(votes), np.float32)
@@ -94,15 +94,14 @@ def build_point_cloud(
     options: CloudOptions,
     progress: Progress | None = None,
 ) -> SemanticPointCloud:
-    """Cluster all pixels with depth and let those of ``keep`` (bool [H, W] per view, in order) vote on the
-    labels.
+    """Cluster all pixels with depth and let those of ``keep`` (bool [H, W] per view, in order) vote on the labels.
 
     Raises ValueError when no pixel has depth. Streams over the views; only the clusters stay in memory.
     """
     report = progress or (lambda done, total: None)
-    total = (2 + options.lloyd_steps) * len(views)
-    stride = _stride(views, options.max_pixels)
-    done = 0
+    total, done = (2 + LLOYD_STEPS) * len(views), 0
+    columns = np.asarray(class_ids)
+    stride = _stride(views)
 
     def batches() -> Iterable[NDArray[np.float64]]:
         nonlocal done
@@ -115,33 +114,31 @@ def build_point_cloud(
     if spacing > ENLARGED * options.spacing and len(class_ids):
         sizes = len(class_ids), options.spacing, options.cap
 
-        def labelled() -> Iterable[LabelledPoints]:
-            return (_labelled_points(view, stride, np.asarray(class_ids)) for view in views)
+        def labelled() -> Iterable[ColumnedPoints]:
+            return (_labelled_points(view, stride, columns) for view in views)
 
         centres = adapted_centres(labelled, centres, spacing, *sizes)
-    for _ in range(options.lloyd_steps):
+    for _ in range(LLOYD_STEPS):
         centres = lloyd_step(batches, centres, spacing)
     if not len(centres):
         raise ValueError("no view has a pixel with depth, so there is no point cloud")
 
-    index = CloudIndex(centres, spacing)
-    votes = np.zeros((len(centres), len(class_ids)), np.float32)
-    rgb, members = np.zeros((len(centres), 3)), np.zeros(len(centres))
+    tally = _Tally(centres, spacing, columns, options.vote_by)
     for view, consistent in zip(views, keep, strict=True):
-        _vote(view, consistent, index, spacing, stride, options.vote_by, np.asarray(class_ids), votes, rgb, members)
+        tally.add(view, consistent, stride)
         done += 1
         report(done, total)
-    colour = np.rint(rgb / np.maximum(members, 1)[:, None]).astype(np.uint8)
-    class_id, confidence = majority_vote(votes, class_ids, options.majority)
+    class_id, confidence = majority_vote(tally.votes, class_ids, options.majority)
     return SemanticPointCloud(
-        centres.astype(np.float32), colour, class_id, confidence, votes, tuple(class_ids), spacing
+        centres.astype(np.float32), tally.colour, class_id, confidence, tally.votes, tuple(class_ids), spacing
     )
 
 
-def _stride(views: Sequence[View], max_pixels: int) -> int:
+def _stride(views: Sequence[View]) -> int:
+    """Every how many rows and columns a pixel is used."""
     pixels = sum(view.camera.width * view.camera.height for view in views)
     stride = 1
-    while pixels / stride**2 > max_pixels:
+    while pixels / stride**2 > MOST_PIXELS:
         stride += 1
     return stride
 
@@ -153,34 +150,44 @@ def _points(view: View, stride: int) -> NDArray[np.float64]:
     return points
 
 
-def _labelled_points(view: View, stride: int, class_ids: NDArray[np.int64]) -> LabelledPoints:
+def _labelled_points(view: View, stride: int, class_ids: NDArray[np.int64]) -> ColumnedPoints:
     """``_points``, and the place of each one's class in ``class_ids``, -1 where it has none."""
     label = view.mask.class_map()[::stride, ::stride][view.depth[::stride, ::stride] > 0]
     column = np.minimum(np.searchsorted(class_ids, label), len(class_ids) - 1)
     return _points(view, stride), np.where(class_ids[column] == label, column, -1)
 
 
-def _vote(
-    view: View, consistent: NDArray[np.bool_], index: CloudIndex, spacing: float, stride: int, vote_by: str,
-    class_ids: NDArray[np.int64], votes: NDArray[np.float32], rgb: NDArray[np.float64], members: NDArray[np.float64],
-) -> None:  # fmt: skip
-    """Add a view's members, colours and consistent labels to the clusters, in place."""
-    depth = view.depth[::stride, ::stride]
-    valid = depth > 0
-    nearest = index.nearest(_points(view, stride), spacing)
-    found = nearest >= 0
-    cluster = nearest[found]
-    colour = view.colour[::stride, ::stride][valid][found]
-    members += np.bincount(cluster, minlength=len(members))
-    for channel in range(3):
-        rgb[:, channel] += np.bincount(cluster, colour[:, channel], len(members))
-    label = view.mask.class_map()[::stride, ::stride][valid][found]
-    column = np.searchsorted(class_ids, label)
-    voting = consistent[::stride, ::stride][valid][found] & (column < len(class_ids))
-    voting &= class_ids[np.minimum(column, len(class_ids) - 1)] == label
-    cells, count = np.unique(cluster[voting] * len(class_ids) + column[voting], return_counts=True)
-    if vote_by == "views":
-        pixels = np.bincount(cluster, minlength=len(members))
-        votes.reshape(-1)[cells] += count / np.sqrt(pixels[cells // len(class_ids)])
-    else:
-        votes.reshape(-1)[cells] += count
+class _Tally:
+    """What the views say of clusters at ``centres`` float64 [K, 3]: ``votes`` float32 [K, C] for the classes, and their
+    mean colour."""
+
+    def __init__(
+        self, centres: NDArray[np.float64], spacing: float, class_ids: NDArray[np.int64], vote_by: str
+    ) -> None:
+        self._index, self._spacing = CloudIndex(centres), spacing
+        self._class_ids, self._vote_by = class_ids, vote_by
+        self.votes = np.zeros((len(centres), len(class_ids)), np.float32)
+        self._rgb, self._members = np.zeros((len(centres), 3)), np.zeros(len(centres))
+
+    @property
+    def colour(self) -> NDArray[np.uint8]:
+        """uint8 [K, 3]."""
+        return np.rint(self._rgb / np.maximum(self._members, 1)[:, None]).astype(np.uint8)
+
+    def add(self, view: View, consistent: NDArray[np.bool_], stride: int) -> None:
+        """Count every ``stride``-th pixel of a view; those ``consistent`` bool [H, W] vote."""
+        points, column = _labelled_points(view, stride, self._class_ids)
+        nearest = self._index.nearest(points, self._spacing)
+        found = nearest >= 0
+        cluster, column = nearest[found], column[found]
+        valid = view.depth[::stride, ::stride] > 0
+        colour = view.colour[::stride, ::stride][valid][found]
+        pixels = np.bincount(cluster, minlength=len(self._members))
+        self._members += pixels
+        for channel in range(3):
+            self._rgb[:, channel] += np.bincount(cluster, colour[:, channel], len(self._members))
+        voting = consistent[::stride, ::stride][valid][found] & (column >= 0)
+        classes = len(self._class_ids)
+        cells, count = np.unique(cluster[voting] * classes + column[voting], return_counts=True)
+        weight = count / np.sqrt(pixels[cells // classes]) if self._vote_by == "views" else count
+        self.votes.reshape(-1)[cells] += weight

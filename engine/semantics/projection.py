@@ -1,8 +1,8 @@
 """Projecting a labelled cloud onto a view (paper, section "Reliable Anchor Point Regularization").
 
-The masks that supervise newly grown Gaussians before self-training; the same function makes the consistent
-instance masks M_match. Splat size, occlusion and holes are not given there: each pixel's surface takes the
-nearest labelled point.
+These masks supervise newly grown Gaussians before self-training. The same projection makes the consistent instance
+masks M_match. The paper gives no splat size, and does not treat occlusion and holes. Here each pixel's surface takes
+the nearest labelled point.
 """
 
 from __future__ import annotations
@@ -15,36 +15,19 @@ from .cloud_index import CloudIndex
 
 
 class LabelledPoints:
-    """The points xyz float [N, 3] (world metres) whose ``labels`` int32 [N] are not 0, ready for look-up.
+    """The points xyz float [N, 3] (world metres) whose ``labels`` int32 [N] are not 0, ready for look-up."""
 
-    ``spacing`` in metres is about the distance between neighbouring points.
-    """
-
-    def __init__(self, xyz: NDArray[np.floating], labels: NDArray[np.int32], spacing: float) -> None:
+    def __init__(self, xyz: NDArray[np.floating], labels: NDArray[np.int32]) -> None:
         if len(xyz) != len(labels):
             raise ValueError(f"{len(xyz)} points but {len(labels)} labels")
-        known = np.flatnonzero(labels != 0)
-        self.labels = labels
-        self._index = CloudIndex(xyz[known], spacing)
-        self._row = np.append(known, -1).astype(np.int32)
+        known = labels != 0
+        self._index = CloudIndex(xyz[known])
+        self._label = np.append(labels[known], 0).astype(np.int32)  # the last is that of row -1, no point
 
-    def nearest(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
-        """Row in the cloud of the labelled point nearest to each pixel's surface, int32 [H, W], -1 for none."""
-        return self._row[self._index.nearest_of_pixels(camera, depth, reach)]
+    def project(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
+        """Label of the nearest labelled point within ``reach`` metres (twice the anchors' voxel size) of each pixel's
+        surface.
 
-
-def project_labels(
-    camera: Camera, depth: NDArray[np.float32], points: LabelledPoints, reach: float
-) -> NDArray[np.int32]:
-    """Label of the nearest labelled point within ``reach`` metres (twice the anchors' voxel size) of each
-    pixel's surface.
-
-    ``depth`` float32 [H, W] metres; int32 [H, W], 0 where nothing is near or there is no depth: no
-    supervision.
-    """
-    return read_labels(points.labels, points.nearest(camera, depth, reach))
-
-
-def read_labels(labels: NDArray[np.int32], row: NDArray[np.int32]) -> NDArray[np.int32]:
-    """labels [N] at rows int32 [H, W], 0 where the row is -1."""
-    return np.append(labels, 0).astype(np.int32)[row]
+        ``depth`` float32 [H, W] metres; int32 [H, W], 0 (no supervision) where no point is near or there is no depth.
+        """
+        return self._label[self._index.nearest_of_pixels(camera, depth, reach)]

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from ..scene import VOID, PanopticMask
 
+LEAST_AREA = 16
+"""Pixels that a region needs to decide on one class."""
+
 
 def regions(mask: PanopticMask) -> NDArray[np.int32]:
-    """{R_m}: connected regions of equal class. int32 [H, W], 0 = void, 1.. regions.
-
-    Region growing on a label map is connected components, here over 4 neighbours.
-    """
+    """{R_m}: connected regions of equal class, over 4 neighbours. int32 [H, W], 0 = void, 1.. regions."""
     classes = mask.class_map()
     result = np.zeros(classes.shape, np.int32)
     count = 0
@@ -24,11 +24,11 @@ def regions(mask: PanopticMask) -> NDArray[np.int32]:
     return result
 
 
-def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32], min_area: int = 16) -> NDArray[np.int32]:
+def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32]) -> NDArray[np.int32]:
     """s_pse: each region takes the majority of the rendered classes in it; int32 [H, W], 0 = no supervision.
 
-    ``rendered_class`` int32 [H, W], 0 = nothing rendered, which does not vote. Ties go to the lower id.
-    Regions of fewer than ``min_area`` pixels keep the rendered class pixel by pixel; void regions stay 0.
+    ``rendered_class`` int32 [H, W]; 0 = nothing rendered, which does not vote. Ties go to the lower id. Regions of
+    fewer than LEAST_AREA pixels keep the rendered class pixel by pixel; void regions stay 0.
     """
     if rendered_class.shape != mask.ids.shape:
         raise ValueError(f"the mask is {mask.ids.shape}, the rendered classes {rendered_class.shape}")
@@ -41,5 +41,5 @@ def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32], min_are
     votes[:, ids == VOID] = 0
     winner = np.where(votes.any(1), ids[votes.argmax(1)], VOID).astype(np.int32)
     winner[0] = VOID
-    small = (area < min_area)[region] & (region > 0)
+    small = (area < LEAST_AREA)[region] & (region > 0)
     return np.where(small, rendered_class, winner[region]).astype(np.int32)

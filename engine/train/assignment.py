@@ -2,7 +2,7 @@
 computed once.
 
 The cost of (instance, slot) is minus the mean probability of the slot over the instance's pixels; the Hungarian
-algorithm solves it (``instances.best_slots``). Instances beyond the number of slots get none.
+algorithm solves it. Instances beyond the number of slots get none.
 """
 
 from __future__ import annotations
@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
-from ..instances import best_slots
 from ..machine.compiled import Array, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
 from ..scene import distinct_ids
-from .label_losses import TINY
-from .pixel_chunks import chunk_count, chunk_range
+from .label_losses import TINY, chunk_count, chunk_range
 
 NO_SLOT = -1
 ONE, LEAST = np.float32(1), np.float32(TINY)
@@ -26,7 +25,7 @@ ONE, LEAST = np.float32(1), np.float32(TINY)
 
 @dataclass(frozen=True, eq=False)
 class ThingSegments:
-    """The thing segments of a view's machine mask: ``row`` int32 [H, W] the number of a pixel's segment, -1 = none;
+    """The thing segments of a view's input mask: ``row`` int32 [H, W] the number of a pixel's segment, -1 = none;
     ``pixels`` int64 [I] how many each has."""
 
     row: NDArray[np.int32]
@@ -59,8 +58,8 @@ def assigned_slots(
         parallel_for(worker_count(), add_slots, flat, opaque, first, row, sums)
         mean = sums.sum(axis=0) / things.pixels[:, None]
         able = [slot for slot in range(slots) if slot != no_object]
-        found = best_slots(mean[:, able])
-        slot_of_segment[:-1] = np.where(found >= 0, np.array(able, np.int16)[found], NO_SLOT)
+        rows, columns = linear_sum_assignment(-mean[:, able])
+        slot_of_segment[rows] = np.array(able, np.int16)[columns]
     return torch.from_numpy(slot_of_segment[things.row])  # row -1 is the last entry: no slot
 
 

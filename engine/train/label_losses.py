@@ -13,10 +13,24 @@ from torch.autograd.function import once_differentiable
 from ..machine import memory
 from ..machine.compiled import Array, compiled, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
-from .pixel_chunks import chunk_count, chunk_range
 
+CHUNK = 8192
+"""Pixels that a thread takes at a time. Chunks depend on the number of pixels alone, so sums over them have the same
+bits however many threads there are."""
 TINY = 1e-8
 LEAST, ONE, ZERO = np.float32(TINY), np.float32(1), np.float32(0)
+
+
+@compiled
+def chunk_count(pixels: int) -> int:
+    """The number of chunks of a picture with ``pixels`` pixels."""
+    return -(-pixels // CHUNK)
+
+
+@compiled
+def chunk_range(chunk: int, pixels: int) -> Any:
+    """The first pixel of a chunk, and the one behind its last."""
+    return chunk * CHUNK, min((chunk + 1) * CHUNK, pixels)
 
 
 def label_losses(
@@ -39,7 +53,7 @@ def label_losses(
 
 
 class PixelTargets(NamedTuple):
-    """Of each pixel, int16 [P], -1 = none: its class, its slot by linear assignment, and its slot by M_match."""
+    """The targets of each pixel, int16 [P], -1 = none: class, slot by linear assignment, slot by M_match."""
 
     semantic: NDArray[np.int16]
     assigned: NDArray[np.int16]

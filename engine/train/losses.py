@@ -1,6 +1,6 @@
-"""The losses of the paper's section "Loss Functions" but for those of label pictures (``label_losses``).
+"""The losses of picture, size and depth; those of labels are in ``label_losses`` (paper, section "Loss Functions").
 
-Their weights are ``LossWeights`` (``presets``); ``Trainer._losses`` multiplies and adds.
+Their weights are ``LossWeights`` (``engine/presets/preset.py``); ``Trainer._losses`` multiplies and adds.
 """
 
 from __future__ import annotations
@@ -8,6 +8,11 @@ from __future__ import annotations
 import torch
 
 from .similarity import PhotoMoments, compare
+
+NEAR = 0.5
+"""Metres: an error at less depth counts as much as at this depth."""
+NOISY = 4.0
+"""Metres: at this depth a sensor's noise, which grows as depth squared, halves the weight of a pixel."""
 
 
 def reconstruction_loss(
@@ -24,3 +29,20 @@ def reconstruction_loss(
     volume = (scales[:, 0] * scales[:, 1] * scales[:, 2]).sum()
     picture = compare(image, photo, 1.0, -ssim_weight) + ssim_weight
     return photo_weight * picture + volume_weight * volume
+
+
+def depth_loss(depth: torch.Tensor, alpha: torch.Tensor, sensor: torch.Tensor) -> torch.Tensor:
+    """Ours: the paper's geometry is supervised by pictures alone.
+
+    Mean over the pixels with depth of min(1, (|D - alpha d| + (1 - alpha) d / 2) / max(d, NEAR)), weighted by the
+    sensor's noise; 0 where no pixel has depth.
+
+    ``depth`` D float32 [H, W] is the unnormalised rendered depth in metres, ``alpha`` [H, W] the coverage, ``sensor`` d
+    [H, W] metres, 0 = none. The share of the depth makes it robust: what is wrong by all of its depth counts once.
+    """
+    known = sensor > 0
+    if not bool(known.any()):
+        return depth.sum() * 0.0
+    gap = (depth - alpha * sensor).abs() + 0.5 * (1.0 - alpha) * sensor
+    weight = known / (1.0 + (sensor / NOISY) ** 2)
+    return ((gap / sensor.clamp_min(NEAR)).clamp_max(1.0) * weight).sum() / weight.sum()

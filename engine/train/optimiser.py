@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import torch
 
 from ..model.anchors import Anchors
 from ..model.decoders import Decoders
-from .presets import LearningRates
 
-DECODERS = ("opacity", "covariance", "colour", "semantic", "instance")
+Rates = Mapping[str, tuple[float, float]]
+"""Start and end of the log-linear decay of each learning rate, by name."""
+RATES: Rates = {
+    "feature": (0.0075, 0.0075),
+    "offset": (0.01, 1e-4),  # times the scene's extent in metres
+    "log_scale": (0.007, 0.007),
+    "opacity": (0.002, 2e-5),
+    "covariance": (0.004, 0.004),
+    "colour": (0.008, 5e-5),
+    "semantic": (0.004, 4e-4),
+    "instance": (0.004, 4e-4),
+}
+"""Scaffold-GS's, and ours for the two label decoders."""
 
 
 def learning_rate(ends: tuple[float, float], progress: float) -> float:
@@ -23,7 +34,7 @@ def learning_rate(ends: tuple[float, float], progress: float) -> float:
 class Optimiser:
     """Adam (eps 1e-15, Scaffold-GS). State is kept by name, so that it can be stored, restored and cut."""
 
-    def __init__(self, anchors: Anchors, decoders: Decoders, rates: LearningRates, extent: float) -> None:
+    def __init__(self, anchors: Anchors, decoders: Decoders, rates: Rates, extent: float) -> None:
         self.rates, self.extent = rates, extent
         self.moments: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
         self.count = 0
@@ -44,15 +55,10 @@ class Optimiser:
                     "exp_avg_sq": square,
                 }
 
-    def _groups(self) -> Iterator[tuple[str, list[torch.Tensor]]]:
+    def _groups(self) -> Iterator[tuple[str, Sequence[torch.Tensor]]]:
         for name in Anchors.LEARNT:
             yield name, [getattr(self.anchors, name).requires_grad_()]
-        networks = dict(self.decoders.named_children())  # none of plain Gaussians
-        for name in DECODERS:
-            if name in networks:
-                yield name, list(networks[name].parameters())
-        if "classifier" in networks and not self.decoders.shape.twin:  # of encodings, as fast as these
-            yield "instance", list(networks["classifier"].parameters())
+        yield from self.decoders.learnt()
 
     def _named(self) -> Iterator[tuple[str, torch.Tensor]]:
         for name in Anchors.LEARNT:
@@ -63,7 +69,7 @@ class Optimiser:
     def step(self, progress: float) -> None:
         """One Adam step from the gradients at hand; ``progress`` is the share of all steps done."""
         for group in self.adam.param_groups:
-            rate = learning_rate(getattr(self.rates, group["name"]), progress)
+            rate = learning_rate(self.rates[group["name"]], progress)
             group["lr"] = rate * self.extent if group["name"] == "offset" else rate
             for parameter in group["params"]:
                 if parameter.grad is None:  # a decoder that took no part: its moments fade, and all count their steps

@@ -1,4 +1,4 @@
-"""What is particular to a photo and not to the room: its exposure and its sharpness."""
+"""The exposure and the sharpness of each photo."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from ..scene import photo_detail
 
 LARGEST_GAIN = 4.0
-"""Of a photo against the room, and its inverse the least."""
+"""A photo is at most this many times brighter or darker than the room."""
 DARK, BRIGHT = 12, 243
 """Values of 255 outside which a photo says little of its exposure."""
 OUTLIER = 0.4
-"""Of log colours: a pixel further off than this shows something else than its point, or a highlight."""
+"""Difference of log colours from which on a pixel shows something else than its point, or a highlight."""
 NEIGHBOURS = 4
 """Photos on either side that a photo's sharpness is compared with: they show about the same."""
 LEAST_WEIGHT = 0.1

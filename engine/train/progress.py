@@ -1,10 +1,12 @@
-"""Stages and progress of a lift as events, with an estimate of what is left."""
+"""Stages and progress of a lift as events, with an estimate of the time left; and the parts of a training step."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+
+import torch
 
 from ..job import EventWriter, StopSignal
 
@@ -53,3 +55,16 @@ class StageReporter:
         began = time.monotonic()
         yield StageProgress(name, self.events, self.stop)
         self.timings[name] = round(time.monotonic() - began, 3)
+
+
+class StepClock:
+    """Is called where a part of a training step ends. This one does nothing; ``research/bench/step.py`` measures."""
+
+    def start(self) -> None:
+        """A step begins."""
+
+    def lap(self, part: str) -> None:
+        """The part of the step since the last call was ``part``."""
+
+    def lap_on_way_back(self, tensors: Sequence[torch.Tensor], part: str) -> None:
+        """``lap`` when the backward pass first reaches one of ``tensors``."""

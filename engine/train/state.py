@@ -13,7 +13,7 @@ from ..model.checking import Wanted, check_tensors
 from ..model.growing import GrowthStatistics
 from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..scene import Camera
-from .targets import PseudoLabels
+from .self_training import PseudoLabels
 from .trainer import Trainer
 
 

@@ -9,14 +9,20 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from torch import nn
 from torch.nn import functional
 
 from ..model.anchors import UNKNOWN_CLASS
-from ..model.encoded import EncodedDecoders
 from ..model.structured import StructuredScene
-from .presets import WarmStart
 from .targets import columns_of, slots_of
+
+STEPS = 400
+BATCH = 4096
+"""Anchors of a step."""
+RATE = 0.01
+"""The learning rate of the first step; it falls to zero."""
+OPACITY_BIAS = 0.3
+"""Added before the tanh, so that fewer Gaussians start invisible (and without a gradient)."""
+FITTED = ("colour", "semantic", "instance")
 
 
 def warm_start(
@@ -24,8 +30,8 @@ def warm_start(
     colour: np.ndarray,
     instance_id: np.ndarray | None,
     viewpoints: np.ndarray,
-    settings: WarmStart,
     seed: int,
+    steps: int = STEPS,
 ) -> None:
     """Fit colour, semantic and instance decoder in place to the initial anchors; lift the opacities a little.
 
@@ -44,14 +50,11 @@ def warm_start(
     centres = torch.from_numpy(viewpoints.astype(np.float32))
     k = anchors.gaussians_per_anchor
     with torch.no_grad():
-        decoders.opacity.get_parameter("2.bias").add_(settings.opacity_bias)
-    fitted: list[nn.Module] = [decoders.colour, decoders.semantic, decoders.instance]
-    if isinstance(decoders, EncodedDecoders) and not decoders.shape.twin:
-        fitted.append(decoders.classifier)
-    parameters = [parameter for each in fitted for parameter in each.parameters()]
-    adam = torch.optim.Adam(parameters, lr=settings.rate)
-    for step in range(settings.steps):
-        rows = torch.from_numpy(random.integers(0, len(anchors), min(settings.batch, len(anchors))))
+        decoders.opacity.get_parameter("2.bias").add_(OPACITY_BIAS)
+    parameters = [each for name, group in decoders.learnt() if name in FITTED for each in group]
+    adam = torch.optim.Adam(parameters, lr=RATE)
+    for step in range(steps):
+        rows = torch.from_numpy(random.integers(0, len(anchors), min(BATCH, len(anchors))))
         centre = centres[torch.from_numpy(random.integers(0, len(centres), len(rows)))]
         feature = anchors.feature.detach()[rows]
         seen = decoders.view_input(feature, anchors.position[rows], centre)
@@ -61,7 +64,7 @@ def warm_start(
             if bool((target >= 0).any()):
                 flat = logits.reshape(len(rows) * k, -1)
                 loss = loss + functional.cross_entropy(flat, target.repeat_interleave(k), ignore_index=-1)
-        adam.param_groups[0]["lr"] = settings.rate * (1 - step / settings.steps)
+        adam.param_groups[0]["lr"] = RATE * (1 - step / steps)
         adam.zero_grad()
         loss.backward()
         adam.step()

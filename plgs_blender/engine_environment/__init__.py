@@ -1,7 +1,7 @@
 """The engine's Python: which one, whether an engine answers in it, and how one is made.
 
-`status` is what is known, for panels; `usable_python` is for whoever starts an engine. `session` follows what goes on,
-`set_up` makes the environment, `handshake` asks. Of these only `session` knows Blender.
+`status` is what is known, for panels; `usable_python` is for whoever starts an engine. `tasks` asks a Python, and sets
+the engine up.
 """
 
 from __future__ import annotations
@@ -11,20 +11,26 @@ from pathlib import Path
 
 import bpy
 
-from ...engine.job import JobError
+from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job.process import ROOT, choose_python
 from ...engine.job.process import engine_python as find_engine_python
 from .choices import chosen_python
-from .engine_status import EngineState, EngineStatus
-from .session import status
+from .status import EngineState, EngineStatus
+from .tasks import status
 
-__all__ = ["EngineState", "EngineStatus", "engine_python", "status", "usable_python"]
+__all__ = ["EngineState", "EngineStatus", "engine_python", "status", "usable_python", "why_no_engine"]
+
+
+def why_no_engine() -> str | None:
+    """Why no engine can be started now; None when one can. Looks at no disk."""
+    engine = status()
+    return None if engine.is_usable else f"{engine.message}. {engine.fix}"
 
 
 def usable_python() -> Path:
-    """The Python to run the engine with. Raises JobError when it is known, or found, that none has what it needs.
+    """The Python to run the engine with. Raises PlgsError when it is known, or found, that none has what it needs.
 
-    In a window at once, by what the engine answered; a script without one waits 0.1 s for a look at it.
+    In a window this answers at once, by what the engine answered; a script without one waits 0.1 s for a look at it.
     """
     known = status()
     if known.state is EngineState.READY and known.python is not None:
@@ -32,7 +38,7 @@ def usable_python() -> Path:
     if bpy.app.background:
         return find_engine_python(ROOT, os.environ, chosen_python())
     if not known.is_usable:
-        raise JobError(known.message, known.python or "the engine", known.fix)
+        raise PlgsError(known.message, known.python or "the engine", known.fix, code=ErrorCode.NO_ENGINE)
     return _python_to_be_asked()
 
 
@@ -43,7 +49,7 @@ def engine_python() -> Path | None:
         if known.state is EngineState.CHECKING:  # the answer comes in a moment; who needs it now may try
             return _python_to_be_asked()
         return usable_python() if known.is_usable else None
-    except JobError:
+    except PlgsError:
         return None
 
 

@@ -1,4 +1,4 @@
-"""What the user chose about the engine: in the add-on's preferences, or, without an installation, for this session."""
+"""What the user chose about the engine: in the add-on's preferences or, without an installation, for this session."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from typing import Any
 
 import bpy
 
-from .progress import Wish
-
 EXTENSION = __package__.rsplit(".", 2)[0]
 """The name under which Blender knows the extension: its preferences go by it."""
 
@@ -20,9 +18,28 @@ TORCH_BUILDS = [
 ]
 
 
+@dataclass(frozen=True)
+class SetUpChoice:
+    """What "Set up engine" makes, as the engine's command takes it."""
+
+    base_python: Path | None = None
+    torch_build: str = "cpu"
+    index_url: str = ""
+
+    def arguments(self) -> list[str | Path]:
+        """The command's arguments."""
+        arguments: list[str | Path] = ["--torch", self.torch_build]
+        return arguments if self.base_python is None else [*arguments, "--base-python", self.base_python]
+
+    def variables(self) -> dict[str, str]:
+        """The command's variables. A password in the index's URL would stand in the list of processes as an
+        argument."""
+        return {"PLGS_INDEX_URL": self.index_url} if self.index_url else {}
+
+
 @dataclass
-class _Session:
-    """In the place of preferences."""
+class _SessionChoices:
+    """The choices where there are no preferences."""
 
     engine_python: str = ""
     base_python: str = ""
@@ -30,7 +47,7 @@ class _Session:
     index_url: str = ""
 
 
-_session = _Session()
+_session = _SessionChoices()
 
 
 def chosen_python() -> Path | None:
@@ -43,10 +60,10 @@ def choose(python: Path | None) -> None:
     _choices().engine_python = str(python) if python is not None else ""
 
 
-def wish(base_python: str = "", torch_build: str = "", index_url: str = "") -> Wish:
-    """What "Set up engine" shall make: as given, and as the preferences have it where nothing is given."""
+def set_up_choice(base_python: str = "", torch_build: str = "", index_url: str = "") -> SetUpChoice:
+    """What "Set up engine" makes: as given, and as the preferences say where an argument is empty."""
     choices = _choices()
-    return Wish(
+    return SetUpChoice(
         _path(base_python or choices.base_python),
         torch_build or choices.torch_build,
         (index_url or choices.index_url).strip(),

@@ -1,6 +1,6 @@
 """Looking into a lift that stands in a scene: its lists, what is selected, what is shown, and which masks made it.
 
-`records` is the data that a lift's collection carries (`collection.plgs`), `lists` fills it. The other modules act on
-it and on the lift's objects; they find everything by custom properties, so they work after undo, after loading, and
+`lists` holds the data that a lift's collection carries (`collection.plgs`) and fills it. The other modules act on it
+and on the lift's objects. They find everything by custom properties, so they work after undo, after loading, and
 whatever the user renamed.
 """

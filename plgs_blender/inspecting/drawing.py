@@ -1,4 +1,4 @@
-"""Putting it on the screen with Blender's GPU module. What is drawn, and where, is decided elsewhere."""
+"""Drawing over 3D views with Blender's GPU module. Other modules decide what is drawn, and where."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .text_boxes import Colour, TextBox
 
 _DIMMING = (0.03, 0.033, 0.04, 0.55)
 _BEHIND = 0.22
-"""How much of a highlighted point shows through what is before it."""
+"""Opacity of a highlighted point behind other things."""
 _SMALLEST, _LARGEST = 2.5, 14.0
-"""Pixels of a highlighted point."""
+"""Limits to the size of a highlighted point, pixels."""
 _EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7)
-"""Of an object's `bound_box`."""
+"""Pairs of corners of an object's `bound_box`."""
 
 _uploaded: list[tuple[NDArray[np.float32], gpu.types.GPUTexture]] = []
-"""The picture drawn last, and what the graphics card has of it."""
+"""The picture drawn last, and its texture."""
 
 
 def draw_highlight(
@@ -37,8 +37,8 @@ def draw_highlight(
     colour: Colour,
     dim: bool,
 ) -> None:
-    """Darken the view (of `size` in pixels) if `dim`, then draw the points, and the edges of the box, in a colour
-    (sRGB). Both lie a little nearer than they are: the view's own points and lines would else cover them.
+    """Darken the view (of `size` in pixels) if `dim`, then draw the points and the edges of the box in a colour (sRGB).
+    Both are drawn a little nearer than they are, or the view's own points and lines would cover them.
     """
     light = _brightened(colour)
     if dim:
@@ -87,12 +87,12 @@ def draw_picture(pixels: NDArray[np.float32], corners: Sequence[tuple[float, flo
 
 
 def forget_picture() -> None:
-    """Free what the graphics card holds of the picture drawn last."""
+    """Free the texture of the picture drawn last."""
     _uploaded.clear()
 
 
 def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
-    """Not Blender's own of an image: that one makes mipmaps, which takes ten times as long."""
+    """The picture's texture. Blender's own texture of an image has mipmaps, which take ten times as long to make."""
     if not _uploaded or _uploaded[0][0] is not pixels:
         height, width, _ = pixels.shape
         drawn = to_overlay(pixels)
@@ -102,7 +102,7 @@ def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
 
 
 def draw_text_boxes(text_boxes: Sequence[TextBox]) -> None:
-    """All grounds first, then all texts on them."""
+    """Draw all grounds, then all texts on them."""
     if not text_boxes:
         return
     corners: list[tuple[float, float]] = []
@@ -140,7 +140,7 @@ def _add_rectangle(
 
 
 def _darken() -> None:
-    """One dark, half transparent rectangle over the whole region."""
+    """Draw one dark, half transparent rectangle over the whole region."""
     shader = gpu.shader.from_builtin("UNIFORM_COLOR")
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("NONE")
@@ -154,16 +154,14 @@ def _darken() -> None:
 
 
 def _nearer(view: bpy.types.RegionView3D, distance: float, by: float) -> Matrix:
-    """A change of view space that brings what lies at `distance` metres nearer `by` metres, without moving it on the
-    screen.
-    """
+    """The change of view space that brings things at `distance` metres nearer `by` metres, at the same pixels."""
     if view.is_perspective:
         return Matrix.Diagonal([max(1.0 - by / distance, 0.5)] * 3).to_4x4()
     return Matrix.Translation((0.0, 0.0, by))
 
 
 def _draw_points(seen: Highlight, colour: Colour, pixels: float) -> None:
-    """All points faintly, whatever is before them, then those that nothing covers."""
+    """Draw all points faintly, then those that nothing covers in full."""
     shader = point_shader()
     gpu.state.point_size_set(pixels)
     for test, opacity in (("NONE", _BEHIND), ("LESS_EQUAL", 1.0)):
@@ -191,7 +189,7 @@ def _draw_lines(
 
 
 def _brightened(colour: Colour) -> Colour:
-    """The colour of a highlight: half way to the brightest of its hue."""
+    """The colour of a highlight: three parts the brightest colour of its hue, one part white."""
     strongest = max(*colour, 1e-3)
     red, green, blue = (0.25 + 0.75 * channel / strongest for channel in colour)
     return red, green, blue

@@ -1,20 +1,181 @@
-"""Filling the lists of a lift from its result."""
+"""The lists of instances, their masks, and classes that a lift's collection carries as `collection.plgs`.
+
+They are kept in the .blend and undone with it. Rows are copies of the result's instances.json, so panels and overlays
+never read a file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import bpy
 import numpy as np
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
 
+from ...engine.result_files import Instance, MatchedSegment
 from ...engine.scene import VOID, ClassTable
-from ..colour import UNKNOWN
-from ..results import Instance, LiftResult, Mask
-from .colouring import apply_colours
-from .labels import let_boxes_show_names
-from .records import NO_AGREEMENT, NO_COST, registered
-from .visibility import apply_visibility
+from ..materials import UNKNOWN
+from ..registration import register_modules, unregister_modules
+from ..results import LiftResult
+from .selection import select_row
+from .visibility import BY_CLASS, BY_INSTANCE, apply_colours, apply_visibility, let_boxes_show_names
+
+NO_COST, NO_AGREEMENT = 1.0, -1.0
+"""Values of a mask's `cost` and `agreement` that say there is none."""
+
+
+def _update_visibility(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    apply_visibility(row.id_data)
+
+
+def _update_colours(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    apply_colours(row.id_data)
+
+
+def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    select_row(lists.id_data, context.view_layer)
+
+
+def _update_names(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    let_boxes_show_names(lists.id_data, not lists.show_labels)
+
+
+class PLGS_PG_mask(bpy.types.PropertyGroup):
+    """One mask that was matched to an instance. `rectangle`: left, top, right, bottom in shares of the picture."""
+
+    frame: StringProperty(name="Frame")
+    segment: IntProperty(name="Segment", description="Id of the segment in the frame's mask")
+    class_id: IntProperty(name="Class id")
+    class_name: StringProperty(name="Class", description="What this mask took it for")
+    score: FloatProperty(name="Score", description="How sure the mask was, 0 to 1")
+    cost: FloatProperty(
+        name="Cost", default=NO_COST,
+        description="Cost of the match by boxes, -1.5 (the same box) to 0; 1 when it was not matched by boxes",
+    )  # fmt: skip
+    agreement: FloatProperty(
+        name="View agreement", default=NO_AGREEMENT,
+        description="Share of the views' judgements that put it together with the instance's other masks; "
+        "-1 when views did not decide",
+    )  # fmt: skip
+    pixels: IntProperty(name="Pixels", description="Pixels with depth, at the size of the lift")
+    share: FloatProperty(name="Share", description="Share of the picture's pixels")
+    rectangle: FloatVectorProperty(name="Rectangle", size=4)
+    reason: StringProperty(name="Why", description="Why it was matched, in words")
+
+
+class PLGS_PG_instance(bpy.types.PropertyGroup):
+    """One object of the lift."""
+
+    name: StringProperty(name="Name")
+    instance_id: IntProperty(name="Id")
+    class_id: IntProperty(name="Class id")
+    class_name: StringProperty(name="Class")
+    colour: FloatVectorProperty(
+        name="Colour", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0, update=_update_colours,
+        description="Colour of its box and of its points when it is selected",
+    )  # fmt: skip
+    points: IntProperty(name="Points", description="Semantic points that belong to it")
+    views: IntProperty(name="Views", description="Frames in which a mask saw it")
+    score: FloatProperty(name="Score", description="Mean score of its masks, 0 to 1")
+    visible: BoolProperty(
+        name="Visible", default=True, update=_update_visibility, description="Show its box, points and anchors"
+    )
+    masks: CollectionProperty(type=PLGS_PG_mask)
+    mask_index: IntProperty(name="Mask", default=-1)
+    best_mask: IntProperty(
+        name="Best mask", default=-1, description="The mask that sees most of it; -1 when masks are not known"
+    )
+
+
+class PLGS_PG_class(bpy.types.PropertyGroup):
+    """One class that has points. `class_id` 0 stands for points without a class."""
+
+    name: StringProperty(name="Name")
+    class_id: IntProperty(name="Id")
+    colour: FloatVectorProperty(
+        name="Colour", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0, update=_update_colours,
+        description="Colour of its points, and of its boxes when these are coloured by class",
+    )  # fmt: skip
+    points: IntProperty(name="Points")
+    score: FloatProperty(name="Score", description="Mean confidence of its points, 0 to 1")
+    is_thing: BoolProperty(name="Thing", description="Comes in instances")
+    visible: BoolProperty(
+        name="Visible", default=True, update=_update_visibility, description="Show its points, anchors and boxes"
+    )
+
+
+class PLGS_PG_lift(bpy.types.PropertyGroup):
+    """`collection.plgs` of a lift's collection."""
+
+    instances: CollectionProperty(type=PLGS_PG_instance)
+    instance_index: IntProperty(name="Instance", default=-1, update=_update_selection)
+    classes: CollectionProperty(type=PLGS_PG_class)
+    class_index: IntProperty(name="Class", default=-1)
+    instances_search: StringProperty(
+        name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only instances whose names hold these words"
+    )
+    classes_search: StringProperty(
+        name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only classes whose names hold these words"
+    )
+    isolated: IntProperty(
+        name="Shown alone", default=0, update=_update_visibility,
+        description="Id of the only instance that is shown; 0 = all are",
+    )  # fmt: skip
+    box_colours: EnumProperty(
+        name="Boxes", update=_update_colours, description="What the boxes' colours mean",
+        items=[
+            (BY_INSTANCE, "Instance", "Each box in a colour of its own"),
+            (BY_CLASS, "Class", "Boxes in the colours of their classes"),
+        ],
+    )  # fmt: skip
+    show_labels: BoolProperty(
+        name="Labels", update=_update_names, description="Draw the instances' names over the view"
+    )
+    show_legend: BoolProperty(name="Legend", description="Draw the classes and their colours over the view")
+    show_selected: BoolProperty(
+        name="Selected points", default=True, description="Highlight the points and anchors of the selected instance"
+    )
+    dim_others: BoolProperty(
+        name="Dim the rest", default=True, description="While an instance is selected, darken everything else"
+    )
+
+
+CLASSES = (PLGS_PG_mask, PLGS_PG_instance, PLGS_PG_class, PLGS_PG_lift)
+
+
+def register() -> None:
+    bpy.types.Collection.plgs = PointerProperty(type=PLGS_PG_lift)
+
+
+def unregister() -> None:
+    del bpy.types.Collection.plgs
+
+
+@contextmanager
+def registered() -> Iterator[None]:
+    """Make `collection.plgs` known where the extension is switched off, as in scripts. What is written stays in the
+    file either way.
+    """
+    if hasattr(bpy.types.Collection, "plgs"):
+        yield
+        return
+    register_modules([sys.modules[__name__]])
+    try:
+        yield
+    finally:
+        unregister_modules([sys.modules[__name__]])
 
 
 def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
@@ -35,15 +196,20 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
         let_boxes_show_names(root, not lists.show_labels)
 
 
-def best_view(masks: Sequence[Mask]) -> int:
-    """Which of an instance's masks sees most of it: the one with the largest share of its picture, where a mask that
-    the picture's edge cuts off counts half; the first of equals, -1 when shares are not known.
+def best_view(masks: Sequence[MatchedSegment]) -> int:
+    """The index of the mask that sees most of an instance: the one with the largest share of its picture. A mask that
+    the picture's edge cuts off counts half. The first of equals; -1 when shares are not known.
     """
     worth = [mask.share * (0.5 if _is_cut_off(mask) else 1.0) for mask in masks]
     return int(np.argmax(worth)) if worth and max(worth) > 0.0 else -1
 
 
-def reason(mask: Mask) -> str:
+def _is_cut_off(mask: MatchedSegment) -> bool:
+    left, top, right, bottom = mask.rectangle
+    return left <= 0.0 or top <= 0.0 or right >= 1.0 or bottom >= 1.0
+
+
+def _reason(mask: MatchedSegment) -> str:
     """Why a mask was matched to its instance, in the few words that fit into a list."""
     if mask.agreement is not None:
         return f"{100 * mask.agreement:.0f} % agreement"
@@ -52,30 +218,25 @@ def reason(mask: Mask) -> str:
     return "founded it" if mask.share > 0.0 else ""
 
 
-def _is_cut_off(mask: Mask) -> bool:
-    left, top, right, bottom = mask.rectangle
-    return left <= 0.0 or top <= 0.0 or right >= 1.0 or bottom >= 1.0
-
-
 def _fill_instance(row: Any, instance: Instance, classes: ClassTable) -> None:
     row.name, row.instance_id = instance.name, instance.id
     row.class_id, row.class_name = instance.class_id, instance.class_name
     row.colour = [channel / 255.0 for channel in instance.colour]
     row.points, row.views, row.score = instance.points, instance.views, instance.score
-    row.best_mask = best_view(instance.masks)
-    for mask in instance.masks:
+    row.best_mask = best_view(instance.segments)
+    for mask in instance.segments:
         each = row.masks.add()
         each.frame, each.segment, each.class_id = mask.frame, mask.segment_id, mask.class_id
         each.class_name = classes[mask.class_id].name if mask.class_id in classes else "unknown"
         each.score, each.pixels, each.share = mask.score, mask.pixels, mask.share
         each.cost = NO_COST if mask.cost is None else mask.cost
         each.agreement = NO_AGREEMENT if mask.agreement is None else mask.agreement
-        each.rectangle, each.reason = mask.rectangle, reason(mask)
+        each.rectangle, each.reason = mask.rectangle, _reason(mask)
 
 
 def _fill_class(row: Any, class_id: int, points: int, score: float, classes: ClassTable) -> None:
-    known = class_id != VOID and class_id in classes
+    known = classes[class_id] if class_id != VOID and class_id in classes else None
     row.class_id, row.points, row.score = class_id, points, score
-    row.name = classes[class_id].name if known else "unknown"
-    row.is_thing = known and classes[class_id].is_thing
-    row.colour = [channel / 255.0 for channel in (classes[class_id].colour if known else UNKNOWN)]
+    row.name = known.name if known else "unknown"
+    row.is_thing = known is not None and known.is_thing
+    row.colour = [channel / 255.0 for channel in (known.colour if known else UNKNOWN)]

@@ -6,8 +6,10 @@ from itertools import chain
 from typing import Any
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
-from ...engine.job import JobError
+from ...engine.errors import PlgsError
 from ..boxes import INSTANCE
 from ..lift_collection import FOLDER, is_same_place, lifts_in
 from ..owned import KEY, LIFT, originals, text_of
@@ -15,25 +17,23 @@ from ..paths import absolute
 
 
 def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object | None = None) -> bpy.types.Collection:
-    """The collection of the lift that `lift` names, by its folder or its collection's name; of the `active`
-    object's lift, or else the scene's first, when it is empty. Raises JobError when there is none.
+    """The collection of the lift that `lift` names, by its folder or its collection's name. When `lift` is empty, as
+    `active_lift`. Raises PlgsError when there is none.
     """
     roots = lifts_in(scene)
     if lift:
         named = [root for root in roots if lift == root.name or is_same_place(text_of(root, FOLDER), absolute(lift))]
         if not named:
-            raise JobError("is not in this scene", lift, "Name a lift's folder or its collection.")
+            raise PlgsError("is not in this scene", lift, "Name a lift's folder or its collection.")
         return named[0]
     found = active_lift(scene, active)
     if found is None:
-        raise JobError("has no lift in it", scene.name, "Lift a scene, or load the result of a lift first.")
+        raise PlgsError("has no lift in it", scene.name, "Lift a scene, or load the result of a lift first.")
     return found
 
 
 def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Collection | None:
-    """The lift that an object belongs to, else the scene's first that has a result, else its first; None when it has
-    none.
-    """
+    """The lift that an object belongs to, else the scene's first with a result, else the scene's first, else None."""
     roots = lifts_in(scene)
     own = None if active is None else text_of(active, LIFT)
     of_object = [root for root in roots if root[LIFT] == own]
@@ -42,7 +42,7 @@ def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.
 
 
 def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any | None:
-    """The row of the instance that is active in the list of the lift that the panels tell of; None when none is."""
+    """The active row in the list of the lift that the panels show; None when no row is active."""
     root = active_lift(scene, active)
     if root is None or not 0 <= root.plgs.instance_index < len(root.plgs.instances):
         return None
@@ -50,15 +50,15 @@ def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any |
 
 
 def objects_by_key(root: bpy.types.Collection) -> dict[str, bpy.types.Object]:
-    """The lift's objects by what they are there: "instance:3", "class:1", "frame:0012", "anchors"; also where the
-    user moved them to another collection of the scene.
+    """The lift's objects by their keys: "instance:3", "class:1", "frame:0012", "anchors". Objects that the user moved
+    to another collection of the scene are among them.
     """
     scenes = [scene for scene in bpy.data.scenes if root in scene.collection.children_recursive]
     return originals(chain(root.all_objects, *(scene.objects for scene in scenes)), root[LIFT])
 
 
 def boxes_of(root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
-    """The boxes by the id of their instance; those that the user deleted are missing."""
+    """The boxes by the id of their instance. Boxes that the user deleted are missing."""
     return {instance_of(ob): ob for ob in objects_by_key(root).values() if is_box(ob)}
 
 
@@ -66,8 +66,8 @@ def is_box(ob: bpy.types.Object | None) -> bool:
     """Whether an object is the box of some lift's instance."""
     if ob is None or not text_of(ob, LIFT):
         return False
-    kind, number = text_of(ob, KEY)[: len(INSTANCE)], text_of(ob, KEY)[len(INSTANCE) :]
-    return kind == INSTANCE and number.isdecimal()
+    key = text_of(ob, KEY)
+    return key.startswith(INSTANCE) and key.removeprefix(INSTANCE).isdecimal()
 
 
 def instance_of(box: bpy.types.Object) -> int:
@@ -80,24 +80,32 @@ def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
     return [ob for ob in objects_by_key(root).values() if ob.type == "POINTCLOUD"]
 
 
+def ids_of(cloud: bpy.types.PointCloud, name: str) -> NDArray[np.int32]:
+    """The integer attribute `name` of a cloud's points, int32 [N]; zeros where the cloud has none."""
+    values = np.zeros(len(cloud.points), np.int32)
+    if name in cloud.attributes:
+        cloud.attributes[name].data.foreach_get("value", values)
+    return values
+
+
 def row_of(root: bpy.types.Collection, instance: int) -> Any:
-    """The row of an instance; of the one that is active in the list when `instance` is 0. Raises JobError."""
+    """The row of an instance; of the one that is active in the list when `instance` is 0. Raises PlgsError."""
     lists = root.plgs
     if instance == 0:
         if 0 <= lists.instance_index < len(lists.instances):
             return lists.instances[lists.instance_index]
-        raise JobError("has no instance selected", root.name, "Click a box, or a row of the list.")
+        raise PlgsError("has no instance selected", root.name, "Click a box, or a row of the list.")
     row = next((row for row in lists.instances if row.instance_id == instance), None)
     if row is None:
         ids = ", ".join(str(row.instance_id) for row in lists.instances) or "none"
-        raise JobError(f"has no instance {instance}", root.name, f"Its instances are {ids}.")
+        raise PlgsError(f"has no instance {instance}", root.name, f"Its instances are {ids}.")
     return row
 
 
 def class_row_of(root: bpy.types.Collection, class_id: int) -> Any:
-    """The row of a class. Raises JobError."""
+    """The row of a class. Raises PlgsError."""
     row = next((row for row in root.plgs.classes if row.class_id == class_id), None)
     if row is None:
         ids = ", ".join(str(row.class_id) for row in root.plgs.classes) or "none"
-        raise JobError(f"has no points of class {class_id}", root.name, f"Its classes are {ids}.")
+        raise PlgsError(f"has no points of class {class_id}", root.name, f"Its classes are {ids}.")
     return row

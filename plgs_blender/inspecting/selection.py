@@ -1,8 +1,10 @@
 """One selection everywhere: the box that is active in the view and the row that is active in the list.
 
-The truth is Blender's own selection of boxes. `follow_active` brings the list after it, `select_row` brings it after
-the list; each does nothing when both agree, so they cannot chase each other. What the view highlights is read from the
-selection while drawing.
+The truth is Blender's own selection of boxes. `follow_active` moves the list's active row to it, `select_row` selects
+the box of the list's active row. Each does nothing when both agree, so they cannot chase each other. What the view
+highlights is read from the selection while drawing.
+
+Blender notifies this module when another object becomes active, and after undo and loading: then the lists follow.
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ import bpy
 from ..lift_collection import lifts_in
 from ..owned import LIFT
 from .lookup import boxes_of, instance_of, is_box, row_of
+
+_MSGBUS_OWNER = object()
 
 
 def selected_instance(root: bpy.types.Collection, active: bpy.types.Object | None) -> int:
@@ -24,7 +28,7 @@ def selected_instance(root: bpy.types.Collection, active: bpy.types.Object | Non
 def select_instance(root: bpy.types.Collection, instance: int, layer: bpy.types.ViewLayer) -> None:
     """Make an instance (0: the list's active one) the active row, and its box the only selected object.
 
-    Raises JobError when the lift has no such instance. A hidden or deleted box stays as it is.
+    Raises PlgsError when the lift has no such instance. A hidden or deleted box stays as it is.
     """
     row = row_of(root, instance)
     for index, each in enumerate(root.plgs.instances):
@@ -35,7 +39,7 @@ def select_instance(root: bpy.types.Collection, instance: int, layer: bpy.types.
 
 
 def select_class(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> int:
-    """Select the boxes of a class and nothing else; gives how many there are to select."""
+    """Select the boxes of a class and nothing else. Returns how many boxes that are."""
     boxes = boxes_of(root)
     of_class = [boxes.get(row.instance_id) for row in root.plgs.instances if row.class_id == class_id]
     chosen = [box for box in of_class if box is not None and box.visible_get(view_layer=layer)]
@@ -82,3 +86,42 @@ def _deselect_all(layer: bpy.types.ViewLayer) -> None:
     for ob in layer.objects:
         if ob is not None and ob.select_get(view_layer=layer):  # removed objects leave holes until the next update
             ob.select_set(False, view_layer=layer)
+
+
+def follow() -> None:
+    """Move the lists of the current scene to its active object. Blender calls this; it is safe at any time."""
+    context = bpy.context
+    if context.scene is not None and context.view_layer is not None:
+        follow_active(context.scene, context.view_layer)
+
+
+@bpy.app.handlers.persistent
+def _after_undo(*_arguments: object) -> None:
+    follow()
+
+
+@bpy.app.handlers.persistent
+def _subscribe(*_arguments: object) -> None:
+    """Subscribe to changes of the active object, also after a file was loaded: loading ends all subscriptions."""
+    bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
+    bpy.msgbus.subscribe_rna(
+        key=(bpy.types.LayerObjects, "active"), owner=_MSGBUS_OWNER, args=(), notify=follow, options={"PERSISTENT"}
+    )
+
+
+def _handlers() -> list[tuple[list, object]]:
+    at = bpy.app.handlers
+    return [(at.undo_post, _after_undo), (at.redo_post, _after_undo), (at.load_post, _subscribe)]
+
+
+def register() -> None:
+    for handlers, each in _handlers():
+        handlers.append(each)
+    _subscribe()
+
+
+def unregister() -> None:
+    bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
+    for handlers, each in _handlers():
+        if each in handlers:
+            handlers.remove(each)

@@ -1,8 +1,8 @@
-"""Labels at boxes and the legend, as text boxes with places and colours in pixels: `drawing` draws them."""
+"""The labels at boxes and the legend: text boxes with places in pixels and colours, which `drawing` draws."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,21 +10,21 @@ import blf
 import bpy
 from mathutils import Matrix, Vector
 
-from .labels import stack_labels
-
 Colour = tuple[float, float, float]
 
 _TEXT = 11.0
 _PADDING = 5.0
 """Pixels at interface scale 1."""
 _MOST_LABELS = 120
+_STEP = 0.25
+"""Share of a label's height by which a label moves up that would cover another."""
 _DARK = (0.09, 0.095, 0.105)
 
 
 @dataclass(frozen=True)
 class ViewRegion:
-    """A 3D view's region: width and height in pixels, how much of it is covered by toolbars on the left, the matrix
-    from world to clip space, and the interface's scale.
+    """A 3D view's region: `width` and `height` in pixels, the pixels that toolbars cover on the `left`, the matrix from
+    world to clip space, and the interface's scale.
     """
 
     width: int
@@ -43,15 +43,15 @@ class ViewRegion:
         return cls(region.width, region.height, left, context.region_data.perspective_matrix.copy(), scale)
 
     def pixel_of(self, point: Vector) -> tuple[float, float] | None:
-        """Where a world point is seen, from the lower left; None when it is behind the eye."""
+        """The pixel of a world point, counted from the lower left; None when the point is behind the eye."""
         x, y, _, w = self.perspective @ Vector((*point, 1.0))
         return (self.width * (0.5 + 0.5 * x / w), self.height * (0.5 + 0.5 * y / w)) if w > 1e-6 else None
 
 
 @dataclass(frozen=True)
 class TextBox:
-    """A rectangle with a text: lower left corner, width and height in pixels, the ground's and the text's colour
-    (sRGB 0..1), how opaque the ground is, and a swatch's colour where it has one.
+    """A rectangle with a text. Its lower left corner, width, height and the text's size are in pixels, colours are sRGB
+    0..1. A swatch of colour stands before the text where `swatch` is not None.
     """
 
     x: float
@@ -69,28 +69,29 @@ class TextBox:
 def label_text_boxes(
     rows: Any, boxes: Mapping[int, bpy.types.Object], active: int, region: ViewRegion
 ) -> list[TextBox]:
-    """A text box with its name above the box of each instance that is seen; the `active` one in its full colour."""
+    """A text box with the name above the box of each instance that is seen. The `active` one has its full colour."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     seen: list[Any] = []
     anchors: list[tuple[float, float]] = []
     widths: list[float] = []
     for row in rows:
         box = boxes.get(row.instance_id)
-        at = None if box is None else region.pixel_of(_top(box))
+        at = None if box is None else region.pixel_of(top_of(box))
         if at is not None and len(seen) < _MOST_LABELS:
             seen.append(row)
             anchors.append((at[0], at[1] + padding))
             widths.append(_text_width(row.name, size) + 2.0 * padding)
     text_boxes = []
-    for label in stack_labels(anchors, widths, size + 1.4 * padding, (region.width, region.height)):
-        row = seen[label.index]
+    height = size + 1.4 * padding
+    for index, (x, y) in stack_labels(anchors, widths, height, (region.width, region.height)).items():
+        row = seen[index]
         red, green, blue = row.colour
         bright = row.instance_id == active
         shade = 1.0 if bright else 0.42
         luminance = 0.3 * red + 0.6 * green + 0.1 * blue
         text_boxes.append(
             TextBox(
-                label.x, label.y, label.width, label.height, row.name, size,
+                x, y, widths[index], height, row.name, size,
                 ground=(red * shade, green * shade, blue * shade),
                 opacity=0.95 if bright else 0.8,
                 ink=_DARK if bright and luminance > 0.5 else (1.0, 1.0, 1.0),
@@ -99,8 +100,27 @@ def label_text_boxes(
     return text_boxes
 
 
+def stack_labels(
+    anchors: Sequence[tuple[float, float]], widths: Sequence[float], height: float, space: tuple[float, float]
+) -> dict[int, tuple[float, float]]:
+    """The lower left corners of labels above their anchors [(x, y)], by the labels' indices, within a space (width,
+    height), all in pixels. Labels that would cover another move up. Anchors outside the space have no label.
+    """
+    placed: dict[int, tuple[float, float]] = {}
+    for index in sorted(range(len(anchors)), key=lambda index: (anchors[index][1], anchors[index][0])):
+        (x, y), width = anchors[index], widths[index]
+        if not (0.0 <= x <= space[0] and 0.0 <= y <= space[1]):
+            continue
+        left = min(max(x - width / 2.0, 0.0), max(space[0] - width, 0.0))
+        crossing = [low for i, (at, low) in placed.items() if left < at + widths[i] and at < left + width]
+        while any(abs(y - low) < height for low in crossing):
+            y += _STEP * height
+        placed[index] = (left, y)
+    return placed
+
+
 def legend_text_boxes(rows: Any, region: ViewRegion) -> list[TextBox]:
-    """The classes that are shown, those with most points first, in the lower left corner; as many as fit."""
+    """As many of the shown classes as fit into the lower left corner, those with most points first."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     line = size + 1.2 * padding
     shown = sorted((row for row in rows if row.visible), key=lambda row: (-row.points, row.name))
@@ -118,7 +138,7 @@ def legend_text_boxes(rows: Any, region: ViewRegion) -> list[TextBox]:
     ]
 
 
-def _top(box: bpy.types.Object) -> Vector:
+def top_of(box: bpy.types.Object) -> Vector:
     """The middle of a box's upper face, world metres."""
     corners = [box.matrix_world @ Vector(corner) for corner in box.bound_box]
     middle = sum(corners, Vector()) / 8.0

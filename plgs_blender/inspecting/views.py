@@ -1,4 +1,4 @@
-"""From where to look: at an instance, and through the camera of a frame that saw it."""
+"""Moving the view: to an instance, and to the camera of a frame that saw it."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...engine.job import JobError
+from ...engine.errors import PlgsError
 from .lookup import boxes_of, objects_by_key, row_of
 
 _VIEW_SENSOR = 72.0
-"""Millimetres: a 3D view is twice as wide as a camera of the same lens."""
+"""Width of a 3D view's sensor in millimetres: twice that of a camera."""
 _ROOM_AROUND = 1.6
-"""Radius of what is seen, in radii of the framed box."""
+"""Radius of the ball that the view holds, in radii of the framed box."""
 
 
 def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.SpaceView3D, aspect: float = 1.0) -> None:
-    """Move a 3D view so that an instance's box (0: the list's active one) fills it, seen from where it looks now.
+    """Move a 3D view so that an instance's box (0: the list's active one) fills it. The view keeps its direction.
 
-    `aspect` is the view's width by its height. Raises JobError when there is no such instance or its box was deleted.
+    `aspect` is the view's width by its height. Raises PlgsError when there is no such instance or its box was deleted.
     """
     row = row_of(root, instance)
     box = boxes_of(root).get(row.instance_id)
     if box is None:
-        raise JobError("has no box any more", row.name, "Load the result of the lift again.")
+        raise PlgsError("has no box any more", row.name, "Load the result of the lift again.")
     corners = np.array([box.matrix_world @ Vector(corner) for corner in box.bound_box])
     centre = corners.mean(axis=0)
     radius = float(np.linalg.norm(corners - centre, axis=1).max())
@@ -35,33 +35,33 @@ def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.Sp
         region.view_rotation = view.camera.matrix_world.to_quaternion()
         region.view_perspective = "PERSP"
     region.view_location = Vector(centre.tolist())
-    region.view_distance = distance_to_see(_ROOM_AROUND * radius, view.lens, aspect)
+    region.view_distance = _distance_to_see(_ROOM_AROUND * radius, view.lens, aspect)
 
 
-def distance_to_see(radius: float, lens: float, aspect: float) -> float:
-    """How far from a ball of this radius, in metres, a 3D view with this lens in millimetres just holds it.
-
-    The longer side of the view has the lens's angle, `aspect` is width by height.
+def _distance_to_see(radius: float, lens: float, aspect: float) -> float:
+    """The distance in metres at which a 3D view with this lens in millimetres just holds a ball of this radius in
+    metres. The longer side of the view has the lens's angle; `aspect` is width by height.
     """
     half_angle = math.atan(_VIEW_SENSOR / 2.0 / lens * min(aspect, 1.0 / aspect))
     return radius / math.sin(half_angle)
 
 
 def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:
-    """The frame that sees most of an instance (0: the list's active one): the one whose mask of it covers the largest
-    share of the picture; a mask cut off by the picture's edge counts half. Raises JobError where masks are not known.
+    """The frame that sees most of an instance (0: the list's active one), as `lists.best_view` says. Raises PlgsError
+    when masks are not known.
     """
     row = row_of(root, instance)
     if not 0 <= row.best_mask < len(row.masks):
         fix = "Lift again: lifts of older versions did not record where the masks lie."
-        raise JobError("has no masks that tell where it is best seen", row.name, fix)
+        raise PlgsError("has no masks that say where it is best seen", row.name, fix)
     row.mask_index = row.best_mask
     return str(row.masks[row.best_mask].frame)
 
 
 def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: int = 0) -> str:
-    """The frame of one of the masks that made an instance, made the active one of its list: the mask of `frame` (with
-    the id `segment`, unless that is 0), or the list's active mask when `frame` is empty. Raises JobError.
+    """The frame of one of the masks that made an instance; that mask becomes the active one of the instance's list. It
+    is the mask of `frame` (with the id `segment`, unless that is 0), or the list's active mask when `frame` is empty.
+    Raises PlgsError.
     """
     row = row_of(root, instance)
     chosen = [
@@ -71,7 +71,7 @@ def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: i
     ]
     if not chosen:
         what = f"has no mask in frame {frame!r}" if frame else "has no mask chosen"
-        raise JobError(what, row.name, "Choose one of the masks that made it.")
+        raise PlgsError(what, row.name, "Choose one of the masks that made it.")
     row.mask_index = chosen[0]
     return str(row.masks[chosen[0]].frame)
 
@@ -79,13 +79,12 @@ def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: i
 def look_from_frame(
     root: bpy.types.Collection, frame: str, scene: bpy.types.Scene, view: Any = None
 ) -> bpy.types.Object:
-    """Make a frame's camera the scene's, go to its place on the timeline, and let a 3D view (if any) look through it.
-
-    Gives the camera. Raises JobError when it was deleted.
+    """Make a frame's camera the scene's, go to its place on the timeline, let a 3D view (if any) look through it, and
+    return it. Raises PlgsError when it was deleted.
     """
     camera = objects_by_key(root).get(f"frame:{frame}")
     if camera is None or camera.name not in scene.objects:
-        raise JobError(f"has no camera of frame {frame} any more", root.name, "Load the result of the lift again.")
+        raise PlgsError(f"has no camera of frame {frame} any more", root.name, "Load the result of the lift again.")
     marker = next((marker for marker in scene.timeline_markers if marker.camera == camera), None)
     if marker is not None:
         scene.frame_set(marker.frame)

@@ -1,12 +1,14 @@
-"""What of a lift is shown: the eyes of its lists, and one instance alone.
+"""What of a lift is shown, and in which colours.
 
-Boxes and the points of a class are objects, which have eyes of their own. The points of an instance are part of its
-class's cloud: they carry the attribute `plgs_hidden`, and a modifier that is there only while something is hidden
-leaves them out, in the view and in renders.
+Boxes and the points of a class are objects, which have eyes and colours of their own. The points of an instance are
+part of its class's cloud: they carry the attribute `plgs_hidden`, and a modifier leaves them out, in the view and in
+renders. The modifier is there only while something is hidden.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import bpy
@@ -14,16 +16,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.scene import VOID
+from .. import compat
+from ..materials import object_colour
 from ..owned import LIFT, key_of, tag
-from .lookup import boxes_of, clouds_of, row_of
-from .once_for_many import OnceForMany
+from .lookup import boxes_of, clouds_of, ids_of, row_of
 
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
 _GROUP = "hidden instances"
+BY_INSTANCE, BY_CLASS = "INSTANCE", "CLASS"
+"""Values of a lift's `box_colours`."""
 
 
-@OnceForMany
+class _OnceForMany:
+    """A decorated function brings a lift's objects in line with its lists. Within `at_once` it runs once, at the end,
+    however many rows change.
+    """
+
+    def __init__(self, apply: Callable[[bpy.types.Collection], None]) -> None:
+        self._apply = apply
+        self._waiting: list[str] = []
+        """Names of the collections whose rows are being changed."""
+
+    def __call__(self, root: bpy.types.Collection) -> None:
+        if root.name not in self._waiting:
+            self._apply(root)
+
+    @contextmanager
+    def at_once(self, root: bpy.types.Collection) -> Iterator[None]:
+        """Change many rows, and bring the objects in line afterwards."""
+        self._waiting.append(root.name)
+        try:
+            yield
+        finally:
+            self._waiting.pop()
+        self(root)
+
+
+@_OnceForMany
 def apply_visibility(root: bpy.types.Collection) -> None:
     """Bring boxes and points in line with the lift's lists."""
     lists = root.plgs
@@ -36,11 +66,43 @@ def apply_visibility(root: bpy.types.Collection) -> None:
     for cloud in clouds_of(root):
         if "class_id" in cloud:
             _show_object(cloud, bool(lists.isolated) or eyes.get(cloud["class_id"], True))
-        _hide_points(root, cloud, _left_out(lists, _ids(cloud.data, "instance_id"), _ids(cloud.data, "class_id")))
+        _hide_points(root, cloud, _left_out(lists, ids_of(cloud.data, "instance_id"), ids_of(cloud.data, "class_id")))
+
+
+@_OnceForMany
+def apply_colours(root: bpy.types.Collection) -> None:
+    """Colour the clouds by their classes and the boxes as the lift's `box_colours` says. Solid shading and renders both
+    show the objects' colours.
+    """
+    lists = root.plgs
+    of_class = {row.class_id: _linear(row.colour) for row in lists.classes}
+    for cloud in clouds_of(root):
+        number = cloud.get("class_id")
+        if isinstance(number, int) and number in of_class:
+            cloud.color = of_class[number]
+    boxes = boxes_of(root)
+    for row in lists.instances:
+        box = boxes.get(row.instance_id)
+        if box is not None:
+            own = _linear(row.colour)
+            box.color = of_class.get(row.class_id, own) if lists.box_colours == BY_CLASS else own
+
+
+def _linear(srgb: bpy.types.bpy_prop_array) -> tuple[float, float, float, float]:
+    red, green, blue = (round(255.0 * channel) for channel in srgb)
+    return object_colour((red, green, blue))
+
+
+def let_boxes_show_names(root: bpy.types.Collection, shown: bool) -> None:
+    """Set whether Blender itself writes the names at the boxes. It does not while we draw labels."""
+    for box in boxes_of(root).values():
+        box.show_name = shown
 
 
 def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
-    """Show only one instance (0: the list's active one); again, show what was shown before. Raises JobError."""
+    """Show only one instance (0: the list's active one), or what was shown before when it already stands alone. Raises
+    PlgsError.
+    """
     number = row_of(root, instance).instance_id
     root.plgs.isolated = 0 if root.plgs.isolated == number else number
 
@@ -54,7 +116,7 @@ def show_all(root: bpy.types.Collection) -> None:
 
 
 def _left_out(lists: bpy.types.PropertyGroup, instance_id: NDArray[np.int32], class_id: NDArray[np.int32]) -> Any:
-    """Which things of these instances and classes, int32 [N] each, are not to be seen: bool [N]."""
+    """Whether each thing of these instances and classes, int32 [N] each, is hidden: bool [N]."""
     if lists.isolated:
         return instance_id != lists.isolated
     instances = [row.instance_id for row in lists.instances if not row.visible]
@@ -63,7 +125,7 @@ def _left_out(lists: bpy.types.PropertyGroup, instance_id: NDArray[np.int32], cl
 
 
 def _show_object(ob: bpy.types.Object, shown: bool) -> None:
-    """Set an object's eye in all scenes that have it, and whether renders do."""
+    """Show or hide an object in renders and in all scenes that have it."""
     ob.hide_render = not shown
     for scene in bpy.data.scenes:
         for layer in scene.view_layers:
@@ -89,13 +151,6 @@ def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: ND
         modifier.node_group = _node_group(root[LIFT], next(iter(cloud.data.materials), None))
 
 
-def _ids(cloud: bpy.types.PointCloud, name: str) -> NDArray[np.int32]:
-    values = np.zeros(len(cloud.points), np.int32)
-    if name in cloud.attributes:
-        cloud.attributes[name].data.foreach_get("value", values)
-    return values
-
-
 def _node_group(lift: str, material: bpy.types.Material | None) -> bpy.types.NodeTree:
     """The lift's node group that deletes the points whose attribute `plgs_hidden` is true."""
     for tree in bpy.data.node_groups:
@@ -107,9 +162,7 @@ def _node_group(lift: str, material: bpy.types.Material | None) -> bpy.types.Nod
 
 
 def _new_group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
-    tree = bpy.data.node_groups.new("PLGS hidden instances", "GeometryNodeTree")
-    for direction in ("INPUT", "OUTPUT"):
-        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    tree = compat.new_geometry_group("PLGS hidden instances")
     tree.is_modifier = True
     kinds = (
         "NodeGroupInput", "GeometryNodeInputNamedAttribute", "GeometryNodeDeleteGeometry",

@@ -1,1 +1,1 @@
-"""Lifts that this Blender follows: `lifts` is the state machine without Blender, `poll_timer` polls it from Blender."""
+"""What engines do for the panel, a kind of task in each module. `lifting` starts from what the panel says."""

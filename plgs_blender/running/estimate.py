@@ -1,35 +1,38 @@
-"""What the lift that the panel is set to will take: from what the survey saw, and how fast this machine has been."""
+"""What the lift that the panel is set to will take."""
 
 from __future__ import annotations
 
-from ...engine.job.effort import chosen_effort
-from ...engine.job.prediction import USUAL_CLASSES, Prediction, predict
-from ..scene_survey import survey_of
-from ..settings import PLGS_PG_settings, asked_of_preset, place_of, why_no_options
-from . import machine_pace
+from ...engine.job.prediction import USUAL_CLASSES, Prediction, machine_slowness, predict
+from ...engine.presets.options import with_options
+from ...engine.presets.preset import PRESETS
+from ..settings import PLGS_PG_settings, asked_of_preset, chosen_scene, why_no_options
+from .survey import survey_of
+
+_slowness = 1.0
+"""How many times longer this computer takes than the one that the predictions were measured on."""
+
+
+def learn_slowness() -> None:
+    """Read from the disk how long earlier lifts took on this computer."""
+    global _slowness
+    _slowness = machine_slowness()
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
-    """Time and memory of the lift that the settings ask for, None while the scene is not known, or something is
-    wrong.
-
-    Looks at no disk: panels call it.
+    """Time and memory of the lift that the settings ask for; None while the scene is not known, or the settings are
+    wrong. Looks at no disk: panels call it.
     """
-    survey = survey_of(place_of(settings)) if settings.scene_folder else None
-    if survey is None or survey.error is not None or not survey.sizes:
+    survey = survey_of(chosen_scene(settings)) if settings.scene_folder else None
+    if survey is None or survey.error is not None or not survey.sizes or why_no_options(settings):
         return None
-    if why_no_options(settings):
-        return None
-    asked = asked_of_preset(settings)
-    steps, size, frames = (asked.get(name) for name in ("steps", "size", "frames"))
-    effort = chosen_effort(asked["preset"], steps, size, frames, asked["options"])
+    preset, options = asked_of_preset(settings)
     (size, _), *_ = survey.sizes
     return predict(
         survey.train_frames,
         survey.test_frames,
         size,
-        effort,
+        with_options(PRESETS[preset], options),
         bake=settings.bake,
-        slowness=machine_pace.slowness(),
+        slowness=_slowness,
         classes=len(survey.classes) or USUAL_CLASSES,
     )

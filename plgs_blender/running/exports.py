@@ -1,18 +1,18 @@
-"""Exports of finished lifts: each an engine of its own that writes and ends. Knows nothing of Blender.
-
-Like `lifts` they live in the module and are polled; only one runs at a time.
-"""
+"""Exports of finished lifts, and the meshes among them that are put into the scene."""
 
 from __future__ import annotations
 
-import re
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from ...engine.job import JobError
-from ...engine.job.process import EngineProcess, engine_call
+import bpy
+
+from ...engine.errors import PlgsError
+from ...engine.job.follower import TaskFollower
+from ..lift_scene import place_meshes_anew
+from ..tasks import registry, timer
+from ..tasks.registry import Task, start_engine
 
 FORMS = {
     "coco": ("COCO panoptic", "panoptic.json and PNGs of segments"),
@@ -23,103 +23,45 @@ FORMS = {
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
     "depth": ("Depth maps", "The lifted surface's depth as 16-bit PNGs in millimetres"),
 }
-"""What the engine exports to: a label and what it is."""
-_PROGRESS = re.compile(r"(\d+) of (\d+) frames")
-_POLL_S = 0.05
+"""Label and description of each form that the engine exports to."""
 
 
-@dataclass
-class Export:
-    """One export. ``error`` is None while it goes on, and when it ended well."""
+class Export(Task):
+    """One export. What was written stays when it is cancelled. ``mesh_scene`` names the scene that its meshes are put
+    into."""
 
-    form: str
-    output: Path
-    process: EngineProcess
-    done: int = 0
-    total: int = 0
-    ended: bool = False
-    cancelled: bool = False
-    error: str | None = None
+    kind, label, cancel_operator = "export", "Exporting", "plgs.cancel_export"
+
+    def __init__(self, lift: Path, form: str, output: Path, mesh_scene: str, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self.form, self.output = form, output
+        self.label = f"Exporting {FORMS[form][0]}"
+        self._lift, self._mesh_scene = lift, mesh_scene
+        self._meshes = 0
 
     @property
     def message(self) -> str:
-        """One line for people."""
-        label = FORMS[self.form][0]
-        if not self.ended:
-            return f"Exporting {label}"
-        if self.cancelled:
+        """One line about how it ended well, or was cancelled."""
+        if self.was_cancelled:
             return "The export was cancelled"
-        return self.error or f"{label} are in {self.output}"
+        if self._mesh_scene:
+            return f"{self._meshes} meshes are in the scene"
+        return f"{FORMS[self.form][0]} are in {self.output}"
 
-    def poll(self) -> bool:
-        """Take in what happened; whether anything did."""
-        if self.ended:
-            return False
-        code, before = self.process.exit_code(), self.done
-        lines = [line for line in self.process.output_tail().splitlines() if line.strip()]
-        counted = [found for line in lines if (found := _PROGRESS.search(line))]
-        if counted:
-            self.done, self.total = int(counted[-1][1]), int(counted[-1][2])
-        if code is not None:
-            self.ended = True
-            if code != 0 and not self.cancelled:
-                said = lines[-1].removeprefix("error: ") if lines else ""
-                self.error = said or f"the export ended without a message (exit code {code})"
-            self.process.close()
-        return self.ended or self.done != before
-
-    def cancel(self) -> None:
-        """End it; what was written so far stays."""
-        self.cancelled = True
-        self.process.kill()
+    def done(self, scene: Any) -> None:
+        if not self.has_finished or not self._mesh_scene:
+            return
+        target = bpy.data.scenes.get(self._mesh_scene)
+        if target is None:
+            raise PlgsError("the scene is gone", self._mesh_scene, "Make the meshes again.")
+        self._meshes = len(place_meshes_anew(self._lift, target))
+        self.undo_step = "Make Meshes"
 
 
-_latest: list[Export] = []
-
-
-def latest() -> Export | None:
-    """The export that was started last."""
-    return _latest[-1] if _latest else None
-
-
-def is_running() -> bool:
-    return bool(_latest) and not _latest[-1].ended
-
-
-def start(lift: Path, form: str, output: Path, python: Path, frames: Sequence[str] = ("all",)) -> Export:
-    """Start an export of a finished lift into the folder ``output``. Raises JobError, OSError."""
-    if is_running():
-        raise JobError("another export is running", _latest[-1].output, "Wait for it, or cancel it first.")
-    _latest[:] = [Export(form, output, EngineProcess(export_command(python, lift, form, output, frames)))]
-    return _latest[0]
-
-
-def export_command(python: Path, lift: Path, form: str, output: Path, frames: Sequence[str]) -> list[str | Path]:
-    """The command that exports a lift and counts the frames."""
-    what: list[str | Path] = [lift, "--to", form, "-o", output, "--frames", *frames]
-    return [*engine_call(python), "export", *what, "--progress", "--stay-with-parent"]
-
-
-def poll() -> bool:
-    """Whether there is news."""
-    return bool(_latest) and _latest[-1].poll()
-
-
-def wait_for(export: Export) -> None:
-    """Block until it has ended; Ctrl-C ends it."""
-    try:
-        while not export.ended:
-            export.poll()
-            time.sleep(_POLL_S)
-    except KeyboardInterrupt:
-        export.cancel()
-        export.poll()
-        raise
-
-
-def let_go() -> None:
-    """End what runs, and forget it."""
-    if is_running():
-        _latest[-1].cancel()
-        _latest[-1].poll()
-    _latest.clear()
+def export(
+    lift: Path, form: str, output: Path, python: Path, frames: Sequence[str] = ("all",), *, mesh_scene: str = ""
+) -> Export:
+    """Start an export of a finished lift into the folder ``output``. Raises PlgsError, OSError."""
+    registry.refuse_second(Export)
+    arguments: list[str | Path] = [lift, "--to", form, "-o", output, "--frames", *frames]
+    return timer.begin(Export(lift, form, output, mesh_scene, start_engine("export", python, *arguments)))

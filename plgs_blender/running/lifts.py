@@ -1,120 +1,151 @@
-"""The lifts that this Blender follows, by folder: started, watched, cancelled, resumed. Knows nothing of Blender.
-
-They live in the module, not in an operator or a file: so they survive undo and the opening of another .blend.
-`poll_all` is called often; it never waits, and no thread is used.
-"""
+"""The lifts that this Blender follows, by folder: started, watched, cancelled, resumed, and baked further."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
 from pathlib import Path
+from typing import Any
 
-from ...engine.job import ExitCode, JobError, LiftFolder, LiftState
-from ...engine.job.folder import BAKE
-from ...engine.job.follower import LiftFollower, LiftStatus, Outcome
+from ...engine.errors import ErrorCode, PlgsError
+from ...engine.job import LiftFolder, LiftState
+from ...engine.job.follower import TaskFollower, start_bake
 from ...engine.job.process import engine_command
-from ..panel_words import in_panel_words
+from ...engine.job.recent import RecentLift, recent_lifts
+from ...engine.job.task import BAKE, LIFT, TaskState
+from ..lift_scene import place_lift, place_passes_anew
+from ..settings import adopt, chosen_lift
+from ..tasks import registry, timer
+from ..tasks.registry import Task
+from ..viewport import show_lift_colours_in
+from . import live_preview
 
-_POLL_S = 0.05
+_SHOWN_RECENT = 8
+"""At most this many recent lifts are listed in the panel."""
 
 
-@dataclass
-class Watch:
-    """One followed lift, started here or by somebody else. ``state`` is how far it was when it was last looked at."""
+class Lift(Task):
+    """A followed lift, or a later bake of its frames, started here or by somebody else.
 
-    follower: LiftFollower
-    state: LiftState = LiftState.RUNNING
-    _pictures_seen: int = 0
+    ``lift_state`` is how far the lift was when its folder was last looked at.
+    """
+
+    kind, cancel_operator = "lift", "plgs.cancel_lift"
+
+    def __init__(self, follower: TaskFollower, lift_state: LiftState = LiftState.RUNNING) -> None:
+        super().__init__(follower)
+        assert follower.lift is not None
+        self.folder: LiftFolder = follower.lift
+        self.lift_folder = follower.lift.path
+        self.label = f"Lifting {follower.lift.path.name}"
+        self.lift_state = lift_state
+        self._pictures_seen = 0
 
     @property
-    def folder(self) -> LiftFolder:
-        return self.follower.folder
-
-    @property
-    def status(self) -> LiftStatus:
-        return self.follower.status
-
-    @property
-    def outcome(self) -> Outcome | None:
-        """None while it goes on."""
-        return self.follower.outcome
-
-    @property
-    def is_running(self) -> bool:
-        return self.outcome is None
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether the lift has a whole result; that may be so while more of its passes are baked."""
-        return self.state is LiftState.FINISHED
+    def key(self) -> Hashable:
+        return self.kind, self.folder.path
 
     @property
     def is_baking(self) -> bool:
-        """Whether what is followed is not the lift itself, but a later bake of more frames."""
-        return self.status.task == BAKE
+        """Whether it is not the lift itself, but a later bake of more frames."""
+        return self.follower.kind == BAKE
 
     @property
-    def ended_well(self) -> bool:
-        return self.outcome is not None and self.outcome.code is ExitCode.FINISHED
+    def is_finished(self) -> bool:
+        """Whether the lift has a whole result. That may be so while more of its passes are baked."""
+        return self.lift_state is LiftState.FINISHED
 
     @property
     def can_be_resumed(self) -> bool:
         """Whether an engine could go on with it."""
-        return self.state not in (LiftState.RUNNING, LiftState.FINISHED)
+        return self.lift_state not in (LiftState.RUNNING, LiftState.FINISHED)
 
-    def new_picture(self) -> Path | None:
-        """The live preview, when it was replaced since the last time that this was asked."""
-        before, self._pictures_seen = self._pictures_seen, self.status.live_previews
-        return self.status.live_preview if before != self._pictures_seen else None
+    @property
+    def message(self) -> str:
+        """One line about how it ended well, or was cancelled."""
+        if self.is_baking:
+            return "The passes are baked" if self.state is TaskState.FINISHED else "Baking was cancelled"
+        if self.is_finished:
+            return "The lift is finished"
+        return "The lift was not started" if self.lift_state is LiftState.NOT_STARTED else "The lift was cancelled"
 
-    def poll(self) -> bool:
-        """Take in what happened; whether anything did."""
-        if not self.is_running:
-            return False
-        events = []
+    def done(self, scene: Any) -> None:
+        """Put a finished result into the scene if that is still set to it and wants it; baked passes in any case."""
         try:
-            events = self.follower.poll()
-            if self.outcome is not None:
-                self.state = self.folder.state_at_a_glance()
-                self.follower.close()
-        except (JobError, OSError) as error:  # its disk is gone, or the folder was deleted meanwhile
-            self.follower.outcome = Outcome(ExitCode.INTERNAL_ERROR, f"the lift can no longer be read: {error}")
-            self.state = LiftState.INTERRUPTED
-        return bool(events) or not self.is_running
+            self.lift_state = self.folder.state_at_a_glance()
+        except (PlgsError, OSError):  # its disk is gone, or the folder was deleted
+            self.lift_state = LiftState.INTERRUPTED
+        refresh_recent()
+        if not self.has_finished:
+            return
+        if self.is_baking:
+            place_passes_anew(self.folder.path, scene)
+        elif scene.plgs.place_when_done and chosen_lift(scene.plgs) == self.folder.path:
+            show_lift(scene, self.folder)
+        else:
+            return
+        self.undo_step = "Show Result"
+
+    def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
+        """Bring the live preview up to date."""
+        if not self.is_running:
+            live_preview.forget(self.folder.path)
+            return True
+        live_preview.follow_camera(self.folder, scenes)
+        progress, before = self.progress, self._pictures_seen
+        self._pictures_seen = progress.live_previews
+        if progress.live_preview is None or before == progress.live_previews:
+            return False
+        return live_preview.show(self.folder, progress.live_preview, progress.live_preview_camera)
+
+    def let_go(self) -> None:
+        """An engine of our own ends within a second, unless it was started to go on. The lift can be resumed."""
+        self.follower.close()
 
 
-_watches: dict[Path, Watch] = {}
-_Refusal = JobError | OSError | ValueError
-_refusals: dict[Path, _Refusal] = {}
+_refusals: dict[Path, PlgsError | OSError | ValueError] = {}
+_recent: tuple[RecentLift, ...] = ()
 
 
-def watch_of(folder: Path) -> Watch | None:
-    """The watch over the lift in this folder (absolute), None when it is not followed."""
-    return _watches.get(folder)
+def lift_of(folder: Path) -> Lift | None:
+    """The lift in this folder (absolute), None when it is not followed."""
+    task = registry.task_of((Lift.kind, folder))
+    return task if isinstance(task, Lift) else None
 
 
-def refusal_of(folder: Path) -> _Refusal | None:
+def refusal_of(folder: Path) -> PlgsError | OSError | ValueError | None:
     """Why the lift in this folder could not be looked at, None when it could."""
     return _refusals.get(folder)
 
 
-def running() -> list[Watch]:
+def forget_refusals() -> None:
+    _refusals.clear()
+
+
+def running() -> list[Lift]:
     """All followed lifts that go on."""
-    return [watch for watch in _watches.values() if watch.is_running]
+    return registry.running(Lift)
 
 
-def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running: bool = False) -> Watch:
-    """Start an engine on a lift folder and follow it.
+def refresh_recent() -> None:
+    """Look at the user's list of lifts: takes some milliseconds."""
+    global _recent
+    _recent = tuple(recent_lifts(most=_SHOWN_RECENT))
 
-    With ``keep_running`` it outlives this Blender. Raises JobError when an engine is at work there already, or when
-    it does not start.
+
+def recent() -> tuple[RecentLift, ...]:
+    """The recent lifts as they were at the last `refresh_recent`, the newest first. Looks at no disk."""
+    return _recent
+
+
+def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running: bool = False) -> Lift:
+    """Start an engine on a lift folder and follow it. With ``keep_running`` it outlives this Blender.
+
+    Raises PlgsError when an engine is at work there already or does not start, OSError.
     """
     _refuse_running(lift)
     command = engine_command(python, lift.path, resume=resume)
-    follower = LiftFollower.start(lift, resume=resume, command=command, stays_with_parent=not keep_running)
-    return _follow(Watch(follower))
+    started = TaskFollower.start(command, lift.place, kind=LIFT, lift=lift, stays_with_parent=not keep_running)
+    return _follow(Lift(started))
 
 
 def bake(
@@ -124,89 +155,65 @@ def bake(
     *,
     cameras: Path | None = None,
     keep_running: bool = False,
-) -> Watch:
+) -> Lift:
     """Let an engine bake more passes of a finished lift: of frames ("test", "all", or names), or of the ``cameras`` of
-    a file. Another process may bake the same lift at the same time. Raises JobError.
+    a file. Another process may bake the same lift at the same time. Raises PlgsError, OSError.
     """
-    known = _watches.get(lift.path)
-    if known is not None and known.is_running and known.follower.is_of_our_own:
-        raise JobError("this Blender bakes or lifts here already", lift.path, "Wait for it, or cancel it first.")
+    known = lift_of(lift.path)
+    if known is not None and known.is_running and known.follower.is_own:
+        fix = "Wait for it, or cancel it first."
+        raise PlgsError("this Blender bakes or lifts here already", lift.path, fix, code=ErrorCode.BUSY)
     if not lift.manifest_path.is_file():
         _refuse_running(lift)
-    stays = not keep_running
-    return _follow(Watch(LiftFollower.start_bake(lift, python, frames, cameras=cameras, stays_with_parent=stays)))
+    return _follow(Lift(start_bake(lift, python, frames, cameras=cameras, stays_with_parent=not keep_running)))
 
 
-def attach(folder: Path) -> Watch:
-    """Follow a lift that somebody else started, or look at one that has ended. Raises JobError when it is no lift."""
-    known = _watches.get(folder)
+def attach(folder: Path) -> Lift:
+    """Follow a lift that somebody else started, or look at one that has ended. Raises PlgsError when it is no lift."""
+    known = lift_of(folder)
     if known is not None and known.is_running:
         return known
     lift = LiftFolder.open(folder)
-    watch = Watch(LiftFollower(lift), state=lift.state())
-    if watch.state is LiftState.NOT_STARTED:
-        watch.follower.outcome = Outcome(ExitCode.CANCELLED)
-    watch.poll()
-    return _follow(watch)
+    state = lift.state()
+    task = Lift(TaskFollower.attach(lift.place, lift=lift), state)
+    if state is not LiftState.RUNNING:  # nobody asked for its result yet
+        task.is_taken = True
+        if state is LiftState.NOT_STARTED:
+            task.follower.state = TaskState.CANCELLED
+        else:
+            task.follower.poll()
+    return _follow(task)
 
 
-def look_at(folder: Path) -> Watch | None:
+def look_at(folder: Path) -> Lift | None:
     """Follow the lift in a folder if there is one; `refusal_of` keeps what is wrong with it. Never raises."""
-    known = _watches.get(folder)
+    known = lift_of(folder)
     if known is not None:
         return known
     _refusals.pop(folder, None)
     try:
         return attach(folder) if folder.exists() else None
-    except (JobError, OSError, ValueError) as error:  # ValueError: no path of this system can be so
+    except (PlgsError, OSError, ValueError) as error:  # ValueError: this system has no such path
         _refusals[folder] = error
         return None
 
 
-def poll_all() -> list[Watch]:
-    """Poll every running lift once; those with news."""
-    return [watch for watch in running() if watch.poll()]
-
-
-def wait_for(watch: Watch) -> Outcome:
-    """Block until a lift has ended: for scripts and Blender without a window."""
-    while watch.outcome is None:
-        watch.poll()
-        time.sleep(_POLL_S)
-    return watch.outcome
-
-
-def let_go() -> None:
-    """Forget all lifts. Engines of our own stop, unless they were asked to go on; they can be resumed."""
-    for watch in _watches.values():
-        watch.follower.close()
-    _watches.clear()
-    _refusals.clear()
-
-
-def message_for(watch: Watch) -> str:
-    """One line for people about how a lift, or the baking of its passes, ended."""
-    outcome = watch.outcome
-    if outcome is None:
-        return watch.status.label
-    if outcome.error is not None:
-        return in_panel_words(outcome.error)
-    if watch.is_baking:
-        return "The passes are baked" if outcome.code is ExitCode.FINISHED else "Baking was cancelled"
-    if watch.is_finished:
-        return "The lift is finished"
-    return "The lift was not started" if watch.state is LiftState.NOT_STARTED else "The lift was cancelled"
+def show_lift(scene: Any, lift: LiftFolder) -> Any:
+    """Put a finished lift into the scene, let the panel say what it was asked for, and return its collection. Views
+    with Blender's initial shading show its colours. Raises PlgsError.
+    """
+    root = place_lift(lift.path, scene)
+    adopt(scene.plgs, lift.request, lift.path)
+    show_lift_colours_in(scene)
+    return root
 
 
 def _refuse_running(lift: LiftFolder) -> None:
     if lift.is_running:
-        raise JobError("another engine is at work here", lift.path, "Watch it, or cancel it first.")
+        fix = "Watch it, or cancel it first."
+        raise PlgsError("another engine is at work here", lift.path, fix, code=ErrorCode.BUSY)
 
 
-def _follow(watch: Watch) -> Watch:
-    before = _watches.get(watch.folder.path)
-    if before is not None:
-        before.follower.close()
-    _watches[watch.folder.path] = watch
-    _refusals.pop(watch.folder.path, None)
-    return watch
+def _follow(task: Lift) -> Lift:
+    _refusals.pop(task.folder.path, None)
+    return timer.begin(task)

@@ -1,4 +1,4 @@
-"""What the engine sees in the unfinished model, from the scene's active camera, whoever made it.
+"""The live preview: what the scene's active camera sees of the unfinished model.
 
 The engine renders the view that `preview.json` in the lift folder asks for. The picture it leaves is drawn over the
 camera's frame in the 3D views: no camera is touched, and nothing stays in the file.
@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.job import LiftFolder
-from ...engine.job.preview_request import PreviewCamera, write_preview_request
+from ...engine.job.cameras import PreviewCamera, write_preview_request
 from ...engine.scene import size_within
 from ..frames import camera_seen
 from ..owned import tag
 from ..paths import absolute
 
 _LARGEST = (1024, 1024)
-"""Pixels: the engine draws no larger ones, and takes requests up to a limit only."""
+"""Width and height in pixels of the largest live preview that is asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Preview:
 
 
 _asked: dict[Path, PreviewCamera] = {}
-"""The camera last asked for, by lift folder: so a file is written only when the camera changes."""
+"""The camera that was asked for last, by lift folder: a file is written only when the camera changes."""
 _shown: dict[Path, Preview] = {}
 """The newest picture, by lift folder."""
 
@@ -47,7 +47,7 @@ def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
     _asked[lift.path] = wanted
     try:
         write_preview_request(lift.preview_request_path, wanted)
-    except OSError:  # somebody else's lift, that we may only read: what its owner looks at can be seen here too
+    except OSError:  # a lift that we may only read: its owner's preview is shown here too
         return
 
 
@@ -78,14 +78,14 @@ def picture_for(scene: bpy.types.Scene) -> NDArray[np.float32] | None:
 
 
 def forget(lift: Path | None = None) -> None:
-    """Show no more of the lift in this folder, or of any."""
+    """Forget the previews of the lift in this folder, or of all lifts."""
     for kept in (_asked, _shown):
         for each in [lift] if lift is not None else list(kept):
             kept.pop(each, None)
 
 
 def _view_of(scene: bpy.types.Scene) -> PreviewCamera | None:
-    """What the scene's camera sees, in plain numbers."""
+    """The view of the scene's camera, None when it has none that can be drawn."""
     camera = camera_seen(scene)
     if camera is None:
         return None
@@ -110,7 +110,7 @@ def _pixels_of(picture: Path) -> NDArray[np.float32] | None:
         return None
     try:
         tag(image, str(picture), "live preview")
-        image.colorspace_settings.is_data = True  # it is drawn as it is: the view's colour management comes before
+        image.colorspace_settings.is_data = True  # its colours are drawn unchanged
         width, height = image.size
         pixels = np.empty((height, width, 4), np.float32)
         image.pixels.foreach_get(pixels.ravel())

@@ -12,6 +12,7 @@ import pytest
 from engine import __version__
 from engine.command_line.handshake import answer
 from engine.job.handshake import TOO_OLD, EngineAnswer
+from engine.json_file import to_line
 
 NO_SITE = [sys.executable, "-S", "-m", "engine", "handshake"]
 """The same Python without its packages."""
@@ -64,9 +65,10 @@ def test_the_cuda_build_and_other_versions_are_told(tmp_path: Path, monkeypatch:
 
 def test_an_answer_comes_back_as_it_went() -> None:
     sent = answer()
-    assert EngineAnswer.from_line(sent.to_line().decode()) == sent
-    for line in ("", "[]", "{}", "null", "hello", sent.to_line().decode().replace('"format": 1', '"format": 2')):
-        assert EngineAnswer.from_line(line) is None
+    data = json.loads(to_line(sent.to_json()))
+    assert EngineAnswer.from_json(data) == sent
+    for other in ({}, {**data, "format": 2}, {**data, "cpus": "many"}):
+        assert EngineAnswer.from_json(other) is None
 
 
 def test_a_python_that_is_too_old_is_told_as_the_extension_knows_it(root: Path) -> None:

@@ -15,33 +15,21 @@ import pytest
 
 from engine.command_line.main import main
 from engine.job import write_atomically, write_manifest
+from tests.commands import exit_code, refuse_heavy_help
 from tests.job.lift_folders import new_lift
 from tests.tiny_scene import write_tiny_scene
 
 
 def code_of(*arguments: str | Path) -> int:
-    try:
-        return int(main([str(argument) for argument in arguments]))
-    except SystemExit as error:
-        assert isinstance(error.code, int)
-        return error.code
+    return exit_code(main, *arguments)
 
 
-COMMANDS = ("lift", "evaluate", "inspect", "frames", "experiments", "presets", "warm-up", "bench")
+COMMANDS = ("lift", "evaluate", "inspect", "frames", "presets", "warm-up")
 
 
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
 def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
-    code = (
-        "import sys\n"
-        "from engine.command_line.main import main\n"
-        "try: main(sys.argv[1:])\n"
-        "finally: print('HEAVY', {'torch', 'numpy', 'cv2', 'numba'} & set(sys.modules))"
-    )
-    said = subprocess.run(
-        [sys.executable, "-c", code, *command, "--help"], cwd=root, capture_output=True, text=True, timeout=120
-    )
-    assert said.returncode == 0 and "HEAVY set()" in said.stdout and "usage:" in said.stdout
+    refuse_heavy_help(root, "engine.command_line.main", command)
 
 
 def test_runs_as_a_module(root: Path) -> None:
@@ -65,21 +53,18 @@ def test_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
     for arguments in ([], ["dance"], ["lift"], ["lift", tmp_path, "--size", "big"], ["inspect", tmp_path, "--up", "x"]):
         assert code_of(*arguments) == 2
         assert "usage:" in capsys.readouterr().err
-    assert code_of("experiments", "--seeds", "0,one") == 2
-    assert "'0,one' are no whole numbers with commas between, such as 0,1,2" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["-5", "0", "5-2", "1e3", "many", "9" * 5000])
 def test_what_is_no_number_of_frames_is_told_in_a_line(
     text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    for command in (["lift", tmp_path, "-o", tmp_path / "out"], ["bench", "long"]):
-        assert code_of(*command, "--frames", text) == 2
-        *_, told = capsys.readouterr().err.strip().splitlines()
-        assert "argument --frames" in told and "number" in told
+    assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", text) == 2
+    *_, told = capsys.readouterr().err.strip().splitlines()
+    assert "argument --frames" in told and "number" in told
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", "9999999") == 2
     said = capsys.readouterr().err
-    assert said.startswith("error: is no number of frames") and said.count("\n") == 1
+    assert said.startswith("error: is no value of this option: frames = 9999999") and said.count("\n") == 1
 
 
 def test_masks_of_a_scene_without_masks_are_not_made(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -136,23 +121,26 @@ def test_a_bad_scene_leaves_no_folder(
 
 
 INTERRUPTED = (
-    ("lift_in_terminal", "lift", ["lift", "SCENE", "-o", "OUT"], "Give the same command with --resume to go on: OUT"),
-    ("run_experiment", "experiments", ["experiments", "SCENE"], "The same command goes on."),
-    ("open_asked", "inspect_scene", ["inspect", "SCENE"], ""),
+    (
+        "job.session.lift_in_terminal",
+        ["lift", "SCENE", "-o", "OUT"],
+        "Give the same command with --resume to go on: OUT",
+    ),
+    ("command_line.inspect_scene.open_asked", ["inspect", "SCENE"], ""),
 )
 
 
-@pytest.mark.parametrize(("what", "module", "arguments", "told"), INTERRUPTED)
+@pytest.mark.parametrize(("what", "arguments", "told"), INTERRUPTED)
 def test_the_last_words_of_ctrl_c(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-    what: str, module: str, arguments: list[str], told: str,
+    what: str, arguments: list[str], told: str,
 ) -> None:  # fmt: skip
     def stopped(*_: object) -> None:
         signal.raise_signal(signal.SIGINT)
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where pytest runs in the background
     try:
-        monkeypatch.setattr(f"engine.command_line.{module}.{what}", stopped)
+        monkeypatch.setattr(f"engine.{what}", stopped)
         assert code_of(*arguments) == 130
     finally:
         signal.signal(signal.SIGINT, before)
@@ -189,7 +177,7 @@ def test_inspect_predicts_what_a_lift_would_take(capsys: pytest.CaptureFixture[s
 
 
 METRICS = """{"format": 1, "test_frames": ["0000"], "tables": [
- {"name": "machine masks", "mode": "strict", "miou": 0.5, "pq": 0.25, "sq": 0.75, "rq": 0.3, "psnr": null, "ssim": null,
+ {"name": "input masks", "mode": "strict", "miou": 0.5, "pq": 0.25, "sq": 0.75, "rq": 0.3, "psnr": null, "ssim": null,
   "per_class": []},
  {"name": "lifted", "mode": "strict", "miou": 0.625, "pq": 0.5, "sq": 0.8, "rq": 0.6, "psnr": 21.5, "ssim": 0.75,
   "pq_frame": 0.7, "id_changes": 0.25,
@@ -203,11 +191,11 @@ def test_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     write_manifest(lift.result_path, versions={}, seed=0, settings={}, timings={})
     assert code_of("evaluate", lift.path, "--classes") == 0
     assert capsys.readouterr().out.splitlines() == [
-        "               mode    mIoU %  PQ %  SQ %  RQ %  frame PQ %  id changes  PSNR dB  fitted   SSIM  fitted"
+        "             mode    mIoU %  PQ %  SQ %  RQ %  frame PQ %  id changes  PSNR dB  fitted   SSIM  fitted"
         "  depth cm  in 5 cm %",
-        "machine masks  strict    50.0  25.0  75.0  30.0           -           -        -       -      -       -"
+        "input masks  strict    50.0  25.0  75.0  30.0           -           -        -       -      -       -"
         "         -          -",
-        "lifted         strict    62.5  50.0  80.0  60.0        70.0        0.25    21.50   23.25  0.750   0.800"
+        "lifted       strict    62.5  50.0  80.0  60.0        70.0        0.25    21.50   23.25  0.750   0.800"
         "       2.3       87.5",
         "",
         "lifted, strict  IoU %   PQ %   SQ %   RQ %  TP  FP  FN",
@@ -250,40 +238,10 @@ def test_a_camera_of_a_blend_is_no_file_of_cameras(capsys: pytest.CaptureFixture
     assert "no such file of cameras: dolly" in said and "run_plgs.py --bake camera" in said and said.count("\n") == 1
 
 
-def test_bench_measures_the_rasteriser(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    asked: list[Path | None] = []
-    monkeypatch.setattr("engine.raster.bench.bench_raster", asked.append)
-    assert main(["bench", "raster", "--json", str(tmp_path / "figures.json")]) == 0
-    assert asked == [tmp_path / "figures.json"]
-
-
-def test_bench_measures_a_training_step(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    asked: list[Path | None] = []
-    monkeypatch.setattr("engine.lift.bench.bench_step", asked.append)
-    assert main(["bench", "step"]) == 0
-    assert main(["bench", "step", "--json", str(tmp_path / "figures.json")]) == 0
-    assert asked == [None, tmp_path / "figures.json"]
-
-
-@pytest.mark.parametrize("what", ["raster", "step"])
-def test_bench_refuses_a_file_that_it_cannot_write_before_it_measures(
-    what: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    measured: list[Path | None] = []
-    monkeypatch.setattr("engine.raster.bench.bench_raster", measured.append)
-    monkeypatch.setattr("engine.lift.bench.bench_step", measured.append)
-    for file in (tmp_path / "missing" / "figures.json", tmp_path):
-        assert code_of("bench", what, "--json", file) == 2
-        captured = capsys.readouterr()
-        assert captured.err.startswith("error: ") and captured.err.count("\n") == 1
-        assert str(tmp_path) in captured.err and not captured.out
-    assert measured == []
-
-
 def test_frames_of_a_scene_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=3)
     assert code_of("frames", room, "-o", tmp_path / "out", "--make", "depth", "--frames", "0001") == 0
-    assert "frames 1/1" in capsys.readouterr().out and (tmp_path / "out" / "depth" / "0001.png").is_file()
+    assert "Making frames  1/1" in capsys.readouterr().err and (tmp_path / "out" / "depth" / "0001.png").is_file()
     assert not (tmp_path / "out" / "depth" / "0000.png").exists() and not (tmp_path / "out" / "cloud.npz").exists()
     assert code_of("frames", room, "-o", room) == 2
     assert "holds something else" in capsys.readouterr().err
@@ -292,7 +250,7 @@ def test_frames_of_a_scene_are_written(tmp_path: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().err.startswith("error: ")
 
 
-@pytest.mark.parametrize("command", [["frames"], ["inspect"], ["export", "--to", "mesh"]])
+@pytest.mark.parametrize("command", [["frames"], ["inspect"]])
 def test_what_a_parent_asked_for_ends_with_it(root: Path, tmp_path: Path, command: list[str]) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=30)
     asked = [sys.executable, "-m", "engine", *command, room, "-o", tmp_path / "out", "--stay-with-parent"]

@@ -11,18 +11,8 @@ import pytest
 
 from engine.command_line import log_output
 from engine.command_line.run_engine import run_engine
-from engine.job import (
-    EventWriter,
-    ExitCode,
-    JobError,
-    LiftFolder,
-    LiftState,
-    StopSignal,
-    add_files,
-    last_run,
-    write_atomically,
-)
-from engine.scene import SceneError
+from engine.errors import PlgsError
+from engine.job import EventWriter, ExitCode, LiftFolder, LiftState, StopSignal, add_files, last_run, write_atomically
 from tests.job.lift_folders import new_lift, tiny_lift
 
 
@@ -57,8 +47,8 @@ def test_a_lift_that_works(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (SceneError("is 8-bit", "/a/depth.png", "Write 16 bits."), 2, "is 8-bit: /a/depth.png. Write 16 bits."),
-        (JobError("is damaged", "/a", "Delete it."), 2, "is damaged: /a. Delete it."),
+        (PlgsError("is 8-bit", "/a/depth.png", "Write 16 bits."), 2, "is 8-bit: /a/depth.png. Write 16 bits."),
+        (PlgsError("is damaged", "/a", "Delete it."), 2, "is damaged: /a. Delete it."),
         (MemoryError(), 1, "memory ran out"),
         (ValueError("first line\nsecond"), 1, "ValueError: first line)"),
         (ModuleNotFoundError("No module named 'torch'"), 1, "make set-up"),
@@ -93,7 +83,7 @@ def test_a_lift_without_a_manifest_is_no_success(tmp_path: Path) -> None:
 
 def test_cancelled_before_it_began(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
-    folder.ask_to_cancel()
+    folder.place.ask_to_cancel()
     assert run_engine(folder, lift=tiny_lift) is ExitCode.CANCELLED
     assert folder.state() is LiftState.CANCELLED
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
@@ -105,7 +95,7 @@ def test_resume(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     before = folder.events_path.read_bytes()
     assert run_engine(folder, resume=True, lift=raising(ValueError())) is ExitCode.FINISHED  # type: ignore[arg-type]
     assert "finished already" in capfd.readouterr().out
-    with pytest.raises(JobError, match="finished"):
+    with pytest.raises(PlgsError, match="finished"):
         run_engine(folder, lift=tiny_lift)
     assert folder.events_path.read_bytes() == before
 

@@ -68,7 +68,7 @@ def rename(folder: Path, order: list[int]) -> None:
 
 
 def repeat(folder: Path, name: str, instead_of: str, kinds: tuple[str, ...] = ("color", "depth", "pose")) -> None:
-    """Let one frame be another one once more."""
+    """Replace one frame by a copy of another one."""
     for kind in kinds:
         (source,) = (folder / kind).glob(f"{name}.*")
         shutil.copyfile(source, folder / kind / f"{instead_of}{source.suffix}")

@@ -10,9 +10,10 @@ import pytest
 
 from engine.command_line.main import main
 from engine.diagnosis import diagnose, write_mended
-from engine.diagnosis.finding import Diagnosis, Mending
+from engine.diagnosis.findings import Diagnosis, Mending
 from engine.diagnosis.reprojection import Assumption
-from engine.scene import Scene, SceneError, open_scene
+from engine.errors import PlgsError
+from engine.scene import Scene, open_scene
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -62,14 +63,14 @@ def test_segments_that_may_be_several_objects_stay_so(tmp_path: Path) -> None:
 
 def test_a_folder_that_exists_is_refused(scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    with pytest.raises(SceneError, match="exists"):
+    with pytest.raises(PlgsError, match="exists"):
         write_mended(scene, treated(scene, Mending(Assumption(unit=2.0))), tmp_path / "out")
     assert main(["inspect", str(scene.folder), "--fix", str(tmp_path / "out")]) == 2
 
 
 def test_a_failure_leaves_no_folder(scene: Scene, tmp_path: Path) -> None:
     scene.frames[4].colour_path.unlink()
-    with pytest.raises(SceneError):
+    with pytest.raises(PlgsError):
         write_mended(scene, treated(scene, Mending(Assumption(unit=2.0))), tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]
 

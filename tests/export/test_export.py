@@ -14,11 +14,11 @@ import torch
 
 from engine.command_line.main import main
 from engine.command_line.parser import EXPORTS
-from engine.export import KINDS
+from engine.export.run import KINDS
 from engine.export.source import FinishedLift
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.lift import run_lift
-from engine.train.presets import PRESETS
+from engine.presets.preset import PRESETS
 from tests.conftest import HAS_BLENDER
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY
@@ -149,7 +149,7 @@ def test_meshes(lift: LiftFolder, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.asarray(surface.vertices), xyz)
     assert len(surface.triangles) > 1000 and set(np.unique(labels)) <= {0, 1, 2, 3, 5, 13}
     if HAS_BLENDER:
-        from plgs.plgs_blender.mesh_table import read_surface
+        from plgs.engine.scene.labelled_surface import read_surface
 
         shown = read_surface(tmp_path / "mesh.ply")
         np.testing.assert_array_equal(shown.xyz, xyz)

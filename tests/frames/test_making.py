@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from engine.errors import PlgsError
 from engine.frames import make_frames
 from engine.frames.cloud import CloudBuilder
-from engine.job import JobError
 from engine.job.made_frames import MadeFrames
-from engine.job.scene_source import SceneSource
-from engine.scene import Camera, SceneError, open_scene
+from engine.scene import Camera, open_scene
+from engine.scene_source import SceneSource
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_nerfstudio import write_scene
 from tests.scene.formats.test_sens import COLOUR, sens
@@ -90,17 +90,17 @@ def test_a_second_run_goes_on(archive: Path, tmp_path: Path) -> None:
 
 def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path: Path) -> None:
     scene, out = open_scene(archive), tmp_path / "out"
-    with pytest.raises(JobError, match="no frame of the scene: 17"):
+    with pytest.raises(PlgsError, match="no frame of the scene: 17"):
         make_frames(scene, SceneSource(archive), out, names=["17"])
     make_frames(scene, SceneSource(archive), out, ["colour"], ["0"])
-    with pytest.raises(JobError, match="holds something else"):
+    with pytest.raises(PlgsError, match="holds something else"):
         make_frames(scene, SceneSource(archive, up="y"), out)
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "a.txt").write_text("mine")
-    with pytest.raises(JobError, match="holds something else"):
+    with pytest.raises(PlgsError, match="holds something else"):
         make_frames(scene, SceneSource(archive), tmp_path / "notes")
     (out / "frames.json").write_text(json.dumps({"format": 1, "source": {}}))
-    with pytest.raises(JobError, match="frames.json"):
+    with pytest.raises(PlgsError, match="frames.json"):
         make_frames(scene, SceneSource(archive), out)
 
 
@@ -111,7 +111,7 @@ def test_what_the_scene_has_nothing_of_is_refused(kinds: list[str], told: str, t
     room = write_tiny_scene(tmp_path / "room", frames=2)
     scene = open_scene(room)
     bare = replace(scene, frames=tuple(replace(frame, read_mask=None, read_depth=None) for frame in scene.frames))
-    with pytest.raises(JobError, match=told):
+    with pytest.raises(PlgsError, match=told):
         make_frames(bare, SceneSource(room), tmp_path / "out", kinds)
     assert not (tmp_path / "out").exists()
     made = make_frames(bare, SceneSource(room), tmp_path / "out", ["colour", *kinds])
@@ -120,7 +120,7 @@ def test_what_the_scene_has_nothing_of_is_refused(kinds: list[str], told: str, t
 
 def test_bad_depth_costs_the_cloud_alone(archive: Path, tmp_path: Path) -> None:
     archive.write_bytes(archive.read_bytes()[:-1000] + bytes(1000))
-    with pytest.raises(SceneError, match="depth"):
+    with pytest.raises(PlgsError, match="depth"):
         make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", ["colour", "cloud"])
     made = MadeFrames.read(tmp_path / "out")
     assert made.cloud is None and all(each.colour is not None for each in made.frames.values())

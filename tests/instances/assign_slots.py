@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-
-from engine.instances import best_slots
+from scipy.optimize import linear_sum_assignment
 
 
 def assign_slots(probabilities: NDArray[np.floating], instance_ids: NDArray[np.integer]) -> NDArray[np.int32]:
     """Target slot of each pixel, int32 [...], -1 where there is no supervision.
 
     ``probabilities`` float [..., S] are the rendered slot probabilities, ``instance_ids`` int [...] the
-    machine mask's instances (0 = none). Cost of (instance, slot) = -mean probability; solved by the Hungarian
+    input mask's instances (0 = none). Cost of (instance, slot) = -mean probability; solved by the Hungarian
     algorithm. Instances beyond the number of slots get -1.
     """
     if probabilities.shape[:-1] != instance_ids.shape:
@@ -26,5 +25,8 @@ def assign_slots(probabilities: NDArray[np.floating], instance_ids: NDArray[np.i
     shown = probabilities[inside].astype(np.float64)
     count = np.bincount(row, minlength=len(ids))
     mean = np.column_stack([np.bincount(row, column, len(ids)) / count for column in shown.T])
-    target[inside] = best_slots(mean)[row]
+    slot_of_row = np.full(len(mean), -1, np.int32)
+    rows, slots = linear_sum_assignment(-mean)
+    slot_of_row[rows] = slots
+    target[inside] = slot_of_row[row]
     return target

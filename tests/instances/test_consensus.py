@@ -9,10 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from engine.instances import ConsensusOptions, ObjectMasks, find_objects, object_instances, shown_classes
-from engine.instances.agreement import Agreement, MasksInSpace, view_points
-from engine.instances.consensus import agreements, join_agreeing, join_weight, with_masks_of
-from engine.instances.joining import join
+from engine.instances.agreement import Agreement, MasksInSpace, shown_classes, view_points
+from engine.instances.consensus import (
+    ConsensusOptions,
+    ObjectMasks,
+    agreements,
+    find_objects,
+    join,
+    join_agreeing,
+    join_weight,
+    with_masks_of,
+)
+from engine.instances.objects import object_instances
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
 

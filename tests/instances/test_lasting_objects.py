@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.instances import LastingObjects, lasting_objects, object_overlap
+from engine.instances.lasting_objects import LastingObjects, lasting_objects, object_overlap
 
 
 def block(corner: tuple[float, float, float], size: tuple[float, float, float], step: float) -> np.ndarray:

@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.instances import (
-    MatchingOptions,
-    OrientedBox,
-    SegmentOptions,
+from engine.instances.matching import (
+    Evidence,
+    class_by_views,
     limit_instances,
-    local_instances,
     match_views,
+    pair_cost,
+    update_instances,
 )
-from engine.instances.matching import Evidence, class_by_views, pair_cost, update_instances
+from engine.instances.oriented_box import OrientedBox
+from engine.instances.segments import SegmentOptions, local_instances
+from engine.presets.preset import Matching
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, THINGS, look, view_of
 
@@ -40,7 +42,7 @@ def only(view: View, keep: int) -> View:
 
 
 def test_two_chairs_12_cm_apart_stay_two() -> None:
-    found = match_views(orbit(CHAIRS), THINGS, SEGMENTS, MatchingOptions())
+    found = match_views(orbit(CHAIRS), THINGS, SEGMENTS, Matching())
     assert len(found) == 2 and [len(item.evidence) > 6 for item in found] == [True, True]
     for item, (low, high) in zip(sorted(found, key=lambda i: i.box.centre[0]), CHAIRS, strict=True):
         np.testing.assert_allclose(item.box.centre, np.add(low, high) / 2, atol=0.06)
@@ -48,7 +50,7 @@ def test_two_chairs_12_cm_apart_stay_two() -> None:
 
 def test_two_chairs_seen_one_a_view_stay_two() -> None:
     views = [only(view, 2 + i % 2) for i, view in enumerate(orbit(CHAIRS))]
-    assert len(match_views(views, THINGS, SEGMENTS, MatchingOptions())) == 2
+    assert len(match_views(views, THINGS, SEGMENTS, Matching())) == 2
 
 
 def test_one_chair_from_two_sides_becomes_one() -> None:
@@ -56,7 +58,7 @@ def test_one_chair_from_two_sides_becomes_one() -> None:
     first, second = (local_instances(view, THINGS, SEGMENTS)[0] for view in views)
     # The two visible halves overlap in a corner only: it is IoM that finds them.
     assert pair_cost(first.box, second.box) < -0.1
-    found = match_views(views, THINGS, SEGMENTS, MatchingOptions())
+    found = match_views(views, THINGS, SEGMENTS, Matching())
     assert len(found) == 1 and found[0].views == 2
     assert found[0].evidence[0].cost is None and found[0].evidence[1].cost is not None
 
@@ -70,7 +72,7 @@ def test_a_split_segment_leaves_no_duplicate() -> None:
         ids[rows[upper], columns[upper]] = 9
         mask = PanopticMask(ids, (*views[at].mask.segments, Segment(9, SOFA, True, 0.5)))
         views[at] = replace(views[at], mask=mask)
-    found = match_views(views, THINGS, SEGMENTS, MatchingOptions())
+    found = match_views(views, THINGS, SEGMENTS, Matching())
     assert len(found) == 1
     assert found[0].class_id == CHAIR and len(found[0].evidence) == 14 and found[0].views == 12
 
@@ -78,7 +80,7 @@ def test_a_split_segment_leaves_no_duplicate() -> None:
 @pytest.mark.parametrize(("erosion", "true_size"), [(2 / 160, True), (0.0, False)])
 def test_bleeding_masks_need_the_erosion(erosion: float, true_size: bool) -> None:
     options = replace(SEGMENTS, erosion_share=erosion)
-    found = match_views(orbit(CHAIRS, bleed=1), THINGS, options, MatchingOptions())
+    found = match_views(orbit(CHAIRS, bleed=1), THINGS, options, Matching())
     sizes = [item.box.size[0] for item in found]
     assert (len(found) == 2 and max(sizes) < 0.65) == true_size
 
@@ -99,25 +101,21 @@ def test_costs_of_all_forms(terms: str, same: float, half: float) -> None:
 def test_one_term_alone_decides_otherwise() -> None:
     """The two visible halves of a chair meet in a corner: IoM finds them, IoU alone does not."""
     views = [view_of("front", around(0), [LEFT]), view_of("side", around(80), [LEFT])]
-    options = {terms: MatchingOptions(tau_new=-0.4, cost=terms) for terms in ("IoU", "IoM")}
+    options = {terms: Matching(tau_new=-0.4, cost=terms) for terms in ("IoU", "IoM")}
     found = {terms: len(match_views(views, THINGS, SEGMENTS, chosen)) for terms, chosen in options.items()}
     assert found == {"IoU": 2, "IoM": 1}
-    with pytest.raises(ValueError, match="cost"):
-        MatchingOptions(cost="volume")
 
 
 def test_rules_differ_where_the_best_is_taken() -> None:
     view = view_of("a", around(0), [LEFT, ((0.5, 0.0, 0.0), (1.0, 0.5, 0.8))])
-    known = match_views([view], THINGS, SEGMENTS, MatchingOptions())
+    known = match_views([view], THINGS, SEGMENTS, Matching())
     half = local_instances(view, THINGS, SEGMENTS)[0]
     halves = [half, replace(half, segment=Segment(8, CHAIR, True))]
-    hybrid = update_instances(known, halves, 0.03, MatchingOptions(rule="hybrid"))
-    literal = update_instances(known, halves, 0.03, MatchingOptions(rule="literal"))
+    hybrid = update_instances(known, halves, 0.03, Matching(rule="hybrid"))
+    literal = update_instances(known, halves, 0.03, Matching(rule="literal"))
     # The text forces the second half onto the far chair, its Hungarian partner.
     assert [len(item.evidence) for item in hybrid] == [3, 1]
     assert [len(item.evidence) for item in literal] == [2, 2]
-    with pytest.raises(ValueError, match="rule"):
-        MatchingOptions(rule="greedy")
 
 
 def test_near_views_count_more_but_do_not_outvote() -> None:
@@ -135,7 +133,7 @@ def test_near_views_count_more_but_do_not_outvote() -> None:
 
 def test_beyond_the_cap_the_largest_stay_and_are_renumbered() -> None:
     view = view_of("a", around(0), [LEFT])
-    one = match_views([view], THINGS, SEGMENTS, MatchingOptions())[0]
+    one = match_views([view], THINGS, SEGMENTS, Matching())[0]
     items = [replace(one, id=i, evidence=(replace(one.evidence[0], pixels=p),)) for i, p in ((2, 50), (5, 10), (7, 90))]
     kept, of_point, dropped = limit_instances(items, np.array([0, 2, 5, 7], np.int32), 2)
     assert [(item.id, item.pixels) for item in kept] == [(1, 50), (2, 90)]

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances import UNKNOWN_LABEL, PanopticLabels, decide_labels
+from engine.instances.panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, FLOOR, SOFA, WALL
 
 LABELS = PanopticLabels(CLASS_IDS, (SOFA, CHAIR, SOFA))

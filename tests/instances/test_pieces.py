@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.instances import PieceRules, ViewPoints, regroup_pieces
-from engine.instances.pieces import connected_pieces
+from engine.instances.agreement import ViewPoints
+from engine.instances.pieces import PieceRules, connected_pieces, regroup_pieces
 from tests.instances.two_chairs import CHAIR, SOFA
 
 RULES = PieceRules(reach=0.15)

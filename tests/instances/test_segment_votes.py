@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances import (
-    UNKNOWN_LABEL,
-    PanopticLabels,
-    SegmentVoting,
+from engine.instances import segment_votes
+from engine.instances.panoptic_labels import UNKNOWN_LABEL, PanopticLabels
+from engine.instances.segment_votes import (
     VotedLabels,
     member_labels,
     segment_labels,
-    segment_votes,
     vote_panoptic_labels,
 )
 from engine.scene import PanopticMask, Segment, View
@@ -69,7 +68,7 @@ def test_every_segment_is_labelled_as_told(seed: int, agreement: float) -> None:
 LABELS = PanopticLabels(CLASS_IDS, (SOFA,))
 WALL_LABEL, CHAIR_LABEL, OBJECT = 0, 2, 4
 COLUMNS, ROWS = slice(12, 28), slice(8, 22)
-OPTIONS = SegmentVoting()
+ROUNDS = 2
 
 
 def drawn(name: str, columns: slice = COLUMNS, class_id: int = SOFA, rows: slice = ROWS) -> View:
@@ -77,7 +76,7 @@ def drawn(name: str, columns: slice = COLUMNS, class_id: int = SOFA, rows: slice
     return wall_view(name, 0.0, classes=square(class_id, WALL, columns, rows).astype(np.int32))
 
 
-def voted(views: list[View], members: set[str], options: SegmentVoting = OPTIONS) -> VotedLabels:
+def voted(views: list[View], members: set[str], rounds: int = ROUNDS) -> VotedLabels:
     """The thing's masks in the views ``members`` are the object's. Each point is the surface of one pixel."""
     width, height = SIZE
     rows = np.arange(width * height, dtype=np.int32).reshape(height, width)
@@ -85,7 +84,7 @@ def voted(views: list[View], members: set[str], options: SegmentVoting = OPTIONS
         (view.name, segment.id): 1 for view in views for segment in view.mask.segments
         if view.name in members and segment.is_thing
     }  # fmt: skip
-    return vote_panoptic_labels(views, [rows] * len(views), rows.size, LABELS, members_of, options)
+    return vote_panoptic_labels(views, [rows] * len(views), rows.size, LABELS, members_of, rounds)
 
 
 def wrong(found: np.ndarray) -> int:
@@ -110,7 +109,7 @@ def test_a_view_that_is_wrong_about_the_class_is_taught_by_the_others() -> None:
     assert [wrong(each) for each in found.maps] == [0, 0, 0]
     np.testing.assert_allclose(found.confidence, 1)
     # Without rounds the third view still says what its own mask does.
-    alone = voted(views, {"a", "b"}, replace(OPTIONS, rounds=0))
+    alone = voted(views, {"a", "b"}, 0)
     assert wrong(alone.label) == 0 and alone.confidence.reshape(SIZE[::-1])[ROWS, COLUMNS] == pytest.approx(2 / 3)
     assert wrong(alone.maps[0]) == 0 and (alone.maps[2][ROWS, COLUMNS] == CHAIR_LABEL).all()
 
@@ -124,11 +123,12 @@ def test_a_ragged_outline_is_outvoted() -> None:
     assert [wrong(each) for each in found.maps] == [0, 0, 4 * (ROWS.stop - ROWS.start)]
 
 
-def test_a_segment_over_two_things_votes_point_by_point() -> None:
+def test_a_segment_over_two_things_votes_point_by_point(monkeypatch: pytest.MonkeyPatch) -> None:
     """One view draws the thing and as much of the wall as one segment: it has no say, but does no harm."""
     both = drawn("c", columns=slice(COLUMNS.start, COLUMNS.stop + 14))
+    monkeypatch.setattr(segment_votes, "segment_labels", partial(segment_labels, agreement=0.6))
     views = [drawn("a"), drawn("b"), both]
-    found = voted(views, set("ab"), replace(OPTIONS, agreement=0.6))
+    found = voted(views, set("ab"))
     assert wrong(found.label) == 0 and [wrong(each) for each in found.maps] == [0, 0, 0]
 
 
@@ -148,7 +148,7 @@ def test_a_near_view_does_not_outvote_the_others_by_its_pixels() -> None:
         for name, class_id in (("near", CHAIR), *((f"far {i}", WALL) for i in range(5)))
     ]
     # 16 pixels have 4 votes, five single pixels 5.
-    found = vote_panoptic_labels(views, [near, *[far] * 5], 1, LABELS, {}, replace(OPTIONS, rounds=0))
+    found = vote_panoptic_labels(views, [near, *[far] * 5], 1, LABELS, {}, 0)
     assert found.label.tolist() == [WALL_LABEL] and found.confidence == pytest.approx(5 / 9)
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from engine.job import LiftFolder
-from engine.job.follower import LiftFollower
-from tests.job.following import FAKE, Start
+from engine.job.follower import TaskFollower
+from tests.job.following import Start, start_fake
 from tests.job.lift_folders import new_lift
 
 
@@ -23,9 +22,8 @@ def folder(tmp_path: Path) -> LiftFolder:
 def start(folder: LiftFolder) -> Iterator[Start]:
     followers = []
 
-    def start_one(behaviour: str, resume: bool = False) -> LiftFollower:
-        command = [sys.executable, FAKE, behaviour, folder.path, *(["--resume"] if resume else [])]
-        followers.append(LiftFollower.start(folder, resume=resume, command=command))
+    def start_one(behaviour: str, resume: bool = False) -> TaskFollower:
+        followers.append(start_fake(folder, behaviour, *(["--resume"] if resume else [])))
         return followers[-1]
 
     yield start_one

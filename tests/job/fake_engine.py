@@ -1,7 +1,6 @@
 """An engine process for tests: the real `run_engine` around a lift that only pretends. Run as a script:
 
-fake_engine.py BEHAVIOUR LIFT [--resume] [--go-on]: what `engine lift LIFT --stay-with-parent` would be, or, with
---go-on, without that.
+fake_engine.py BEHAVIOUR LIFT [--resume] [--stay-with-parent]: what `engine lift LIFT` would be.
 """
 
 from __future__ import annotations
@@ -15,7 +14,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from engine.command_line.run_engine import run_engine
-from engine.job import EventWriter, JobError, LiftFolder, StopSignal
+from engine.errors import PlgsError
+from engine.job import EventWriter, LiftFolder, StopSignal
 from tests.job.lift_folders import tiny_lift
 
 
@@ -29,7 +29,7 @@ class Pretence:
         print("python talks")
         os.write(1, b"native code talks\n")
         if self.behaviour == "bad input":
-            raise JobError("is too dark", folder.request.scene, "Switch the light on.")
+            raise PlgsError("is too dark", folder.request.scene, "Switch the light on.")
         events.stage("train", 1, 2, "Training")
         checkpoint = folder.checkpoints.latest() if resume else None
         step = 0 if checkpoint is None else int(str(checkpoint.state["step"]))
@@ -66,8 +66,9 @@ if __name__ == "__main__":
     behaviour, lift = sys.argv[1:3]
     folder = LiftFolder.open(Path(lift))
     try:
-        pipe = None if "--go-on" in sys.argv else 0
+        pipe = 0 if "--stay-with-parent" in sys.argv else None
         code = run_engine(folder, resume="--resume" in sys.argv, parent_pipe=pipe, lift=Pretence(behaviour))
-    except JobError as error:
-        sys.exit(f"error: {error}")
+    except PlgsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
     sys.exit(code)

@@ -26,7 +26,7 @@ def main(behaviour: str, arguments: list[str]) -> int:
     run_plgs.load_package()
     session = importlib.import_module("plgs.engine.job.session")
 
-    def fake_command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
+    def fake_command(python: Path, lift: Path, *, resume: bool, program: str) -> list[str | Path]:
         fake = Path(__file__).with_name("fake_engine.py")
         return [sys.executable, fake, behaviour, lift, *(["--resume"] if resume else [])]
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from engine.job import JobError, read_cameras
+from engine.errors import PlgsError
+from engine.job import read_cameras
 from engine.job.cameras import refuse_equal_names
 
 POSE = [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
@@ -35,7 +36,7 @@ def test_cameras_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ("[", "is not JSON"),
+        ("[", "JSON is cut off or broken"),
         ([], "no list of cameras"),
         ({"name": "a"}, "no list of cameras"),
         ([GOOD, 3], "camera 2: is no JSON object"),
@@ -58,11 +59,11 @@ def test_cameras_are_read(tmp_path: Path) -> None:
 )
 def test_refusals(tmp_path: Path, content: object, says: str) -> None:
     path = write(tmp_path / "cameras.json", content)
-    with pytest.raises(JobError, match="cameras.json") as error:
+    with pytest.raises(PlgsError, match="cameras.json") as error:
         read_cameras(path)
     assert says in str(error.value)
 
 
 def test_a_frames_name_is_taken() -> None:
-    with pytest.raises(JobError, match="a frame of the scene is named 'A'"):
+    with pytest.raises(PlgsError, match="a frame of the scene is named 'A'"):
         refuse_equal_names(["b", "A"], Path("cameras.json"), taken=["a"])

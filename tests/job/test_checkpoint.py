@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from engine.job import CheckpointStore, JobError
+from engine.errors import PlgsError
+from engine.job import CheckpointStore
 
 
 class Kill(BaseException):
@@ -161,6 +162,6 @@ def test_a_damaged_one_is_an_error_not_a_silent_new_start(tmp_path: Path, damage
             index.unlink()
         case "format":
             index.write_text(index.read_text().replace('"format": 1', '"format": 7'))
-    with pytest.raises(JobError):
+    with pytest.raises(PlgsError):
         store.latest()
     assert store.exists

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from engine.errors import PlgsError
 from engine.job import EventReader, EventWriter, last_run
 from engine.job.events import MOST_BYTES, TAIL_BYTES, last_events
 from tests.job.bytes_read import bytes_read
@@ -28,18 +29,19 @@ def test_writes_what_the_contract_says(tmp_path: Path) -> None:
     writer.preview(tmp_path / "result" / "previews" / "a.png")
     writer.artifact(Path("/elsewhere/b.exr"), "pass")
     writer.warning("dark")
-    writer.error("is bad", tmp_path, "Mend it.", 2)
+    writer.error(PlgsError("is bad", tmp_path, "Mend it."))
     writer.done("finished")
     written = lines(path)
     assert [entry.pop("seq") for entry in written] == list(range(1, 10))
     assert all(isinstance(entry.pop("time"), float) for entry in written)
-    assert set(written[0]) == {"event", "engine_version", "pid", "python", "threads", "resumed"}
+    assert set(written[0]) == {"event", "task", "engine_version", "pid", "python", "threads", "resumed"}
     assert written[1] == {"event": "stage", "name": "train", "index": 2, "count": 3, "label": "Training"}
     assert written[2] == {"event": "progress", "stage": "train", "step": 5, "steps": 10, "loss": None, "eta_s": 1.5}
     assert written[3] == {"event": "metric", "name": "lifted", "values": {"miou": 0.5, "psnr": None}}
     assert written[4] == {"event": "preview", "path": "result/previews/a.png"}
     assert written[5] == {"event": "artifact", "path": "/elsewhere/b.exr", "kind": "pass"}
-    assert written[7] == {"event": "error", "what": "is bad", "where": str(tmp_path), "fix": "Mend it.", "exit_code": 2}
+    error = {"what": "is bad", "where": str(tmp_path), "fix": "Mend it."}
+    assert written[7] == {"event": "error", **error, "code": "bad-input", "option": "", "exit_code": 2}
     assert written[8]["event"] == "done" and written[8]["state"] == "finished"
 
 
@@ -161,7 +163,7 @@ def test_the_end_of_a_run_is_read_from_the_end(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     assert last_events(path) == []
     writer = a_long_run(path)
-    writer.error("broke", "here", "Mend it.", 1)
+    writer.error(PlgsError("broke", "here", "Mend it."))
     assert last_events(path)[-1].kind == "error" and len(last_events(path)) < 200
     writer.hello(threads=1, resumed=True)
     writer.warning("again")
@@ -210,7 +212,7 @@ def test_a_full_disk_tears_no_line_that_the_next_would_be_lost_in(
     with pytest.raises(OSError):
         writer.warning("x" * 200)
     room[0] = 10_000
-    writer.error("the disk is full", "there", "Make room.", 1)
+    writer.error(PlgsError("the disk is full", "there", "Make room."))
     assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error")]
     # the half of a line cannot be taken back: the next begins anew
     monkeypatch.setattr(os, "ftruncate", into_what_is_left)
@@ -218,7 +220,7 @@ def test_a_full_disk_tears_no_line_that_the_next_would_be_lost_in(
     with pytest.raises(OSError):
         writer.warning("x" * 200)
     room[0] = 10_000
-    writer.error("the disk is full", "there", "Make room.", 1)
+    writer.error(PlgsError("the disk is full", "there", "Make room."))
     assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error"), (2, "error")]
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import EventWriter, JobError, LiftFolder, LiftRequest, LiftState, StopSignal
+from engine.errors import PlgsError
+from engine.job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal
 from tests.job.lift_folders import new_lift, tiny_lift
 
 
@@ -38,35 +39,35 @@ def test_takes_an_empty_folder_even_after_a_kill_in_create(tmp_path: Path) -> No
 def test_never_takes_over_a_folder(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     before = (folder.path / "request.json").read_bytes()
-    with pytest.raises(JobError, match="already holds a lift.*--resume"):
+    with pytest.raises(PlgsError, match="already holds a lift.*--resume"):
         LiftFolder.create(folder.path, LiftRequest(scene=tmp_path, seed=9))
     assert (folder.path / "request.json").read_bytes() == before
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
-    with pytest.raises(JobError, match=r"'cat\.jpg'"):
+    with pytest.raises(PlgsError, match=r"'cat\.jpg'"):
         new_lift(tmp_path, "photos")
     assert [path.name for path in (tmp_path / "photos").iterdir()] == ["cat.jpg"]
     (tmp_path / "file").write_bytes(b"")
     for name in ("file", "file/below"):
-        with pytest.raises(JobError):
+        with pytest.raises(PlgsError):
             new_lift(tmp_path, name)
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere")
 def test_says_when_it_may_not_write(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
-    with pytest.raises(JobError, match="cannot be written"):
+    with pytest.raises(PlgsError, match="cannot be written"):
         new_lift(tmp_path)
 
 
 def test_says_when_a_folder_cannot_be_made(tmp_path: Path) -> None:
-    with pytest.raises(JobError, match="cannot be written"):
+    with pytest.raises(PlgsError, match="cannot be written"):
         new_lift(tmp_path, "n" * 300)
 
 
 def test_refuses_what_is_no_lift(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "missing"):
-        with pytest.raises(JobError):
+        with pytest.raises(PlgsError):
             LiftFolder.open(path)
 
 
@@ -76,7 +77,7 @@ def test_the_state_is_what_happened(tmp_path: Path) -> None:
     assert folder.state() is LiftState.NOT_STARTED
     events.hello(threads=1, resumed=False)
     assert folder.state() is LiftState.INTERRUPTED
-    events.error("broke", "here", "Mend it.", 2)
+    events.error(PlgsError("broke", "here", "Mend it."))
     assert folder.state() is LiftState.FAILED and folder.last_exit_code() == 2
     events.hello(threads=1, resumed=True)
     assert folder.state() is LiftState.INTERRUPTED and folder.last_exit_code() is None
@@ -96,7 +97,7 @@ def test_a_glance_sees_the_same_without_looking_at_the_files(tmp_path: Path) -> 
     assert folder.state_at_a_glance() is LiftState.INTERRUPTED
     with folder.lock():
         assert folder.state_at_a_glance() is LiftState.RUNNING
-    events.error("broke", "here", "Mend it.", 2)
+    events.error(PlgsError("broke", "here", "Mend it."))
     assert folder.state_at_a_glance() is LiftState.FAILED
     events.done("cancelled")  # an engine that was asked to stop while it failed
     assert folder.state_at_a_glance() is folder.state() is LiftState.FAILED
@@ -117,7 +118,7 @@ def test_preparing_a_run_clears_what_must_not_outlive_the_last(tmp_path: Path) -
     folder = new_lift(tmp_path)
     run_tiny(folder)
     folder.checkpoints.save({"step": 1}, lambda path: (path / "m").write_bytes(b""))
-    folder.ask_to_cancel()
+    folder.place.ask_to_cancel()
     (folder.result_path / ".part-x.exr").write_bytes(b"")
     folder.prepare_run()
     assert not folder.cancel_path.exists() and not folder.manifest_path.exists()
@@ -150,7 +151,7 @@ def test_discards_only_what_came_to_nothing(tmp_path: Path) -> None:
     running = new_lift(tmp_path, "running")
     with running.lock():
         for folder in (done, begun, running):
-            with pytest.raises(JobError, match="holds work|is at work"):
+            with pytest.raises(PlgsError, match="holds work|is at work"):
                 folder.discard()
             assert (folder.path / "request.json").exists()
     kept = new_lift(tmp_path, "kept")
@@ -161,7 +162,7 @@ def test_discards_only_what_came_to_nothing(tmp_path: Path) -> None:
 
 def test_only_one_engine_at_a_time(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
-    with folder.lock(), pytest.raises(JobError, match="another engine"), folder.lock():
+    with folder.lock(), pytest.raises(PlgsError, match="another engine"), folder.lock():
         pass
     with folder.lock():
         pass
@@ -188,14 +189,14 @@ def test_the_lock_ends_with_its_process(tmp_path: Path, root: Path) -> None:
 def test_paths_that_no_folder_can_have(tmp_path: Path) -> None:
     request = LiftRequest(scene=tmp_path)
     for name in ("a" * 300, "a\0b"):
-        with pytest.raises(JobError):
+        with pytest.raises(PlgsError):
             LiftFolder.open(tmp_path / name)
-        with pytest.raises(JobError):
+        with pytest.raises(PlgsError):
             LiftFolder.create(tmp_path / name, request)
 
 
 def test_a_folder_in_place_of_the_events_is_told(tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     lift.events_path.mkdir()
-    with pytest.raises(JobError, match=r"cannot be opened.*events\.jsonl"):
+    with pytest.raises(PlgsError, match=r"cannot be opened.*events\.jsonl"):
         lift.state()

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import EventWriter, ExitCode, LiftFolder, LiftState
+from engine.job import EventWriter, LiftFolder, LiftState
 from engine.job.events import MOST_BYTES, TAIL_BYTES
-from engine.job.follower import LiftFollower
+from engine.job.follower import TaskFollower
 from engine.job.lock import FileLock
+from engine.job.task import TaskState
 from tests.job.bytes_read import bytes_read
-from tests.job.following import Start, code_of, follow
+from tests.job.following import Start, follow, watch
 from tests.job.lift_folders import new_lift
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
@@ -29,37 +30,36 @@ def test_a_poll_takes_little_however_much_was_told(folder: LiftFolder) -> None:
     with folder.events_path.open("a") as file:
         file.writelines(line % ("warning" if step % 25 == 0 else "progress", step) for step in range(60000))
     with folder.lock():
-        watcher = LiftFollower(folder)
-        while watcher.status.step < 59999:
-            before, step = bytes_read(), watcher.status.step
-            events_of_one_poll = watcher.poll()
+        watcher = watch(folder)
+        while watcher.progress.step < 59999:
+            before, step = bytes_read(), watcher.progress.step
+            assert watcher.poll()
             assert bytes_read() - before < 2 * MOST_BYTES
-            assert watcher.outcome is None and watcher.status.step > step
-            assert len(events_of_one_poll) < 0.1 * MOST_BYTES / len(line), "outdated progress is left out"
+            assert watcher.is_running and watcher.progress.step > step
         before = bytes_read()
         folder.state()
         assert bytes_read() - before < 3 * TAIL_BYTES
     watcher.poll()
-    assert watcher.outcome is not None and watcher.status.label == "Training"
+    assert not watcher.is_running and watcher.progress.label == "Training"
 
 
 @pytest.mark.parametrize(
-    ("state", "code"),
-    [("finished", ExitCode.FINISHED), ("cancelled", ExitCode.CANCELLED), (None, ExitCode.INTERNAL_ERROR)],
+    ("said", "state"),
+    [("finished", TaskState.FINISHED), ("cancelled", TaskState.CANCELLED), (None, TaskState.FAILED)],
 )
 def test_how_a_bake_ended_is_not_how_the_lift_is(
-    folder: LiftFolder, start: Start, state: str | None, code: ExitCode
+    folder: LiftFolder, start: Start, said: str | None, state: TaskState
 ) -> None:
     follow(start("short"))
     events = EventWriter(folder.events_path)
     events.hello(threads=1, resumed=False, task="bake")
     events.stage("bake", 1, 1, "Baking")
-    if state is not None:
-        events.done(state)
+    if said is not None:
+        events.done(said)
     events.close()
-    watcher = LiftFollower(folder)
+    watcher = watch(folder)
     follow(watcher)
-    assert watcher.status.task == "bake" and code_of(watcher) is code
+    assert watcher.kind == "bake" and watcher.state is state
     assert folder.state() is LiftState.FINISHED
 
 
@@ -67,9 +67,9 @@ def test_how_a_bake_ended_is_not_how_the_lift_is(
 def test_numbers_that_are_none_are_passed_over(folder: LiftFolder, number: str) -> None:
     line = f'{{"seq": 1, "time": 0, "event": "progress", "step": {number}, "steps": 9, "loss": 1, "eta_s": {number}}}'
     folder.events_path.write_text(line + "\n")
-    watcher = LiftFollower(folder)
+    watcher = watch(folder)
     watcher.poll()
-    status = watcher.status
+    status = watcher.progress
     assert (status.step, status.steps, status.loss, status.eta_s) == (0, 9, 1.0, None)
 
 
@@ -80,7 +80,7 @@ def test_a_disk_that_does_not_answer_for_a_moment_ends_no_lift(
     folder, now = new_lift(tmp_path), [0.0]
     writer = EventWriter(folder.events_path)
     writer.hello(threads=1, resumed=False)
-    watcher = LiftFollower(folder, clock=lambda: now[0])
+    watcher = TaskFollower(folder.place, lift=folder, clock=lambda: now[0])
 
     def no_answer(*_: object, **__: object) -> object:
         raise OSError(number, os.strerror(number))
@@ -92,11 +92,11 @@ def test_a_disk_that_does_not_answer_for_a_moment_ends_no_lift(
             with monkeypatch.context() as patch:
                 patch.setattr(f"{module}.open_plain", no_answer)
                 now[0] += 4.0
-                assert watcher.poll() == [] and watcher.outcome is None
+                assert not watcher.poll() and watcher.is_running
         now[0] += 100.0
-        assert [event.kind for event in watcher.poll()] == ["warning"] and watcher.outcome is None
+        assert watcher.poll() and watcher.progress.warnings == ["goes on"] and watcher.is_running
         monkeypatch.setattr("engine.job.events.open_plain", no_answer)
-        assert watcher.poll() == []
+        assert not watcher.poll()
         now[0] += 100.0
-        with pytest.raises(OSError):
-            watcher.poll()
+        assert watcher.poll() and watcher.state is TaskState.FAILED
+        assert "can no longer be followed" in str(watcher.error)

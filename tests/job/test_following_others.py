@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import ExitCode, LiftFolder, LiftState
-from engine.job.follower import LiftFollower
-from tests.job.following import FAKE, Start, code_of, follow, step_reached
+from engine.errors import ErrorCode
+from engine.job import LiftFolder, LiftState
+from engine.job.follower import TaskFollower
+from engine.job.task import TaskState
+from tests.job.following import FAKE, Start, follow, start_fake, step_reached, watch
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
@@ -20,34 +22,31 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_watching_somebody_elses_engine(folder: LiftFolder, start: Start) -> None:
     own = start("patient")
     follow(own, step_reached(own, 2))
-    watcher = LiftFollower(folder)
+    watcher = watch(folder)
     watcher.poll()
-    assert watcher.outcome is None and watcher.status.step >= 2
+    assert watcher.is_running and watcher.progress.step >= 2
     watcher.cancel()
     follow(watcher)
-    assert code_of(watcher) is ExitCode.CANCELLED
+    assert watcher.state is TaskState.CANCELLED
 
 
 def start_parent(root: Path, folder: LiftFolder, behaviour: str) -> subprocess.Popen[bytes]:
     """A process that starts an engine which goes on without it, and is then in the way of nobody."""
     code = (
         "import sys, time; from pathlib import Path; from engine.job import LiftFolder\n"
-        "from engine.job.follower import LiftFollower\n"
-        "folder = LiftFolder.open(Path(sys.argv[4]))\n"
-        "LiftFollower.start(folder, resume=False, command=sys.argv[1:], stays_with_parent=False); time.sleep(60)"
+        "from tests.job.following import start_fake\n"
+        "start_fake(LiftFolder.open(Path(sys.argv[2])), sys.argv[1], stays_with_parent=False); time.sleep(60)"
     )
-    return subprocess.Popen(
-        [sys.executable, "-c", code, sys.executable, FAKE, behaviour, folder.path, "--go-on"], cwd=root
-    )
+    return subprocess.Popen([sys.executable, "-c", code, behaviour, folder.path], cwd=root)
 
 
-def reattached(folder: LiftFolder) -> LiftFollower:
+def reattached(folder: LiftFolder) -> TaskFollower:
     """As a new Blender would, as soon as an engine is at work."""
     began = time.monotonic()
     while not folder.is_running:
         assert time.monotonic() - began < 20
         time.sleep(0.02)
-    return LiftFollower(folder)
+    return watch(folder)
 
 
 def test_an_engine_that_goes_on_without_its_parent(folder: LiftFolder, root: Path) -> None:
@@ -56,13 +55,13 @@ def test_an_engine_that_goes_on_without_its_parent(folder: LiftFolder, root: Pat
         follow(watcher, step_reached(watcher, 5))
         parent.send_signal(signal.SIGKILL)
         parent.wait()
-    step = watcher.status.step
-    later = LiftFollower(folder)  # a new Blender
+    step = watcher.progress.step
+    later = watch(folder)  # a new Blender
     follow(later, step_reached(later, step + 10))
-    assert later.outcome is None and folder.is_running
+    assert later.is_running and folder.is_running
     later.cancel()
     follow(later)
-    assert code_of(later) is ExitCode.CANCELLED and folder.state() is LiftState.CANCELLED
+    assert later.state is TaskState.CANCELLED and folder.state() is LiftState.CANCELLED
 
 
 @pytest.mark.parametrize("behaviour", ["patient", "deaf"])
@@ -71,13 +70,13 @@ def test_the_engine_ends_when_its_parent_is_killed(folder: LiftFolder, root: Pat
         "import sys, time; from pathlib import Path; from engine.job.process import EngineProcess\n"
         "process = EngineProcess(sys.argv[1:]); time.sleep(60)"
     )
-    command = [sys.executable, "-c", code, sys.executable, FAKE, behaviour, folder.path]
+    command = [sys.executable, "-c", code, sys.executable, FAKE, behaviour, folder.path, "--stay-with-parent"]
     with subprocess.Popen(command, cwd=root) as parent:
-        watcher = LiftFollower(folder)
+        watcher = watch(folder)
         began = time.monotonic()
-        while watcher.status.step < 5:
+        while watcher.progress.step < 5:
             assert time.monotonic() - began < 20
-            watcher.outcome = None  # until the engine holds its lock it looks as if nobody worked there
+            watcher.state = TaskState.RUNNING  # until the engine holds its lock it looks as if nobody worked there
             watcher.poll()
             time.sleep(0.02)
         assert folder.is_running
@@ -92,42 +91,41 @@ def test_a_crash_is_told_to_who_comes_later(folder: LiftFolder, start: Start, be
     failed = start("broken")
     follow(failed)
     follow(start(behaviour, resume=True))
-    watcher = LiftFollower(folder)
+    watcher = watch(folder)
     follow(watcher)
-    assert watcher.outcome is not None and watcher.outcome.code is ExitCode.INTERNAL_ERROR
-    assert "no such luck" not in str(watcher.outcome.error)  # that was the run before
-    assert any(told in line for line in watcher.outcome.log_lines)
+    assert watcher.error is not None and watcher.error.code is ErrorCode.INTERNAL
+    assert "no such luck" not in str(watcher.error)  # that was the run before
+    assert any(told in line for line in watcher.log_lines)
 
 
 def test_a_kill_is_told_to_who_comes_later(folder: LiftFolder, start: Start) -> None:
     own = start("patient")
     follow(own, step_reached(own, 3))
-    watcher = LiftFollower(folder)
+    watcher = watch(folder)
     watcher.poll()
     own.kill()
     follow(watcher)
-    assert watcher.outcome is not None and "killed, or out of memory" in str(watcher.outcome.error)
-    assert any("python talks" in line for line in watcher.outcome.log_lines)
+    assert "killed, or out of memory" in str(watcher.error)
+    assert any("python talks" in line for line in watcher.log_lines)
 
 
 def test_an_engine_of_ones_own_that_goes_on(folder: LiftFolder) -> None:
-    def start_one(behaviour: str, *more: str) -> LiftFollower:
-        command = [sys.executable, FAKE, behaviour, folder.path, "--go-on", *more]
-        return LiftFollower.start(folder, resume=bool(more), command=command, stays_with_parent=False)
+    def start_one(behaviour: str, *more: str) -> TaskFollower:
+        return start_fake(folder, behaviour, *more, stays_with_parent=False)
 
     first = start_one("patient")
     follow(first, step_reached(first, 3))
     first.close()
     second = start_one("short", "--resume")
     follow(second)
-    assert second.outcome is not None and "another engine is at work" in str(second.outcome.error)
-    watcher = LiftFollower(folder)
+    assert "another engine is at work" in str(second.error)
+    watcher = watch(folder)
     follow(watcher, step_reached(watcher, 6))
-    assert watcher.outcome is None
+    assert watcher.is_running
     watcher.cancel()
     follow(watcher)
     third = start_one("deaf", "--resume")
-    follow(third, step_reached(third, watcher.status.step + 1))
+    follow(third, step_reached(third, watcher.progress.step + 1))
     third.cancel()
     follow(third)
-    assert code_of(third) is ExitCode.CANCELLED and not folder.is_running
+    assert third.state is TaskState.CANCELLED and not folder.is_running

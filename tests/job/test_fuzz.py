@@ -13,13 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from engine.command_line.run_engine import run_engine
-from engine.job import EventWriter, JobError, LiftFolder, LiftRequest, read_cameras, verify
-from engine.job.follower import LiftFollower
-from engine.job.preview_request import read_preview_request
+from engine.errors import ErrorCode, PlgsError
+from engine.job import EventWriter, LiftFolder, LiftRequest, read_cameras, verify
+from engine.job.cameras import read_preview_request
 from engine.job.recent import recent_lifts, remember_lift
-from engine.job.report import class_tables, metrics_table
+from engine.job.report import metrics_text, read_metrics
 from engine.job.terminal import describe
 from tests.fuzzing import damaged, examples, with_odd_value
+from tests.job.following import watch
 from tests.job.lift_folders import tiny_lift
 
 CAMERA = {"name": "shot", "width": 64, "height": 48, "fx": 50, "fy": 50, "cx": 32, "cy": 24, "clip": [0.1, 100],
@@ -34,7 +35,8 @@ JSON_FILES = ["request.json", "result/manifest.json", "result/metrics.json", "ch
 @pytest.fixture(scope="module")
 def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished lift with one of each file, and the user's list beside."""
-    folder = LiftFolder.create(tmp_path_factory.mktemp("fuzz") / "lift", LiftRequest(scene=Path("/scene"), steps=7))
+    request = LiftRequest(scene=Path("/scene"), options={"steps": 7})
+    folder = LiftFolder.create(tmp_path_factory.mktemp("fuzz") / "lift", request)
     assert run_engine(folder, lift=tiny_lift) == 0
     folder.checkpoints.save({"step": 1}, lambda into: (into / "model").write_bytes(b"m"))
     (folder.result_path / "metrics.json").write_text(json.dumps(METRICS))
@@ -47,13 +49,13 @@ def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
     writer.progress("train", 1, 2, loss=0.5, eta_s=1.0)
     writer.metric("lifted", {"miou": 0.5})
     writer.preview(folder.live_preview_path, "camera")
-    writer.error("broke", "here", "Mend it.", 1)
+    writer.error(PlgsError("broke", "here", "Mend it.", code=ErrorCode.INTERNAL))
     writer.close()
     return folder.path
 
 
 def look_everywhere(path: Path) -> None:
-    """All that reads a lift folder: nothing but JobError with one line may come of it."""
+    """All that reads a lift folder: nothing but PlgsError with one line may come of it."""
 
     def state() -> None:
         folder = LiftFolder.open(path)
@@ -61,12 +63,11 @@ def look_everywhere(path: Path) -> None:
             refused_with_a_line(look)
         for look in (lambda: verify(folder.result_path), folder.checkpoints.latest):
             refused_with_a_line(look)
-        refused_with_a_line(lambda: metrics_table(folder).encode())
-        refused_with_a_line(lambda: class_tables(folder).encode())
-        follower = LiftFollower(folder)
-        while follower.outcome is None:
+        refused_with_a_line(lambda: metrics_text(read_metrics(folder), per_class=True).encode())
+        follower = watch(folder)
+        while follower.is_running:
             follower.poll()
-            describe(follower.status).encode(errors="replace")
+            describe(follower.progress).encode(errors="replace")
         EventWriter(folder.events_path).close()
 
     refused_with_a_line(state)
@@ -78,7 +79,7 @@ def look_everywhere(path: Path) -> None:
 def refused_with_a_line(look: Callable[[], object]) -> None:
     try:
         look()
-    except JobError as error:
+    except PlgsError as error:
         assert not {"\n", "\x1b"} & set(str(error)) and error.fix
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from engine.job.log_tail import MOST_BYTES, last_lines
+from engine.job.task import LOG_BYTES, last_lines
 from tests.job.bytes_read import bytes_read
 
 
@@ -24,5 +24,5 @@ def test_a_huge_log_is_not_read_whole(tmp_path: Path) -> None:
         file.write(b"\n" + b"x" * 5000 + b"\nthe end\n")
     before = bytes_read()
     *_, long, end = last_lines(log)
-    assert bytes_read() - before < 2 * MOST_BYTES
+    assert bytes_read() - before < 2 * LOG_BYTES
     assert long == "x" * 500 and end == "the end"

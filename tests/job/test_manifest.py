@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import JobError, check_sizes, read_manifest, verify, write_manifest
+from engine.errors import PlgsError
+from engine.job import check_sizes, read_manifest, verify, write_manifest
 
 
 @pytest.fixture
@@ -37,13 +38,13 @@ def test_writing_it_again_changes_nothing(result: Path) -> None:
 def test_sees_what_changed(result: Path) -> None:
     (result / "anchors.npz").write_bytes(b"ANCHORS")
     check_sizes(result)
-    with pytest.raises(JobError, match=r"was changed.*anchors\.npz"):
+    with pytest.raises(PlgsError, match=r"was changed.*anchors\.npz"):
         verify(result)
     (result / "anchors.npz").write_bytes(b"anch")
-    with pytest.raises(JobError, match="has 4 bytes, 7 were written"):
+    with pytest.raises(PlgsError, match="has 4 bytes, 7 were written"):
         check_sizes(result)
     (result / "anchors.npz").unlink()
-    with pytest.raises(JobError, match="is missing"):
+    with pytest.raises(PlgsError, match="is missing"):
         check_sizes(result)
 
 
@@ -60,18 +61,18 @@ def test_refuses_a_damaged_manifest(result: Path) -> None:
         {"timings": []},
     ):
         path.write_text(json.dumps(whole | change))
-        with pytest.raises(JobError, match=r"manifest\.json"):
+        with pytest.raises(PlgsError, match=r"manifest\.json"):
             read_manifest(result)
     for name in ("a\0b", "a\ud800b"):
         path.write_text(json.dumps(whole | {"files": [{"path": name, "bytes": 1, "sha256": ""}]}))
-        with pytest.raises(JobError, match=r"manifest\.json"):
+        with pytest.raises(PlgsError, match=r"manifest\.json"):
             check_sizes(result)
     path.write_text('{"format": ' + "[" * 100_000)
-    with pytest.raises(JobError, match=r"nested too deeply.*manifest\.json"):
+    with pytest.raises(PlgsError, match=r"nested too deeply.*manifest\.json"):
         read_manifest(result)
     path.write_text("{")
-    with pytest.raises(JobError, match=r"manifest\.json"):
+    with pytest.raises(PlgsError, match=r"manifest\.json"):
         read_manifest(result)
     path.unlink()
-    with pytest.raises(JobError, match="not finished"):
+    with pytest.raises(PlgsError, match="not finished"):
         read_manifest(result)

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from engine.command_line.run_engine import run_bake, run_engine
-from engine.job import EventReader, EventWriter, JobError, LiftFolder, LiftState, write_atomically
-from engine.job.follower import LiftFollower
+from engine.errors import PlgsError
+from engine.job import EventReader, EventWriter, LiftFolder, LiftState, write_atomically
 from engine.job.lock import FileLock
+from tests.job.following import watch
 from tests.job.lift_folders import new_lift, tiny_lift
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
@@ -48,12 +49,12 @@ def test_nothing_outside_is_touched(name: str, make: Callable[[Path, Path], None
         lambda: run_bake(folder, ["all"]),
         folder.discard,
     ):
-        with pytest.raises(JobError, match="which a lift never has") as refused:
+        with pytest.raises(PlgsError, match="which a lift never has") as refused:
             task()
         assert refused.value.where == str(path)
     assert [(each.name, each.read_text()) for each in outside.iterdir()] == [("precious", "content")]
     if "/" not in name and not name.startswith((".part", "bake-")):
-        with pytest.raises(JobError, match="which a lift never has"):
+        with pytest.raises(PlgsError, match="which a lift never has"):
             LiftFolder.open(folder.path)
 
 
@@ -103,10 +104,10 @@ def test_events_cannot_name_files_elsewhere(tmp_path: Path) -> None:
     for path in ("/etc/passwd", "../x.png", "\\\\host\\share\\x.png", "result/x.png"):
         writer._write("preview", path=path)
         writer._write("artifact", path=path, kind="pass")
-    follower = LiftFollower(folder)
+    follower = watch(folder)
     follower.poll()
     inside = folder.path / "result" / "x.png"
-    assert follower.status.previews == [inside] and follower.status.artifacts == [("pass", inside)]
+    assert follower.progress.previews == [inside] and follower.progress.artifacts == [("pass", inside)]
 
 
 @pytest.mark.parametrize("path", ["../x", "/etc/passwd", "\\\\host\\share\\x", "..\\x", "c:\\x"])
@@ -119,5 +120,5 @@ def test_manifests_and_checkpoints_cannot_either(path: str, tmp_path: Path) -> N
     folder.checkpoints.save({"step": 1}, lambda into: (into / "model").write_bytes(b"m"))
     state = folder.path / "checkpoint" / "state.json"
     state.write_text(state.read_text().replace('"model"', '"' + path.replace("\\", "\\\\") + '"'))
-    with pytest.raises(JobError, match="is damaged"):
+    with pytest.raises(PlgsError, match="is damaged"):
         folder.checkpoints.latest()

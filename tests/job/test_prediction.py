@@ -9,32 +9,32 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.effort import EFFORTS, chosen_effort
 from engine.job.prediction import learn_slowness, machine_slowness, predict, step_seconds
+from engine.presets.preset import PRESETS
 
 SAMPLE = {"train_frames": 63, "test_frames": 9, "frame_size": (320, 240)}
 
 
 def test_more_work_takes_longer_and_more_memory() -> None:
-    least = predict(**SAMPLE, effort=EFFORTS["preview"])  # type: ignore[arg-type]
+    least = predict(**SAMPLE, preset=PRESETS["preview"])  # type: ignore[arg-type]
     for name in ("standard", "paper"):
-        more = predict(**SAMPLE, effort=EFFORTS[name])  # type: ignore[arg-type]
+        more = predict(**SAMPLE, preset=PRESETS[name])  # type: ignore[arg-type]
         assert more.seconds > 2 * least.seconds and more.peak_bytes > least.peak_bytes
         least = more
-    standard = EFFORTS["standard"]
-    base = predict(**SAMPLE, effort=standard)  # type: ignore[arg-type]
-    for changed in (replace(standard, steps=3000), replace(standard, size_within=(640, 640))):
+    standard = PRESETS["standard"]
+    base = predict(**SAMPLE, preset=standard)  # type: ignore[arg-type]
+    for changed in (replace(standard, steps=3000), replace(standard, size=(640, 640))):
         assert predict(200, 20, (1280, 960), changed).seconds > base.seconds
-    assert predict(**SAMPLE, effort=standard, bake="all").stages["bake"] > base.stages["bake"]  # type: ignore[arg-type]
+    assert predict(**SAMPLE, preset=standard, bake="all").stages["bake"] > base.stages["bake"]  # type: ignore[arg-type]
     # Frames held out are rendered and scored even so.
-    assert 0 < predict(**SAMPLE, effort=standard, bake="none").stages["bake"] < base.stages["bake"]  # type: ignore[arg-type]
-    assert predict(**SAMPLE, effort=standard, slowness=2.0).seconds == pytest.approx(2 * base.seconds)  # type: ignore[arg-type]
+    assert 0 < predict(**SAMPLE, preset=standard, bake="none").stages["bake"] < base.stages["bake"]  # type: ignore[arg-type]
+    assert predict(**SAMPLE, preset=standard, slowness=2.0).seconds == pytest.approx(2 * base.seconds)  # type: ignore[arg-type]
     assert predict(1, 0, (64, 48), replace(standard, steps=1)).seconds > 0
 
 
 def test_many_views_take_the_steps_that_they_need() -> None:
-    effort = replace(EFFORTS["standard"], steps=1000, steps_a_view=10.0)
-    few, enough, many = (predict(views, 0, (320, 240), effort).stages["train"] for views in (50, 100, 300))
+    preset = replace(PRESETS["standard"], steps=1000, steps_a_view=10.0)
+    few, enough, many = (predict(views, 0, (320, 240), preset).stages["train"] for views in (50, 100, 300))
     assert few == pytest.approx(enough) and many == pytest.approx(3 * enough)
 
 
@@ -59,17 +59,6 @@ def test_a_broken_file_is_passed_over(tmp_path: Path, content: str) -> None:
     assert machine_slowness(tmp_path) == 1.0
     learn_slowness(0.8, 0.0768, 0.6, tmp_path)
     assert machine_slowness(tmp_path) != 1.0
-
-
-def test_chosen_steps_are_taken_however_many_views_there_are() -> None:
-    preset, chosen = chosen_effort("standard"), chosen_effort("standard", steps=7, size=(100, 50))
-    assert preset.steps_for(10_000) > preset.steps and chosen.steps_for(10_000) == 7
-    assert chosen == replace(preset, steps=7, steps_a_view=0.0, size_within=(100, 50))
-
-
-def test_many_views_need_more_steps() -> None:
-    effort = replace(EFFORTS["preview"], steps=100, steps_a_view=2.5)
-    assert [effort.steps_for(views) for views in (1, 40, 41, 1000)] == [100, 100, 102, 2500]
 
 
 def test_needs_neither_torch_nor_numpy(root: Path) -> None:
@@ -104,27 +93,27 @@ LIFTS = (
 def test_it_is_near_what_lifts_took(lift: Measured) -> None:
     """Within a factor of 1.5, once it is known how fast the machine was, which the training steps tell."""
     about = {"bake": "none", "masks_a_frame": lift.masks, "classes": 18}
-    usual = predict(*lift.frames, lift.size, EFFORTS["preview"], **about)  # type: ignore[arg-type]
+    usual = predict(*lift.frames, lift.size, PRESETS["preview"], **about)  # type: ignore[arg-type]
     slowness = lift.train / usual.stages["train"]
-    predicted = predict(*lift.frames, lift.size, EFFORTS["preview"], slowness=slowness, **about)  # type: ignore[arg-type]
+    predicted = predict(*lift.frames, lift.size, PRESETS["preview"], slowness=slowness, **about)  # type: ignore[arg-type]
     assert lift.seconds / 1.5 < predicted.seconds < 1.5 * lift.seconds
     assert lift.peak_mb is None or lift.peak_mb / 1.5 < predicted.peak_bytes / 1e6 < 1.5 * lift.peak_mb
 
 
 def test_more_masks_classes_and_votes_take_more() -> None:
-    effort = EFFORTS["preview"]
-    base = predict(300, 10, (1296, 968), effort)
-    assert predict(300, 10, (1296, 968), effort, masks_a_frame=80).seconds > base.seconds
-    assert predict(300, 10, (1296, 968), effort, classes=300).peak_bytes > base.peak_bytes
-    assert predict(300, 10, (1296, 968), replace(effort, vote_rounds=0)).stages["result"] < base.stages["result"]
+    preset = PRESETS["preview"]
+    base = predict(300, 10, (1296, 968), preset)
+    assert predict(300, 10, (1296, 968), preset, masks_a_frame=80).seconds > base.seconds
+    assert predict(300, 10, (1296, 968), preset, classes=300).peak_bytes > base.peak_bytes
+    assert predict(300, 10, (1296, 968), replace(preset, labels="decoders")).stages["result"] < base.stages["result"]
 
 
 def test_frames_that_are_not_chosen_cost_a_look_and_a_vote_at_most() -> None:
-    voting = replace(EFFORTS["preview"], most_frames=100)
-    effort = replace(voting, all_frames_vote=False)
+    voting = replace(PRESETS["preview"], frames=100)
+    preset = replace(voting, all_frames_vote=False)
     size = (640, 480)
-    few, many = predict(100, 10, size, effort), predict(5000, 10, size, effort)
-    all_ = predict(5000, 10, size, replace(effort, most_frames=0))
+    few, many = predict(100, 10, size, preset), predict(5000, 10, size, preset)
+    all_ = predict(5000, 10, size, replace(preset, frames=0))
     assert many.peak_bytes == few.peak_bytes < all_.peak_bytes
     assert few.seconds < many.seconds < 1.5 * few.seconds < all_.seconds
     with_votes = predict(5000, 10, size, voting)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import JobError
-from engine.job.preview_request import PreviewCamera, read_preview_request, write_preview_request
+from engine.errors import PlgsError
+from engine.job.cameras import PreviewCamera, read_preview_request, write_preview_request
 
 POSE = ((0.0, 0.0, 1.0, 4.0), (1.0, 0.0, 0.0, 5.0), (0.0, 1.0, 0.0, 6.0), (0.0, 0.0, 0.0, 1.0))
 LENS = ((300.0, 0.0, 160.0), (0.0, 310.0, 120.0), (0.0, 0.0, 1.0))
@@ -44,7 +44,7 @@ def test_what_is_no_camera_is_refused(tmp_path: Path, change: dict[str, object])
     path = tmp_path / "preview.json"
     whole = {"camera_to_world": POSE, "K": LENS, "width": 320, "height": 240}
     path.write_text(json.dumps(whole | change))
-    with pytest.raises(JobError):
+    with pytest.raises(PlgsError):
         read_preview_request(path)
 
 
@@ -52,5 +52,5 @@ def test_what_is_no_camera_is_refused(tmp_path: Path, change: dict[str, object])
 def test_a_broken_file_is_refused(tmp_path: Path, content: str) -> None:
     path = tmp_path / "preview.json"
     path.write_text(content)
-    with pytest.raises(JobError):
+    with pytest.raises(PlgsError):
         read_preview_request(path)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import JobError
+from engine.errors import PlgsError
 from engine.job.environment import (
     COMPLETE,
     environment_name,
@@ -57,7 +57,7 @@ def test_the_order_in_which_pythons_are_chosen(
     code: Path, environ: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(JobError, match="no Python for the engine"):
+    with pytest.raises(PlgsError, match="no Python for the engine"):
         choose_python(code, environ)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: name)
     found = [choose_python(code, environ)]
@@ -102,7 +102,7 @@ def test_a_chosen_python_is_refused_when_it_lacks_something(code: Path, tmp_path
     script = tmp_path / "python"
     script.write_text(f'#!/bin/sh\nexec {sys.executable} -I -S "$@"\n')  # without its packages
     script.chmod(0o755)
-    with pytest.raises(JobError, match="lacks torch") as refused:
+    with pytest.raises(PlgsError, match="lacks torch") as refused:
         engine_python(code, {}, script)
     assert "preferences" in refused.value.fix
 
@@ -148,7 +148,7 @@ def test_what_is_no_python_is_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     script.chmod(0o755)
     if told == "answer":
         monkeypatch.setattr("engine.job.process._ANSWER_S", 0.2)
-    with pytest.raises(JobError, match=told):
+    with pytest.raises(PlgsError, match=told):
         missing_modules(script, ["torch"])
 
 
@@ -160,7 +160,7 @@ def test_what_another_python_says_as_it_starts_is_no_answer(tmp_path: Path) -> N
 
 
 def test_a_path_that_no_program_can_be_told(tmp_path: Path) -> None:
-    with (tmp_path / "log").open("wb") as log, pytest.raises(JobError, match="null byte"):
+    with (tmp_path / "log").open("wb") as log, pytest.raises(PlgsError, match="null byte"):
         ChildProcess([sys.executable, "a\0b"], cwd=tmp_path, environment={}, output=log)
 
 

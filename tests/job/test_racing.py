@@ -22,7 +22,8 @@ import sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from engine.command_line.run_engine import run_engine
-from engine.job import EventReader, JobError, LiftFolder, LiftRequest
+from engine.errors import PlgsError
+from engine.job import EventReader, LiftFolder, LiftRequest
 from tests.job.fake_engine import Pretence
 from tests.job.lift_folders import tiny_lift
 from tests.job.test_faults import bake
@@ -35,7 +36,7 @@ actions = {
     "create": lambda: LiftFolder.create(path, LiftRequest(scene=Path("/scene"))),
     "start": lambda: lift(False),
     "resume": lambda: lift(True),
-    "cancel": lambda: LiftFolder.open(path).ask_to_cancel(),
+    "cancel": lambda: LiftFolder.open(path).place.ask_to_cancel(),
     "discard": lambda: LiftFolder.open(path).discard(),
     "bake": lambda: bake(path, ("x", "y", "z")),
 }
@@ -43,7 +44,7 @@ sys.stdin.readline()  # all at once
 for order in orders:
     try:
         actions[order]()
-    except (JobError, OSError) as error:
+    except (PlgsError, OSError) as error:
         print(f"refused: {order}: {error}")
 """
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from engine.job import EventWriter, LiftState, StopSignal
+from engine.job.environment import notes_folder
 from engine.job.recent import MOST, recent_lifts, remember_lift
-from engine.job.user_cache import notes_folder
 from tests.job.lift_folders import new_lift, tiny_lift
 
 

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from engine.job import JobError, LiftFolder, LiftRequest
+from engine.errors import PlgsError
+from engine.job import LiftFolder, LiftRequest
 
 FULL = LiftRequest(
     scene=Path("/scenes/room"),
     masks=Path("/masks"),
     preset="paper",
-    steps=9,
-    size=(64, 48),
-    frames=0,
+    options={"steps": 9, "size": [64, 48], "frames": 0},
     fit=True,
     seed=3,
     up="-y",
@@ -44,7 +44,7 @@ def test_has_the_documented_form() -> None:
         "scene": "/s",
         "masks": None,
         "preset": "preview",
-        "overrides": {"steps": None, "size": None},
+        "overrides": {},
         "seed": 0,
         "up": "z",
         "bake": "test",
@@ -62,17 +62,17 @@ def test_has_the_documented_form() -> None:
         ({"overrides": {"options": [1]}}, "'options'"),
         ({"overrides": {"options": {"weights.dept": 0}}}, "weights.depth"),
         ({"overrides": {"options": {"objects": "box"}}}, "boxes"),
-        ({"overrides": {"options": {"steps": 7}}}, "'steps'"),
         ({"overrides": {"steps": "many"}}, "steps = 'many'"),
         ({"overrides": {"steps": 0}}, "steps = 0"),
         ({"overrides": {"steps": True}}, "steps = True"),
+        ({"overrides": {"options": {"rates.feature": [1, 1]}}}, "'rates.feature'"),
         ({"overrides": {"frames": -1}}, "frames = -1"),
         ({"overrides": {"frames": "all"}}, "frames = 'all'"),
         ({"overrides": {"fit": 1}}, "fit = 1"),
-        ({"overrides": {"size": [64]}}, "size = (64,)"),
+        ({"overrides": {"size": [64]}}, "size = [64]"),
         ({"overrides": {"size": [64, 4.5]}}, "4.5"),
-        ({"overrides": {"size": "64x48"}}, "'size'"),
-        ({"overrides": {"size": [8, 48]}}, "size = (8, 48)"),
+        ({"overrides": {"size": "64x48x3"}}, "size = '64x48x3'"),
+        ({"overrides": {"size": [8, 48]}}, "size = [8, 48]"),
         ({"seed": -1}, "seed = -1"),
         ({"seed": 2**32}, "seed"),
         ({"seed": None}, "seed = None"),
@@ -96,7 +96,7 @@ def test_has_the_documented_form() -> None:
 def test_refuses(tmp_path: Path, change: dict[str, Any], told: str) -> None:
     path = tmp_path / "request.json"
     path.write_text(json.dumps(json.loads(FULL.to_json()) | change))
-    with pytest.raises(JobError) as caught:
+    with pytest.raises(PlgsError) as caught:
         LiftRequest.read(path)
     assert told in str(caught.value)
     assert str(path) in str(caught.value)
@@ -107,35 +107,36 @@ def test_refuses(tmp_path: Path, change: dict[str, Any], told: str) -> None:
 def test_refuses_what_is_no_request(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "request.json"
     path.write_bytes(content)
-    with pytest.raises(JobError, match=r"request\.json"):
+    with pytest.raises(PlgsError, match=r"request\.json"):
         LiftRequest.read(path)
 
 
+def test_an_earlier_versions_overrides_are_read(tmp_path: Path) -> None:
+    """They had the options in an object of their own, and null for what was left to the preset."""
+    content = json.loads(FULL.to_json())
+    own = {"steps": None, "size": [64, 48], "frames": 0, "fit": True, "options": {"weights.depth": 0.5}}
+    (tmp_path / "request.json").write_text(json.dumps(content | {"overrides": own}))
+    read = LiftRequest.read(tmp_path / "request.json")
+    assert (read.fit, read.options) == (True, {"size": [64, 48], "frames": 0, "weights.depth": 0.5})
+
+
 def test_tells_what_differs() -> None:
-    assert FULL.differences(LiftRequest(scene=FULL.scene, masks=FULL.masks, preset="paper", seed=3)) == [
-        "steps",
-        "size",
-        "frames",
-        "fit",
-        "up",
-        "scene_format",
-        "depth",
-        "mask_format",
-        "classes",
-        "bake",
-        "device",
-    ]
+    plain = LiftRequest(scene=FULL.scene, masks=FULL.masks, preset="paper", seed=3)
+    reading = ["up", "scene_format", "depth", "mask_format", "classes", "bake", "device"]
+    assert FULL.differences(plain) == ["fit", *reading, "steps", "size", "frames"]
+    assert plain.differences(replace(plain, options={"weights.depth": 1.0})) == ["weights.depth"]
+    assert plain.differences(replace(plain, options={"neighbours": 4})) == [], "that is the preset's"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="such names exist elsewhere only")
 def test_names_that_are_no_utf8_are_refused_at_once(tmp_path: Path) -> None:
     broken = Path(os.fsdecode(b"/tmp/r\xf6om"))
     for asked in ({"scene": broken}, {"scene": tmp_path, "masks": broken}, {"scene": tmp_path, "depth": broken}):
-        with pytest.raises(JobError, match=r"not UTF-8\): /tmp/r\?om\. Rename it") as refused:
+        with pytest.raises(PlgsError, match=r"not UTF-8\): /tmp/r\?om\. Rename it") as refused:
             LiftRequest(**asked)
         str(refused.value).encode()
     for refuse in (lambda path: LiftFolder.create(path, LiftRequest(scene=tmp_path)), LiftFolder.open):
-        with pytest.raises(JobError, match="not UTF-8"):
+        with pytest.raises(PlgsError, match="not UTF-8"):
             refuse(tmp_path / broken.name)
     assert not (tmp_path / broken.name).exists()
 
@@ -143,5 +144,5 @@ def test_names_that_are_no_utf8_are_refused_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [b"[" * 100_000, b" " * ((1 << 26) + 1), b"\xff", b"{"])
 def test_deep_huge_and_broken_json_is_a_line(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "request.json").write_bytes(content)
-    with pytest.raises(JobError):
+    with pytest.raises(PlgsError):
         LiftRequest.read(tmp_path / "request.json")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import JobError
+from engine.errors import PlgsError
 from engine.job.requirements import constraints_path, digest, module_of, needed_packages, pinned_versions
 
 
@@ -38,9 +38,9 @@ def test_another_text_is_another_environment(root: Path, tmp_path: Path) -> None
 
 
 def test_what_cannot_be_read_is_told(root: Path, tmp_path: Path) -> None:
-    with pytest.raises(JobError, match="torch.txt"):
+    with pytest.raises(PlgsError, match="torch.txt"):
         needed_packages(tmp_path, (3, 11))
     shutil.copytree(root / "requirements", tmp_path / "requirements")
     (tmp_path / "requirements" / "torch.txt").write_text('torch==1.0; os_name == "nt"\n')
-    with pytest.raises(JobError, match="os_name"):
+    with pytest.raises(PlgsError, match="os_name"):
         needed_packages(tmp_path, (3, 11))

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import Cancelled, EventWriter, ExitCode, StopSignal, Watchdog, last_run
+from engine.errors import Cancelled
+from engine.job import EventWriter, ExitCode, StopSignal, Watchdog, last_run
 
 PATIENCE_S = 20.0
 

@@ -8,10 +8,10 @@ import signal
 
 import pytest
 
-from engine.job.follower import LiftStatus
+from engine.job.task import TaskProgress
 from engine.job.terminal import Interrupted, Interrupts, LiveLine, describe
 
-TRAINING = LiftStatus("train", "Training", 2, 3, step=5, steps=10, loss=0.25, eta_s=61.0)
+TRAINING = TaskProgress("train", "Training", 2, 3, step=5, steps=10, loss=0.25, eta_s=61.0)
 
 
 class Terminal(io.StringIO):
@@ -22,22 +22,22 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize(
-    ("status", "text"),
+    ("progress", "text"),
     [
-        (LiftStatus(), "Starting"),
-        (LiftStatus("train", "Training", 2, 3), "[2/3] Training"),
+        (TaskProgress(), "Starting"),
+        (TaskProgress("train", "Training", 2, 3), "[2/3] Training"),
         (TRAINING, "[2/3] Training  5/10  loss 0.2500  1:01 left"),
-        (LiftStatus("bake", "Baking", 3, 3, step=1, steps=9, eta_s=3725.2), "[3/3] Baking  1/9  1:02:05 left"),
+        (TaskProgress("bake", "Baking", 3, 3, step=1, steps=9, eta_s=3725.2), "[3/3] Baking  1/9  1:02:05 left"),
     ],
 )
-def test_describes(status: LiftStatus, text: str) -> None:
-    assert describe(status) == text
+def test_describes(progress: TaskProgress, text: str) -> None:
+    assert describe(progress) == text
 
 
 def test_a_terminal_gets_one_line_that_changes() -> None:
     stream = Terminal()
     line = LiveLine(stream)
-    line.show(LiftStatus("train", "Training with a long label", 1, 1))
+    line.show(TaskProgress("train", "Training with a long label", 1, 2))
     line.show(TRAINING)
     line.show(TRAINING)
     line.say("warning: dark")
@@ -45,7 +45,7 @@ def test_a_terminal_gets_one_line_that_changes() -> None:
     line.end()
     assert stream.getvalue().count("\n") == 2
     assert [part.strip() for part in stream.getvalue().split("\r")[1:]] == [
-        "[1/1] Training with a long label",
+        "[1/2] Training with a long label",
         describe(TRAINING),
         "",
         "warning: dark",
@@ -56,10 +56,10 @@ def test_a_terminal_gets_one_line_that_changes() -> None:
 def test_a_file_gets_few_whole_lines() -> None:
     stream = io.StringIO()
     line = LiveLine(stream)
-    line.show(LiftStatus())
+    line.show(TaskProgress())
     for step in range(1000):
-        line.show(LiftStatus("train", "Training", 1, 2, step=step, steps=1000))
-    line.show(LiftStatus("bake", "Baking", 2, 2))
+        line.show(TaskProgress("train", "Training", 1, 2, step=step, steps=1000))
+    line.show(TaskProgress("bake", "Baking", 2, 2))
     line.end()
     assert stream.getvalue().splitlines() == [
         "Starting",

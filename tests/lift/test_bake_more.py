@@ -16,22 +16,12 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from engine.command_line.run_engine import run_bake
-from engine.job import (
-    BakeLocks,
-    Cancelled,
-    EventWriter,
-    ExitCode,
-    JobError,
-    LiftFolder,
-    LiftRequest,
-    LiftState,
-    StopSignal,
-    verify,
-)
+from engine.errors import Cancelled, PlgsError
+from engine.job import BakeLocks, EventWriter, ExitCode, LiftFolder, LiftRequest, LiftState, StopSignal, verify
 from engine.lift import bake_frames, bake_more, run_lift
 from engine.lift.baking import FrameBaker
-from engine.passes import read_exr
-from engine.train.presets import PRESETS
+from engine.passes.exr import read_exr
+from engine.presets.preset import PRESETS
 from tests.lift.test_lift import files_of
 from tests.tiny_scene import tiny_pose, write_tiny_scene
 from tests.train.tiny_lift import TINY
@@ -87,7 +77,7 @@ def test_the_bytes_of_a_lift_that_bakes_all(finished: dict[str, LiftFolder], lif
 
 
 def test_as_a_run_of_the_engine(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
-    lift.ask_to_cancel()  # an old one
+    lift.place.ask_to_cancel()  # an old one
     seq = len(lift.events_path.read_bytes().splitlines())
     assert run_bake(lift, ["0000"]) is ExitCode.FINISHED
     told = [json.loads(line) for line in lift.events_path.read_bytes().splitlines()[seq:]]
@@ -103,12 +93,12 @@ def test_as_a_run_of_the_engine(lift: LiftFolder, capfd: pytest.CaptureFixture[s
 
 
 def test_only_a_finished_lift_can_be_baked(lift: LiftFolder) -> None:
-    with lift.lock(), pytest.raises(JobError, match="another engine"):
+    with lift.lock(), pytest.raises(PlgsError, match="another engine"):
         run_bake(lift, ["all"], parent_pipe=0)  # whoever follows it would see the other one's events
     lift.manifest_path.unlink()
-    with lift.lock(), pytest.raises(JobError, match="another engine"):
+    with lift.lock(), pytest.raises(PlgsError, match="another engine"):
         run_bake(lift, ["all"])
-    with pytest.raises(JobError, match="not finished"):
+    with pytest.raises(PlgsError, match="not finished"):
         run_bake(lift, ["all"])
 
 
@@ -207,16 +197,16 @@ def test_a_model_that_cannot_be_read_is_told_in_one_line(lift: LiftFolder) -> No
     with safe_open(model, "pt") as file:
         facts = json.loads(file.metadata()["plgs"])
     save_file(load_file(model), model, metadata={"plgs": json.dumps(facts | {"format": 1})})
-    with pytest.raises(JobError, match="model format 1 is not known"):
+    with pytest.raises(PlgsError, match="model format 1 is not known"):
         bake(lift, "0002")
     model.write_bytes(whole[:100])
-    with pytest.raises(JobError, match="the model cannot be read"):
+    with pytest.raises(PlgsError, match="the model cannot be read"):
         bake(lift, "0002")
     model.write_bytes(whole)
     manifest = json.loads(lift.manifest_path.read_text())
     del manifest["settings"]["one_class_an_object"]
     lift.manifest_path.write_text(json.dumps(manifest))
-    with pytest.raises(JobError, match="one class"):
+    with pytest.raises(PlgsError, match="one class"):
         bake(lift, "0002")
 
 

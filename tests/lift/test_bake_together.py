@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import ExitCode, LiftFolder, verify
-from engine.job.follower import LiftFollower
+from engine.job import LiftFolder, verify
+from engine.job.follower import TaskFollower, start_bake
+from engine.job.task import TaskState
 from tests.lift.test_bake_more import finished, write_cameras  # noqa: F401 - the fixture
 
 PATIENCE_S = 300.0
@@ -24,29 +25,29 @@ def lift(finished: dict[str, LiftFolder], tmp_path: Path) -> LiftFolder:  # noqa
 
 
 @pytest.fixture
-def followers() -> Iterator[list[LiftFollower]]:
+def followers() -> Iterator[list[TaskFollower]]:
     """Those of the test, ended with it."""
-    started: list[LiftFollower] = []
+    started: list[TaskFollower] = []
     yield started
     for follower in started:
         follower.kill()
         follower.close()
 
 
-def ended(*followers: LiftFollower) -> None:
+def ended(*followers: TaskFollower) -> None:
     began = time.monotonic()
-    while any(follower.outcome is None for follower in followers):
+    while any(follower.is_running for follower in followers):
         assert time.monotonic() - began < PATIENCE_S
         for follower in followers:
             follower.poll()
         time.sleep(0.02)
 
 
-def begun(follower: LiftFollower) -> None:
+def begun(follower: TaskFollower) -> None:
     """Its engine holds the lift's lock, or has told of itself."""
     began = time.monotonic()
-    while not any(event.kind == "hello" for event in follower.poll()):
-        assert follower.outcome is None and time.monotonic() - began < PATIENCE_S
+    while not follower.poll():
+        assert follower.is_running and time.monotonic() - began < PATIENCE_S
         time.sleep(0.01)
 
 
@@ -56,20 +57,19 @@ def shot(path: Path, name: str, count: int) -> tuple[Path, set[str]]:
 
 
 def test_two_that_are_followed_do_not_disturb_each_other(
-    lift: LiftFolder, followers: list[LiftFollower], tmp_path: Path
+    lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path
 ) -> None:
     python = Path(sys.executable)
     left, left_names = shot(tmp_path / "left.json", "left", 12)
     right, right_names = shot(tmp_path / "right.json", "right", 12)
-    first = LiftFollower.start_bake(lift, python, cameras=left)
+    first = start_bake(lift, python, cameras=left)
     followers.append(first)
     begun(first)
-    second = LiftFollower.start_bake(lift, python, cameras=right)
+    second = start_bake(lift, python, cameras=right)
     followers.append(second)
     ended(first, second)
-    assert first.outcome and second.outcome
-    assert (first.outcome.error, second.outcome.error) == (None, None)
-    assert (first.outcome.code, second.outcome.code) == (ExitCode.FINISHED, ExitCode.FINISHED)
+    assert (first.error, second.error) == (None, None)
+    assert (first.state, second.state) == (TaskState.FINISHED, TaskState.FINISHED)
     first.close()
     second.close()
     baked = {file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
@@ -79,22 +79,22 @@ def test_two_that_are_followed_do_not_disturb_each_other(
 
 
 def test_cancelling_the_second_leaves_the_first(
-    lift: LiftFolder, followers: list[LiftFollower], tmp_path: Path
+    lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path
 ) -> None:
     python = Path(sys.executable)
     left, left_names = shot(tmp_path / "left.json", "left", 40)
     right, right_names = shot(tmp_path / "right.json", "right", 40)
-    first = LiftFollower.start_bake(lift, python, cameras=left)
+    first = start_bake(lift, python, cameras=left)
     followers.append(first)
     begun(first)
-    second = LiftFollower.start_bake(lift, python, cameras=right)
+    second = start_bake(lift, python, cameras=right)
     followers.append(second)
     begun(second)
     second.cancel()
     ended(second)
-    assert second.outcome and second.outcome.code is ExitCode.CANCELLED
+    assert second.state is TaskState.CANCELLED
     ended(first)
-    assert first.outcome and first.outcome.code is ExitCode.FINISHED
+    assert first.state is TaskState.FINISHED
     baked = {file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
     assert left_names <= baked and not right_names <= baked
 

@@ -7,16 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import EventWriter, JobError, LiftRequest, last_run
-from engine.job.effort import chosen_effort
+from engine.errors import PlgsError
+from engine.job import EventWriter, LiftRequest, last_run
 from engine.job.main_memory import MainMemory
 from engine.job.prediction import predict
 from engine.lift.fitting import frames_that_fit, masks_a_frame
+from engine.presets.preset import PRESETS
 from engine.scene import Scene, open_scene
 from tests.tiny_scene import write_tiny_scene
 
 MANY = 3000
-PAPER = LiftRequest(scene=Path("/room"), preset="paper", frames=0)
+PAPER = LiftRequest(scene=Path("/room"), preset="paper", options={"frames": 0})
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +34,9 @@ def events(tmp_path: Path) -> EventWriter:
 
 
 def peak(scene: Scene, frames: int, preset: str = "paper") -> int:
-    effort = chosen_effort(preset, frames=frames)
+    chosen = replace(PRESETS[preset], frames=frames)
     masks, classes = masks_a_frame(scene), len(scene.classes.categories)
-    return predict(MANY, 0, (1280, 960), effort, masks_a_frame=masks, classes=classes).peak_bytes
+    return predict(MANY, 0, (1280, 960), chosen, masks_a_frame=masks, classes=classes).peak_bytes
 
 
 def warnings(events: EventWriter, folder: Path) -> list[str]:
@@ -46,7 +47,7 @@ def warnings(events: EventWriter, folder: Path) -> list[str]:
 def test_what_fits_is_lifted_as_it_was_asked_for(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     plenty = MainMemory(10 * peak(scene, 0), 10 * peak(scene, 0))
     assert frames_that_fit(scene, PAPER, plenty, events) == 0
-    assert frames_that_fit(scene, replace(PAPER, frames=70), plenty, events) == 70
+    assert frames_that_fit(scene, replace(PAPER, options={"frames": 70}), plenty, events) == 70
     assert frames_that_fit(scene, PAPER, None, events) == 0
     assert not warnings(events, tmp_path)
 
@@ -61,7 +62,7 @@ def test_what_other_programs_hold_is_told(scene: Scene, events: EventWriter, tmp
 def test_what_does_not_fit_is_refused_with_the_options_that_fit(scene: Scene, events: EventWriter) -> None:
     there = peak(scene, 200)
     assert there < peak(scene, 0)
-    with pytest.raises(JobError, match="needs about") as refused:
+    with pytest.raises(PlgsError, match="needs about") as refused:
         frames_that_fit(scene, PAPER, MainMemory(there, there), events)
     fix = refused.value.fix
     frames = int(fix.partition("--frames ")[2].split()[0])
@@ -77,5 +78,5 @@ def test_who_agrees_gets_fewer_frames(scene: Scene, events: EventWriter, tmp_pat
 
 
 def test_without_hope_it_says_so(scene: Scene, events: EventWriter) -> None:
-    with pytest.raises(JobError, match="more memory"):
+    with pytest.raises(PlgsError, match="more memory"):
         frames_that_fit(scene, replace(PAPER, fit=True), MainMemory(10_000_000, 10_000_000), events)

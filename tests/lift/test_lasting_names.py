@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.instances import GlobalInstance, fit_box
-from engine.job import JobError, LiftFolder, LiftRequest, read_manifest, write_manifest
+from engine.errors import PlgsError
+from engine.instances.matching import GlobalInstance
+from engine.instances.oriented_box import fit_box
+from engine.job import LiftFolder, LiftRequest, read_manifest, write_manifest
 from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier
-from engine.passes import read_exr
+from engine.passes.exr import read_exr
 from engine.scene import Category, ClassTable, open_scene
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
@@ -111,8 +113,8 @@ def test_the_request_tells_of_it_and_the_events_count(lifts: tuple[LiftFolder, L
 
 
 def test_what_is_no_finished_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
-    with pytest.raises(JobError, match="no folder"):
+    with pytest.raises(PlgsError, match="no folder"):
         read_earlier(tmp_path / "nothing")
     other = LiftFolder.create(tmp_path / "begun", LiftRequest(scene=lifts[0].request.scene))
-    with pytest.raises(JobError, match="not finished"):
+    with pytest.raises(PlgsError, match="not finished"):
         read_earlier(other.path)

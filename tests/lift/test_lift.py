@@ -15,13 +15,14 @@ import pytest
 import torch
 from safetensors.torch import safe_open
 
-from engine.job import Cancelled, EventWriter, LiftFolder, LiftRequest, StopSignal, verify
+from engine.errors import Cancelled
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, verify
 from engine.lift import run as lift_run
 from engine.lift import run_lift, training_frames
 from engine.lift.run import STAGES
 from engine.model.structured import from_tensors
+from engine.presets.preset import PRESETS
 from engine.scene import open_scene
-from engine.train.presets import PRESETS
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY
 
@@ -162,12 +163,12 @@ def test_passes_have_the_frames_own_size_and_whole_labels(lifts: Lifts) -> None:
         assert picture is not None and picture.shape == (48, 64, 3)
 
 
-def test_metrics_compare_three_ways(lifts: Lifts) -> None:
+def test_metrics_compare_the_lift_with_its_masks(lifts: Lifts) -> None:
     metrics = json.loads((lifts.done.result_path / "metrics.json").read_text())
     assert metrics["format"] == 1 and metrics["test_frames"] == HELD_OUT
     rows = {(table["name"], table["mode"]): table for table in metrics["tables"]}
-    assert len(rows) == 6 and {mode for _, mode in rows} == {"strict", "pl_compat"}
-    assert {name.partition(" (")[0] for name, _ in rows} == {"machine masks", "lifted", "voxel vote"}
+    assert len(rows) == 4 and {mode for _, mode in rows} == {"strict", "pl_compat"}
+    assert {name.partition(" (")[0] for name, _ in rows} == {"input masks", "lifted"}
     for table in rows.values():
         assert all(0 <= table[figure] <= 1 for figure in ("miou", "pq", "sq", "rq"))
     lifted = rows["lifted", "strict"]
@@ -226,4 +227,4 @@ def test_a_resumed_lift_trains_on_the_frames_that_it_was_begun_with(
         with pytest.raises(Cancelled):
             run(folder)
     run(folder, resume=True)
-    assert files_of(folder) == files_of(lifts.lift("six", frames=6)) != files_of(lifts.done)
+    assert files_of(folder) == files_of(lifts.lift("six", options={"frames": 6})) != files_of(lifts.done)

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-from engine.job import Cancelled, EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
-from engine.job.preview_request import PreviewCamera, write_preview_request
+from engine.errors import Cancelled
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.job.cameras import PreviewCamera, write_preview_request
 from engine.lift import live_previews, run_lift
 from engine.lift.live_previews import LivePreviews
 from engine.lift.scene_files import ShownInstances
+from engine.presets.preset import PRESETS
 from engine.scene import Scene, open_scene
-from engine.train.presets import PRESETS
 from engine.train.trainer import Trainer
 from tests.lift.test_lift import files_of
 from tests.tiny_scene import write_tiny_scene

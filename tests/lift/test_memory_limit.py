@@ -13,14 +13,13 @@ from safetensors.torch import save_file
 
 from engine.job.main_memory import main_memory
 from engine.model.tensor_file import read_tensors
-from engine.passes import read_exr
-from engine.passes.exr import LAYER
+from engine.passes.exr import LAYER, read_exr
 from tests.limited_memory import check_told, told_by
 
 READ = """
 import torch
 from engine.model.tensor_file import read_tensors
-from engine.passes import read_exr, read_note
+from engine.passes.exr import read_exr, read_note
 
 refusals = (ValueError,)
 readers = {

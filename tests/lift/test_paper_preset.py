@@ -18,7 +18,8 @@ STEPS = 12
 def lift(tmp_path_factory: pytest.TempPathFactory) -> LiftFolder:
     folder = tmp_path_factory.mktemp("paper")
     scene = write_tiny_scene(folder / "scene", frames=8)
-    lift = LiftFolder.create(folder / "lift", LiftRequest(scene=scene, preset="paper", steps=STEPS, bake="test"))
+    request = LiftRequest(scene=scene, preset="paper", options={"steps": STEPS}, bake="test")
+    lift = LiftFolder.create(folder / "lift", request)
     events = EventWriter(lift.events_path)
     try:
         run_lift(lift, events, StopSignal(lift.cancel_path), resume=False)

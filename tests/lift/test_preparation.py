@@ -9,7 +9,9 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from engine.instances import GlobalInstance, PanopticLabels, fit_box
+from engine.instances.matching import GlobalInstance
+from engine.instances.oriented_box import fit_box
+from engine.instances.panoptic_labels import PanopticLabels
 from engine.job import last_run
 from engine.lift import preparation
 from engine.lift.preparation import PreparedLift, label_channels

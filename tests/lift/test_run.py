@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.job import Cancelled, EventReader, EventWriter, JobError, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.errors import Cancelled, PlgsError
+from engine.job import EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
 from engine.lift import run
-from engine.scene import PanopticMask, SceneError, Segment, load_view, open_scene
-from engine.train.presets import PRESETS
+from engine.lift.method import Method
+from engine.presets.preset import PRESETS
+from engine.scene import PanopticMask, Segment, load_view, open_scene
 from engine.train.progress import StageReporter
 from engine.train.trainer import StepReport
 from tests.tiny_scene import write_tiny_scene
@@ -63,10 +65,10 @@ def test_only_whole_states_are_stored(
     monkeypatch.setattr(run, "save_checkpoint", lambda trainer, *_: setattr(trainer, "stored", trainer.step_number))
     trainer, folder = Trainer(failure), LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     if failure is None:
-        run.train(trainer, folder, [], stages, look=lambda scene: None)  # type: ignore[arg-type]
+        run.train(trainer, folder, [], stages, show=lambda scene: None)  # type: ignore[arg-type]
     else:
         with pytest.raises(type(failure)):
-            run.train(trainer, folder, [], stages, look=lambda scene: None)  # type: ignore[arg-type]
+            run.train(trainer, folder, [], stages, show=lambda scene: None)  # type: ignore[arg-type]
     assert trainer.stored == stored
 
 
@@ -78,7 +80,7 @@ def test_what_is_too_fine_for_the_size_is_refused(depth: float, label: int, told
     ids = np.full((3, 4), label, np.int32)
     mask = PanopticMask(ids, (Segment(1, 1, False),))
     bad = replace(view, depth=np.full((3, 4), depth, np.float32), mask=mask)
-    with pytest.raises(SceneError, match=told):
+    with pytest.raises(PlgsError, match=told):
         run.refuse_empty([bad], scene)
 
 
@@ -94,7 +96,7 @@ def test_names_are_not_kept_where_no_objects_are_looked_for(tmp_path: Path) -> N
     request = LiftRequest(scene=tmp_path, names_from=tmp_path / "first", options={"objects": "none"})
     folder = LiftFolder.create(tmp_path / "lift", request)
     events = EventWriter(folder.events_path)
-    with pytest.raises(JobError, match="no objects to keep names"):
+    with pytest.raises(PlgsError, match="no objects to keep names"):
         run.run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
     events.close()
 
@@ -105,17 +107,16 @@ def test_names_are_not_kept_where_no_objects_are_looked_for(tmp_path: Path) -> N
         ({}, True),
         ({"objects": "boxes"}, False),
         ({"one_class_an_object": False}, False),
-        ({"instances": "identity"}, False),
     ],
 )
 def test_votes_need_objects_by_agreement_of_one_class(
     changed: dict[str, object], shown: bool, stages: StageReporter, tmp_path: Path
 ) -> None:
     preset = replace(PRESETS["preview"], **changed)  # type: ignore[arg-type]
-    assert run.shows_votes(preset) == shown
+    assert preset.shows_votes == shown
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "none"))
-    with pytest.raises(SceneError):
-        run.do_stages(folder, preset, stages, resume=False)
+    with pytest.raises(PlgsError):
+        run.do_stages(folder, preset, stages, Method(), resume=False)
     events = EventReader(tmp_path / "events.jsonl").poll()
     told = [event.data["message"] for event in events if event.kind == "warning"]
     assert told == ([] if shown else [run.NO_VOTES])

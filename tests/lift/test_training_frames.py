@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import Checkpoint, EventWriter, JobError, LiftRequest, StopSignal, last_run
+from engine.errors import PlgsError
+from engine.job import Checkpoint, EventWriter, LiftRequest, StopSignal, last_run
 from engine.job.main_memory import MainMemory
 from engine.lift import training_frames
 from engine.lift.training_frames import scene_to_lift
@@ -28,10 +29,10 @@ def events(tmp_path: Path) -> Iterator[EventWriter]:
     writer.close()
 
 
-def chosen(scene: Scene, events: EventWriter, folder: Path, state: dict[str, object] | None, **request: int) -> Scene:
+def chosen(scene: Scene, events: EventWriter, folder: Path, state: dict[str, object] | None, **options: int) -> Scene:
     checkpoint = None if state is None else Checkpoint(folder, state)  # type: ignore[arg-type]
     progress = StageProgress("check", events, StopSignal(folder / "cancel"))
-    return scene_to_lift(scene, LiftRequest(scene=scene.folder, **request), checkpoint, progress, events)  # type: ignore[arg-type]
+    return scene_to_lift(scene, LiftRequest(scene=scene.folder, options=options), checkpoint, progress, events)
 
 
 def warnings(folder: Path) -> list[str]:
@@ -58,14 +59,14 @@ def test_without_a_word_about_them_frames_are_chosen(
 def test_a_checkpoint_without_names_is_refused(
     frames: object, scene: Scene, events: EventWriter, tmp_path: Path
 ) -> None:
-    with pytest.raises(JobError, match="the checkpoint tells no frames"):
+    with pytest.raises(PlgsError, match="the checkpoint names no frames"):
         chosen(scene, events, tmp_path, {"frames": frames})
 
 
 def test_a_frame_that_is_gone_is_named(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     held_out = scene.test_frames[0].name
     for name in ("gone", held_out):
-        with pytest.raises(JobError, match=f"begun with frame {name}"):
+        with pytest.raises(PlgsError, match=f"begun with frame {name}"):
             chosen(scene, events, tmp_path, {"frames": [scene.train_frames[0].name, name]})
 
 
@@ -74,7 +75,7 @@ def test_a_smaller_machine_cannot_go_on(
 ) -> None:
     names = [frame.name for frame in scene.train_frames]
     monkeypatch.setattr(training_frames, "main_memory", lambda: MainMemory(10**7, 10**7))
-    with pytest.raises(JobError, match=rf"begun with {len(names)} frames.*Resume it on a machine"):
+    with pytest.raises(PlgsError, match=rf"begun with {len(names)} frames.*Resume it on a computer"):
         chosen(scene, events, tmp_path, {"frames": names})
     monkeypatch.setattr(training_frames, "main_memory", lambda: MainMemory(10**12, 10**7))
     chosen(scene, events, tmp_path, {"frames": names})

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.errors import PlgsError
 from engine.job import EventWriter, StopSignal, last_run
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES
 from engine.lift.voters import SMALLER, frames_to_vote, read_voters
-from engine.scene import Frame, PanopticMask, Scene, SceneError, Segment, Size, View, load_view, open_scene
-from engine.train.presets import PRESETS
+from engine.presets.preset import PRESETS
+from engine.scene import Frame, PanopticMask, Scene, Segment, Size, View, load_view, open_scene
 from engine.train.progress import StageReporter
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY
@@ -84,13 +85,13 @@ def test_they_are_small_and_of_masks_and_depth_alone(scene: Scene, tmp_path: Pat
 
 def test_one_that_cannot_be_read_does_not_vote_and_that_is_told(scene: Scene, tmp_path: Path) -> None:
     def bad(size: Size | None) -> PanopticMask:
-        raise SceneError(*BAD)
+        raise PlgsError(*BAD)
 
     frames = list(scene.train_frames)
     frames[1] = replace(frames[1], read_mask=bad)
     views, told = voters(frames, tmp_path)
     assert [view.name for view in views] == [frame.name for frame in frames if frame is not frames[1]]
-    assert told == [f"1 of {len(frames)} frames that are not trained on do not vote: {SceneError(*BAD)}"]
+    assert told == [f"1 of {len(frames)} frames that are not trained on do not vote: {PlgsError(*BAD)}"]
 
 
 def test_they_outvote_the_frames_trained_on(scene: Scene, tmp_path: Path) -> None:

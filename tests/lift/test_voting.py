@@ -10,20 +10,20 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from engine.job import Cancelled
+from engine.errors import Cancelled
 from engine.lift.preparation import PreparedLift
 from engine.lift.voting import vote_labels
 from engine.model.render import render_view
 from engine.model.structured import NO_OBJECT
-from engine.passes import decide
+from engine.passes.layers import decide
+from engine.presets.preset import Preset
 from engine.scene import Scene, load_view, open_scene
-from engine.train.presets import Preset
 from engine.train.trainer import Trainer
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY, prepared_for
 
 LARGE, SMALL = (128, 96), (64, 48)
-PRESET = replace(TINY, steps=30, vote_size_within=LARGE)
+PRESET = replace(TINY, steps=30, vote_size=LARGE)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_without_objects_there_are_classes(tmp_path: Path) -> None:
     views = [load_view(frame) for frame in scene.train_frames]
     prepared = prepared_for(views, scene.classes, replace(TINY, most_instances=0), tmp_path)
     assert not prepared.instances and prepared.scene.channels.slot_ids[0] == NO_OBJECT
-    after = voted(scene, prepared, replace(PRESET, vote_size_within=SMALL), lambda done, of: None)
+    after = voted(scene, prepared, replace(PRESET, vote_size=SMALL), lambda done, of: None)
     assert after.scene.voted is not None and int(after.scene.voted.label.max()) < len(prepared.scene.channels.class_ids)
     layers = decide(render_view(after.scene, views[0].camera), scene.classes)
     assert not layers.instance.any() and CHAIR_ID in layers.semantic

@@ -9,7 +9,7 @@ from numba.core.dispatcher import Dispatcher
 
 from engine.lift import warm_up
 from engine.model.render import render_bands
-from engine.passes import ShownInstances, bake_view
+from engine.passes.baked_view import ShownInstances, bake_view
 from tests.train.tiny_lift import TINY, colour_error, trainer_of, views_of
 
 

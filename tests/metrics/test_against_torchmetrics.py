@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torchmetrics.classification import MulticlassJaccardIndex
 from torchmetrics.detection import PanopticQuality
 
-from engine.metrics import PanopticEvaluation
 from engine.metrics.frame_quality import FrameQuality
+from engine.metrics.panoptic import PanopticEvaluation
 from engine.scene import Category, ClassTable
 
 THINGS, STUFF = (2, 5), (1, 3, 4)

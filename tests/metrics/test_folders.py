@@ -11,9 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from engine.command_line.main import main
+from engine.errors import PlgsError
+from engine.export.frame_images import write_coco
 from engine.metrics.folders import score_folders
-from engine.passes.coco import write_coco
-from engine.scene import Category, ClassTable, SceneError
+from engine.scene import Category, ClassTable
 from engine.scene.label_folders import open_label_folder
 
 CLASSES = ClassTable((Category(1, "wall", False, (9, 9, 9)), Category(5, "chair", True, (200, 9, 9))))
@@ -66,27 +67,27 @@ def test_a_merged_chair(tmp_path: Path) -> None:
 def test_the_classes_of_an_export(tmp_path: Path) -> None:
     predictions = write_pngs(tmp_path / "predictions", "class", "instance")
     truth = write_pngs(tmp_path / "truth", "semantic", "instance")
-    with pytest.raises(SceneError, match="which are things"):
+    with pytest.raises(PlgsError, match="which are things"):
         strict(predictions, truth)
     classes = [{"id": one.id, "name": one.name, "is_thing": one.is_thing} for one in CLASSES.categories]
     (predictions / "labels.json").write_text(json.dumps({"classes": classes}))
     assert strict(predictions, truth)["pq"] == 1.0
     (truth / "labels.json").write_text(json.dumps({"classes": [{"id": 5, "name": "sofa", "is_thing": True}]}))
-    with pytest.raises(SceneError, match="'chair' here and 'sofa'"):
+    with pytest.raises(PlgsError, match="'chair' here and 'sofa'"):
         strict(predictions, truth)
     (truth / "labels.json").write_text("{}")
-    with pytest.raises(SceneError, match='no "classes"'):
+    with pytest.raises(PlgsError, match='no "classes"'):
         strict(predictions, truth)
     one = {"id": 5, "name": "chair", "is_thing": True}
     (truth / "labels.json").write_text(json.dumps({"classes": [one, one]}))
-    with pytest.raises(SceneError, match="has the id 5"):
+    with pytest.raises(PlgsError, match="has the id 5"):
         strict(predictions, truth)
 
 
 def test_frames_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     predictions = write_masks(tmp_path / "masks")
     few = write_pngs(tmp_path / "few", "class", "instance", frames=FRAMES[:1])
-    with pytest.raises(SceneError, match="0002"):
+    with pytest.raises(PlgsError, match="0002"):
         strict(predictions, few)
     assert main(["evaluate", "--predictions", str(few), "--truth", str(predictions), "--json"]) == 0
     said = capsys.readouterr()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.metrics import fit_colours, psnr, score_picture, ssim
+from engine.metrics.images import fit_colours, psnr, score_picture, ssim
 
 
 def _picture(seed: int) -> np.ndarray:

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.metrics import MODES, PanopticEvaluation, PanopticScores, panoptic
+from engine.metrics import panoptic
+from engine.metrics.panoptic import MODES, PanopticEvaluation, PanopticScores
 from engine.scene import Category, ClassTable
 
 THINGS = {4, 5, 6, 14, 15, 16, 17, 18, 20}
@@ -61,7 +62,7 @@ def lay_out(rows: list[tuple[int, int, int, int, int]]) -> list[np.ndarray]:
 @pytest.fixture
 def unstretched(monkeypatch: pytest.MonkeyPatch) -> None:
     """The oracle's data are run lengths: stretched to 512x512 they would keep their shares only roughly."""
-    monkeypatch.setattr(panoptic, "nearest", lambda values, size: values)
+    monkeypatch.setattr(panoptic, "resize_nearest", lambda values, size: values)
 
 
 @pytest.mark.usefixtures("unstretched")
@@ -158,7 +159,7 @@ def test_properties(mode: str, rows: list[tuple[int, int, int, int, int]]) -> No
 
 def _scores(mode: str, *maps: np.ndarray) -> PanopticScores:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(panoptic, "nearest", lambda values, size: values)
+        patch.setattr(panoptic, "resize_nearest", lambda values, size: values)
         evaluation = PanopticEvaluation(CLASSES, mode)  # type: ignore[arg-type]
         evaluation.add(*maps)
     return evaluation.result()

@@ -9,14 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.metrics import (
-    LIFTED,
-    MACHINE_MASKS,
-    VOXEL_VOTE,
-    PredictedView,
-    Report,
-    add_rivals,
-)
+from engine.metrics.report import INPUT_MASKS, LIFTED, PredictedView, Report, add_input_masks
 from engine.scene import Camera, Category, ClassTable, Frame, GroundTruth, PanopticMask, Scene, Segment
 
 CLASSES = ClassTable((Category(1, "wall", False, (9, 9, 9)), Category(5, "chair", True, (200, 9, 9))))
@@ -29,7 +22,7 @@ PHOTO = np.random.default_rng(0).integers(0, 256, (40, 60, 3), dtype=np.uint8)
 
 
 def _frame(index: int, wrong: bool) -> Frame:
-    """A view whose machine mask has ids of its own and, when ``wrong``, calls the left chair a wall."""
+    """A view whose input mask has ids of its own and, when ``wrong``, calls the left chair a wall."""
     ids = np.where(TRUE_CLASS == 5, TRUE_ID + 10 * (index + 1), 1).astype(np.int32)
     left = 11 + 10 * index
     segments = (Segment(1, 1, False), Segment(left, 1 if wrong else 5, not wrong), Segment(left + 1, 5, True))
@@ -53,22 +46,21 @@ def _report_of_a_perfect_lift(scene: Scene) -> dict[str, object]:
     report = Report(scene.classes)
     for frame in scene.test_frames:
         report.add(LIFTED, frame, PredictedView(TRUE_CLASS, TRUE_ID, PHOTO))
-    add_rivals(report, scene)
+    add_input_masks(report, scene)
     return report.to_json()
 
 
-def test_three_methods_in_two_modes() -> None:
+def test_two_methods_in_two_modes() -> None:
     metrics = _report_of_a_perfect_lift(SCENE)
     tables = {(table["name"], table["mode"]): table for table in metrics["tables"]}  # type: ignore[attr-defined]
-    assert list(tables) == [(n, m) for n in (MACHINE_MASKS, LIFTED, VOXEL_VOTE) for m in ("strict", "pl_compat")]
+    assert list(tables) == [(n, m) for n in (INPUT_MASKS, LIFTED) for m in ("strict", "pl_compat")]
     assert metrics["test_frames"] == ["0003", "0004"]
-    lifted, masks = tables[LIFTED, "strict"], tables[MACHINE_MASKS, "strict"]
+    lifted, masks = tables[LIFTED, "strict"], tables[INPUT_MASKS, "strict"]
     assert (lifted["miou"], lifted["pq"], lifted["psnr"]) == (1.0, 1.0, 100.0)
     # Ids are new in every view: each true chair spans two views, so no segment covers more than half of it.
     assert masks["per_class"][1]["pq"] == 0.0
     assert {masks[key] for key in ("psnr", "ssim_fitted", "depth_error_m", "depth_within_5cm")} == {None}
     assert (lifted["psnr_fitted"], lifted["depth_error_m"]) == (100.0, None)
-    assert masks["miou"] < tables[VOXEL_VOTE, "strict"]["miou"] < 1.0
     assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
 
 
@@ -93,7 +85,7 @@ def test_void_ground_truth_gives_no_table() -> None:
     nothing = np.zeros((40, 60), np.int32)
     frame = replace(SCENE.frames[3], read_ground_truth=lambda size: GroundTruth(nothing, nothing))
     report = Report(CLASSES)
-    report.add(MACHINE_MASKS, frame, PredictedView(TRUE_CLASS, TRUE_ID))
+    report.add(INPUT_MASKS, frame, PredictedView(TRUE_CLASS, TRUE_ID))
     assert report.to_json()["tables"] == []
 
 

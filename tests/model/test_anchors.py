@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from engine.model.anchors import initial_anchors, spacing
+from engine.model.anchors import initial_anchors, seeded_features, spacing
 
 
 def test_spacing_is_the_root_mean_square_of_three_neighbours() -> None:
@@ -28,3 +28,27 @@ def test_selecting_keeps_all_rows_aligned() -> None:
     for row, label in enumerate(both.initial_class.tolist()):
         assert both.position[row, 0] == positions[label, 0]
         assert both.feature[row, 0] == label
+
+
+def features_of(labels: np.ndarray, features: int = 32, seed: int = 0) -> np.ndarray:
+    rgb = np.zeros((len(labels), 3), np.uint8)
+    return seeded_features(rgb, np.zeros_like(labels), labels, features=features, seed=seed)
+
+
+def test_colour_and_labels_are_told_apart_and_unknown_is_zero() -> None:
+    rgb = np.array([[0, 0, 0], [255, 255, 255]], np.uint8)
+    feature = seeded_features(rgb, np.array([0, 2]), np.array([0, 1]), features=11, seed=3)
+    assert feature.dtype == np.float32 and feature.shape == (2, 11)
+    np.testing.assert_array_equal(feature[:, :3], [[-1] * 3, [1] * 3])
+    assert not feature[0, 3:].any() and (np.abs(feature[1, 3:]) == 1).all()
+
+
+def test_no_two_instances_share_a_code() -> None:
+    labels = np.arange(1, 129)
+    for seed in range(4):
+        # 8 bits for 128 instances: drawn at will, dozens of them would be alike.
+        assert len(np.unique(features_of(labels, features=18, seed=seed), axis=0)) == len(labels)
+
+
+def test_more_labels_than_codes_still_end() -> None:
+    assert len(np.unique(features_of(np.arange(1, 10), features=5), axis=0)) == 2

@@ -13,7 +13,7 @@ from engine.instances.class_first import LEAST_OF_CLASS
 from engine.model.baking import bake, decided_labels
 from engine.model.rendering import PanopticRendering
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, LabelChannels
-from engine.passes import decide
+from engine.passes.layers import decide
 from engine.scene import Camera, Category, ClassTable
 from tests.model.some_scene import CLASS_IDS, GAUSSIANS, some_scene
 

@@ -17,7 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from safetensors.torch import save
 
-from engine.job import JobError, LiftFolder, LiftRequest
+from engine.errors import PlgsError
+from engine.job import LiftFolder, LiftRequest
 from engine.lift.scene_files import read_model, write_model
 from engine.model.render import render_view
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene, from_tensors, to_tensors
@@ -54,7 +55,7 @@ def test_rows_that_are_not_there(tmp_path: Path) -> None:
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     folder.result_path.mkdir()
     (folder.result_path / "model.safetensors").write_bytes(save(vast, metadata={"plgs": "{}"}))
-    with pytest.raises(JobError, match="the model cannot be read"):
+    with pytest.raises(PlgsError, match="the model cannot be read"):
         read_model(folder)
 
 
@@ -143,19 +144,19 @@ def test_a_model_with_bad_notes_is_a_line(tmp_path: Path) -> None:
     tensors, _ = MODELS[False]
     for notes in ({}, {"plgs": "["}, {"plgs": "[]"}, {"plgs": "[" * 100_000}, {"plgs": "7"}, {"plgs": '{"format": 2}'}):
         path.write_bytes(save(tensors, metadata=notes))
-        with pytest.raises(JobError, match="the model cannot be read"):
+        with pytest.raises(PlgsError, match="the model cannot be read"):
             read_model(folder)
     write_model(folder, from_tensors(*MODELS[True]))
     draws(read_model(folder))
     whole = path.read_bytes()
     for content in (b"", whole[:7], whole[:200], whole[:-5], b"\xff" * 8 + whole[8:]):
         path.write_bytes(content)
-        with pytest.raises(JobError, match="the model cannot be read"):
+        with pytest.raises(PlgsError, match="the model cannot be read"):
             read_model(folder)
     path.unlink()
     if hasattr(os, "mkfifo"):
         os.mkfifo(path)
-        with pytest.raises(JobError, match="the model cannot be read"):
+        with pytest.raises(PlgsError, match="the model cannot be read"):
             read_model(folder)
 
 

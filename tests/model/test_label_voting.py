@@ -10,15 +10,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances import PanopticLabels, decide_labels
 from engine.instances.class_first import LEAST_OF_CLASS
+from engine.instances.panoptic_labels import PanopticLabels, decide_labels
+from engine.model import label_voting
 from engine.model.gaussians import decode
 from engine.model.label_voting import (
     LABELS_HELD,
     Contributors,
     HeldVotes,
     LabelVotes,
-    VotingOptions,
     _add_votes,
     contributors,
     pixel_labels,
@@ -26,6 +26,7 @@ from engine.model.label_voting import (
 from engine.model.render import render_view
 from engine.model.scene_labels import VotedLabels, scene_labels
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene
+from engine.presets.preset import Voting
 from engine.raster import rasterize
 from engine.scene import Camera
 from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, some_scene
@@ -33,7 +34,14 @@ from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, some_sce
 SLOT_IDS, CLASS_OF_SLOT = (4, NO_OBJECT, 9, SPARE, SPARE), (7, 0, 5, 0, 0)
 LABELS = len(CLASS_IDS) + 2
 SIZE = (CAMERA.height, CAMERA.width)
-ALL = VotingOptions(contributors=GAUSSIANS, power=1.0, prior=0.0, kept=LABELS)
+ALL = Voting(power=1.0, prior=0.0)
+
+
+@pytest.fixture(autouse=True)
+def every_label(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gaussians keep all labels."""
+    monkeypatch.setattr(label_voting, "KEPT", LABELS)
+
 UNKNOWN_DEPTH = np.zeros(SIZE, np.float32)
 
 
@@ -87,7 +95,7 @@ def test_votes_are_sums_of_blending_weights(scene: StructuredScene, power: float
     votes, expected = LabelVotes(scene, options), np.zeros((GAUSSIANS, LABELS))
     for seed, camera in enumerate((CAMERA, moved(0.3))):
         label = made_up_labels(seed)
-        votes.add(contributors(scene, camera, options.contributors), label, UNKNOWN_DEPTH)
+        votes.add(contributors(scene, camera, GAUSSIANS), label, UNKNOWN_DEPTH)
         weights = blending_weights(scene, camera, label)
         expected += weights * np.maximum(weights.sum(1, keepdims=True), 1e-12) ** (power - 1)
     seen = expected.sum(1) > 1e-3
@@ -96,11 +104,11 @@ def test_votes_are_sums_of_blending_weights(scene: StructuredScene, power: float
 
 
 def test_pixels_at_the_wrong_depth_abstain(scene: StructuredScene) -> None:
-    seen = contributors(scene, CAMERA, ALL.contributors)
+    seen = contributors(scene, CAMERA, GAUSSIANS)
     label = made_up_labels(0)
     sensor = seen.depth.copy()
-    sensor[:, ::3] += 0.9 * ALL.depth_gap_m
-    sensor[:, 1::3] += 1.1 * ALL.depth_gap_m
+    sensor[:, ::3] += 0.9 * label_voting.DEPTH_GAP_M
+    sensor[:, 1::3] += 1.1 * label_voting.DEPTH_GAP_M
     sensor[:5] = 0  # not measured
     votes = LabelVotes(scene, ALL)
     votes.add(seen, label, sensor)
@@ -118,7 +126,7 @@ def test_far_off_a_share_of_the_depth_is_allowed(scene: StructuredScene) -> None
     for gap, voting in ((0.9, True), (1.1, False)):
         votes = LabelVotes(scene, ALL)
         sensor = np.full(SIZE, 20.0, np.float32)
-        votes.add(replace_depth(far, 20.0 * (1 + gap * ALL.depth_gap_share)), label, sensor)
+        votes.add(replace_depth(far, 20.0 * (1 + gap * label_voting.DEPTH_GAP_SHARE)), label, sensor)
         assert bool(votes.result().share.any()) is voting
 
 
@@ -135,18 +143,21 @@ def test_the_decoders_serve_where_nothing_was_seen(scene: StructuredScene) -> No
     torch.testing.assert_close(shown, decoded.probabilities, atol=1e-5, rtol=0)
     votes = LabelVotes(scene, options)
     label = np.full(SIZE, 3, np.int16)
-    votes.add(contributors(scene, CAMERA, options.contributors), label, UNKNOWN_DEPTH)
+    votes.add(contributors(scene, CAMERA, GAUSSIANS), label, UNKNOWN_DEPTH)
     weight = blending_weights(scene, CAMERA, label).sum(1)
     prior = dense(silent)
     expected = (prior * options.prior + weight[:, None] * (np.arange(LABELS) == 3)) / (options.prior + weight)[:, None]
     np.testing.assert_allclose(dense(votes.result()), expected, atol=2e-3)
 
 
-def test_only_the_likeliest_labels_are_kept(scene: StructuredScene) -> None:
-    votes = {kept: LabelVotes(scene, replace(ALL, kept=kept, prior=0.3)) for kept in (2, LABELS + 3)}
-    for each in votes.values():
-        each.add(contributors(scene, CAMERA, 8), made_up_labels(0), UNKNOWN_DEPTH)
-    few, all_of_them = votes[2].result(), votes[LABELS + 3].result()
+def test_only_the_likeliest_labels_are_kept(scene: StructuredScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for kept in (2, LABELS + 3):
+        monkeypatch.setattr(label_voting, "KEPT", kept)
+        votes = LabelVotes(scene, replace(ALL, prior=0.3))
+        votes.add(contributors(scene, CAMERA, 8), made_up_labels(0), UNKNOWN_DEPTH)
+        found.append(votes.result())
+    few, all_of_them = found
     assert few.label.shape == few.share.shape == (GAUSSIANS, 2) and all_of_them.label.shape == (GAUSSIANS, LABELS)
     best = all_of_them.share[:, :2]
     torch.testing.assert_close(few.share, best / best.sum(1, keepdim=True))

@@ -27,13 +27,11 @@ def classes_of(slot_ids: tuple[int, ...]) -> tuple[int, ...]:
 
 @pytest.mark.parametrize("slot_ids", SLOTS)
 @pytest.mark.parametrize("one_class", [False, True])
-@pytest.mark.parametrize("kernels", ["vector", "plain"])
 def test_a_view_is_the_same_with_and_without(
-    slot_ids: tuple[int, ...], one_class: bool, kernels: str, monkeypatch: pytest.MonkeyPatch
+    slot_ids: tuple[int, ...], one_class: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is drawn from labels of finished Gaussians differs a little where objects are of one class: a product of
     means is no mean of products."""
-    monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
     monkeypatch.setattr(subject, "CHUNK", 33)
     scene = some_scene(slot_ids, class_of_slot=classes_of(slot_ids) if one_class else ())
     labels = scene_labels(scene)

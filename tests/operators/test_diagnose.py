@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from plgs.plgs_blender import scene_diagnosis
-from plgs.plgs_blender.scene_diagnosis import diagnosis_of
-from plgs.plgs_blender.settings import place_of
+from plgs.plgs_blender.running.diagnosis import Diagnosis, diagnose, diagnosis_of
+from plgs.plgs_blender.settings import chosen_scene
+from plgs.plgs_blender.tasks import registry
 from tiny_scene import write_tiny_scene
 
 
@@ -28,7 +27,7 @@ def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
     assert not bpy.ops.plgs.diagnose.poll() and not bpy.ops.plgs.show_finding.poll()
     settings.scene_folder = str(inverted)
     assert bpy.ops.plgs.diagnose() == {"FINISHED"}
-    known = diagnosis_of(place_of(settings))
+    known = diagnosis_of(chosen_scene(settings))
     assert known is not None and [finding.cause for finding in known.findings] == ["inverted poses"]
     assert known.can_be_mended and known.findings[0].is_mended and "%" in known.findings[0].text
     assert bpy.ops.plgs.show_finding(number=0) == {"FINISHED"}
@@ -38,7 +37,7 @@ def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
     assert bpy.ops.plgs.fix_scene() == {"FINISHED"}
     assert Path(settings.scene_folder) == inverted.with_name("scene_mended")
     assert bpy.ops.plgs.diagnose() == {"FINISHED"}
-    again = diagnosis_of(place_of(settings))
+    again = diagnosis_of(chosen_scene(settings))
     assert again is not None and again.findings == () and again.error is None
     assert not bpy.ops.plgs.fix_scene.poll()
 
@@ -46,9 +45,11 @@ def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
 def test_a_measurement_can_be_cancelled(inverted: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(inverted)
     assert not bpy.ops.plgs.cancel_diagnosis.poll()
-    scene_diagnosis.begin(place_of(bpy.context.scene.plgs), Path(sys.executable))
+    diagnosis = diagnose(bpy.context.scene.plgs)
+    assert not bpy.ops.plgs.diagnose.poll(), "one at a time"
     assert bpy.ops.plgs.cancel_diagnosis() == {"FINISHED"}
-    assert not scene_diagnosis.is_running() and bpy.ops.plgs.diagnose.poll()
+    assert not registry.running(Diagnosis) and bpy.ops.plgs.diagnose.poll()
+    assert diagnosis.was_cancelled and diagnosis_of(chosen_scene(bpy.context.scene.plgs)) is None
 
 
 def test_a_folder_without_a_scene_is_an_error(tmp_path: Path) -> None:

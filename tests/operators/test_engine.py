@@ -9,9 +9,9 @@ from pathlib import Path
 
 import bpy
 import pytest
-from plgs.engine.job.handshake import VERSION, EngineAnswer
 from plgs.plgs_blender import engine_environment
-from plgs.plgs_blender.engine_environment import EngineState, choices, session
+from plgs.plgs_blender.engine_environment import EngineState, choices, tasks
+from pretended_python import pretended_python
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the cache folder is chosen by XDG_CACHE_HOME")
 
@@ -24,26 +24,19 @@ def nothing_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     choices.choose(None)
 
 
-def pretended_python(path: Path, torch: str | None) -> Path:
-    answer = EngineAnswer(VERSION, "3.11.9", path, {"torch": torch}, {"torch": "2.0"}, 4, None)
-    path.write_text(f"#!/bin/sh\necho '{answer.to_line().decode().strip()}'\n")
-    path.chmod(0o755)
-    return path
-
-
 def test_use_this_python_answers_or_tells_what_it_lacks(tmp_path: Path) -> None:
-    good = pretended_python(tmp_path / "good", "2.0")
+    good = pretended_python(tmp_path / "good")
     assert bpy.ops.plgs.use_this_python(python=str(good)) == {"FINISHED"}
     assert engine_environment.status().state is EngineState.READY and engine_environment.usable_python() == good
     assert bpy.ops.plgs.check_engine() == {"FINISHED"}
     with pytest.raises(RuntimeError, match="lacks torch"):
-        bpy.ops.plgs.use_this_python(python=str(pretended_python(tmp_path / "bare", None)))
+        bpy.ops.plgs.use_this_python(python=str(pretended_python(tmp_path / "bare", torch=None)))
     with pytest.raises(RuntimeError, match="/nowhere/python"):
         bpy.ops.plgs.use_this_python(python="/nowhere/python")
 
 
 def test_without_a_path_blenders_own_python_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "check", lambda: None)
+    monkeypatch.setattr(tasks, "check", lambda: None)
     bpy.ops.plgs.use_this_python()
     assert choices.chosen_python() == Path(sys.executable)
 
@@ -52,7 +45,7 @@ def test_what_cannot_be_done_says_why() -> None:
     assert not bpy.ops.plgs.set_up_engine.poll()
     with pytest.raises(RuntimeError, match="Allow online access in Preferences > System"):
         bpy.ops.plgs.set_up_engine()
-    with pytest.raises(RuntimeError, match="not being set up"):
+    with pytest.raises(RuntimeError, match="Nothing is running"):
         bpy.ops.plgs.cancel_engine_set_up()
     with pytest.raises(RuntimeError, match="There is no log"):
         bpy.ops.plgs.open_set_up_log()
@@ -69,13 +62,13 @@ def test_a_set_up_that_fails_raises_its_reason(tmp_path: Path) -> None:
 
 
 def test_remove_takes_only_what_was_made_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "check", lambda: None)
+    monkeypatch.setattr(tasks, "check", lambda: None)
     folder = tmp_path / "cache" / "plgs"
     (folder / "engine-3.11-abc").mkdir(parents=True)
     (folder / "engine-3.11-abc" / "pyvenv.cfg").touch()
     (folder / "plgs-kernels-abc").mkdir()
     assert bpy.ops.plgs.remove_engine() == {"FINISHED"}
-    assert sorted(path.name for path in folder.iterdir()) == ["plgs-kernels-abc", "set-up.log"]
+    assert [path.name for path in folder.iterdir()] == ["plgs-kernels-abc"]
 
 
 INSTALLED = """
@@ -85,15 +78,17 @@ repository = bpy.context.preferences.extensions.repos.new(
     name="Dev", module="plgsdev", custom_directory=sys.argv[1], source="USER")
 bpy.ops.preferences.addon_enable(module="bl_ext.plgsdev.plgs")
 preferences = bpy.context.preferences.addons["bl_ext.plgsdev.plgs"].preferences
-from bl_ext.plgsdev.plgs.plgs_blender.engine_environment import choices, session
+from bl_ext.plgsdev.plgs.plgs_blender.engine_environment import choices, tasks
+from bl_ext.plgsdev.plgs.plgs_blender.tasks import registry
 assert choices.are_in_preferences() and choices.chosen_python() is None
 preferences.engine_python = sys.argv[2]  # asks at once
-assert session.status().state.value == "checking", session.status()
-session.wait()
-assert session.status().state.value == "ready", session.status()
+assert tasks.status().state.value == "checking", tasks.status()
+registry.wait_for(registry.latest(tasks.EngineCheck), bpy.context.scene)
+assert tasks.status().state.value == "ready", tasks.status()
 preferences.torch_build, preferences.base_python, preferences.index_url = "cuda", "/base", " http://index "
-assert choices.wish() == choices.Wish(Path("/base"), "cuda", "http://index"), choices.wish()
-assert choices.wish("/other", "cpu") == choices.Wish(Path("/other"), "cpu", "http://index")
+chosen = choices.set_up_choice()
+assert chosen == choices.SetUpChoice(Path("/base"), "cuda", "http://index"), chosen
+assert choices.set_up_choice("/other", "cpu") == choices.SetUpChoice(Path("/other"), "cpu", "http://index")
 bpy.ops.plgs.use_this_python(python=sys.argv[2])
 preferences.engine_python = ""
 assert choices.chosen_python() is None
@@ -106,7 +101,7 @@ def test_an_installed_extension_keeps_the_choices_in_its_preferences(root: Path,
     repository = tmp_path / "repository"
     repository.mkdir()
     (repository / "plgs").symlink_to(root)
-    good = pretended_python(tmp_path / "good", "2.0")
+    good = pretended_python(tmp_path / "good")
     command = [sys.executable, "-c", INSTALLED, str(repository), str(good)]
     said = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=tmp_path)
     assert "all good" in said.stdout, said.stderr

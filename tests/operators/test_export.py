@@ -12,8 +12,12 @@ from pathlib import Path
 
 import bpy
 import pytest
+from plgs.engine.job.follower import TaskFollower
+from plgs.engine.job.process import EngineProcess
+from plgs.engine.job.task import TaskPlace
 from plgs.plgs_blender import engine_environment
 from plgs.plgs_blender.running import exports
+from plgs.plgs_blender.tasks import registry
 
 PRETENCE = """
 import sys
@@ -21,7 +25,7 @@ from pathlib import Path
 sys.path[:0] = sys.argv[2:]
 from tests.plgs_blender.surface_file import write_surface
 
-print("3 of 4 frames", file=sys.stderr, flush=True)
+Path(sys.argv[1]).mkdir(parents=True)
 write_surface(Path(sys.argv[1]) / "mesh.ply")
 """
 
@@ -31,7 +35,7 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The Python that runs the tests is the engine's."""
     monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
     yield
-    exports.let_go()
+    registry.forget_all()
 
 
 needs_engine = pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
@@ -52,8 +56,8 @@ def test_forms_are_exported_by_the_engine(lift: Path, tmp_path: Path) -> None:
     coco = tmp_path / "coco"
     assert bpy.ops.plgs.export_lift(form="coco", directory=str(coco), frames="test") == {"FINISHED"}
     assert len(json.loads((coco / "panoptic.json").read_text())["images"]) == 2
-    shown = exports.latest()
-    assert shown is not None and (shown.done, shown.total) == (2, 2) and str(coco) in shown.message
+    shown = registry.latest(exports.Export)
+    assert shown is not None and (shown.progress.step, shown.progress.steps) == (2, 2) and str(coco) in shown.message
 
 
 @needs_engine
@@ -65,28 +69,35 @@ def test_what_goes_wrong_is_told(lift: Path, tmp_path: Path) -> None:
         bpy.ops.plgs.export_lift(form="boxes", directory=str(tmp_path / "file"), lift_folder=str(lift))
 
 
+def pretend(monkeypatch: pytest.MonkeyPatch, program: str, *arguments: object) -> list[list[str]]:
+    """Let exports run a program instead of the engine; the arguments that the engine would get."""
+    asked: list[list[str]] = []
+
+    def start_engine(kind: str, python: Path, *given: object) -> TaskFollower:
+        asked.append([str(each) for each in given])
+        output = given[given.index("-o") + 1]
+        command = [sys.executable, "-c", program, output, *arguments]
+        return TaskFollower(TaskPlace.temporary(), EngineProcess(command), kind=kind)
+
+    monkeypatch.setattr(exports, "start_engine", start_engine)
+    return asked
+
+
 def test_meshes_are_made_and_placed(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, root: Path) -> None:
     lift = shutil.copytree(lift, tmp_path / "lift")
-    asked = []
-
-    def command(python: Path, folder: Path, form: str, output: Path, frames: list[str]) -> list[str | Path]:
-        asked.append((folder, form, frames))
-        output.mkdir(parents=True)
-        return [python, "-c", PRETENCE, output, root]
-
-    monkeypatch.setattr(exports, "export_command", command)
+    asked = pretend(monkeypatch, PRETENCE, root)
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
     bpy.context.scene.plgs.lift_folder = ""
     assert bpy.ops.plgs.make_meshes() == {"FINISHED"}
-    assert asked == [(lift, "mesh", ["all"])]
+    (arguments,) = asked
+    assert arguments[0] == str(lift) and arguments[1:3] == ["--to", "mesh"] and arguments[-2:] == ["--frames", "all"]
     names = {ob.name for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")}
     assert len(names) == 2
 
 
 def test_a_cancelled_export_is_no_error(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exports, "export_command", lambda python, *_: [python, "-c", "import time; time.sleep(600)"])
-    export = exports.start(lift, "coco", tmp_path, Path(sys.executable))
+    pretend(monkeypatch, "import time; time.sleep(600)")
+    export = exports.export(lift, "coco", tmp_path, Path(sys.executable))
     assert not bpy.ops.plgs.export_lift.poll(), "one at a time"
     bpy.ops.plgs.cancel_export()
-    exports.wait_for(export)
-    assert export.error is None and export.message == "The export was cancelled"
+    assert export.is_taken and export.error is None and export.message == "The export was cancelled"

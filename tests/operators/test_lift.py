@@ -12,8 +12,9 @@ import bpy
 import pytest
 from plgs.engine.job import LiftFolder
 from plgs.engine.job.recent import remember_lift
-from plgs.plgs_blender import engine_environment, scene_survey
-from plgs.plgs_blender.running import lifts
+from plgs.plgs_blender import engine_environment
+from plgs.plgs_blender.running import lifts, survey
+from plgs.plgs_blender.tasks import registry
 
 from tests.job.bytes_read import bytes_read
 
@@ -44,7 +45,7 @@ def test_a_script_waits_for_the_lift(behaves: Behaves, room: Path, tmp_path: Pat
     )
     assert made == {"FINISHED"}
     request = LiftFolder.open(tmp_path / "lift").request
-    assert (request.scene, request.preset, request.steps, request.seed) == (room, "standard", 7, 3)
+    assert (request.scene, request.preset, request.options, request.seed) == (room, "standard", {"steps": 7}, 3)
     assert (settings.preset, settings.steps, settings.seed) == ("standard", 7, 3), "the panel shows what is lifted"
 
 
@@ -75,9 +76,9 @@ def test_an_engine_that_breaks_raises_its_reason(behaves: Behaves, room: Path, t
     behaves("broken")
     with pytest.raises(RuntimeError, match="no such luck|ZeroDivisionError"):
         bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
-    watch = lifts.watch_of(tmp_path / "lift")
-    assert watch is not None and watch.can_be_resumed
-    assert watch.outcome is not None and watch.outcome.log_lines, "the panel shows the log's end"
+    broken = lifts.lift_of(tmp_path / "lift")
+    assert broken is not None and broken.can_be_resumed
+    assert broken.error is not None and broken.follower.log_lines, "the panel shows the log's end"
 
 
 def test_resuming(behaves: Behaves, room: Path, tmp_path: Path) -> None:
@@ -112,8 +113,8 @@ def test_watching_a_finished_lift_places_it(lift: Path) -> None:
 def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None:
     remember_lift(lift)
     reopen_with(lift, tmp_path)
-    watch = lifts.watch_of(lift)
-    assert watch is not None and watch.is_finished
+    found = lifts.lift_of(lift)
+    assert found is not None and found.is_finished
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
@@ -126,11 +127,11 @@ def test_opening_a_file_looks_at_no_path_of_somebody_else(
     os.mkfifo(theirs / "events.jsonl")
     bpy.context.scene.plgs.scene_folder = ""
     looked: list[object] = []
-    monkeypatch.setattr(scene_survey, "look", lambda place, python: looked.append(place))
+    monkeypatch.setattr(survey, "look", lambda place, python: looked.append(place))
     bpy.context.scene.plgs.scene_folder = str(theirs)
     looked.clear()
     reopen_with(theirs, tmp_path)
-    assert lifts.watch_of(theirs) is None and lifts.refusal_of(theirs) is None and looked == []
+    assert lifts.lift_of(theirs) is None and lifts.refusal_of(theirs) is None and looked == []
     with pytest.raises(RuntimeError, match="neither a file nor a folder of a lift"):
         bpy.ops.plgs.watch_lift()
 
@@ -147,7 +148,8 @@ def test_looking_at_a_huge_file_of_events_takes_no_time(lift: Path, tmp_path: Pa
 def reopen_with(folder: Path, tmp_path: Path) -> None:
     bpy.context.scene.plgs.lift_folder = str(folder)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
-    lifts.let_go()
+    registry.forget_all()
+    lifts.forget_refusals()
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import bpy
 import pytest
-from plgs.plgs_blender.running import mask_making
-from plgs.plgs_blender.settings import place_of
+from plgs.plgs_blender.running.masks import MaskMaking
+from plgs.plgs_blender.settings import chosen_scene
+from plgs.plgs_blender.tasks import registry
 
 from engine.scene import open_scene
 from tests.tiny_scene import write_tiny_scene
@@ -87,7 +88,7 @@ def test_void_numbers_that_are_none_are_said(folder: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(folder)
     bpy.ops.plgs.read_classes()
     bpy.context.scene.plgs_masks.void = "1 x"
-    with pytest.raises(RuntimeError, match="numbers that mean nothing are none: 1 x"):
+    with pytest.raises(RuntimeError, match="numbers of void cannot be read: 1 x"):
         bpy.ops.plgs.write_classes()
 
 
@@ -95,11 +96,11 @@ def test_a_model_that_is_nowhere_is_said(bare: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(bare)
     with pytest.raises(RuntimeError, match="no such folder or model: nowhere"):
         bpy.ops.plgs.make_masks(model="nowhere")
-    assert not mask_making.is_making() and mask_making.error() is not None
-    settings = bpy.context.scene.plgs
-    assert mask_making.error_for(place_of(settings)) == mask_making.error()
+    making, settings = registry.latest(MaskMaking), bpy.context.scene.plgs
+    assert making is not None and not making.is_running and making.error is not None
+    assert making.error_for(chosen_scene(settings)) == making.error
     settings.scene_folder = str(bare.parent)
-    assert mask_making.error_for(place_of(settings)) is None, "another scene has no such error"
+    assert making.error_for(chosen_scene(settings)) is None, "another scene has no such error"
     assert not (bare / "panoptic").exists()
 
 
@@ -111,4 +112,5 @@ def test_masks_are_made_and_shown(bare: Path, tmp_path: Path) -> None:
     model = save_tiny_mask2former(tmp_path / "model")
     assert bpy.ops.plgs.make_masks(model=str(model)) == {"FINISHED"}
     assert [each.name for each in open_scene(bare).classes.categories] == NAMES
-    assert "Masks of 3 frames" in mask_making.progress()
+    making = registry.latest(MaskMaking)
+    assert making is not None and making.answer is not None and making.answer["frames"] == 3

@@ -11,11 +11,13 @@ from types import SimpleNamespace
 
 import bpy
 import pytest
-from plgs.engine.job import BakeCamera, follower, read_cameras
+from plgs.engine.job import BakeCamera, LiftFolder, read_cameras
+from plgs.engine.job.follower import TaskFollower
 from plgs.operators import passes
 from plgs.plgs_blender import engine_environment
 from plgs.plgs_blender.running import lifts
 from plgs.plgs_blender.shots import ShotReader, shot_of
+from plgs.plgs_blender.tasks import registry
 
 PRETENCE = """
 import sys
@@ -23,7 +25,7 @@ from pathlib import Path
 from engine.job import EventWriter
 
 events = EventWriter(Path(sys.argv[1]) / "events.jsonl")
-events.hello(threads=1, resumed=False, task="bake")
+events.hello(task="bake", threads=1, resumed=False)
 events.done("finished")
 """
 
@@ -41,15 +43,17 @@ def baked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Asked]:
     """The engine only pretends."""
     asked = Asked()
 
-    def command(python: Path, lift: Path, frames: list[str], cameras: Path | None) -> list[str | Path]:
+    def start_bake(
+        lift: LiftFolder, python: Path, frames: list[str], *, cameras: Path | None, stays_with_parent: bool
+    ) -> TaskFollower:
         asked.frames.extend(frames)
         asked.cameras.extend(read_cameras(cameras) if cameras is not None else ())
-        return [python, "-c", PRETENCE, lift]
+        return TaskFollower.start([python, "-c", PRETENCE, lift.path], lift.place, kind="bake", lift=lift)
 
     monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
-    monkeypatch.setattr(follower, "bake_command", command)
+    monkeypatch.setattr(lifts, "start_bake", start_bake)
     yield asked
-    lifts.let_go()
+    registry.forget_all()
 
 
 def test_passes_open_in_the_compositor_at_the_active_camera(lift: Path) -> None:
@@ -119,7 +123,7 @@ def test_a_long_range_is_read_while_blender_answers(lift: Path, monkeypatch: pyt
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
     told: list[str | None] = []
     context = SimpleNamespace(workspace=SimpleNamespace(status_text_set=told.append))
-    pressed = SimpleNamespace(report=lambda *_: None, follow=lambda _: {"RUNNING_MODAL"})
+    pressed = SimpleNamespace(report=lambda *_: None, run=lambda *_, waits: {"FINISHED"})
     shot = ShotReader(bpy.context.scene, shot_of(bpy.context.scene, "", 1, 3))
 
     def answer(kind: str) -> set[str]:

@@ -7,10 +7,9 @@ from pathlib import Path
 import bpy
 import pytest
 from plgs.engine.scene import FORMATS
-from plgs.plgs_blender.possibilities import possibilities
 from plgs.plgs_blender.running.estimate import estimate_of
-from plgs.plgs_blender.scene_survey import survey_of
-from plgs.plgs_blender.settings import place_of, request_of
+from plgs.plgs_blender.running.survey import possibilities, survey_of
+from plgs.plgs_blender.settings import chosen_scene, request_of
 
 from tests.scene.formats.test_colmap import write_text
 
@@ -49,7 +48,7 @@ def test_a_lift_fills_the_collection_of_its_imported_scene(lift: Path) -> None:
 def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(room)
-    survey = survey_of(place_of(settings))
+    survey = survey_of(chosen_scene(settings))
     assert survey is not None and survey.error is None
     assert (survey.frames, survey.sizes) == (8, (((64, 48), 8),))
 
@@ -57,11 +56,11 @@ def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
 def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(room)
-    survey = survey_of(place_of(settings))
+    survey = survey_of(chosen_scene(settings))
     assert survey is not None and survey.format == "scannet" and survey.picture_files == 8
     assert all(each.is_possible for each in possibilities(survey, has_engine=True))
     settings.scene_folder = str(write_text(tmp_path / "walk"))
-    survey = survey_of(place_of(settings))
+    survey = survey_of(chosen_scene(settings))
     assert survey is not None and survey.format == "colmap" and survey.sparse_points == 6
     found = {each.what: each for each in possibilities(survey, has_engine=False)}
     assert [name for name, each in found.items() if not each.is_possible] == ["Lift"]
@@ -77,8 +76,8 @@ def test_the_panel_names_the_format(room: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(room)
     settings.format = "colmap"
-    survey = survey_of(place_of(settings))
-    assert survey is not None and survey.error is not None and "no COLMAP model" in survey.error
+    survey = survey_of(chosen_scene(settings))
+    assert survey is not None and survey.error is not None and "no COLMAP model" in survey.error.what
     assert request_of(settings).scene_format == "colmap"
     offered = {item.identifier for item in settings.bl_rna.properties["format"].enum_items}
     assert offered == {"auto", *(each.name for each in FORMATS)}
@@ -101,8 +100,8 @@ def test_the_panel_predicts_what_a_lift_takes(room: Path) -> None:
 def test_a_bad_folder_is_said_and_greys_the_button(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(tmp_path)
-    survey = survey_of(place_of(settings))
-    assert survey is not None and survey.error is not None and survey.fix
+    survey = survey_of(chosen_scene(settings))
+    assert survey is not None and survey.error is not None and survey.error.fix
     with bpy.context.temp_override(plgs_panel=settings):
         assert not bpy.ops.plgs.import_scene.poll() and not bpy.ops.plgs.lift_scene.poll()
     with pytest.raises(RuntimeError, match=str(tmp_path)):

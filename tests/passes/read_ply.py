@@ -1,4 +1,4 @@
-"""The inverse of ``write_ply``: the oracle of its tests."""
+"""The inverse of ``write_splats``: the oracle of its tests."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.model.baking import BakedGaussians
-from engine.passes.ply import _VERTEX, SH_DEGREE_0
+from engine.passes.ply import SH_DEGREE_0
+
+_FLOATS = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
+_VERTEX = np.dtype([*((name, "<f4") for name in _FLOATS), ("class_id", "<i4"), ("instance_id", "<i4")])
 
 
 def read_ply(path: Path) -> BakedGaussians:
-    """For the files of ``write_ply`` only."""
+    """For the files of ``write_splats`` only."""
     head, mark, body = path.read_bytes().partition(b"end_header\n")
     lines = head.decode("ascii", "replace").splitlines()
     names = [line.split()[2] for line in lines if line.startswith("property ")]

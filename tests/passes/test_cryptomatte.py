@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.passes import ShownInstances, bake_view, cryptomatte
-from engine.scene.matte_names import matte_names
+from engine.passes import cryptomatte
+from engine.passes.baked_view import ShownInstances, bake_view
+from engine.scene.classes import matte_names
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, WALL, made_rendering
 
 LAYERS = ("CryptoInstance", "CryptoClass")

@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from engine.passes import BakedView, ShownInstances, bake_view, decide, read_exr, read_note, write_exr
+from engine.passes.baked_view import BakedView, ShownInstances, bake_view
+from engine.passes.exr import read_exr, read_note, write_exr
+from engine.passes.layers import decide
 from tests.fuzzing import damaged, examples
 from tests.passes.views import CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, made_rendering
 

@@ -9,21 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from engine.export.frame_images import write_coco
 from engine.model.baking import BakedGaussians
-from engine.passes import (
-    InstanceRecord,
-    SegmentLink,
-    SheetRow,
-    chosen,
-    decide,
-    write_anchors,
-    write_coco,
-    write_contact_sheet,
-    write_instances,
-    write_ply,
-    write_previews,
-    write_semantic_points,
-)
+from engine.passes.contact_sheet import SheetRow, chosen, write_contact_sheet
+from engine.passes.layers import decide
+from engine.passes.ply import write_splats
+from engine.passes.previews import write_previews
 from tests.passes.read_ply import read_ply
 from tests.passes.views import CLASSES, made_rendering
 
@@ -46,7 +37,7 @@ def _splats() -> BakedGaussians:
 
 def test_ply_round_trip(tmp_path: Path) -> None:
     splats = _splats()
-    write_ply(tmp_path / "a.ply", splats)
+    write_splats(tmp_path / "a.ply", splats)
     read = read_ply(tmp_path / "a.ply")
     for name in ("means", "scales", "quats", "opacities", "colours"):
         assert getattr(read, name) == pytest.approx(getattr(splats, name), rel=1e-5, abs=1e-6), name
@@ -55,7 +46,7 @@ def test_ply_round_trip(tmp_path: Path) -> None:
 
 
 def test_ply_is_what_splat_viewers_expect(tmp_path: Path) -> None:
-    write_ply(tmp_path / "a.ply", _splats())
+    write_splats(tmp_path / "a.ply", _splats())
     head = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")[0].decode().splitlines()
     names = [line.split()[-1] for line in head if line.startswith("property float")]
     assert names[:6] == ["x", "y", "z", "nx", "ny", "nz"]
@@ -70,68 +61,9 @@ def test_ply_is_what_splat_viewers_expect(tmp_path: Path) -> None:
 def test_open3d_reads_the_ply(tmp_path: Path) -> None:
     open3d = pytest.importorskip("open3d")
     splats = _splats()
-    write_ply(tmp_path / "a.ply", splats)
+    write_splats(tmp_path / "a.ply", splats)
     cloud = open3d.t.io.read_point_cloud(str(tmp_path / "a.ply"))
     assert cloud.point.positions.numpy() == pytest.approx(splats.means)
-
-
-def test_arrays_are_read_back_and_their_bytes_repeat(tmp_path: Path) -> None:
-    points = {
-        "xyz": RANDOM.normal(size=(9, 3)),
-        "rgb": RANDOM.integers(0, 256, (9, 3), dtype=np.uint8),
-        "class_id": np.arange(9),
-        "instance_id": np.arange(9) * 2,
-        "confidence": RANDOM.uniform(size=9),
-    }
-    for name in "ab":
-        write_semantic_points(tmp_path / f"{name}.npz", **points)
-    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
-    with np.load(tmp_path / "a.npz", allow_pickle=False) as read:
-        assert set(read) == set(points)
-        kinds = {name: read[name].dtype.str for name in read}
-        assert read["xyz"] == pytest.approx(points["xyz"], rel=1e-6)
-    assert kinds == {"xyz": "<f4", "rgb": "|u1", "class_id": "<i4", "instance_id": "<i4", "confidence": "<f4"}
-    with pytest.raises(ValueError, match="differ in length"):
-        write_semantic_points(tmp_path / "c.npz", **(points | {"xyz": points["xyz"][1:]}))
-
-
-def test_anchors(tmp_path: Path) -> None:
-    ones = np.ones(4, int)
-    arrays = {"class_id": ones, "instance_id": ones, "opacity": ones / 2, "level": ones * 0}
-    write_anchors(tmp_path / "a.npz", xyz=np.zeros((4, 3)), rgb=np.zeros((4, 3), np.uint8), **arrays)
-    with np.load(tmp_path / "a.npz", allow_pickle=False) as read:
-        assert (read["opacity"] == 0.5).all()
-        assert read["level"].dtype == np.int32
-
-
-def _record(number: int) -> InstanceRecord:
-    return InstanceRecord(
-        id=number,
-        name=f"chair {number}",
-        class_id=5,
-        class_name="chair",
-        colour=(1, 2, 3),
-        centre=(0.0, 1.0, 2.0),
-        size=(1.0, 1.0, 1.0),
-        yaw=0.5,
-        rotation=(1.0, 0.0, 0.0, 0.0),
-        views=3,
-        score=0.9,
-        points=100,
-        segments=(SegmentLink("0001", 17, 5, 0.8, None, 0.75, 1200, 0.25, (0.0, 0.1, 0.5, 0.6)),),
-    )
-
-
-def test_instances(tmp_path: Path) -> None:
-    write_instances(tmp_path / "instances.json", CLASSES, [_record(2), _record(1)])
-    content = json.loads((tmp_path / "instances.json").read_text(encoding="utf-8"))
-    assert [instance["id"] for instance in content["instances"]] == [1, 2]
-    link = content["instances"][0]["segments"][0]
-    assert (link["cost"], link["agreement"], link["pixels"]) == (None, 0.75, 1200)
-    assert (link["share"], link["rectangle"]) == (0.25, [0.0, 0.1, 0.5, 0.6])
-    assert content["classes"][1] == {"id": 5, "name": "chair", "is_thing": True, "colour": [210, 70, 60]}
-    with pytest.raises(ValueError, match="unique"):
-        write_instances(tmp_path / "instances.json", CLASSES, [_record(1), _record(1)])
 
 
 def test_coco_round_trip(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from engine.instances.class_first import LEAST_OF_CLASS
 from engine.model.rendering import PanopticRendering
-from engine.passes import decide, encoded, linear
+from engine.passes.layers import decide, encoded, linear
 from engine.scene import Camera, Category, ClassTable
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NOTHING, RIGHT, SOFA, WALL, made_rendering
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from engine.passes.ply import write_ply_table
 from tests.tiny_scene import CHAIR_ID, FLOOR_ID
 
 SIDE = 8
@@ -13,7 +14,7 @@ SIDE = 8
 
 
 def write_surface(path: Path) -> None:
-    """As the engine exports it: a floor of 4 by 3 m, and above it a patch of 1 by 1 m that is the chair."""
+    """A floor of 4 by 3 m, and above it a patch of 1 by 1 m that is the chair."""
     floor, chair = net((0.0, 0.0, 0.0), (4.0, 3.0)), net((1.0, 1.0, 0.5), (1.0, 1.0))
     xyz = np.concatenate([floor, chair])
     triangles = np.concatenate([net_triangles(), net_triangles() + len(floor)])
@@ -23,17 +24,8 @@ def write_surface(path: Path) -> None:
     columns |= {name: np.full(len(xyz), value, np.uint8) for name, value in (("red", 255), ("green", 128), ("blue", 0))}
     columns["class_id"] = np.where(part == 0, FLOOR_ID, CHAIR_ID).astype(np.int32)
     columns["instance_id"] = part.astype(np.int32)
-    kinds = {"f": "float", "i": "int", "u": "uchar"}
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(xyz)}"]
-    lines += [f"property {kinds[values.dtype.kind]} {name}" for name, values in columns.items()]
-    lines += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header", ""]
-    table = np.empty(len(xyz), [(name, values.dtype) for name, values in columns.items()])
-    for name, values in columns.items():
-        table[name] = values
-    faces = np.empty(len(triangles), [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, triangles
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes("\n".join(lines).encode() + table.tobytes() + faces.tobytes())
+    write_ply_table(path, columns, triangles)
 
 
 def net(corner: tuple[float, float, float], size: tuple[float, float]) -> np.ndarray:

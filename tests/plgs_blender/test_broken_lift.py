@@ -12,11 +12,11 @@ import bpy
 import numpy as np
 import pytest
 from file_contents import contents
-from plgs.engine.job import JobError
+from plgs.engine.errors import PlgsError
 from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.results import read_result
-from plgs.plgs_blender.scene_survey import Place
 from tiny_lift import mend_manifest, write_tiny_lift
 
 
@@ -26,7 +26,7 @@ def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
     path = next((lift / "result" / "passes").iterdir())
     path.write_bytes(content.ljust(path.stat().st_size, b"\0"))
     before = contents()
-    with pytest.raises(JobError, match=path.name):
+    with pytest.raises(PlgsError, match=path.name):
         lift_scene.place_lift(lift, bpy.context.scene)
     assert contents() == before
 
@@ -50,45 +50,35 @@ def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
     ],
 )
 def test_absurd_instances_change_nothing(lift: Path, tmp_path: Path, name: str, value: object) -> None:
-    shutil.copytree(lift, tmp_path / "lift")
-    path = tmp_path / "lift" / "result" / "instances.json"
-    content = json.loads(path.read_text())
+    content = json.loads((lift / "result" / "instances.json").read_text())
     content["instances"][0][name] = value
-    path.write_text(json.dumps(content))
-    refuses(tmp_path / "lift", "instances.json")
+    with_instances(lift, tmp_path, json.dumps(content))
 
 
 def test_endless_brackets_change_nothing(lift: Path, tmp_path: Path) -> None:
-    shutil.copytree(lift, tmp_path / "lift")
-    (tmp_path / "lift" / "result" / "instances.json").write_text("[" * 100_000)
-    refuses(tmp_path / "lift", "instances.json")
-
-
-def test_absurd_positions_change_nothing(lift: Path, tmp_path: Path) -> None:
-    shutil.copytree(lift, tmp_path / "lift")
-    path = tmp_path / "lift" / "result" / "semantic_points.npz"
-    points = dict(np.load(path))
-    points["xyz"][0, 0] = 3e38
-    np.savez(path, **points)
-    refuses(tmp_path / "lift", "semantic_points.npz")
+    with_instances(lift, tmp_path, "[" * 100_000)
 
 
 def test_a_palette_has_a_place_for_each_class_id_so_they_have_an_end(lift: Path, tmp_path: Path) -> None:
-    shutil.copytree(lift, tmp_path / "lift")
-    path = tmp_path / "lift" / "result" / "instances.json"
-    content = json.loads(path.read_text())
+    content = json.loads((lift / "result" / "instances.json").read_text())
     content["classes"][-1]["id"] = 2**31 - 2  # 34 GB of colours
-    path.write_text(json.dumps(content))
-    refuses(tmp_path / "lift", "instances.json")
+    with_instances(lift, tmp_path, json.dumps(content))
 
 
-def test_arrays_that_unpack_to_gigabytes_change_nothing(lift: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("xyz", "message"),
+    [
+        (lambda xyz: np.full_like(xyz, 3e38), "semantic_points.npz"),
+        (lambda xyz: np.zeros((30_000_000, 3), np.float32), "would unpack to"),
+    ],
+    ids=["absurd", "gigabytes"],
+)
+def test_bad_positions_change_nothing(lift: Path, tmp_path: Path, xyz: Callable, message: str) -> None:
     shutil.copytree(lift, tmp_path / "lift")
     path = tmp_path / "lift" / "result" / "semantic_points.npz"
     points = dict(np.load(path))
-    points["xyz"] = np.zeros((30_000_000, 3), np.float32)
-    np.savez_compressed(path, **points)
-    refuses(tmp_path / "lift", "would unpack to")
+    np.savez_compressed(path, **points | {"xyz": xyz(points["xyz"])})
+    refuses(tmp_path / "lift", message)
 
 
 ROT = {
@@ -107,7 +97,7 @@ def test_rot_is_a_line_and_changes_nothing(
     shutil.copytree(lift, tmp_path / "lift")
     path, before = tmp_path / "lift" / "result" / name, contents()
     path.write_bytes(spoil(path.read_bytes()))
-    with pytest.raises(JobError, match=f"was changed since it was written: .*{path.name}"):
+    with pytest.raises(PlgsError, match=f"was changed since it was written: .*{path.name}"):
         lift_scene.place_lift(tmp_path / "lift", bpy.context.scene)
     assert contents() == before
     if path.suffix != ".exr":  # that one is Blender's to read: its header is looked at, see above
@@ -120,10 +110,17 @@ def test_passes_that_the_manifest_does_not_list_are_not_opened(lift: Path, tmp_p
     assert sorted(read_result(tmp_path / "lift").passes) == sorted(read_result(lift).passes)
 
 
+def with_instances(lift: Path, folder: Path, text: str) -> None:
+    """A copy of the lift with this instances.json is refused."""
+    shutil.copytree(lift, folder / "lift")
+    (folder / "lift" / "result" / "instances.json").write_text(text)
+    refuses(folder / "lift", "instances.json")
+
+
 def refuses(lift: Path, place: str) -> None:
     mend_manifest(lift)
     before = contents()
-    with pytest.raises(JobError, match=place):
+    with pytest.raises(PlgsError, match=place):
         lift_scene.place_lift(lift, bpy.context.scene)
     assert contents() == before
 
@@ -137,6 +134,6 @@ def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: P
     except OSError:
         pytest.skip("this disk has no such names")
     before = contents()
-    with pytest.raises(JobError, match="Rename it"):
-        place_scene(Place(folder), bpy.context.scene)
+    with pytest.raises(PlgsError, match="Rename it"):
+        place_scene(ChosenScene(folder), bpy.context.scene)
     assert contents() == before

@@ -8,10 +8,10 @@ from typing import Any
 
 import bpy
 import numpy as np
+from plgs.engine.result_files import Anchors, SemanticPoints
 from plgs.engine.scene import Category, ClassTable
 from plgs.plgs_blender.clouds import place_anchors, place_semantic_points
 from plgs.plgs_blender.owned import OwnedDataBlocks
-from plgs.plgs_blender.results import Anchors, SemanticPoints
 from plgs.plgs_blender.surfaces import SurfaceGrid
 
 CLASSES = ClassTable(tuple(Category(k, f"class {k}", k > 3, (10 * k, 250 - 9 * k, 5 * k)) for k in range(1, 22)))
@@ -41,8 +41,8 @@ def place(points: SemanticPoints) -> list[bpy.types.Object]:
     owned = OwnedDataBlocks("lift", bpy.context.scene)
     few = slice(0, len(points.xyz) // 4)
     anchors = Anchors(
-        points.xyz[few], points.rgb[few], points.class_id[few], points.instance_id[few],
-        points.confidence[few], points.class_id[few] % 4,
+        points.xyz[few], points.class_id[few], points.instance_id[few], points.confidence[few],
+        points.class_id[few] % 4, points.rgb[few],
     )  # fmt: skip
     viewpoints = np.random.default_rng(1).random((200, 3)) * [6.0, 4.0, 1.0] + 1.0
     grid = SurfaceGrid.of(points.xyz)

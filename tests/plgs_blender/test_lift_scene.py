@@ -10,14 +10,14 @@ import bpy
 import numpy as np
 import pytest
 from file_contents import DATA, contents, counts
-from plgs.engine.job import JobError
+from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.cameras import object_matrix
-from plgs.plgs_blender.colour import linear_rgba
+from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
+from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.owned import LIFT
-from plgs.plgs_blender.scene_survey import Place
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR, CHAIR_ID
 
@@ -241,9 +241,9 @@ def test_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
     shutil.copytree(lift, tmp_path / "half")
     (tmp_path / "half" / "result" / "manifest.json").unlink()
     before = contents()
-    with pytest.raises(JobError, match="not finished"):
+    with pytest.raises(PlgsError, match="not finished"):
         lift_scene.place_lift(tmp_path / "half", bpy.context.scene)
-    with pytest.raises(JobError, match="not finished"):
+    with pytest.raises(PlgsError, match="not finished"):
         lift_scene.save_lift(tmp_path / "half", tmp_path / "x.blend")
     assert contents() == before and not (tmp_path / "x.blend").exists()
 
@@ -251,7 +251,7 @@ def test_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
 def test_a_file_that_is_no_blend_is_left_alone(lift: Path, tmp_path: Path) -> None:
     path = tmp_path / "notes.blend"
     path.write_text("not a .blend")
-    with pytest.raises(JobError, match="cannot be opened"):
+    with pytest.raises(PlgsError, match="cannot be opened"):
         lift_scene.save_lift(lift, path)
     assert path.read_text() == "not a .blend"
 
@@ -305,10 +305,10 @@ def test_the_scene_of_the_passes_is_left_to_them(lift: Path, tmp_path: Path) -> 
     passes = bpy.data.scenes["PLGS tiny room passes"]
     before = counts()
     assert lift_scene.place_lift(lift, passes) == root and counts() == before
-    assert place_scene(Place(lift.parent / "tiny room"), passes) == root
+    assert place_scene(ChosenScene(lift.parent / "tiny room"), passes) == root
     assert not lift_scene.lifts_in(passes) and not passes.objects
     bpy.data.collections.remove(root)
-    with pytest.raises(JobError, match="a scene of your own"):
+    with pytest.raises(PlgsError, match="a scene of your own"):
         lift_scene.place_lift(lift, passes)
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.job import JobError
+from plgs.engine.errors import PlgsError
+from plgs.engine.scene.labelled_surface import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.lift_collection import lifts_in
-from plgs.plgs_blender.mesh_table import read_surface
-from plgs.plgs_blender.meshes import mesh_folder, place_meshes_anew
+from plgs.plgs_blender.meshes import mesh_folder
 from surface_file import SIDE, write_surface
 from tiny_lift import write_tiny_lift
 from tiny_scene import CHAIR_ID, FLOOR_ID
@@ -55,7 +55,7 @@ def test_one_mesh_for_an_instance_and_one_for_a_stuff_class(lift: Path) -> None:
 def test_placed_again_they_are_the_same_objects(lift: Path) -> None:
     before = {key: ob.as_pointer() for key, ob in placed(lift).items()}
     assert {key: ob.as_pointer() for key, ob in placed(lift).items()} == before
-    assert len(place_meshes_anew(lift, bpy.context.scene)) == 2
+    assert len(lift_scene.place_meshes_anew(lift, bpy.context.scene)) == 2
     (mesh_folder(lift) / "mesh.ply").unlink()
     lift_scene.place_lift(lift, bpy.context.scene)
     assert not [ob for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")]
@@ -84,5 +84,5 @@ def test_a_damaged_surface_is_told_in_one_line(lift: Path) -> None:
     whole = path.read_bytes()
     for content in (whole[:-3], whole.replace(b"class_id", b"klass_id"), b"", b"ply\n"):
         path.write_bytes(content)
-        with pytest.raises(JobError, match="is damaged|no labelled surface"):
+        with pytest.raises(PlgsError, match="is damaged|no labelled surface"):
             read_surface(path)

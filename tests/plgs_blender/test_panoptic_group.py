@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
-from plgs.engine.job import JobError
+from plgs.engine.errors import PlgsError
 from plgs.plgs_blender import compat, lift_scene, mattes
-from plgs.plgs_blender.colour import linear_rgba
-from plgs.plgs_blender.inspecting.records import registered
+from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.panoptic_group import LINE_PIXELS, NAME
 from plgs.plgs_blender.pass_nodes import output_of, panoptic_node
 from plgs.plgs_blender.passes import show_view
@@ -157,6 +157,6 @@ def test_the_group_is_one_a_file_and_stays_as_the_user_set_it(lift: Path, root: 
 def test_without_passes_there_is_nothing_to_matte(lift: Path, root: bpy.types.Collection) -> None:
     scene, _ = next(mattes.compositors_of(root))
     bpy.data.scenes.remove(scene)
-    with pytest.raises(JobError, match="no passes in a compositor"):
+    with pytest.raises(PlgsError, match="no passes in a compositor"):
         mattes.matte_instance(root, CHAIR)
     assert mattes.panoptic_of(root) is None

@@ -11,9 +11,9 @@ import pytest
 from plgs.engine.job import LiftFolder, write_manifest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, lift_scene, passes
-from plgs.plgs_blender.colour import linear_rgba
+from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, node_of, output_of
-from plgs.plgs_blender.sequence import numbered, sequences
+from plgs.plgs_blender.passes import numbered, sequences
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_passes, write_tiny_lift
 from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 

@@ -9,7 +9,8 @@ import bpy
 import numpy as np
 import OpenEXR
 import pytest
-from plgs.engine.job import BakeCamera, JobError, read_cameras
+from plgs.engine.errors import PlgsError
+from plgs.engine.job import BakeCamera, read_cameras
 from plgs.plgs_blender.shots import Shot, ShotReader, shot_of, write_shot
 
 
@@ -115,7 +116,7 @@ def test_a_long_range_is_read_some_frames_at_a_time(scene: bpy.types.Scene, tmp_
         assert reader.progress == (done, 4) and scene.frame_current == 2
     assert read_cameras(reader.write(tmp_path)) == read_cameras(write_shot(tmp_path, scene, shot_of(scene)))
     bpy.data.objects.remove(scene.camera)
-    with pytest.raises(JobError, match="is gone"):
+    with pytest.raises(PlgsError, match="is gone"):
         reader.read_for(0.0)
 
 
@@ -144,16 +145,16 @@ def test_of_many_cameras_those_of_a_like_name_are_listed_first(scene: bpy.types.
         frame["frame"] = frame.name
         scene.collection.objects.link(frame)
     scene.collection.objects.link(bpy.data.objects.new("crane", bpy.data.cameras.new("crane")))
-    with pytest.raises(JobError, match=r"'crane', 'dolly', '0000', .*, '0005' and 14 more\.") as told:
+    with pytest.raises(PlgsError, match=r"'crane', 'dolly', '0000', .*, '0005' and 14 more\.") as told:
         shot_of(scene, "nobody")
     assert "\n" not in str(told.value)
-    with pytest.raises(JobError, match="cameras: 'dolly', 'crane'"):
+    with pytest.raises(PlgsError, match="cameras: 'dolly', 'crane'"):
         shot_of(scene, "dollly")
 
 
 def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     def refused(line: str, **asked: int) -> None:
-        with pytest.raises(JobError, match=line) as told:
+        with pytest.raises(PlgsError, match=line) as told:
             cameras_of(scene, shot_of(scene, **asked))
         assert "\n" not in str(told.value)
 
@@ -171,10 +172,10 @@ def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> 
     refused("30000x72")
     scene.camera = None
     refused("no active camera")
-    with pytest.raises(JobError, match="no active camera.*one of its cameras: 'dolly'"):
+    with pytest.raises(PlgsError, match="no active camera.*one of its cameras: 'dolly'"):
         shot_of(scene)
     for name in ("nobody", "Cube"):
-        with pytest.raises(JobError, match=f"no camera named '{name}'.*'dolly'"):
+        with pytest.raises(PlgsError, match=f"no camera named '{name}'.*'dolly'"):
             shot_of(scene, name)
     scene.camera = bpy.data.objects["Cube"]
     refused("is no camera")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from plgs.plgs_blender.overview import overview_camera
+from plgs.plgs_blender.cameras import overview_camera
 from plgs.plgs_blender.surfaces import SurfaceGrid
 
 
@@ -51,7 +51,7 @@ def test_normals_without_anything_to_go_by() -> None:
 
 def test_the_overview_has_the_room_in_its_picture_and_looks_in_from_outside() -> None:
     xyz, inward = room()
-    camera = overview_camera(xyz, inward, (1280, 800))
+    camera = overview_camera(xyz, inward)
     facing = np.einsum("ij,ij->i", inward, camera.centre - xyz) > 0.0
     assert 0.3 < facing.mean() < 0.7
     pixels, depth = camera.project(xyz[facing])

@@ -1,5 +1,5 @@
-"""The back end gsplat against the float64 reference: without gsplat everywhere, with gsplat's own torch operators where
-it is installed, as it is where there is a GPU too."""
+"""The back end gsplat against the float64 reference: with a stand-in, with gsplat's own torch operators where that is
+installed, and on a GPU where there is one."""
 
 from __future__ import annotations
 
@@ -8,96 +8,63 @@ from importlib import metadata
 
 import pytest
 import torch
-from scenes import (
-    GROUPS,
-    LAYERS,
-    Scene,
-    assert_same_bits_with_any_threads,
-    hard_scenes,
-    missed_share,
-    random_scene,
-    render,
-    steady_pixels,
-)
-from torch import Tensor
+from gsplat_in_torch import use_a_stand_in, use_gsplats_torch_operators
+from scenes import GROUPS, LAYERS, Scene, hard_scenes, missed_share, random_scene, render, steady_pixels
 
-from engine.raster import cuda, interface, rasterize
-from engine.raster.blending import torch_tiles
-from tests.raster.plain_tile_lists import list_tiles_plainly
+from engine.raster import cuda, rasterize
 
-SCENES = hard_scenes()
+SCENES = {
+    name: scene
+    for name, scene in hard_scenes().items()
+    if name in ("mixed", "many labels", "one pixel", "across the near plane", "partly saturated", "faint")
+}
+"""Without those that need more than float32 in the projection."""
 
 
-@pytest.fixture(params=["plain lists", "gsplat's torch operators"])
-def on_the_cpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lets the back end draw tensors on the CPU, with something in the place of gsplat's CUDA operators."""
-    monkeypatch.setattr(interface, "_pick", lambda backend, means: backend)
-    if request.param == "plain lists":
-        monkeypatch.setattr(cuda, "list_by_gsplat", list_tiles_plainly)
-        return
-    gsplat = pytest.importorskip("gsplat", reason="gsplat is not installed")
-    from gsplat.cuda import _torch_impl
-
-    monkeypatch.setattr(gsplat, "isect_tiles", _torch_impl._isect_tiles)
-    monkeypatch.setattr(gsplat, "isect_offset_encode", _torch_impl._isect_offset_encode)
+@pytest.fixture
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_a_stand_in(monkeypatch)
 
 
-def assert_as_the_reference(scene: Scene, device: str = "cpu") -> None:
+def assert_as_the_reference(scene: Scene, device: str = "cpu", missing: float = 2e-3) -> None:
+    """``missing``: the share of a group's gradients that float32 may get wrong."""
     steady = steady_pixels(scene)
-    assert steady.float().mean() > 0.9
     there = replace(scene, tensors=tuple(tensor.to(device) for tensor in scene.tensors))
     ours, our_gradients = render(there, "gsplat", steady)
     theirs, their_gradients = render(scene, "reference", steady)
-    assert torch.equal(ours.visible.cpu(), theirs.visible)
-    torch.testing.assert_close(ours.means2d.cpu(), theirs.means2d.float(), rtol=1e-6, atol=1e-4)
+    drawn = ours.visible.cpu() & theirs.visible
+    assert not (theirs.visible & ~ours.visible.cpu()).any()  # gsplat's boxes are larger
+    torch.testing.assert_close(ours.means2d.cpu()[drawn], theirs.means2d.float()[drawn], rtol=1e-5, atol=1e-3)
     for layer in LAYERS:
         got, expected = getattr(ours, layer).cpu()[steady], getattr(theirs, layer)[steady]
-        torch.testing.assert_close(got, expected, rtol=0, atol=1e-5, msg=lambda text, layer=layer: f"{layer}: {text}")
+        torch.testing.assert_close(got, expected, rtol=0, atol=1e-4, msg=lambda text, layer=layer: f"{layer}: {text}")
     for group in GROUPS:
-        assert missed_share(our_gradients[group].cpu(), their_gradients[group]) <= 1e-4, group
+        assert missed_share(our_gradients[group].cpu(), their_gradients[group]) <= missing, group
 
 
-@pytest.mark.usefixtures("on_the_cpu")
+@pytest.mark.usefixtures("stand_in")
 @pytest.mark.parametrize("name", SCENES)
-def test_matches_the_reference(name: str) -> None:
+def test_the_call_means_what_the_reference_means(name: str) -> None:
     assert_as_the_reference(SCENES[name])
 
 
-@pytest.mark.usefixtures("on_the_cpu")
-@pytest.mark.parametrize("name", ["mixed", "saturated"])
-def test_matches_the_reference_in_many_passes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch_tiles, "PAIRS_AT_ONCE", 3 * 6 * torch_tiles.PIXELS)
-    assert_as_the_reference(SCENES[name])
-
-
-def test_the_same_bits_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(interface, "_pick", lambda backend, means: backend)
-    monkeypatch.setattr(cuda, "list_by_gsplat", list_tiles_plainly)
-    scene = random_scene(5, 500, 20, 70, 50)
-    assert_same_bits_with_any_threads(scene, "gsplat")
+@pytest.mark.parametrize("name", ["mixed", "many labels", "across the near plane", "faint"])
+def test_gsplats_own_operators_match_the_reference(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No opacity reaches the cap, of which gsplat 1.5 has another."""
+    use_gsplats_torch_operators(monkeypatch)
+    scene = SCENES[name]
+    assert_as_the_reference(scene.changed(3, scene.tensors[3].clamp(max=0.98)), missing=2e-2)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
 @pytest.mark.skipif(cuda.what_is_missing() is not None, reason=str(cuda.what_is_missing()))
 @pytest.mark.parametrize("name", SCENES)
-def test_matches_the_reference_on_a_gpu(name: str) -> None:
-    assert_as_the_reference(SCENES[name], "cuda")
+def test_a_gpu_matches_the_reference(name: str) -> None:
+    scene = SCENES[name]
+    assert_as_the_reference(scene.changed(3, scene.tensors[3].clamp(max=0.98)), "cuda", missing=2e-2)
 
 
-@pytest.mark.usefixtures("on_the_cpu")
-@pytest.mark.parametrize("count", [0, 3])
-def test_nothing_to_see(count: int) -> None:
-    scene = random_scene(0, count, 4, 20, 20)
-    means = scene.tensors[0].clone()
-    means[:, 2] = -5.0
-    out, gradients = render(scene.changed(0, means), "gsplat")
-    assert not out.visible.any()
-    for layer in LAYERS:
-        assert not getattr(out, layer).any()
-    assert not any(gradient.any() for gradient in gradients.values())
-
-
-@pytest.mark.usefixtures("on_the_cpu")
+@pytest.mark.usefixtures("stand_in")
 def test_labels_touch_nothing_but_themselves() -> None:
     scene = random_scene(6, 100, 4, 30, 20)
     tensors = [tensor.clone().requires_grad_() for tensor in scene.tensors]
@@ -109,34 +76,13 @@ def test_labels_touch_nothing_but_themselves() -> None:
     assert tensors[5].grad is not None and tensors[5].grad.any()
 
 
-@pytest.mark.usefixtures("on_the_cpu")
-@pytest.mark.parametrize("pairs_at_once", [1 << 23, 4 * 6 * torch_tiles.PIXELS])
-@pytest.mark.parametrize("top_k", [1, 3, 500])
-def test_top_contributors(top_k: int, pairs_at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch_tiles, "PAIRS_AT_ONCE", pairs_at_once)
-    scene = random_scene(8, 200, 2, 35, 21)
-    where = (*scene.tensors[:5], None, scene.pose, scene.intrinsics, 35, 21)
-    ours, theirs = (rasterize(*where, top_k=top_k, backend=backend) for backend in ("gsplat", "reference"))
-    steady = steady_pixels(scene)
-    torch.testing.assert_close(ours.top_weights[steady], theirs.top_weights[steady], rtol=0, atol=1e-5)
-    assert ours.top_indices.dtype == torch.int32
-    assert (ours.top_indices != theirs.top_indices)[steady].float().mean() < 1e-3  # equal weights may swap
-    assert torch.equal(ours.top_indices >= 0, ours.top_weights > 0.0)
-    assert ours.labels is None
-
-
-@pytest.mark.usefixtures("on_the_cpu")
-def test_gradcheck_in_float64() -> None:
-    scene = random_scene(9, 4, 2, 4, 3)
-    means = torch.tensor([[0.1, 0.0, 2.0], [-0.3, 0.1, 2.5], [0.2, -0.2, 3.0], [0.0, 0.1, 1.5]])
-    tensors = [means, torch.full((4, 3), 0.6), scene.tensors[2], torch.full((4,), 0.5), *scene.tensors[4:]]
-    inputs = [tensor.double().requires_grad_() for tensor in tensors]
-
-    def draw(*values: Tensor) -> tuple[Tensor, ...]:
-        out = rasterize(*values, scene.pose, scene.intrinsics, 4, 3, backend="gsplat")
-        return out.image, out.alpha, out.depth
-
-    assert torch.autograd.gradcheck(draw, inputs[:5] + [inputs[5].detach()], atol=1e-6)
+@pytest.mark.usefixtures("stand_in")
+def test_without_labels_and_without_gradients() -> None:
+    scene = random_scene(7, 100, 4, 30, 20)
+    where = (scene.pose, scene.intrinsics, 30, 20)
+    bare = rasterize(*scene.tensors[:5], None, *where, backend="gsplat")
+    full = rasterize(*scene.tensors, *where, backend="gsplat")
+    assert bare.labels is None and torch.equal(bare.image, full.image) and not bare.means2d.requires_grad
 
 
 @pytest.mark.parametrize(
@@ -159,5 +105,5 @@ def test_says_which_gsplat_it_needs(installed: str | None, said: str | None, mon
 
 def test_refuses_tensors_that_are_not_on_a_gpu() -> None:
     scene = random_scene(10, 5, 2, 8, 8)
-    with pytest.raises(ValueError, match="CUDA device, these are on cpu"):
+    with pytest.raises(ValueError, match="on the device cuda, these are torch.float32 on cpu"):
         rasterize(*scene.tensors, scene.pose, scene.intrinsics, 8, 8, backend="gsplat")

@@ -7,17 +7,17 @@ from collections.abc import Callable
 import pytest
 import torch
 from scenes import LAYERS, random_scene
-from torch import Tensor
 
 from engine.raster import Rendering, drawing_on, interface, rasterize
+from engine.raster.rendering import GaussianSet
 
 SCENE = random_scene(2, 60, 3, 24, 18)
 THERE = torch.device("meta")
 """A device that every machine has; nothing is computed on it."""
 
 
-def draw() -> Rendering:
-    return rasterize(*SCENE.tensors, SCENE.pose, SCENE.intrinsics, 24, 18, top_k=2)
+def draw(top_k: int = 0) -> Rendering:
+    return rasterize(*SCENE.tensors, SCENE.pose, SCENE.intrinsics, 24, 18, top_k=top_k)
 
 
 def test_the_cpu_is_where_the_tensors_are() -> None:
@@ -31,8 +31,8 @@ def test_the_cpu_is_where_the_tensors_are() -> None:
 def test_all_that_is_drawn_is_brought_to_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
     plain, given = draw(), []
 
-    def back_end(*inputs: object) -> Rendering:
-        given.extend(value.device for value in inputs if isinstance(value, Tensor))
+    def back_end(gaussians: GaussianSet, *rest: object) -> Rendering:
+        given.extend(value.device for value in gaussians if value is not None)
         return plain
 
     def load(name: str) -> Callable[..., Rendering]:
@@ -46,10 +46,13 @@ def test_all_that_is_drawn_is_brought_to_the_device(monkeypatch: pytest.MonkeyPa
     assert given == [THERE] * 6
     draw()
     assert given[6:] == [torch.device("cpu")] * 6, "after it all is as before"
+    with drawing_on(THERE):
+        draw(top_k=2)
+    assert given[12:] == [torch.device("cpu")] * 6, "contributors are listed on the CPU"
 
 
 def test_all_layers_come_back_but_the_leaf_with_the_gradient() -> None:
-    drawn = draw()
+    drawn = draw(top_k=2)
     back = interface._moved(drawn, THERE)
     for layer in (*LAYERS, "visible", "top_indices", "top_weights"):
         assert getattr(back, layer).device == THERE and getattr(back, layer).shape == getattr(drawn, layer).shape

@@ -1,4 +1,4 @@
-"""What a new process pays before the first picture, with an empty cache and a full one, and on lesser machines.
+"""What a new process pays before the first picture, with an empty cache and a full one.
 
 Processor time is measured, so that the figures do not depend on who else is busy.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import shutil
 import subprocess
 import sys
@@ -19,7 +18,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 NO_HOME = "/dev/null/home"  # cannot be made by anybody, root included
 COLD_SECONDS, WARM_SECONDS = 30.0, 1.0
-ANNOUNCEMENT = "compiling the forward pass of the vector rasteriser for this machine, about 10 s, once"
+ANNOUNCEMENT = "compiling the forward pass of the rasteriser for this machine, about 10 s, once"
 RENDER = """
 import json, logging, os, sys, time
 import numba, torch
@@ -31,7 +30,7 @@ logging.getLogger("plgs").setLevel(logging.INFO)
 start = time.process_time()
 from engine.machine import compiled
 from engine.raster import rasterize
-from engine.raster.workload import room_workload
+from research.bench.room import room_workload
 work = room_workload(200, 64, 48)
 tensors = [torch.from_numpy(array).requires_grad_() for array in
     (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)]
@@ -40,20 +39,6 @@ out = rasterize(*tensors, work.camera_to_world, work.intrinsics, work.width, wor
 seconds = time.process_time() - start
 print(json.dumps({"seconds": seconds, "lines": lines, "cache": str(compiled.CACHE_FOLDER)}))
 """
-LESSER_MACHINE = """
-import sys
-import pytest
-from engine.machine import vectors
-from engine.raster.blending.vector import backward, forward
-assert not vectors.HAS_AVX512
-failed = pytest.main(["-q", "-p", "no:cacheprovider", "tests/raster/test_rasterize.py", "-k", "matches or same_bits"])
-kernels = (forward.blend_forward, backward.blend_backward)
-code = "".join(text for kernel in kernels for text in kernel.inspect_asm().values())
-assert "%ymm" in code and "%zmm" not in code
-sys.exit(failed)
-"""
-
-
 DRAW = """
 import json, logging
 import numpy as np, torch
@@ -63,7 +48,7 @@ handler.emit = lambda record: lines.append(record.getMessage())
 logging.getLogger("plgs").addHandler(handler)
 logging.getLogger("plgs").setLevel(logging.INFO)
 from engine.raster import rasterize
-from engine.raster.blending.vector import backward
+from engine.raster.blending import backward
 one = [torch.ones(shape) for shape in ((1, 3), (1, 3), (1, 4), (1,), (1, 3))]
 rasterize(*one, None, np.eye(4), np.eye(3), 8, 8)
 assert not backward.blend_backward.signatures
@@ -158,35 +143,3 @@ def test_needs_neither_a_home_nor_a_setting(cold: Run, read_only_code: Path, tmp
     run = render_in_a_process(read_only_code, HOME=NO_HOME, TMPDIR=str(tmp_path))
     assert run.cache == own
     assert listing(read_only_code) == before
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="about x86 processors")
-def test_matches_the_reference_on_a_machine_without_avx512(tmp_path: Path) -> None:
-    """The processor's name alone is not enough: Numba would still use all that this one can."""
-    variables = environment(NUMBA_CPU_NAME="haswell", NUMBA_CPU_FEATURES="", NUMBA_CACHE_DIR=str(tmp_path))
-    done = subprocess.run(
-        [sys.executable, "-c", LESSER_MACHINE], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=500
-    )
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "setting, wide",
-    [
-        ({"NUMBA_CPU_NAME": "generic"}, False),
-        ({"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": ""}, False),
-        ({"NUMBA_CPU_FEATURES": "+avx2,+fma,-avx512f"}, False),
-        ({"NUMBA_ENABLE_AVX": "0"}, False),
-        ({"NUMBA_CPU_NAME": "cascadelake", "NUMBA_CPU_FEATURES": "+avx512f,+avx512dq"}, True),
-    ],
-)
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="about x86 processors")
-def test_uses_only_the_instructions_that_numba_may(setting: dict[str, str], wide: bool, tmp_path: Path) -> None:
-    variables = environment(NUMBA_CACHE_DIR=str(tmp_path), **setting)
-    text = "from engine.machine.vectors import HAS_AVX512; print(HAS_AVX512)"
-    done = subprocess.run(
-        [sys.executable, "-c", text], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=300
-    )
-    assert done.stdout.strip() == str(wide), done.stderr

@@ -12,9 +12,9 @@ from scenes import LAYERS, random_scene, render
 
 from engine.machine import memory
 from engine.raster import rasterize
-from engine.raster.blending.vector.backward_tile import scratch_size
+from engine.raster.blending.backward_tile import scratch_size
 from engine.raster.records import MEMBERS
-from engine.raster.workload import Workload, room_workload
+from research.bench.room import Workload, room_workload
 from tests.machine.held_bytes import held_bytes
 
 
@@ -117,10 +117,8 @@ def test_stays_within_its_bound_when_one_tile_has_them_all() -> None:
     assert held_bytes() <= 2500 * count + 450 * 48 * 48 + scratch
 
 
-@pytest.mark.parametrize("kernels", ["vector", "plain"])
-def test_reads_nothing_that_was_left_behind(kernels: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reads_nothing_that_was_left_behind() -> None:
     """Free memory full of NaN changes no bit, whatever the count of Gaussians leaves unused of it."""
-    monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
     for count in (1, 3, 17, 50, 130, 700):
         scene = random_scene(count, count, 5, 33, 18)
         clean, clean_gradients = render(scene, "numba")

@@ -1,4 +1,4 @@
-"""The back end numba against the float64 reference, with both kinds of kernels."""
+"""The back end numba against the float64 reference."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from scenes import (
 
 from engine.raster import Rendering, rasterize
 from engine.raster.conventions import NEAR
-from engine.raster.workload import room_workload
+from research.bench.room import room_workload
 
 SCENES = hard_scenes() | scenes_by_channels()
 MOST_NEAR_A_THRESHOLD = 0.03
@@ -33,12 +33,8 @@ its own thousandth; through a list of a thousand the transmittance, rounded at e
 scenes together it is 1e-4."""
 
 
-@pytest.mark.parametrize("kernels", ["vector", "plain"])
 @pytest.mark.parametrize("name", SCENES)
-def test_matches_the_reference(
-    name: str, kernels: str, monkeypatch: pytest.MonkeyPatch, record_property: Callable[[str, object], None]
-) -> None:
-    monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
+def test_matches_the_reference(name: str, record_property: Callable[[str, object], None]) -> None:
     scene = SCENES[name]
     steady = steady_pixels(scene)
     near = int((~steady).sum())
@@ -58,9 +54,7 @@ def test_matches_the_reference(
         assert missed <= max(1e-4 * count, MAY_MISS.get(name, 0)), f"{group}: {missed} of {count} elements"
 
 
-@pytest.mark.parametrize("kernels", ["vector", "plain"])
-def test_gradients_over_all_scenes(kernels: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
+def test_gradients_over_all_scenes() -> None:
     missed, counts = dict.fromkeys(GROUPS, 0), dict.fromkeys(GROUPS, 0)
     for scene in SCENES.values():
         steady = steady_pixels(scene)
@@ -96,10 +90,8 @@ def test_nothing_to_see(backend: str, count: int) -> None:
     assert not any(gradient.any() for gradient in gradients.values())
 
 
-@pytest.mark.parametrize("kernels", ["vector", "plain"])
 @pytest.mark.parametrize("channels", [1, 5, 20])
-def test_the_same_bits_with_any_number_of_threads(kernels: str, channels: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PLGS_RASTER_KERNELS", kernels)
+def test_the_same_bits_with_any_number_of_threads(channels: int) -> None:
     scene = random_scene(5, 1100, channels, 70, 50)
     assert_same_bits_with_any_threads(scene, "numba")
 

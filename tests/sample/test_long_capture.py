@@ -1,11 +1,8 @@
-"""A long capture made of the sample: a scene that can be lifted, laps aside of each other, masks as a detector's."""
+"""A long capture made of the sample: a scene that can be lifted, laps aside of each other, masks as a network's."""
 
 from __future__ import annotations
 
 import importlib
-import json
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -14,31 +11,25 @@ import pytest
 
 from engine.scene import check_scene, load_view, open_scene
 
-SAMPLE = Path(__file__).resolve().parents[2] / "sample"
-NAMES = ("long_capture", "machine_masks", "mask_noise", "class_belief")
 FRAMES = 3
 
 
 @pytest.fixture(scope="module")
-def program() -> Iterator[ModuleType]:
-    """The sample's programs import each other as scripts do."""
+def long_capture() -> ModuleType:
+    """The program, imported late: open3d is large."""
     pytest.importorskip("open3d")
-    sys.path.insert(0, str(SAMPLE))
-    yield importlib.import_module(NAMES[0])
-    sys.path.remove(str(SAMPLE))
-    for name in NAMES:
-        del sys.modules[name]
+    return importlib.import_module("long_capture")
 
 
 @pytest.fixture(scope="module")
-def capture(program: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of three frames that stand where frames of the sample stood: three of its 72 are fused for them."""
-    poses, intrinsic = program.room_cameras()
+def capture(long_capture: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three frames that stand where frames of the sample stood. Three of its 72 frames are fused for them."""
+    poses, intrinsic = long_capture.room_cameras()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(program, "room_cameras", lambda: (poses[:FRAMES], intrinsic))
-        patch.setattr(program, "HELD_OUT", 1)
+        patch.setattr(long_capture, "room_cameras", lambda: (poses[:FRAMES], intrinsic))
+        patch.setattr(long_capture, "HELD_OUT", 1)
         out = tmp_path_factory.mktemp("long") / "capture"
-        program.write_long_capture(out, FRAMES, 0)
+        long_capture.write_long_capture(out, FRAMES, 0)
     return out
 
 
@@ -60,21 +51,22 @@ def test_truth_and_masks_show_the_same_room(capture: Path) -> None:
     assert known.mean() > 0.4 and (truth.semantic == mask.class_map())[known].mean() > 0.4
 
 
-def test_laps_go_there_and_back_and_lie_aside_of_each_other(program: ModuleType) -> None:
-    poses, _ = program.room_cameras()
-    walked = program.laps(poses, 2 * program.LAP + 10, 0)
-    assert len(walked) == 2 * program.LAP + 10
+def test_laps_go_there_and_back_and_lie_aside_of_each_other(long_capture: ModuleType) -> None:
+    poses, _ = long_capture.room_cameras()
+    walked = long_capture.laps(poses, 2 * long_capture.LAP + 10, 0)
+    assert len(walked) == 2 * long_capture.LAP + 10
     centres = np.array([pose[:3, 3] for pose in walked])
-    there, back = centres[: program.LAP], centres[program.LAP : 2 * program.LAP][::-1]
+    there, back = centres[: long_capture.LAP], centres[long_capture.LAP : 2 * long_capture.LAP][::-1]
     apart = np.linalg.norm(there - back, axis=1)
-    assert 0.02 < np.median(apart) < 6 * program.ASIDE and np.linalg.norm(np.diff(there, axis=0), axis=1).max() < 0.5
+    assert (
+        0.02 < np.median(apart) < 6 * long_capture.ASIDE and np.linalg.norm(np.diff(there, axis=0), axis=1).max() < 0.5
+    )
     rotations = np.array([pose[:3, :3] for pose in walked])
     np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1) - np.eye(3), 0.0, atol=1e-9)
 
 
-def test_frames_held_out_are_spread_evenly(program: ModuleType) -> None:
-    split = program.split(1000)
-    assert len(split["test"]) == program.HELD_OUT and len(split["train"]) == 1000 - program.HELD_OUT
-    gaps = np.diff([int(name) for name in split["test"]])
+def test_frames_held_out_are_spread_evenly(long_capture: ModuleType) -> None:
+    numbers = long_capture.held_out(1000)
+    assert len(numbers) == long_capture.HELD_OUT
+    gaps = np.diff(numbers)
     assert gaps.min() > 0.9 * gaps.max()
-    assert json.dumps(split)

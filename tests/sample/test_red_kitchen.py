@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -11,18 +9,15 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
+from tests.sample.conftest import Make, Refused
 from tests.tiny_scene import tiny_pose, trace_view
 
+PROGRAM = "red_kitchen.py"
 SIZE = (640, 480)
 FRAMES = 5
 DEPTH_LENS = np.array([[585.0, 0.0, 320.0], [0.0, 585.0, 240.0], [0.0, 0.0, 1.0]])
 HALF = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
-"""From whole numbers at pixels' centres to those of `trace_view`."""
-
-
-def make(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    program = Path(__file__).resolve().parents[2] / "sample" / "red_kitchen.py"
-    return subprocess.run([sys.executable, program, *arguments], capture_output=True, text=True, timeout=300)
+"""Added to a lens with pixel centres at whole numbers for `trace_view`, which has them at +0.5."""
 
 
 @pytest.fixture
@@ -41,7 +36,7 @@ def data(tmp_path: Path) -> Path:
     return folder
 
 
-def test_it_makes_a_scene_that_can_be_lifted(data: Path, tmp_path: Path) -> None:
+def test_it_makes_a_scene_that_can_be_lifted(data: Path, tmp_path: Path, make: Make) -> None:
     said = make(data, tmp_path / "kitchen", "--every", "2")
     assert said.returncode == 0 and "3 frames" in said.stdout, said.stderr
     scene = open_scene(tmp_path / "kitchen", None, "z")
@@ -52,7 +47,7 @@ def test_it_makes_a_scene_that_can_be_lifted(data: Path, tmp_path: Path) -> None
     assert (tmp_path / "kitchen/color/000002.jpg").read_bytes() == photo.read_bytes()
 
 
-def test_depth_is_what_the_colour_camera_sees(data: Path, tmp_path: Path) -> None:
+def test_depth_is_what_the_colour_camera_sees(data: Path, tmp_path: Path, make: Make) -> None:
     assert make(data, tmp_path / "kitchen", "--every", "2").returncode == 0
     frame = open_scene(tmp_path / "kitchen", None, "z").frames[1]
     pose = tiny_pose(2, FRAMES)
@@ -65,13 +60,8 @@ def test_depth_is_what_the_colour_camera_sees(data: Path, tmp_path: Path) -> Non
     assert np.quantile(errors, 0.95) < 0.01, "but for the outlines of furniture"
 
 
-def test_bad_input_is_one_line(data: Path, tmp_path: Path) -> None:
+def test_bad_input_is_one_line(data: Path, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "empty").mkdir()
-
-    def refused(told: str, *arguments: str | Path) -> None:
-        said = make(*arguments)
-        assert said.returncode == 2 and said.stderr.startswith("error: ") and said.stderr.count("\n") == 1
-        assert told in said.stderr
 
     refused("no frames", tmp_path / "empty", tmp_path / "out")
     refused("already", data, data)

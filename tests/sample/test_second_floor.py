@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from engine.scene import open_scene
+from tests.sample.conftest import Make, Refused
 from tests.tiny_scene import (
     CABINET,
     CABINET_ID,
@@ -28,6 +27,7 @@ from tests.tiny_scene import (
     trace_view,
 )
 
+PROGRAM = "second_floor.py"
 SIZE = (512, 512)
 FRAMES = 7
 LENS = np.array([[256.0, 0.0, 256.0], [0.0, 256.0, 256.0], [0.0, 0.0, 1.0]])
@@ -46,12 +46,7 @@ WALL, FLOOR, CEILING, UNDEFINED, LAMP, WIDE_CABINET, SMALL_CABINET = range(1, 8)
 ARMCHAIR = 256 + LAMP
 """Its id in 8 bits is the lamp's, so the pictures of classes say lamp."""
 CHAIR_TWICE, CHAIR_SPECK, NOTHING_KNOWN = np.s_[:30, :30], np.s_[:5, 40:45], np.s_[:30, 60:90]
-"""Of the picture's upper edge, what the network saw there; of the last, not even the truth is known."""
-
-
-def make(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    program = Path(__file__).resolve().parents[2] / "sample" / "second_floor.py"
-    return subprocess.run([sys.executable, program, *arguments], capture_output=True, text=True, timeout=300)
+"""Parts of the picture's upper edge where the network sees something else. The truth is unknown in the last one."""
 
 
 def view_of(index: int) -> TinyView:
@@ -65,7 +60,7 @@ def upright(number: int, box: NDArray[np.float64]) -> dict[str, object]:
 
 
 def turned(number: int, box: NDArray[np.float64]) -> dict[str, object]:
-    """The same, told in axes that are turned by a quarter about z."""
+    """The same box in axes that are turned by a quarter about z."""
     x, y, z = (box[1] - box[0]).tolist()
     orientation = {"rotation": [0, 0, 0.5**0.5, 0.5**0.5], "translation": box.mean(0).tolist()}
     return {
@@ -118,7 +113,7 @@ def write_frame(folder: Path, index: int) -> None:
 
 
 def told_pose(pose: NDArray[np.float64]) -> list[float]:
-    """x y z qw qx qy qz, with OpenGL's axes and y up, of a pose with OpenCV's and z up."""
+    """x y z qw qx qy qz with OpenGL's axes and y up, for a pose with OpenCV's axes and z up."""
     y_up = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     x, y, z, w = Rotation.from_matrix(y_up @ pose[:3, :3] @ np.diag([1, -1, -1])).as_quat().tolist()
     return [*(y_up @ pose[:3, 3]).tolist(), w, x, y, z]
@@ -138,7 +133,7 @@ def data(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_it_makes_a_scene_that_can_be_lifted(data: Path, tmp_path: Path) -> None:
+def test_it_makes_a_scene_that_can_be_lifted(data: Path, tmp_path: Path, make: Make) -> None:
     said = make(data, tmp_path / "floor")
     assert said.returncode == 0 and "4 frames" in said.stdout, said.stderr
     scene = open_scene(tmp_path / "floor", None, "z")
@@ -152,7 +147,7 @@ def test_it_makes_a_scene_that_can_be_lifted(data: Path, tmp_path: Path) -> None
     assert np.abs(photo.astype(int) - view.colour).mean() < 3
 
 
-def test_masks_are_what_the_network_saw(data: Path, tmp_path: Path) -> None:
+def test_masks_are_what_the_network_saw(data: Path, tmp_path: Path, make: Make) -> None:
     assert make(data, tmp_path / "floor", "--every", "3").returncode == 0
     mask = open_scene(tmp_path / "floor", None, "z").frames[1].read_mask(None)
     expected = view_of(3).semantic
@@ -166,7 +161,7 @@ def test_masks_are_what_the_network_saw(data: Path, tmp_path: Path) -> None:
     assert things == {"wall": 0, "floor": 0, "cabinet": 1, "chair": 1, "lamp": 1, "ceiling": 0}
 
 
-def test_ground_truth_is_the_smallest_box_around_a_point(data: Path, tmp_path: Path) -> None:
+def test_ground_truth_is_the_smallest_box_around_a_point(data: Path, tmp_path: Path, make: Make) -> None:
     assert make(data, tmp_path / "floor", "--every", "3").returncode == 0
     semantic = view_of(3).semantic
     semantic[NOTHING_KNOWN] = 0
@@ -180,14 +175,9 @@ def test_ground_truth_is_the_smallest_box_around_a_point(data: Path, tmp_path: P
         assert set(true["instance"][semantic == class_id].tolist()) == {number}
 
 
-def test_bad_input_is_one_line(data: Path, tmp_path: Path) -> None:
+def test_bad_input_is_one_line(data: Path, tmp_path: Path, refused: Refused) -> None:
     floors = data / "Semantic-Segmentation/Data_collection"
     (tmp_path / "empty").mkdir()
-
-    def refused(told: str, *arguments: str | Path) -> None:
-        said = make(*arguments)
-        assert said.returncode == 2 and said.stderr.startswith("error: ") and said.stderr.count("\n") == 1
-        assert told in said.stderr
 
     refused("GT_Pose.txt", tmp_path / "empty", tmp_path / "out")
     refused("already", data, data)

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import SceneError, check_scene, open_scene
+from engine.errors import PlgsError
+from engine.scene import check_scene, open_scene
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -28,7 +29,7 @@ def folder(good: Path, tmp_path: Path) -> Path:
 
 def line(folder: Path) -> str:
     """The error's one line, without the folder of this test."""
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(PlgsError) as caught:
         check_scene(open_scene(folder))
     text = str(caught.value)
     assert "\n" not in text

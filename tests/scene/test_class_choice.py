@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from engine.scene import SceneError, class_list_text, list_classes, open_scene
+from engine.errors import PlgsError
+from engine.scene import class_list_text, list_classes, open_scene
 from engine.scene.class_choice import ClassChoice, ClassRow, class_choice_text, read_class_choice
 from engine.scene.class_map import choice_of, class_map, named_classes
 from engine.scene.class_tables import TABLES, known_table, reduced_by_name
 from tests.scene.mask_formats.test_label_images import write_pairs
+from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
 HERE = Path("masks")
@@ -91,8 +93,7 @@ def test_the_papers_classes_by_name(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "panoptic.json").read_text())
     content["categories"][0]["name"] = "Tapete"
     (tmp_path / "panoptic.json").write_text(json.dumps(content))
-    with pytest.raises(SceneError, match=r"no place among the paper's 21 .Tapete.*classes.toml. Say which class each"):
-        open_scene(tmp_path)
+    refuses(r"no place among the paper's 21 .Tapete.*classes.toml. Say which class each", tmp_path)
 
 
 def test_a_list_of_classes_goes_out_and_comes_back(tmp_path: Path) -> None:
@@ -138,14 +139,14 @@ def test_the_text_keeps_what_was_said(tmp_path: Path) -> None:
 )
 def test_bad_files_get_a_line(tmp_path: Path, text: str, told: str) -> None:
     folder = scene_with(tmp_path, text)
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(PlgsError) as caught:
         open_scene(folder)
     message = str(caught.value).replace(": " + str(folder), ".")
     assert told.split(". ")[0] in message and "classes.toml" in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_table_that_is_nowhere_is_told() -> None:
-    with pytest.raises(SceneError, match=r"cannot be read .*none.toml"):
+    with pytest.raises(PlgsError, match=r"cannot be read .*none.toml"):
         read_class_choice(Path("none.toml"))
 
 
@@ -163,7 +164,7 @@ def test_the_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:
 
 def test_a_table_can_be_named_where_the_files_tell_nothing(tmp_path: Path) -> None:
     write_pairs(tmp_path, ("semantic", "instance"))
-    with pytest.raises(SceneError, match="do not say what their classes are"):
+    with pytest.raises(PlgsError, match="do not say what their classes are"):
         list_classes(tmp_path)
     listed = list_classes(tmp_path, table="nyu40")
     assert listed.path == tmp_path / "masks" / "classes.toml" and len(listed.rows) == 40

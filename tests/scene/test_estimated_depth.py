@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.job.scene_source import SceneSource
-from engine.scene import SceneError, open_scene, open_scene_to_lift
+from engine.errors import PlgsError
+from engine.scene import open_scene, open_scene_to_lift
 from engine.scene.estimated_depth import fit_depth
+from engine.scene_source import SceneSource
 from tests.scene.formats.room import Lens, elsewhere, look, quaternion, views
 from tests.scene.formats.writing import in_steps, write_colour, write_grey
+from tests.scene.refusing import refuses
 
 LENS = Lens()
 POINTS = 60
@@ -74,7 +76,7 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
             np.save(tmp_path / "maps" / f"{i}.npy", values[None].astype(np.float32))
         else:
             write_grey(tmp_path / "maps" / f"{i}.png", in_steps(look(view, LENS).depth, 900 + 100 * i) + 50)
-    with pytest.raises(SceneError, match="has no depth.*--depth"):
+    with pytest.raises(PlgsError, match="has no depth.*--depth"):
         open_scene_to_lift(SceneSource(tmp_path / "scene"))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     assert scene.has_depth and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5"]
@@ -90,11 +92,10 @@ def test_missing_and_wrong_maps_get_a_line(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
     for i in range(5):
         np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
-    with pytest.raises(SceneError, match="a frame has no depth map"):
-        open_scene(tmp_path / "scene", depth=tmp_path / "maps")
+    refuses("a frame has no depth map", tmp_path / "scene", depth=tmp_path / "maps")
     np.save(tmp_path / "maps" / "5.npy", np.ones((48, 64), np.float32))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
-    with pytest.raises(SceneError, match="does not rise or fall"):
+    with pytest.raises(PlgsError, match="does not rise or fall"):
         scene.frames[0].depth()
     (tmp_path / "scene" / "sparse" / "0" / "points3D.txt").unlink()
     metric = open_scene(tmp_path / "scene", depth=tmp_path / "maps")

@@ -1,4 +1,4 @@
-"""Whatever is in a scene's files, opening and checking it either works or raises SceneError with one line."""
+"""Whatever is in a scene's files, opening and checking it either works or raises PlgsError with one line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from engine.scene import SceneError, check_scene, open_scene
+from engine.errors import PlgsError
+from engine.scene import check_scene, open_scene
 from tests.fuzzing import examples
 from tests.tiny_scene import write_tiny_scene
 
@@ -47,7 +48,7 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 def survives(folder: Path) -> None:
     try:
         check_scene(open_scene(folder))
-    except SceneError as error:
+    except PlgsError as error:
         assert "\n" not in str(error) and error.fix
 
 

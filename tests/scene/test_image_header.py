@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from engine.scene import SceneError
+from engine.errors import PlgsError
 from engine.scene.image_header import check_image_file, read_image_header
 
 same_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
@@ -57,9 +57,9 @@ def image(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 def test_a_cut_off_image_is_found_without_decoding_it(image: Path, share: float) -> None:
     data = image.read_bytes()
     image.write_bytes(data[: max(3, int(len(data) * share))])
-    with pytest.raises(SceneError):
+    with pytest.raises(PlgsError):
         read_image_header(image)
-    with pytest.raises(SceneError):
+    with pytest.raises(PlgsError):
         check_image_file(image)
 
 
@@ -76,12 +76,12 @@ def test_the_end_of_a_thumbnail_is_not_the_end_of_a_jpeg(tmp_path: Path) -> None
     data = path.read_bytes()
     metadata = b"\xff\xe1" + (2 + 6).to_bytes(2, "big") + b"\xff\xd8..\xff\xd9"
     path.write_bytes(data[:2] + metadata + data[2:-600])
-    with pytest.raises(SceneError, match="cut off"):
+    with pytest.raises(PlgsError, match="cut off"):
         read_image_header(path)
 
 
 def test_a_missing_image_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="cannot be read"):
+    with pytest.raises(PlgsError, match="cannot be read"):
         read_image_header(tmp_path / "none.png")
 
 
@@ -93,5 +93,5 @@ def test_any_bytes_are_read_or_refused(tmp_path: Path, noise: bytes, start: byte
     for read in (read_image_header, check_image_file):
         try:
             read(path)
-        except SceneError:
+        except PlgsError:
             pass

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.scene import SceneError
-from engine.scene.json_file import file_inside
-from engine.scene.layout import files_by_stem, listed, natural_order, same_shape
+from engine.errors import PlgsError
+from engine.scene.layout import file_inside, files_by_stem, listed, natural_order, same_shape
 
 
 def test_frames_come_in_natural_order() -> None:
@@ -44,7 +43,7 @@ def test_long_lists_and_strange_names_stay_on_one_line() -> None:
     "name", ["../a.png", "a/../../b.png", "/a.png", "\\a.png", "C:a.png", "\\\\host\\a.png", "a\0.png", "", "."]
 )
 def test_names_that_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(SceneError, match="leaves the folder"):
+    with pytest.raises(PlgsError, match="leaves the folder"):
         file_inside(tmp_path, name, tmp_path / "table.json")
 
 

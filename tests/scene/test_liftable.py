@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from engine.command_line.main import main
-from engine.job.scene_source import SceneSource
-from engine.scene import SceneError, check_scene, describe, load_view, open_scene, open_scene_to_lift
+from engine.errors import PlgsError
+from engine.scene import check_scene, describe, load_view, open_scene, open_scene_to_lift
+from engine.scene_source import SceneSource
+from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -28,10 +30,10 @@ def test_opens_without_and_does_not_lift(folder: Path, without: str, told: str) 
     report = describe(scene)
     assert (report.segments_per_frame is None) is not scene.has_masks
     assert (report.depth_range is None) is not scene.has_depth
-    for refuses in (check_scene, lambda scene: load_view(scene.frames[0])):
-        with pytest.raises(SceneError):
-            refuses(scene)
-    with pytest.raises(SceneError, match=told):
+    for needs_both in (check_scene, lambda scene: load_view(scene.frames[0])):
+        with pytest.raises(PlgsError):
+            needs_both(scene)
+    with pytest.raises(PlgsError, match=told):
         open_scene_to_lift(SceneSource(folder))
 
 
@@ -46,11 +48,9 @@ def test_the_command_line_tells(folder: Path, tmp_path: Path, capsys: pytest.Cap
 
 def test_an_unknown_format_is_refused_and_a_known_one_can_be_named(folder: Path) -> None:
     assert open_scene(folder, scene_format="scannet").format == "scannet"
-    with pytest.raises(SceneError, match='no format is called "photos".*Choose one of scannet'):
-        open_scene(folder, scene_format="photos")
+    refuses('no format is called "photos".*Choose one of scannet', folder, scene_format="photos")
 
 
 def test_an_unknown_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
-    with pytest.raises(SceneError, match="Looked for scannet: the folders color"):
-        open_scene(tmp_path)
+    refuses("Looked for scannet: the folders color", tmp_path)

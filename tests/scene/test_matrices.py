@@ -7,8 +7,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from engine.scene import SceneError, UpAxis
-from engine.scene.matrices import read_intrinsics, read_matrix, read_pose, to_z_up, turned, up_axis_warning
+from engine.errors import PlgsError
+from engine.scene import UpAxis
+from engine.scene.matrices import read_intrinsics, read_matrix, read_pose
+from engine.scene.up_axis import to_z_up, turned, up_axis_warning
 from tests.tiny_scene import tiny_pose
 
 
@@ -37,7 +39,7 @@ def test_a_lost_pose_is_none_and_a_nan_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "pose.txt").write_text("-inf -inf -inf -inf\n" * 4)
     assert read_pose(tmp_path / "pose.txt") is None
     (tmp_path / "pose.txt").write_text("nan -inf -inf -inf\n" * 4)
-    with pytest.raises(SceneError, match="NaN"):
+    with pytest.raises(PlgsError, match="NaN"):
         read_pose(tmp_path / "pose.txt")
 
 

@@ -16,17 +16,16 @@ from tests.limited_memory import check_told, told_by
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as Linux does it")
 READ = """
 import cv2
-from engine.job import JobError
-from engine.job.json_file import read_value
+from engine.errors import PlgsError
+from engine.json_file import read_value
 from engine.job.events import last_events
-from engine.scene import SceneError
 from engine.scene.array_file import read_npz, read_npy
-from engine.scene.json_file import read_json_object
-from engine.scene.mask_formats.exr_file import read_channels, read_exr_header
+from engine.json_file import read_json_object
+from engine.scene.exr_file import read_channels, read_exr_header
 from engine.scene.pixels import decode, decode_single_channel
 
 cv2.setNumThreads(1)
-refusals = (SceneError, JobError)
+refusals = PlgsError
 readers = {
     "npz": lambda: read_npz(folder / "a.npz", "Fix."),
     "npy": lambda: read_npy(folder / "a.npy", "Fix."),

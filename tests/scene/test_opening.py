@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import SceneError, UpAxis, check_scene, load_view, open_scene
+from engine.scene import UpAxis, check_scene, load_view, open_scene
+from tests.scene.refusing import refuses
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 
@@ -166,8 +167,7 @@ def test_a_folder_that_cannot_be_read_says_so(tmp_path: Path) -> None:
     try:
         if os.access(folder / "depth", os.R_OK):
             pytest.skip("this user may read everything")
-        with pytest.raises(SceneError, match="cannot be read"):
-            open_scene(folder)
+        refuses("cannot be read", folder)
     finally:
         (folder / "depth").chmod(0o755)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.scene import Camera, Scene, check_scene, open_scene
+from engine.scene import Scene, check_scene, open_scene
 from engine.scene.overlap import Thumbnail, measure_overlap
 from tests.tiny_scene import write_tiny_scene
 
@@ -19,8 +19,7 @@ def thumbnails(scene: Scene, axes: np.ndarray | None = None, scale: float = 1.0)
     found = []
     for frame in scene.frames:
         camera = frame.camera.resized(40, 30)
-        pose = camera.camera_to_world @ (np.eye(4) if axes is None else axes)
-        camera = Camera(40, 30, camera.fx, camera.fy, camera.cx, camera.cy, pose)
+        camera = camera.at(camera.camera_to_world @ (np.eye(4) if axes is None else axes))
         found.append(Thumbnail(frame.name, camera, frame.read_depth((40, 30)) * np.float32(scale)))
     return found
 
@@ -40,8 +39,7 @@ def test_a_frame_elsewhere_is_lonely(scene: Scene) -> None:
     views = thumbnails(scene)
     pose = views[3].camera.camera_to_world.copy()
     pose[2, 3] += 50.0
-    camera = views[3].camera
-    views[3] = Thumbnail("far", Camera(40, 30, camera.fx, camera.fy, camera.cx, camera.cy, pose), views[3].depth)
+    views[3] = Thumbnail("far", views[3].camera.at(pose), views[3].depth)
     assert measure_overlap(views).lonely == ("far",)
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from engine.scene import SceneError
+from engine.errors import PlgsError
 from engine.scene.pixels import (
     Alignment,
     decode,
@@ -81,7 +81,7 @@ def test_colours_come_as_rgb_and_labels_as_they_are(tmp_path: Path) -> None:
     assert decode(tmp_path / "colour.png", as_colour=True)[0, 0].tolist() == [30, 20, 10]
     assert decode(tmp_path / "grey.png", as_colour=True)[0, 0].tolist() == [40, 40, 40]
     assert decode_single_channel(tmp_path / "label.png")[0, 0] == 60000
-    with pytest.raises(SceneError, match="must have one channel"):
+    with pytest.raises(PlgsError, match="must have one channel"):
         decode_single_channel(tmp_path / "colour.png")
 
 
@@ -90,7 +90,7 @@ def test_an_image_with_sound_chunks_and_no_pixels_is_refused(tmp_path: Path) -> 
     data = (tmp_path / "image.png").read_bytes()
     start = data.index(b"IDAT") - 4
     (tmp_path / "image.png").write_bytes(data[:start] + data[data.index(b"IEND") - 4 :])
-    with pytest.raises(SceneError, match="cannot be decoded"):
+    with pytest.raises(PlgsError, match="cannot be decoded"):
         decode(tmp_path / "image.png", as_colour=False)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from engine.job import JobError
+from engine.errors import PlgsError
 from engine.scene import ClassLabel, check_scene, open_scene
 from engine.segment import begin_job, make_masks
 from engine.segment.merging import MadeSegment
@@ -82,12 +82,12 @@ def test_what_was_stopped_goes_on(folder: Path) -> None:
 
 def test_other_masks_are_never_written_over(folder: Path) -> None:
     make_masks(open_scene(folder), begin_job(folder, "halves", 4), Halves(), silent)
-    with pytest.raises(JobError, match="masks by halves of 4 frames.*-o"):
+    with pytest.raises(PlgsError, match="masks by halves of 4 frames.*-o"):
         begin_job(folder, "another", 4)
     for name in ("panoptic.json", "m2f_semantics", "masks"):
         other = folder.parent / f"with_{name}"
         (other / name).mkdir(parents=True)
-        with pytest.raises(JobError, match=f"masks already .{name}"):
+        with pytest.raises(PlgsError, match=f"masks already .{name}"):
             begin_job(other, "halves", 4)
         assert [path.name for path in other.iterdir()] == [name]
 
@@ -98,7 +98,7 @@ def test_a_damaged_frame_is_named(folder: Path) -> None:
     (folder / "panoptic.json").unlink()
     for name in ("0000", "0001", "0002", "0003"):
         (folder / "panoptic" / f"{name}.json").write_text("[" if name == "0002" else "[]")
-    with pytest.raises(JobError, match=r"is not JSON .*: .*0002.json. Delete this file"):
+    with pytest.raises(PlgsError, match=r"the JSON .*: .*0002.json. Delete this file"):
         make_masks(open_scene(folder), job, Halves(), silent)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.spatial import cKDTree
 
-from engine.semantics.adaptive_spacing import LabelledPoints, adapted_centres
+from engine.semantics.adaptive_spacing import ColumnedPoints, adapted_centres
 from engine.semantics.clustering import seed_centres
 
 SIDE, WANTED, CAP = 20.0, 0.05, 10_000
@@ -26,7 +26,7 @@ def floor(seed: int) -> np.ndarray:
     return np.column_stack([SIDE * random.random((60_000, 2)), np.zeros(60_000)])
 
 
-def views(rug: int) -> Iterable[LabelledPoints]:
+def views(rug: int) -> Iterable[ColumnedPoints]:
     """Ten views of all of it; the rug is of the class in place ``rug``."""
     for seed in range(10):
         points = floor(seed)
@@ -66,7 +66,7 @@ def test_without_an_edge_there_are_no_more_points_than_before() -> None:
 def test_where_labels_change_everywhere_the_spacing_stays_even() -> None:
     centres, spacing = even()
 
-    def noise() -> Iterable[LabelledPoints]:
+    def noise() -> Iterable[ColumnedPoints]:
         random = np.random.default_rng(0)
         return ((points, random.integers(0, 2, len(points))) for points, _ in views(0))
 

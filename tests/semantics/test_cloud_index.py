@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from engine.semantics.cloud_index import CloudIndex, cell_keys
+from engine.semantics.cloud_index import CloudIndex
 
 
 @pytest.mark.parametrize("reach", [0.04, 0.1, 0.33])
@@ -13,22 +13,15 @@ def test_nearest_is_exact_within_reach(reach: float) -> None:
     points = generator.uniform(-1, 1, (800, 3))
     queries = generator.uniform(-1.2, 1.2, (500, 3))
     distance, row = cKDTree(points).query(queries)
-    found = CloudIndex(points, 0.1).nearest(queries, reach)
+    found = CloudIndex(points).nearest(queries, reach)
     np.testing.assert_array_equal(found, np.where(distance <= reach, row, -1))
 
 
 def test_ties_go_to_the_lower_index_and_nan_finds_nothing() -> None:
-    index = CloudIndex(np.array([[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]), 0.05)
+    index = CloudIndex(np.array([[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]))
     queries = np.array([[0.0, 0.0, 0.0], [-0.1, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, 1e30]])
     assert index.nearest(queries, 0.2).tolist() == [0, 1, -1, -1]
 
 
 def test_an_empty_cloud_is_near_nothing() -> None:
-    assert CloudIndex(np.zeros((0, 3)), 0.1).nearest(np.zeros((2, 3)), 1.0).tolist() == [-1, -1]
-
-
-def test_cells_are_floors_and_far_points_are_refused() -> None:
-    keys = cell_keys(np.array([[0.0, 0.0, 0.0], [0.099, 0.0, 0.0], [-0.001, 0.0, 0.0]]), 0.1)
-    assert keys[0] == keys[1] != keys[2]
-    with pytest.raises(ValueError, match="origin"):
-        cell_keys(np.array([[2e5, 0.0, 0.0]]), 0.1)
+    assert CloudIndex(np.zeros((0, 3))).nearest(np.zeros((2, 3)), 1.0).tolist() == [-1, -1]

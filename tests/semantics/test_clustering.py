@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.semantics.clustering import lloyd_step, seed_centres
+from engine.semantics.clustering import cell_keys, lloyd_step, seed_centres
 
 CLOUD = np.random.default_rng(1).uniform(0, 1, (4000, 3)) * [1.0, 1.0, 0.05]
 
@@ -38,3 +38,10 @@ def test_lloyd_steps_do_not_raise_the_quantisation_error() -> None:
 def test_a_spacing_of_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="spacing"):
         seed_centres(batches, 0.0, 10)
+
+
+def test_cells_are_floors_and_far_points_are_refused() -> None:
+    keys = cell_keys(np.array([[0.0, 0.0, 0.0], [0.099, 0.0, 0.0], [-0.001, 0.0, 0.0]]), 0.1)
+    assert keys[0] == keys[1] != keys[2]
+    with pytest.raises(ValueError, match="origin"):
+        cell_keys(np.array([[2e5, 0.0, 0.0]]), 0.1)

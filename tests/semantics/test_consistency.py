@@ -3,8 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.semantics import ConsistencyOptions, consistency_masks, view_overlap, views_are_sparse
-from engine.semantics.consistency import neighbour_indices
+from engine.semantics.consistency import (
+    ConsistencyOptions,
+    consistency_masks,
+    neighbour_indices,
+    view_overlap,
+    views_are_sparse,
+)
 from tests.semantics.plane_views import CHAIR, SOFA, WALL, square, wall_view
 
 PRODUCT = ConsistencyOptions(neighbours=1, agreement=1.0)

@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.semantics import CloudOptions, build_point_cloud
-from engine.semantics.point_cloud import majority_vote
+from engine.semantics.point_cloud import CloudOptions, build_point_cloud, majority_vote
 from tests.semantics.plane_views import CLASS_IDS, SOFA, WALL, square, wall_view
 
 OPTIONS = CloudOptions(spacing=0.2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from engine.scene import PanopticMask, Segment
-from engine.semantics import pseudo_labels, regions
+from engine.semantics.pseudo_labels import LEAST_AREA, pseudo_labels, regions
 
 WALL, CHAIR, SOFA = 1, 5, 6
 
@@ -45,10 +45,10 @@ def test_ties_go_to_the_lower_class_and_unrendered_regions_have_no_loss() -> Non
 
 
 def test_small_regions_keep_what_is_rendered() -> None:
-    mask = PanopticMask(np.full((3, 5), 1, np.int32), (Segment(1, WALL, False),))
-    rendered = np.arange(15, dtype=np.int32).reshape(3, 5)
-    np.testing.assert_array_equal(pseudo_labels(mask, rendered), rendered)
-    assert (pseudo_labels(mask, np.where(rendered > 4, 7, 3).astype(np.int32), min_area=15) == 7).all()
+    for width, is_small in ((LEAST_AREA - 1, True), (LEAST_AREA, False)):
+        mask = PanopticMask(np.full((1, width), 1, np.int32), (Segment(1, WALL, False),))
+        rendered = np.where(np.arange(width) > 4, 7, 3).astype(np.int32)[None]
+        np.testing.assert_array_equal(pseudo_labels(mask, rendered), rendered if is_small else 7)
 
 
 def test_sizes_must_fit() -> None:

@@ -8,8 +8,7 @@ import torch
 
 from engine.model.anchors import Anchors, initial_anchors
 from engine.model.decoders import Decoders, DecoderShape
-from engine.train.optimiser import Optimiser, learning_rate
-from engine.train.presets import LearningRates
+from engine.train.optimiser import RATES, Optimiser, learning_rate
 
 SHAPE = DecoderShape(6, 2, 3, 4, distance_input=False, label_view_input=False)
 
@@ -35,13 +34,13 @@ def test_rates_decay_log_linearly() -> None:
 
 
 def test_a_restored_optimiser_goes_on_bit_for_bit() -> None:
-    whole = Optimiser(anchors_at(5), Decoders(SHAPE, 0), LearningRates(), extent=2.0)
+    whole = Optimiser(anchors_at(5), Decoders(SHAPE, 0), RATES, extent=2.0)
     take_steps(whole, 6)
-    first = Optimiser(anchors_at(5), Decoders(SHAPE, 0), LearningRates(), extent=2.0)
+    first = Optimiser(anchors_at(5), Decoders(SHAPE, 0), RATES, extent=2.0)
     take_steps(first, 3)
     again = Decoders(SHAPE, 9)
     again.load_state_dict(first.decoders.state_dict())
-    second = Optimiser(first.anchors.select(torch.arange(5)), again, LearningRates(), extent=2.0)
+    second = Optimiser(first.anchors.select(torch.arange(5)), again, RATES, extent=2.0)
     second.restore({name: tensor.clone() for name, tensor in first.tensors().items()}, first.count)
     take_steps(second, 3, start=3)
     for name in Anchors.LEARNT:
@@ -51,7 +50,7 @@ def test_a_restored_optimiser_goes_on_bit_for_bit() -> None:
 
 
 def test_pruning_and_growing_keep_the_moments_of_the_anchors_that_stay() -> None:
-    optimiser = Optimiser(anchors_at(5), Decoders(SHAPE, 0), LearningRates(), extent=2.0)
+    optimiser = Optimiser(anchors_at(5), Decoders(SHAPE, 0), RATES, extent=2.0)
     take_steps(optimiser, 2)
     before = {name: tensor.clone() for name, tensor in optimiser.tensors().items()}
     keep = torch.tensor([True, False, True, True, False])

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from engine.job import Cancelled
+from engine.errors import Cancelled
 from engine.model.render import render_view
 from engine.model.structured import NO_OBJECT
+from engine.presets.preset import LossWeights
 from engine.scene import Camera, ClassTable, View
 from engine.train.losses import reconstruction_loss
-from engine.train.presets import LossWeights
+from engine.train.self_training import pseudo_label_steps
 from engine.train.state import restore, trainer_state
-from engine.train.trainer import Trainer, pseudo_label_steps
+from engine.train.trainer import Trainer
 from tests.train.tiny_lift import STEPS, TINY, colour_error, trainer_of, views_of
 
 Input = tuple[list[View], ClassTable]

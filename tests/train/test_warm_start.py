@@ -10,10 +10,7 @@ import torch
 
 from engine.model.gaussians import decode_rows
 from engine.model.structured import StructuredScene
-from engine.train.presets import WarmStart
 from tests.train.tiny_lift import TINY, prepared_for, views_of
-
-WARM = replace(TINY, warm_start=WarmStart(steps=150, batch=512))
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +18,8 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StructuredScene]:
     """Warm from seeds 0, 0 and 1, and cold from seed 0."""
     folder = tmp_path_factory.mktemp("warm")
     views, classes = views_of(folder / "scene")
-    cold = replace(TINY, warm_start=None)
-    chosen = ((WARM, 0), (WARM, 0), (WARM, 1), (cold, 0))
+    cold = replace(TINY, warm_start=False)
+    chosen = ((TINY, 0), (TINY, 0), (TINY, 1), (cold, 0))
     return [prepared_for(views, classes, preset, folder, seed).scene for preset, seed in chosen]
 
 

@@ -14,27 +14,30 @@ from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES, run_lift
 from engine.model.growing import GrowthRules
+from engine.presets.preset import PRESETS, Growth, Preset, Schedule
 from engine.scene import ClassTable, View, load_view, open_scene
-from engine.train.presets import PRESETS, Preset, Schedule, WarmStart
 from engine.train.progress import StageReporter
-from engine.train.trainer import Trainer
+from engine.train.trainer import GrowthSchedule, Trainer
 from tests.tiny_scene import write_tiny_scene
 
 STEPS = 12
 TINY = replace(
     PRESETS["preview"],
     steps=STEPS,
-    steps_a_view=0,
+    steps_a_view=0.0,
     voxel_size=0.2,
     gaussians_per_anchor=3,
     instance_slots=4,
-    warm_start=WarmStart(steps=30, batch=512),
-    # Growth after steps 3 and 6, pseudo labels after steps 4 and 8.
-    schedule=Schedule(
-        self_training_every=1 / 3, statistics_from=0, grow_from=0, grow_until=0.6, grow_every_at_least_steps=3
-    ),
-    growth=GrowthRules(gradient=1e-6, seen_share=0.1, visited_share=0.1),
+    schedule=Schedule(self_training_every=1 / 3),  # pseudo labels after steps 4 and 8
+    growth=Growth(least_visits=None),
 )
+
+
+class TinyTrainer(Trainer):
+    """Anchors grow after steps 3 and 6."""
+
+    growth_schedule = GrowthSchedule(statistics_from=0, grow_from=0, grow_until=0.6, at_least_steps=3)
+    growth_rules = GrowthRules(gradient=1e-6, seen_share=0.1, visited_share=0.1)
 
 
 @contextmanager
@@ -77,7 +80,7 @@ def prepared_for(views: list[View], classes: ClassTable, preset: Preset, folder:
 
 def trainer_of(views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0) -> Trainer:
     prepared = prepared_for(views, classes, preset, folder, seed)
-    return Trainer(prepared.scene, prepared.targets, views, preset, seed)
+    return TinyTrainer(prepared.scene, prepared.targets, views, preset, seed)
 
 
 def colour_error(views: list[View], trainer: Trainer) -> float:

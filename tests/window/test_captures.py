@@ -14,7 +14,11 @@ for folder in (Path(__file__).parent.parent, Path(__file__).parent.parent.parent
 
 from tests.scene.formats.test_sens import sens  # noqa: E402
 
-MAKING = "__import__('sys').modules[EXTENSION + '.plgs_blender.running.frame_making']"
+MODULES = """
+import sys
+registry = sys.modules[EXTENSION + '.plgs_blender.tasks.registry']
+making = lambda: registry.latest(sys.modules[EXTENSION + '.plgs_blender.running.importing'].FrameMaking)
+"""
 PICTURES = "sum(len(each.data.background_images) for each in bpy.context.scene.objects if 'frame' in each)"
 SHOWN = "bpy.context.scene.camera.data.background_images[0].image.name"
 
@@ -33,8 +37,9 @@ def test_the_engine_adds_pictures_and_a_cloud_while_the_window_goes_on(window: W
     window.press("plgs.import_scene")
     window.wait_for("'Camera path' in bpy.context.scene.objects")
     window.wait_for(f"{PICTURES} == 6")
-    window.wait_for(f"'Coloured cloud' in bpy.context.scene.objects and not {MAKING}.is_making()")
-    assert window.ask(f"{MAKING}.error()") is None
+    window.run(MODULES)
+    window.wait_for("'Coloured cloud' in bpy.context.scene.objects and not making().is_running")
+    assert window.ask("making().error") is None
     window.settle()
     window.screenshot("capture")
 

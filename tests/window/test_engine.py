@@ -8,6 +8,13 @@ from collections.abc import Iterator
 import pytest
 from blender import Window
 
+MODULES = """
+import sys
+engine = sys.modules[EXTENSION + '.plgs_blender.engine_environment.tasks']
+registry = sys.modules[EXTENSION + '.plgs_blender.tasks.registry']
+timer = sys.modules[EXTENSION + '.plgs_blender.tasks.timer']
+set_up = lambda: registry.latest(engine.SetUp)
+"""
 PREFERENCES = """
 area = next(each for each in bpy.context.window_manager.windows[0].screen.areas if each.type == 'VIEW_3D')
 area.ui_type = 'PREFERENCES'
@@ -21,7 +28,7 @@ answer = None
 @pytest.fixture
 def preferences(window: Window) -> Iterator[Window]:
     """With the add-on's preferences in the place of the 3D view, and the extension's state at hand."""
-    window.run("import sys; session = sys.modules[EXTENSION + '.plgs_blender.engine_environment.session']")
+    window.run(MODULES)
     window.run(PREFERENCES)
     window.settle()
     yield window
@@ -30,10 +37,10 @@ def preferences(window: Window) -> Iterator[Window]:
 
 
 def test_the_engine_is_asked_by_itself(preferences: Window) -> None:
-    preferences.wait_for("session.status().state.value == 'ready'", timeout=30)
+    preferences.wait_for("engine.status().state.value == 'ready'", timeout=30)
     preferences.settle()
     preferences.screenshot("preferences")
-    assert preferences.ask("bpy.app.timers.is_registered(session.tick)") is False
+    assert preferences.ask("bpy.app.timers.is_registered(timer.tick)") is False
 
 
 def test_a_set_up_is_followed_and_cancelled(preferences: Window) -> None:
@@ -42,11 +49,12 @@ def test_a_set_up_is_followed_and_cancelled(preferences: Window) -> None:
     base = f"{sys.base_prefix}/bin/python{sys.version_info[0]}.{sys.version_info[1]}"
     arguments = f"'INVOKE_DEFAULT', base_python={base!r}, index_url='http://127.0.0.1:9/simple'"
     assert preferences.run(f"answer = list(bpy.ops.plgs.set_up_engine({arguments}))\n") == ["FINISHED"]
-    preferences.wait_for("session.progress() is None or session.progress().step == 3", timeout=60)
+    preferences.wait_for("not set_up().is_running or set_up().progress.stage_index == 3", timeout=60)
     preferences.settle()
     preferences.screenshot("preferences-set-up")
     preferences.run("bpy.ops.plgs.cancel_engine_set_up()")
-    assert preferences.ask("session.progress() is None and session.set_up_error() is None")
+    preferences.wait_for("not set_up().is_running", timeout=5)
+    assert preferences.ask("set_up().was_cancelled and set_up().error is None")
     assert max(preferences.waits().values()) < 0.05, preferences.waits()
 
 
@@ -54,9 +62,9 @@ def test_where_blenders_python_cannot_make_environments_says_why(preferences: Wi
     """The tree has no python3-venv, or a Python that nothing is pinned for."""
     preferences.run("bpy.context.preferences.system.use_online_access = True")
     preferences.run("bpy.ops.plgs.set_up_engine('INVOKE_DEFAULT', index_url='http://127.0.0.1:9/simple')")
-    preferences.wait_for("session.progress() is None", timeout=30)
-    told = preferences.ask("str(session.set_up_error())")
+    preferences.wait_for("not set_up().is_running", timeout=30)
+    told = preferences.ask("str(set_up().error)")
     assert "no Python can make the engine's environment (/usr/bin/python3" in told and "Install Python 3.11" in told
-    preferences.wait_for("session.status().state.value == 'ready'", timeout=30)
+    preferences.wait_for("engine.status().state.value == 'ready'", timeout=30)
     preferences.settle()
     preferences.screenshot("preferences-failed")

@@ -22,9 +22,8 @@ MODULES = """
 import sys, pathlib
 import numpy as np
 lifts = sys.modules[EXTENSION + '.plgs_blender.running.lifts']
-recents = sys.modules[EXTENSION + '.plgs_blender.running.recents']
 settings = lambda: bpy.context.scene.plgs
-followed = lambda: lifts.watch_of(pathlib.Path(settings().lift_folder))
+followed = lambda: lifts.lift_of(pathlib.Path(settings().lift_folder))
 picture = lambda: sys.modules[EXTENSION + '.plgs_blender.running.live_preview'].picture_for(bpy.context.scene)
 """
 BLOCKS = 8
@@ -65,7 +64,7 @@ def begin(window: Window, scene: Path, name: str, **settings: object) -> LiftFol
     window.wait_for_kernels()
     window.wait_for("bpy.ops.plgs.lift_scene.poll()")
     window.run("bpy.ops.plgs.lift_scene('INVOKE_DEFAULT')")
-    window.wait_for("followed() is not None and followed().status.loss is not None", 120)
+    window.wait_for("followed() is not None and followed().progress.loss is not None", 120)
     return LiftFolder.open(folder)
 
 
@@ -114,8 +113,8 @@ def test_undo_and_another_file_leave_the_lift_in_the_panel(window: Window, scene
     assert lift.is_running and window.ask("len(lifts.running())") == 1
     window.run(f"bpy.ops.wm.open_mainfile(filepath={str(saved)!r})")
     window.wait_for("followed().is_running")
-    step = window.ask("followed().status.step")
-    window.wait_for(f"followed().status.step > {step}")
+    step = window.ask("followed().progress.step")
+    window.wait_for(f"followed().progress.step > {step}")
     end(window)
     assert window.ask("followed().can_be_resumed")
 
@@ -141,8 +140,8 @@ def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> N
     window.run("watch.begin()")
     for camera, shot in ((frame, "of-a-frame"), ("Camera", "of-the-users")):
         window.run(f"bpy.context.scene.camera = bpy.data.objects[{camera!r}]")
-        window.run("before = followed().status.live_previews")
-        window.wait_for("followed().status.live_previews > before + 1 and picture() is not None", 60)
+        window.run("before = followed().progress.live_previews")
+        window.wait_for("followed().progress.live_previews > before + 1 and picture() is not None", 60)
         window.screenshot(f"live-preview-{shot}")
         error, contrast = off_by(window)
         # Before 5.0 it is enlarged in linear light, which makes fine grain on black about 5 lighter.
@@ -162,7 +161,7 @@ def test_an_engine_that_is_killed_leaves_a_message_and_resume(window: Window, sc
     window.screenshot("engine-killed")
     window.key("Escape")  # the message goes: in 4.3 by itself, in 5.2 it would take all keys
     window.settle()
-    assert f"signal {killed}" in window.ask("followed().outcome.error")
+    assert f"signal {killed}" in window.ask("str(followed().error)")
     window.find_button("plgs.resume_lift")
     window.find_button("plgs.open_log")
 
@@ -179,8 +178,8 @@ def test_closing_blender_ends_the_lift_unless_it_shall_go_on(window: Window, sce
     window.start()
     window.open_sidebar()
     window.run(MODULES)
-    window.wait_for(f"any(str(each.folder.path) == {str(going_on.path)!r} for each in recents.recent())")
+    window.wait_for(f"any(str(each.folder.path) == {str(going_on.path)!r} for each in lifts.recent())")
     window.run(f"bpy.ops.plgs.watch_lift('INVOKE_DEFAULT', lift_folder={str(going_on.path)!r})")
-    window.wait_for("followed().is_running and followed().status.step > 0", 30)
+    window.wait_for("followed().is_running and followed().progress.step > 0", 30)
     end(window)
     assert not going_on.is_running

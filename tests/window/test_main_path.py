@@ -63,19 +63,19 @@ def test_a_lift_is_started_cancelled_and_resumed_and_its_box_picked(window: Wind
     window.run(f"bpy.context.scene.plgs.steps = {STEPS}")
     window.wait_for_kernels()
     _, start = window.press("plgs.lift_scene")
-    window.wait_for(f"{RUNNING} and {RUNNING}[0].status.steps == {STEPS} and {RUNNING}[0].status.step > 20", 120)
+    window.wait_for(f"{RUNNING} and {RUNNING}[0].progress.steps == {STEPS} and {RUNNING}[0].progress.step > 20", 120)
     window.screenshot("lifting")
     _, cancel = window.press("plgs.cancel_lift", near=start + 50)
     window.wait_for(f"not {RUNNING}", 10)
     window.settle()
     window.screenshot("cancelled")
-    assert 20 < window.ask(f"{LIFTS}.watch_of({LIFT}).status.step") < STEPS
+    assert 20 < window.ask(f"{LIFTS}.lift_of({LIFT}).progress.step") < STEPS
     window.press("plgs.resume_lift", near=cancel)
     window.wait_for(f"bool({RUNNING})")
     window.wait_for(f"not {RUNNING}", 180)
     window.settle()
     window.screenshot("finished")
-    assert window.ask(f"{LIFTS}.watch_of({LIFT}).is_finished")
+    assert window.ask(f"{LIFTS}.lift_of({LIFT}).is_finished")
 
     window.move(500, 500)
     window.key("Home")

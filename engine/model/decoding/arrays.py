@@ -39,8 +39,8 @@ class Labelling(NamedTuple):
 
 
 class Batches(NamedTuple):
-    """``opacities`` float32 [V * k] of all Gaussians, drawn or not. Of each batch of anchors: ``starts`` int64, the
-    number of its first drawn Gaussian, and ``losses`` float64, its sum of L_cluster."""
+    """``opacities`` float32 [V * k] of all Gaussians, drawn or not. Each batch of anchors has the number of its first
+    drawn Gaussian in ``starts`` int64, and its sum of L_cluster in ``losses`` float64."""
 
     opacities: Array
     starts: Array
@@ -60,9 +60,11 @@ class Drawn(NamedTuple):
 
 
 class Gradients(NamedTuple):
-    """From those of the Gaussians ``drawn``, ``by``, and that of one Gaussian's cross entropy, ``by_loss``, to those of
-    ``feature``, ``offset``, ``log_scale`` (shaped as in ``AnchorArrays``, zeros before) and of the ``weights`` [chunks,
-    parameters], a row for each chunk of batches."""
+    """Given: ``by``, the gradients of the Gaussians ``drawn``, and ``by_loss``, that of one Gaussian's cross entropy.
+
+    Filled: the gradients of ``feature``, ``offset`` and ``log_scale``, shaped as in ``AnchorArrays`` and zero before;
+    and of the ``weights`` [chunks, parameters], a row for each chunk of batches.
+    """
 
     drawn: Drawn
     by: Drawn
@@ -74,8 +76,8 @@ class Gradients(NamedTuple):
 
 
 class Work(NamedTuple):
-    """``next_one`` int64 [1]: the batch, or chunk of batches, whose turn it is. Each worker's room: ``floats`` float32
-    [workers, Sizes.scratch], ``numbers`` int64 [workers, BATCH * (1 + 2 k)]."""
+    """Room to work in. ``next_one`` int64 [1] is the next batch, or chunk of batches, to take. Each worker has
+    ``floats`` float32 [workers, Sizes.scratch] and ``numbers`` int64 [workers, BATCH * (1 + 2 k)]."""
 
     next_one: Array
     floats: Array

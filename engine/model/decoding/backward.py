@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.atomics import fetch_add
 from ...machine.compiled import Array, device_function, parallel_kernel
+from ...machine.intrinsics import fetch_add
 from ...machine.vectors import WIDTH, broadcast, lane_numbers, masked_load, store
 from .activations import exponential
 from .arrays import AnchorArrays, Batch, Batches, Gradients, Labelling, Packed, Work

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...machine.atomics import fetch_add
 from ...machine.compiled import Array, device_function, parallel_kernel
+from ...machine.intrinsics import fetch_add
 from ...machine.vectors import WIDTH, broadcast, lane_numbers, load, masked_load, store
 from .activations import copy, exponential, sigmoid, tanh
 from .arrays import AnchorArrays, Batch, Batches, Drawn, Labelling, Packed, Work
@@ -62,7 +62,7 @@ def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
 def write_shapes(
     batch: Batch, head: Any, anchors: AnchorArrays, opacities: Array, sizes: Any, mine: Array, drawn: Drawn
 ) -> None:
-    """What the covariance decoder and the anchors tell of the drawn Gaussians: all but colour and labels."""
+    """Write all of the drawn Gaussians but colours and labels, from the covariance decoder and the anchors."""
     k, scale = sizes.k, sizes.d_hidden_at  # room for a vector a row, of which six are the anchor's scales
     for row in range(batch.drawing):
         six = lane_numbers() < broadcast(F(6.0))

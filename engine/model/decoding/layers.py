@@ -108,7 +108,7 @@ def collect_inputs(listed: Array, rows: int, anchors: AnchorArrays, sizes: Any, 
 
 @device_function
 def start_with(bias: int, columns: int, weights: Array, at: int, rows: int, mine: Array) -> None:
-    """Every row of mine[at:] = the bias, so many columns."""
+    """Set every row of mine[at:] to the bias, which has ``columns`` columns."""
     for i in range(rounded_rows(rows)):
         for c in range(0, columns, WIDTH):
             store(mine, at + i * columns + c, load(weights, bias + c))

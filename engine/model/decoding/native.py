@@ -20,7 +20,7 @@ from .forward import decode_gaussians, decode_opacities
 from .packing import BATCH, Layout, layout_of, packed, parameters_of, unpacked
 
 CHUNKS = 32
-"""Of batches, whose weight gradients are summed apart; more workers than this find nothing to do."""
+"""Chunks of batches whose weight gradients are summed apart. More workers than this find nothing to do."""
 
 
 def decode_natively(

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from ..decoders import HIDDEN, Decoders, DecoderShape
 
 LANES = 16
-"""Columns are padded to whole vectors of so many."""
+"""Columns of a vector. Columns are padded to whole vectors."""
 BATCH = 64
-"""Anchors that a kernel takes at once: their inputs, hidden layers and outputs stay in the nearest caches."""
+"""Anchors that a kernel takes at once. Their inputs, hidden layers and outputs stay in the nearest caches."""
 ROUND_ROWS = 8
-"""Rows are padded to a multiple of this, what a block of the matrix product takes."""
+"""Rows of a block of the matrix product. Rows are padded to a multiple of it."""
 
 
 class Head(NamedTuple):

@@ -1,4 +1,4 @@
-"""Softmax of a run of float32, sixteen at a time, and its backward pass. NaN stays NaN: a diverged scene shows."""
+"""Softmax of a run of float32, sixteen at a time, and its backward pass. NaN stays NaN, so that divergence shows."""
 
 from __future__ import annotations
 

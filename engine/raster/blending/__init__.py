@@ -1,1 +1,1 @@
-"""Gaussians to pixels, tile by tile, and gradients back: plain kernels; in ``vector`` their fast twins."""
+"""Gaussians on pixels: blended front to back, and their gradients back to front. Sixteen pixels side by side."""

@@ -1,162 +1,178 @@
-"""Back-to-front gradients of the blending, plain Numba: the readable twin.
+"""Back-to-front gradients of the blending, a patch of sixteen pixels at a time.
 
-Walking back, T_i = T_{i+1} / (1 - alpha_i) and one running sum per pixel is all that is needed:
-with v_i = colour_i . dL/dimage + z_i * dL/ddepth and S_i = sum_{j>i} w_j v_j - T_end * dL/dalpha,
-dL/dalpha_i = T_i v_i - S_i / (1 - alpha_i). (Carrying the alpha output as a final term keeps it exact where
-T_end is tiny.) Each Gaussian's gradient in each tile goes to a place of its own; a later pass adds them in
+Walking back, T_i = T_{i+1} / (1 - alpha_i), and one running value per pixel is all that is needed. Let v_i =
+colour_i . dL/dimage + z_i * dL/ddepth. Behind Gaussian i lies B_i = alpha_{i+1} v_{i+1} + (1 - alpha_{i+1}) B_{i+1},
+and dL/d(ln alpha_i) = alpha_i T_i (v_i - B_i). At the far end B = -dL/dalpha, as if a last Gaussian closed the pixel:
+this stays exact where the final transmittance is tiny.
+
+One Gaussian after the other takes all its patches of the tile, so that its own sums stay in registers; the patches'
+state lies in the first cache. Each Gaussian's gradient in each tile goes to a place of its own; ``gather`` adds them in
 order.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from ...machine.compiled import Array, contracted_device_function, device_function, parallel_kernel
-from ..arrays import Intersections, IsectGradients, PixelGradients, Scratch, Size
+from ...machine.compiled import Array, device_function, inlined, parallel_kernel
+from ...machine.intrinsics import fetch_add
+from ...machine.vector_functions import exp2_x4, reciprocal
+from ...machine.vector_shuffles import horizontal_sums
+from ...machine.vectors import (
+    broadcast,
+    broadcast_load,
+    fma,
+    fnmadd,
+    get,
+    load,
+    load_pairs,
+    minimum,
+    movemask,
+    prefetch,
+    put,
+    select,
+    store,
+    store_nontemporal,
+    trailing_zeros,
+)
+from ..arrays import Intersections, IsectGradients, PixelGradients, Scratch, Size, Tile
 from ..records import (
-    BATCH,
+    BACKWARD_BATCH,
     BLUE,
-    D_BLUE,
     DEPTH,
-    GRADIENT,
     GRADIENT_WIDTH,
     GREEN,
     L11,
-    OPACITY,
     RECORD,
     RED,
     TILE,
     padded_channels,
 )
-from .footprint import ALPHA_CAP, F, add_product, alpha_row, whiten_rows
-from .forward import ALPHA_LEAST, ONE
-
-ZERO = F(0.0)
-
-
-class TileState(NamedTuple):
-    """A tile in the backward pass: ``transmittance``, what lies ``behind`` (S_i) float32 and ``last`` int32 [16, 16],
-    the gradients of red, green, blue and depth in ``planes`` float32 [4, 16, 16], ``last_of_row`` int32 [16]."""
-
-    transmittance: Array
-    behind: Array
-    last: Array
-    planes: Array
-    last_of_row: Array
-
-
-@device_function
-def load_tile(left: int, top: int, pixels: PixelGradients, state: TileState) -> Any:
-    """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the tile.
-    ``pixels`` is shaped as a picture."""
-    height, width = pixels.final.shape
-    last, last_of_row, planes = state.last, state.last_of_row, state.planes
-    far = -1
-    for r in range(TILE):
-        last_of_row[r] = -1
-        for x in range(TILE):
-            last[r, x] = -1
-            state.transmittance[r, x] = ONE
-            state.behind[r, x] = ZERO
-            for c in range(4):
-                planes[c, r, x] = ZERO
-            if left + x < width and top + r < height:
-                y = top + r
-                last[r, x] = pixels.last[y, left + x]
-                state.transmittance[r, x] = pixels.final[y, left + x]
-                state.behind[r, x] = -pixels.alpha[y, left + x] * pixels.final[y, left + x]
-                for c in range(3):
-                    planes[c, r, x] = pixels.image[y, left + x, c]
-                planes[3, r, x] = pixels.depth[y, left + x]
-                last_of_row[r] = max(last_of_row[r], last[r, x])
-        far = max(far, last_of_row[r])
-    return far
+from .backward_tile import (
+    BATCH_LABELS,
+    BEHIND,
+    COLUMNS,
+    D_PLANES,
+    EXPONENTS,
+    LAST,
+    LAST_OF_PATCH,
+    LISTED,
+    NO_PATCH,
+    OVERS,
+    PATCH_STRIDE,
+    RAW_ALPHAS,
+    S1_LEFT,
+    S2,
+    S2_SQUARED,
+    TRANSMITTANCE,
+    WEIGHTS,
+    WHITENED,
+    PatchLists,
+    load_tile,
+    start_worker,
+    whiten_tile,
+)
+from .batch import AHEAD
+from .forward import ALPHA_CAP, ALPHA_LEAST, take_four
+from .forward_strip import ONE, ZERO, F
+from .label_gradients import add_label_gradients, write_label_gradients
+from .labels import LINES_AT_ONCE
 
 
-@device_function
-def load_tile_labels(left: int, top: int, d_labels: Array, tile_labels: Array) -> None:
-    height, width, channels = d_labels.shape
-    for r in range(TILE):
-        for x in range(TILE):
-            inside = left + x < width and top + r < height
-            for c in range(channels):
-                tile_labels[r * TILE + x, c] = d_labels[top + r, left + x, c] if inside else ZERO
+@inlined
+def whitened(patch: int, slope: Any, scratch: Array, own: int) -> Any:
+    """s1 on a patch."""
+    row, side = patch & -2, patch & 1
+    return fma(slope, load(scratch, COLUMNS + side * TILE), load_pairs(scratch, own + S1_LEFT + row))
 
 
-@device_function
-def blend_row_backward(
-    place: int, raw: Array, state: TileState, r: int, record: Array, weight: Array, d_log_alpha: Array
-) -> None:
-    """Step back over one Gaussian on one row: its weight [16] and dL/d(ln raw alpha) [16], zero where it was not
-    blended."""
-    transmittance, behind, planes = state.transmittance, state.behind, state.planes
-    for x in range(TILE):
-        capped = min(raw[x], ALPHA_CAP)
-        blended = capped >= ALPHA_LEAST and place <= state.last[r, x]
-        alpha = capped if blended else ZERO
-        over = ONE / (ONE - alpha)
-        before = transmittance[r, x] * over
-        value = (
-            record[RED] * planes[0, r, x]
-            + record[GREEN] * planes[1, r, x]
-            + record[BLUE] * planes[2, r, x]
-            + record[DEPTH] * planes[3, r, x]
-        )
-        slope = before * value - behind[r, x] * over
-        weight[x] = alpha * before
-        behind[r, x] += alpha * before * value
-        transmittance[r, x] = before
-        d_log_alpha[x] = alpha * slope if raw[x] <= ALPHA_CAP else ZERO
+@inlined
+def exponent_of(patch: int, slope: Any, scratch: Array, own: int) -> Any:
+    """log2 of the Gaussian's alpha on a patch."""
+    s1 = whitened(patch, slope, scratch, own)
+    return fnmadd(s1, s1, load_pairs(scratch, own + EXPONENTS + (patch & -2)))
 
 
-@contracted_device_function
-def add_moments(d_log_alpha: Array, weight: Array, s1: Array, s2: float, d_planes: Array, r: int, sums: Array) -> None:
-    for x in range(TILE):
-        g = d_log_alpha[x]
-        t = g * s1[x]
-        sums[0, x] += g
-        sums[1, x] += t
-        sums[2, x] += t * s1[x]
-        sums[3, x] += g * s2
-        sums[4, x] += t * s2
-        sums[5, x] += g * (s2 * s2)
-    for c in range(4):
-        for x in range(TILE):
-            sums[D_BLUE - 2 + c, x] += weight[x] * d_planes[c, r, x]
+@inlined
+def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
+    """The alpha before the cap where the forward pass blended it, else 0."""
+    blended = (raw >= broadcast(ALPHA_LEAST)) & (load(scratch, LAST + patch * PATCH_STRIDE) >= here)
+    return select(blended, raw, broadcast(ZERO))
+
+
+@inlined
+def keep_alpha(patch: int, raw: Any, scratch: Array) -> None:
+    store(scratch, RAW_ALPHAS + patch * TILE, raw)
+    store(scratch, OVERS + patch * TILE, reciprocal(broadcast(ONE) - minimum(raw, broadcast(ALPHA_CAP))))
 
 
 @device_function
-def add_label_gradients(
-    counts: Array,
-    weights: Array,
-    members: Array,
-    tile_labels: Array,
-    batch_labels: Array,
-    pixels: Array,
-    channels: int,
-) -> None:
-    """batch_labels [BATCH + 1, C] += each member's weights times the pixels' label gradients, row after
-    row."""
-    for r in range(TILE):
-        used = counts[r]
-        if used == 0:
-            continue
-        padded = (used + 3) // 4 * 4
-        for k in range(used, padded):
-            members[r, k] = BATCH  # a place that nobody reads
-            weights[r, k, :] = ZERO
-        add_product(
-            batch_labels,
-            members[r],
-            weights[r],
-            (padded, TILE),
-            tile_labels,
-            pixels[r * TILE : (r + 1) * TILE],
-            channels,
-        )
-        counts[r] = 0
+def fill_alphas(slope: float, place: float, patches: int, scratch: Array, own: int) -> None:
+    """RAW_ALPHAS and OVERS on the patches of a mask, bit for bit the forward pass's; four at a time, so that one does
+    not wait for the other."""
+    slopes, here = broadcast(slope), broadcast(place)
+    while patches != 0:
+        (p0, p1, p2, p3), patches = take_four(patches, NO_PATCH)
+        e0, e1 = exponent_of(p0, slopes, scratch, own), exponent_of(p1, slopes, scratch, own)
+        e2, e3 = exponent_of(p2, slopes, scratch, own), exponent_of(p3, slopes, scratch, own)
+        raw0, raw1, raw2, raw3 = exp2_x4(e0, e1, e2, e3)
+        raw0, raw1 = blended_alpha(p0, raw0, here, scratch), blended_alpha(p1, raw1, here, scratch)
+        raw2, raw3 = blended_alpha(p2, raw2, here, scratch), blended_alpha(p3, raw3, here, scratch)
+        keep_alpha(p0, raw0, scratch)
+        keep_alpha(p1, raw1, scratch)
+        keep_alpha(p2, raw2, scratch)
+        keep_alpha(p3, raw3, scratch)
+
+
+@device_function
+def blend_gaussian_backward(
+    records: Array, at: int, member: int, patches: int, scratch: Array, own: int, lists: PatchLists
+) -> Any:
+    """Step back over one Gaussian on the patches of a mask; returns its gradients, as columns of lanes."""
+    slope = broadcast_load(records, at + L11)
+    red, green = broadcast_load(records, at + RED), broadcast_load(records, at + GREEN)
+    blue, depth = broadcast_load(records, at + BLUE), broadcast_load(records, at + DEPTH)
+    g0 = g1 = g11 = g2 = g12 = g22 = broadcast(ZERO)
+    d_red = d_green = d_blue = d_depth = broadcast(ZERO)
+    while patches != 0:
+        patch = trailing_zeros(patches)
+        patches &= patches - 1
+        state, row = patch * PATCH_STRIDE, patch & -2
+        raw = load(scratch, RAW_ALPHAS + patch * TILE)
+        alpha = minimum(raw, broadcast(ALPHA_CAP))
+        before = load(scratch, TRANSMITTANCE + state) * load(scratch, OVERS + patch * TILE)
+        store(scratch, TRANSMITTANCE + state, before)
+        weight = alpha * before
+        image_red = load(scratch, D_PLANES + state)
+        image_green = load(scratch, D_PLANES + TILE + state)
+        image_blue = load(scratch, D_PLANES + 2 * TILE + state)
+        image_depth = load(scratch, D_PLANES + 3 * TILE + state)
+        value = fma(red, image_red, fma(green, image_green, fma(blue, image_blue, depth * image_depth)))
+        behind = load(scratch, BEHIND + state)
+        difference = value - behind
+        store(scratch, BEHIND + state, fma(alpha, difference, behind))
+        g = select(raw <= broadcast(ALPHA_CAP), weight * difference, broadcast(ZERO))
+        s1, s2 = whitened(patch, slope, scratch, own), load_pairs(scratch, own + S2 + row)
+        g_s1 = g * s1
+        g0 = g0 + g
+        g1 = g1 + g_s1
+        g11 = fma(g_s1, s1, g11)
+        g2 = fma(g, s2, g2)
+        g12 = fma(g_s1, s2, g12)
+        g22 = fma(g, load_pairs(scratch, own + S2_SQUARED + row), g22)
+        d_red = fma(weight, image_red, d_red)
+        d_green = fma(weight, image_green, d_green)
+        d_blue = fma(weight, image_blue, d_blue)
+        d_depth = fma(weight, image_depth, d_depth)
+        if lists.wanted:
+            # Where nothing was blended the next one writes over it: cheaper than a branch that cannot be predicted.
+            count = get(lists.counts, patch)
+            store(scratch, WEIGHTS + (patch * LISTED + count) * TILE, weight)
+            put(lists.members, patch * LISTED + count, np.int32(member))
+            put(lists.counts, patch, count + int(movemask(raw > broadcast(ZERO)) != 0))
+    return horizontal_sums((g0, g1, g11, g2, g12, g22, d_red, d_green, d_blue, d_depth))
 
 
 @parallel_kernel
@@ -170,78 +186,55 @@ def blend_backward(
     out: IsectGradients,
     scratches: Scratch,
 ) -> None:
-    """Every ``workers``-th tile; as its vector twin, which alone uses the scratch."""
+    """Tile after tile until none is left."""
+    scratch, counts = scratches.floats[worker], scratches.words[worker]
+    lists = PatchLists(counts, scratches.members[worker], size.channels > 0)
     starts, flatten_ids, isect_ids = isects.isect_offsets, isects.flatten_ids, isects.isect_ids
-    width, height, channels = size.width, size.height, size.channels
-    rows_of_records = records.reshape(records.size // RECORD, RECORD)
-    # with no labels there is nothing to reshape, but the rows and columns are still asked for
-    d_labels = pixels.labels.reshape(height, width, channels)
-    picture = PixelGradients(
-        pixels.image.reshape(height, width, 3),
-        d_labels,
-        pixels.alpha.reshape(height, width),
-        pixels.depth.reshape(height, width),
-        pixels.final.reshape(height, width),
-        pixels.last.reshape(height, width),
-    )
-    columns = (width + TILE - 1) // TILE
+    width, height, channels, touched = size.width, size.height, size.channels, out.touched
+    columns, tiles = (width + TILE - 1) // TILE, starts.shape[0] - 1
     padded = padded_channels(channels)
-    s1_left = np.empty(TILE, np.float32)
-    s2 = np.empty(TILE, np.float32)
-    s1 = np.empty(TILE, np.float32)
-    raw = np.empty(TILE, np.float32)
-    bits = raw.view(np.int32)
-    d_log_alpha = np.empty(TILE, np.float32)
-    state = TileState(
-        np.empty((TILE, TILE), np.float32),
-        np.empty((TILE, TILE), np.float32),
-        np.empty((TILE, TILE), np.int32),
-        np.empty((4, TILE, TILE), np.float32),
-        np.empty(TILE, np.int32),
-    )
-    sums = np.empty((GRADIENT, TILE), np.float32)
-    tile_labels = np.empty((TILE * TILE, channels), np.float32)
-    counts = np.zeros(TILE, np.int64)
-    weights = np.empty((TILE, BATCH, TILE), np.float32)
-    members = np.empty((TILE, BATCH), np.int32)
-    batch_labels = np.empty((BATCH + 1, channels), np.float32)
-    numbers = np.arange(TILE * TILE)
-    for number in range(worker, starts.shape[0] - 1, workers):
-        left, top = number % columns * TILE, number // columns * TILE
-        first = starts[number]
-        far = load_tile(left, top, picture, state)
-        for k in range(first, starts[number + 1]):
-            out.touched[isect_ids[k]] = 0
+    start_worker(scratch, counts)
+    while True:
+        number = fetch_add(scratches.next_one)
+        if number >= tiles:
+            break
+        left, top, first = number % columns * TILE, number // columns * TILE, starts[number]
+        tile = Tile(left, top, first, starts[number + 1] - first)
+        far = load_tile(tile, size, pixels, scratch)
+        for k in range(first + far + 1, starts[number + 1]):
+            touched[isect_ids[k]] = 0
         if far < 0:
             continue
-        if channels > 0:
-            load_tile_labels(left, top, d_labels, tile_labels)
-        for batch in range(far // BATCH * BATCH, -1, -BATCH):
-            batch_labels[:] = ZERO
-            for place in range(min(batch + BATCH - 1, far), batch - 1, -1):
-                record = rows_of_records[flatten_ids[first + place]]
-                rows = whiten_rows(record, left, top, s1_left, s2)
-                sums[:] = ZERO
-                for r in range(TILE):
-                    if not (rows >> r) & 1 or place > state.last_of_row[r]:
-                        continue
-                    alpha_row(s1_left[r], record[L11], s2[r], record[OPACITY], s1, raw, bits)
-                    weight = weights[r, counts[r]]
-                    blend_row_backward(place, raw, state, r, record, weight, d_log_alpha)
-                    add_moments(d_log_alpha, weight, s1, s2[r], state.planes, r, sums)
-                    members[r, counts[r]] = place - batch
-                    counts[r] += 1
-                isect = isect_ids[first + place]
-                out.touched[isect] = 1
-                for c in range(GRADIENT):
-                    total = ZERO
-                    for x in range(TILE):
-                        total += sums[c, x]
-                    out.values[isect * GRADIENT_WIDTH + c] = total
+        # the tile's label gradients are asked for while the first Gaussians are on
+        row_lines = (min(TILE, width - left) * channels + TILE - 1) // TILE
+        ahead_rows, ahead_row, ahead_line = min(TILE, height - top) if channels > 0 else 0, 0, 0
+        # each Gaussian is whitened while the one before is on: which patches it touches is known when its turn comes
+        own = 0
+        patches = whiten_tile(records, int(get(flatten_ids, first + far)) * RECORD, tile, scratch, own)
+        for batch in range(far // BACKWARD_BATCH * BACKWARD_BATCH, -1, -BACKWARD_BATCH):
+            for at in range(BATCH_LABELS, BATCH_LABELS + BACKWARD_BATCH * padded, TILE):
+                store(scratch, at, broadcast(ZERO))
+            for place in range(min(batch + BACKWARD_BATCH - 1, far), batch - 1, -1):
+                touching = patches & movemask(load(scratch, LAST_OF_PATCH) >= broadcast(F(place)))
+                at = int(get(flatten_ids, first + place)) * RECORD
+                following = int(get(flatten_ids, first + max(place - 1, 0))) * RECORD
+                prefetch(records, int(get(flatten_ids, first + max(place - AHEAD, 0))) * RECORD)
+                patches = whiten_tile(records, following, tile, scratch, WHITENED - own)
+                isect = int(get(isect_ids, first + place))
+                if ahead_row < ahead_rows:
+                    ahead = ((top + ahead_row) * width + left) * channels + ahead_line * TILE
+                    for line in range(LINES_AT_ONCE):
+                        prefetch(pixels.labels, ahead + line * TILE)
+                    ahead_line += LINES_AT_ONCE
+                    if ahead_line >= row_lines:
+                        ahead_row, ahead_line = ahead_row + 1, 0
+                touched[isect] = touching != 0
+                if touching != 0:
+                    fill_alphas(get(records, at + L11), F(place), touching, scratch, own)
+                    sums = blend_gaussian_backward(records, at, place - batch, touching, scratch, own, lists)
+                    store_nontemporal(out.values, isect * GRADIENT_WIDTH, sums)
+                own = WHITENED - own
             if channels > 0:
-                add_label_gradients(counts, weights, members, tile_labels, batch_labels, numbers, channels)
-                for place in range(batch, min(batch + BATCH, far + 1)):
-                    for c in range(channels):
-                        out.labels[isect_ids[first + place] * padded + c] = batch_labels[place - batch, c]
-            else:
-                counts[:] = 0
+                add_label_gradients(tile, size, pixels.labels, scratch, lists)
+                count = min(BACKWARD_BATCH, far + 1 - batch)
+                write_label_gradients(first + batch, count, isect_ids, scratch, out, padded)

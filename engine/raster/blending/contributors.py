@@ -1,20 +1,71 @@
-"""The Gaussians that made each pixel: its largest blending weights."""
+"""The Gaussians that made each pixel: its largest blending weights, the very ones of the forward pass."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
-from ..arrays import Intersections
-from ..records import L11, OPACITY, TILE
-from .footprint import F, alpha_row, whiten_rows
-from .forward import any_alive, blend_row, start_tile
+from ...machine.vector_functions import exp2
+from ...machine.vectors import (
+    broadcast,
+    broadcast_load,
+    fma,
+    fnmadd,
+    get,
+    lane_numbers,
+    load,
+    maximum,
+    movemask,
+    select,
+    store,
+    trailing_zeros,
+)
+from ..arrays import Intersections, Tile
+from ..records import L11, RECORD, TILE
+from .backward_tile import EXPONENTS, S1_LEFT, WHITENED, whiten_tile
+from .forward import ENDED, NEARLY_NOTHING, seen_alpha
+from .forward_strip import ONE, ZERO
+
+
+@device_function
+def start_tile(tile: Tile, transmittance: Array, indices: Array, weights: Array) -> None:
+    """Empty lists, and a transmittance of one inside the image and of zero outside."""
+    height, width = weights.shape[:2]
+    for r in range(TILE):
+        for c in range(TILE):
+            y, x = tile.top + r, tile.left + c
+            inside = y < height and x < width
+            transmittance[r * TILE + c] = ONE if inside else ZERO
+            if inside:
+                indices[y, x, :] = -1
+                weights[y, x, :] = ZERO
+
+
+@device_function
+def any_alive(transmittance: Array) -> bool:
+    """Whether a pixel of the tile still sees anything."""
+    for at in range(0, TILE * TILE, TILE):
+        if movemask(load(transmittance, at) > broadcast(ENDED)) != 0:
+            return True
+    return False
+
+
+@device_function
+def blend_row(records: Array, at: int, r: int, whitened: Array, transmittance: Array, weights: Array) -> int:
+    """One Gaussian on one row of a tile: fills ``weights`` [16] and returns the mask of the pixels that it is on."""
+    s1 = fma(broadcast_load(records, at + L11), lane_numbers(), broadcast_load(whitened, S1_LEFT + r))
+    alpha = seen_alpha(exp2(fnmadd(s1, s1, broadcast_load(whitened, EXPONENTS + r))))
+    before = load(transmittance, r * TILE)
+    after = fnmadd(alpha, before, before)
+    blended = (alpha > broadcast(ZERO)) & (after > broadcast(ENDED))
+    store(transmittance, r * TILE, maximum(after, broadcast(NEARLY_NOTHING)))
+    store(weights, 0, select(blended, alpha * before, broadcast(ZERO)))
+    return movemask(blended)
 
 
 @device_function
 def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -> None:
-    """Put one contributor into a pixel's lists, largest first; of two equal ones the front one stays
-    first."""
+    """Put one contributor into a pixel's lists, largest first. Of two equal ones the front one stays first."""
     place = weights.shape[0] - 1
     if weight <= weights[place]:
         return
@@ -30,43 +81,27 @@ def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -
 def list_contributors(
     worker: int, workers: int, isects: Intersections, records: Array, indices: Array, weights: Array
 ) -> None:
-    """Every ``workers``-th tile: indices int32 [H, W, k] and weights [H, W, k]; -1 and 0 where there are
-    fewer than k."""
+    """Every ``workers``-th tile: indices int32 [H, W, k] and weights [H, W, k]; -1 and 0 where there are fewer than
+    k. ``records`` float32 [N * RECORD]."""
     starts, flatten_ids = isects.isect_offsets, isects.flatten_ids
-    height, width, wanted = weights.shape
+    height, width = weights.shape[:2]
     columns = (width + TILE - 1) // TILE
-    s1_left = np.empty(TILE, np.float32)
-    s2 = np.empty(TILE, np.float32)
-    s1 = np.empty(TILE, np.float32)
-    raw = np.empty(TILE, np.float32)
-    bits = raw.view(np.int32)
-    row_weights = np.empty(TILE, np.float32)
-    transmittance = np.empty((TILE, TILE), np.float32)
-    last = np.empty((TILE, TILE), np.int32)
-    for tile in range(worker, starts.shape[0] - 1, workers):
-        left = tile % columns * TILE
-        top = tile // columns * TILE
-        start_tile(width, height, left, top, transmittance, last)
-        for y in range(top, min(top + TILE, height)):
-            for x in range(left, min(left + TILE, width)):
-                for c in range(wanted):
-                    indices[y, x, c] = -1
-                    weights[y, x, c] = F(0.0)
-        for k in range(starts[tile], starts[tile + 1]):
-            if (k - starts[tile]) % TILE == 0 and any_alive(transmittance) == 0:
+    whitened, own = np.empty(WHITENED, np.float32), np.empty(TILE, np.float32)
+    transmittance = np.empty(TILE * TILE, np.float32)
+    for number in range(worker, starts.shape[0] - 1, workers):
+        left, top, first = number % columns * TILE, number // columns * TILE, starts[number]
+        tile = Tile(left, top, first, starts[number + 1] - first)
+        start_tile(tile, transmittance, indices, weights)
+        for k in range(first, starts[number + 1]):
+            if (k - first) % TILE == 0 and not any_alive(transmittance):
                 break
-            record = records[flatten_ids[k]]
-            rows = whiten_rows(record, left, top, s1_left, s2)
-            for r in range(TILE):
-                if not (rows >> r) & 1:
+            gaussian = int(get(flatten_ids, k))
+            patches = whiten_tile(records, gaussian * RECORD, tile, whitened, 0)
+            for r in range(min(TILE, height - top)):
+                if (patches >> (r & -2)) & 3 == 0:
                     continue
-                alpha_row(s1_left[r], record[L11], s2[r], record[OPACITY], s1, raw, bits)
-                blend_row(raw, transmittance[r], row_weights)
-                for x in range(TILE):
-                    if row_weights[x] > F(0.0):
-                        keep_largest(
-                            flatten_ids[k],
-                            row_weights[x],
-                            indices[top + r, left + x],
-                            weights[top + r, left + x],
-                        )
+                pixels = blend_row(records, gaussian * RECORD, r, whitened, transmittance, own)
+                while pixels != 0:
+                    x = trailing_zeros(pixels)
+                    pixels &= pixels - 1
+                    keep_largest(gaussian, own[x], indices[top + r, left + x], weights[top + r, left + x])

@@ -1,192 +1,294 @@
-"""Front-to-back blending, plain Numba: the readable twin."""
+"""Front-to-back blending, a patch of sixteen pixels at a time.
+
+A patch takes all members of a batch one after the other, its state in registers, and lists those that it sees with
+their weights; the labels of a whole list are added up at once, in registers too. Two patches side by side make a strip
+of a tile, which is written row by row.
+"""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from ...machine.compiled import Array, device_function, parallel_kernel
+from ...machine.compiled import Array, device_function, inlined, parallel_kernel
+from ...machine.intrinsics import fetch_add
+from ...machine.vector_functions import exp2_x4
+from ...machine.vectors import (
+    broadcast,
+    broadcast_load,
+    fma,
+    fnmadd,
+    get,
+    load,
+    load_pairs,
+    maximum,
+    minimum,
+    movemask,
+    put,
+    select,
+    store,
+    trailing_zeros,
+)
 from ..arrays import Blended, Intersections, Scratch, Size, Splats, Tile
-from ..conventions import ALPHA_MIN, TRANSMITTANCE_END
-from ..records import BATCH, BLUE, DEPTH, GREEN, L11, OPACITY, RECORD, RED, TILE
-from .footprint import ALPHA_CAP, F, add_product, alpha_row, whiten_rows
+from ..conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
+from ..records import BATCH, PATCH_HEIGHT, PENDING, TILE, padded_channels
+from .batch import (
+    BATCH_FIELDS,
+    BLUES,
+    DEPTHS,
+    GREENS,
+    PAD_INDEX,
+    PLACES,
+    REDS,
+    SLOPE,
+    STRIP_EXPONENTS,
+    STRIP_S1,
+    load_batch,
+    whiten_strip,
+)
+from .forward_strip import (
+    COLUMNS,
+    FINAL,
+    LAST,
+    LISTED,
+    PATCH_STRIDE,
+    PLANES,
+    STATE,
+    STRIP,
+    STRIP_LABELS,
+    TRANSMITTANCE,
+    WEIGHTS,
+    ZERO,
+    F,
+    prefetch_row,
+    start_strip,
+    strip_floats,
+    write_strip,
+)
+from .labels import (
+    FinishedStrip,
+    add_listed_labels,
+    copy_members,
+    flush_all,
+    flush_lines,
+    pack_labels,
+    prefetch_labels,
+)
 
-ONE = F(1.0)
+ALPHA_CAP = F(ALPHA_MAX)
 ALPHA_LEAST = F(ALPHA_MIN)
 ENDED = F(TRANSMITTANCE_END)
+NEARLY_NOTHING = F(1e-20)
+"""A transmittance is not multiplied further down: subnormal numbers are slow."""
 
 
 @device_function
-def start_tile(width: int, height: int, left: int, top: int, transmittance: Array, last: Array) -> None:
-    """Transmittance one inside the image, minus one (ended) outside; nothing blended yet."""
-    for r in range(TILE):
-        for x in range(TILE):
-            inside = left + x < width and top + r < height
-            transmittance[r, x] = ONE if inside else -ONE
-            last[r, x] = -1
+def batch_floats(channels: int) -> int:
+    return BATCH_FIELDS + BATCH * padded_channels(channels)
+
+
+def scratch_size(channels: int, longest: int) -> int:
+    """Floats of scratch that a worker needs when the longest list of a tile has ``longest`` Gaussians."""
+    floats: int = STRIP_LABELS + 2 * strip_floats(channels) + -(-longest // BATCH) * batch_floats(channels)
+    return floats
+
+
+@inlined
+def exponent_of(m: int, columns: Any, scratch: Array, fields: int) -> Any:
+    """log2 of a member's alpha on the patch."""
+    s1 = fma(broadcast_load(scratch, fields + SLOPE + m), columns, load_pairs(scratch, STRIP + STRIP_S1 + 2 * m))
+    return fnmadd(s1, s1, load_pairs(scratch, STRIP + STRIP_EXPONENTS + 2 * m))
+
+
+@inlined
+def seen_alpha(raw: Any) -> Any:
+    """The alpha that counts: at most 0.99, 0 where it is too small."""
+    return select(raw >= broadcast(ALPHA_LEAST), minimum(raw, broadcast(ALPHA_CAP)), broadcast(ZERO))
+
+
+@inlined
+def blend_member(
+    m: int, alpha: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
+) -> Any:
+    """Blend one member; returns the patch's new state, and the new end of the list of those blended.
+
+    A pixel has ended once its transmittance is too small; the product goes on, and says so of all that follow.
+    """
+    transmittance, final, last, red, green, blue, depth = state
+    after = fnmadd(alpha, transmittance, transmittance)
+    blended = (alpha > broadcast(ZERO)) & (after > broadcast(ENDED))
+    weight = select(blended, alpha * transmittance, broadcast(ZERO))
+    final = select(blended, after, final)
+    last = select(blended, broadcast_load(scratch, fields + PLACES + m), last)
+    red = fma(weight, broadcast_load(scratch, fields + REDS + m), red)
+    green = fma(weight, broadcast_load(scratch, fields + GREENS + m), green)
+    blue = fma(weight, broadcast_load(scratch, fields + BLUES + m), blue)
+    depth = fma(weight, broadcast_load(scratch, fields + DEPTHS + m), depth)
+    # Where nothing was blended the next member writes over it. That is cheaper than a branch that cannot be predicted.
+    first, vectors = labels
+    store(scratch, WEIGHTS + end * TILE, weight)
+    put(members, end, np.int32(first + m * vectors))
+    return (after, final, last, red, green, blue, depth), end + int(movemask(blended) != 0)
+
+
+@inlined
+def take_four(mask: int, missing: int) -> Any:
+    """The places of the four lowest bits of a mask (``missing`` where it has fewer), and the mask without them."""
+    first = trailing_zeros(mask)
+    mask &= mask - 1
+    second = min(trailing_zeros(mask), missing)
+    mask &= mask - 1
+    third = min(trailing_zeros(mask), missing)
+    mask &= mask - 1
+    fourth = min(trailing_zeros(mask), missing)
+    mask &= mask - 1
+    return (first, second, third, fourth), mask
+
+
+@inlined
+def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
+    """The alphas that count of four members, side by side."""
+    m0, m1, m2, m3 = four
+    e0, e1 = exponent_of(m0, columns, scratch, fields), exponent_of(m1, columns, scratch, fields)
+    e2, e3 = exponent_of(m2, columns, scratch, fields), exponent_of(m3, columns, scratch, fields)
+    raw0, raw1, raw2, raw3 = exp2_x4(e0, e1, e2, e3)
+    return seen_alpha(raw0), seen_alpha(raw1), seen_alpha(raw2), seen_alpha(raw3)
+
+
+@inlined
+def blend_four(
+    four: Any, alphas: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
+) -> Any:
+    """Blend four members, one after the other; as ``blend_member``, and whether the patch still sees anything."""
+    m0, m1, m2, m3 = four
+    alpha0, alpha1, alpha2, alpha3 = alphas
+    state, end = blend_member(m0, alpha0, state, end, scratch, fields, members, labels)
+    state, end = blend_member(m1, alpha1, state, end, scratch, fields, members, labels)
+    state, end = blend_member(m2, alpha2, state, end, scratch, fields, members, labels)
+    state, end = blend_member(m3, alpha3, state, end, scratch, fields, members, labels)
+    transmittance, final, last, red, green, blue, depth = state
+    sees = movemask(transmittance > broadcast(ENDED)) != 0
+    return (maximum(transmittance, broadcast(NEARLY_NOTHING)), final, last, red, green, blue, depth), end, sees
 
 
 @device_function
-def blend_row(alpha: Array, transmittance: Array, weight: Array) -> None:
-    """Weights [16] of one Gaussian on one row. The transmittance of an ended pixel is kept negative."""
-    for x in range(TILE):
-        capped = min(alpha[x], ALPHA_CAP)
-        after = transmittance[x] * (ONE - capped)
-        seen = capped >= ALPHA_LEAST
-        goes_on = after > ENDED
-        weight[x] = capped * transmittance[x] if seen and goes_on else F(0.0)
-        ended = -abs(transmittance[x]) if seen else transmittance[x]
-        transmittance[x] = after if seen and goes_on else ended
+def blend_patch(
+    touching: int, at: int, scratch: Array, fields: int, members: Array, end: int, labels: tuple[int, int]
+) -> Any:
+    """Blend the members of a mask on the patch whose state lies at scratch[at:], four at a time, so that one does not
+    wait for the other's alpha.
 
-
-@device_function
-def add_colour_row(weight: Array, record: Array, planes: Array, row: int) -> None:
-    for x in range(TILE):
-        planes[0, row, x] += weight[x] * record[RED]
-    for x in range(TILE):
-        planes[1, row, x] += weight[x] * record[GREEN]
-    for x in range(TILE):
-        planes[2, row, x] += weight[x] * record[BLUE]
-    for x in range(TILE):
-        planes[3, row, x] += weight[x] * record[DEPTH]
-
-
-@device_function
-def add_label_rows(
-    counts: Array,
-    weights: Array,
-    gaussians: Array,
-    labels: Array,
-    tile_labels: Array,
-    by_pixel: Array,
-    pixels: Array,
-) -> None:
-    """tile_labels [256, C] += the weights of a batch's Gaussians times their labels, row after row."""
-    channels = labels.shape[1]
-    for r in range(TILE):
-        used = counts[r]
-        if used == 0:
-            continue
-        padded = (used + 3) // 4 * 4
-        for k in range(used, padded):
-            gaussians[r, k] = gaussians[r, 0]
-            weights[r, k, :] = F(0.0)
-        for k in range(padded):
-            for x in range(TILE):
-                by_pixel[x, k] = weights[r, k, x]
-        add_product(
-            tile_labels,
-            pixels[r * TILE : (r + 1) * TILE],
-            by_pixel,
-            (TILE, padded),
-            labels,
-            gaussians[r],
-            channels,
-        )
-        counts[r] = 0
-
-
-@device_function
-def any_alive(transmittance: Array) -> Any:
-    rows = 0
-    for r in range(TILE):
-        for x in range(TILE):
-            if transmittance[r, x] > F(0.0):
-                rows |= 1 << r
-                break
-    return rows
-
-
-class TileState(NamedTuple):
-    """A tile while it is blended: ``transmittance`` float32 and ``last`` int32 [16, 16], ``planes`` float32
-    [4, 16, 16] (red, green, blue, depth), ``labels`` float32 [256, C]."""
-
-    transmittance: Array
-    last: Array
-    planes: Array
-    labels: Array
-
-
-@device_function
-def write_tile(tile: Tile, state: TileState, out: Blended) -> None:
-    """The tile's pixels; ``out`` shaped as a picture."""
-    left, top, planes = tile.left, tile.top, state.planes
-    height, width = out.alpha.shape
-    for r in range(min(TILE, height - top)):
-        y = top + r
-        for x in range(min(TILE, width - left)):
-            out.image[y, left + x, 0] = planes[0, r, x]
-            out.image[y, left + x, 1] = planes[1, r, x]
-            out.image[y, left + x, 2] = planes[2, r, x]
-            out.depth[y, left + x] = planes[3, r, x]
-            out.final[y, left + x] = abs(state.transmittance[r, x])
-            out.alpha[y, left + x] = ONE - abs(state.transmittance[r, x])
-            out.last[y, left + x] = state.last[r, x]
-            for c in range(out.labels.shape[2]):
-                out.labels[y, left + x, c] = state.labels[r * TILE + x, c]
+    Those that are blended anywhere are added, in order, to the list that ends before ``end``: their weights, and in
+    ``members`` where their labels lie, of which ``labels`` tells the first member's place and the length in vectors.
+    Returns the list's new end, and whether the patch still sees anything.
+    """
+    columns = load(scratch, at + COLUMNS)
+    state = (
+        load(scratch, at + TRANSMITTANCE),
+        load(scratch, at + FINAL),
+        load(scratch, at + LAST),
+        load(scratch, at + PLANES),
+        load(scratch, at + PLANES + TILE),
+        load(scratch, at + PLANES + 2 * TILE),
+        load(scratch, at + PLANES + 3 * TILE),
+    )
+    sees = movemask(state[0] > broadcast(ENDED)) != 0
+    if sees and touching != 0:
+        four, touching = take_four(touching, PAD_INDEX)
+        alphas = alphas_of(four, columns, scratch, fields)
+        while sees and touching != 0:
+            # the next four's alphas beside the blending of these: neither waits for the other
+            next_four, touching = take_four(touching, PAD_INDEX)
+            next_alphas = alphas_of(next_four, columns, scratch, fields)
+            state, end, sees = blend_four(four, alphas, state, end, scratch, fields, members, labels)
+            four, alphas = next_four, next_alphas
+        if sees:
+            state, end, sees = blend_four(four, alphas, state, end, scratch, fields, members, labels)
+    transmittance, final, last, red, green, blue, depth = state
+    store(scratch, at + TRANSMITTANCE, transmittance)
+    store(scratch, at + FINAL, final)
+    store(scratch, at + LAST, last)
+    store(scratch, at + PLANES, red)
+    store(scratch, at + PLANES + TILE, green)
+    store(scratch, at + PLANES + 2 * TILE, blue)
+    store(scratch, at + PLANES + 3 * TILE, depth)
+    return end, sees
 
 
 @parallel_kernel
 def blend_forward(
     worker: int, workers: int, isects: Intersections, splats: Splats, out: Blended, size: Size, scratches: Scratch
 ) -> None:
-    """Every ``workers``-th tile; as its vector twin, which alone uses the scratch."""
-    starts, flatten_ids = isects.isect_offsets, isects.flatten_ids
-    records = splats.records.reshape(splats.records.size // RECORD, RECORD)
+    """Tile after tile until none is left."""
+    scratch, members = scratches.floats[worker], scratches.members[worker]
+    copied = scratches.words[worker]  # a bit for each member of a batch whose labels were copied
+    starts, flatten_ids, records, labels = isects.isect_offsets, isects.flatten_ids, splats.records, splats.labels
     width, height, channels = size.width, size.height, size.channels
-    labels = splats.labels.reshape(records.shape[0], channels)
-    picture = Blended(
-        out.image.reshape(height, width, 3),
-        out.labels.reshape(height, width, channels),
-        out.alpha.reshape(height, width),
-        out.depth.reshape(height, width),
-        out.final.reshape(height, width),
-        out.last.reshape(height, width),
-    )
-    columns = (width + TILE - 1) // TILE
-    s1_left = np.empty(TILE, np.float32)
-    s2 = np.empty(TILE, np.float32)
-    s1 = np.empty(TILE, np.float32)
-    raw = np.empty(TILE, np.float32)
-    bits = raw.view(np.int32)
-    transmittance = np.empty((TILE, TILE), np.float32)
-    last = np.empty((TILE, TILE), np.int32)
-    planes = np.empty((4, TILE, TILE), np.float32)
-    tile_labels = np.empty((TILE * TILE, channels), np.float32)
-    state = TileState(transmittance, last, planes, tile_labels)
-    counts = np.zeros(TILE, np.int64)
-    weights = np.empty((TILE, BATCH, TILE), np.float32)
-    gaussians = np.empty((TILE, BATCH), np.int32)
-    by_pixel = np.empty((TILE, BATCH), np.float32)
-    pixels = np.arange(TILE * TILE)
-    for number in range(worker, starts.shape[0] - 1, workers):
+    columns, tiles = (width + TILE - 1) // TILE, starts.shape[0] - 1
+    padded = padded_channels(channels)
+    batches = STRIP_LABELS + 2 * strip_floats(channels)
+    strip_labels = STRIP_LABELS
+    # the labels of the strip before: they go to memory, a few lines at a time, while this one is computed
+    row, padded_row = width * channels, TILE * padded
+    lines, finished = (0, 0), FinishedStrip(out.labels, 0, 0, padded_row, row)
+    while True:
+        number = fetch_add(scratches.next_one)
+        if number >= tiles:
+            break
         left, top = number % columns * TILE, number // columns * TILE
-        first, end = starts[number], starts[number + 1]
-        start_tile(width, height, left, top, transmittance, last)
-        planes[:] = F(0.0)
-        tile_labels[:] = F(0.0)
-        alive = any_alive(transmittance)
-        for batch in range(first, end, BATCH):
-            for k in range(batch, min(batch + BATCH, end)):
-                record = records[flatten_ids[k]]
-                rows = whiten_rows(record, left, top, s1_left, s2) & alive
-                for r in range(TILE):
-                    if not (rows >> r) & 1:
-                        continue
-                    alpha_row(s1_left[r], record[L11], s2[r], record[OPACITY], s1, raw, bits)
-                    weight = weights[r, counts[r]]
-                    blend_row(raw, transmittance[r], weight)
-                    for x in range(TILE):
-                        last[r, x] = np.int32(k - first) if weight[x] > F(0.0) else last[r, x]
-                    add_colour_row(weight, record, planes, r)
-                    gaussians[r, counts[r]] = flatten_ids[k]
-                    counts[r] += 1
+        tile = Tile(left, top, starts[number], starts[number + 1] - starts[number])
+        pixels = min(TILE, width - left)
+        loaded = 0
+        for r in range(0, min(TILE, height - top), PATCH_HEIGHT):
+            rows = min(PATCH_HEIGHT, height - top - r)
+            pixel = (top + r) * width + left
+            for own in range(rows):
+                prefetch_row(pixel + own * width, out)
+            start_strip(pixels, rows, strip_labels, channels, scratch)
+            ends = (0, LISTED)
+            for place in range(0, tile.length, BATCH):
+                b = place // BATCH
+                fields = batches + b * batch_floats(channels)
+                own_labels = fields + BATCH_FIELDS
+                in_vectors = ((own_labels - batches) // TILE, padded // TILE)
+                count = min(BATCH, tile.length - place)
+                if place == loaded:
+                    if channels > 0:
+                        prefetch_labels(tile.first + place, count, flatten_ids, labels, channels)
+                    load_batch(flatten_ids, records, tile, place, count, scratch, fields)
+                    put(copied, b, 0)
+                    loaded += BATCH
+                touching = whiten_strip(r, count, scratch, fields, STRIP)
+                strip_sees = False
+                for patch in range(2):
+                    before, state = ends[patch], STATE + patch * PATCH_STRIDE
+                    end, sees = blend_patch(touching[patch], state, scratch, fields, members, before, in_vectors)
+                    strip_sees |= sees
+                    lines = flush_lines(lines, finished, scratch)
+                    if channels > 0 and end > before:
+                        fresh = touching[patch] & ~get(copied, b)
+                        put(copied, b, get(copied, b) | touching[patch])
+                        copy_members(fresh, tile.first + place, flatten_ids, labels, channels, scratch, own_labels)
+                    if end > patch * LISTED + PENDING:
+                        end, lines = add_listed_labels(
+                            patch, end, strip_labels, scratch, members, batches, lines, finished
+                        )
+                    ends = (end, ends[1]) if patch == 0 else (ends[0], end)
+                if not strip_sees:
+                    break
+            for patch in range(2):
+                _, lines = add_listed_labels(
+                    patch, ends[patch], strip_labels, scratch, members, batches, lines, finished
+                )
+            write_strip(pixel, pixels, rows, width, scratch, out)
+            flush_all(lines, finished, scratch)
             if channels > 0:
-                add_label_rows(counts, weights, gaussians, labels, tile_labels, by_pixel, pixels)
-            else:
-                counts[:] = 0
-            alive = any_alive(transmittance)
-            if alive == 0:
-                break
-        write_tile(Tile(left, top, first, end - first), state, picture)
+                target = pixel * channels
+                upper = pack_labels(target, pixels, channels, strip_labels, scratch, out.labels)
+                lower = 0
+                if rows > 1:
+                    lower = pack_labels(target + row, pixels, channels, strip_labels + padded_row, scratch, out.labels)
+                lines, finished = (upper, lower), FinishedStrip(out.labels, strip_labels, target, padded_row, row)
+                strip_labels = 2 * STRIP_LABELS + strip_floats(channels) - strip_labels  # the other one
+    flush_all(lines, finished, scratch)

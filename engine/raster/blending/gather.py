@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
-from ..arrays import Blocks, GaussianGradients, IsectGradients, Shapes
+from ...machine.vectors import broadcast, get, lane_numbers, load, masked_store, store
+from ..arrays import GaussianGradients, IsectGradients, Shapes
 from ..chunks import chunk_count, next_chunk
-from ..projection.backward import load_gradient_lane, project_block_backward, store_gradient_lanes
-from ..projection.lanes import LANES
+from ..projection_backward import project_backward
 from ..records import (
     D_BLUE,
     D_GREEN,
@@ -16,16 +16,18 @@ from ..records import (
     GRADIENT,
     GRADIENT_WIDTH,
     OPACITY,
+    TILE,
     G,
     padded_channels,
 )
 
 F = np.float32
+ZERO = F(0.0)
 
 
 @device_function
 def clear(i: int, out: GaussianGradients) -> None:
-    """No gradient of Gaussian i but that of its labels, which are not looked at."""
+    """Zero the gradients of Gaussian i, but not those of its labels."""
     out.opacities[i] = F(0.0)
     for c in range(2):
         out.means2d[i, c] = F(0.0)
@@ -44,16 +46,13 @@ def gather_geometry(
     isects: IsectGradients,
     scene: tuple[Shapes, Array, Array],
     out: GaussianGradients,
-    room: Array,
+    total: Array,
 ) -> None:
     """The gradients of the Gaussians of a chunk (the first, and the one behind the last) but for their labels, zeros
-    included; ``room`` float64 [GRADIENT_BLOCK + GRADIENT] to work in. ``scene``: shapes, records, camera."""
+    included. ``scene``: shapes, records, camera; ``total`` float64 [GRADIENT] is room to work in."""
     shapes, records, camera = scene
-    total, block = room[:GRADIENT], room[GRADIENT:]
     touched, values = isects.touched, isects.values
-    first, end = chunk
-    lanes = 0
-    for i in range(first, end):
+    for i in range(chunk[0], chunk[1]):
         hit = False
         for c in range(GRADIENT):
             total[c] = 0.0
@@ -70,31 +69,29 @@ def gather_geometry(
         out.colours[i, 0] = total[D_RED]
         out.colours[i, 1] = total[D_GREEN]
         out.colours[i, 2] = total[D_BLUE]
-        load_gradient_lane(i, lanes, total, records, shapes, block)
-        lanes += 1
-        if lanes == LANES:
-            project_block_backward(camera, block)
-            store_gradient_lanes(lanes, block, out)
-            lanes = 0
-    if lanes > 0:
-        project_block_backward(camera, block)
-        store_gradient_lanes(lanes, block, out)
+        project_backward(i, total, records[i], shapes, camera, out)
 
 
 @device_function
 def gather_labels(
     chunk: tuple[int, int], offsets: Array, isects: IsectGradients, channels: int, d_labels: Array
 ) -> None:
-    """The label gradients of the Gaussians of a chunk, zeros included: of d_labels [N * C]."""
+    """The label gradients of the Gaussians of a chunk, zeros included, to d_labels [N * C]."""
     padded, touched, labels = padded_channels(channels), isects.touched, isects.labels
     first, end = chunk
+    in_tail = lane_numbers() < broadcast(F(channels - padded + TILE))
     for i in range(first, end):
-        own = d_labels[i * channels : (i + 1) * channels]
-        own[:] = F(0.0)
-        for isect in range(offsets[i], offsets[i + 1]):
-            if touched[isect] != 0:
-                for c in range(channels):
-                    own[c] += labels[isect * padded + c]
+        first_isect, last_isect = get(offsets, i), get(offsets, i + 1)
+        for c in range(0, padded, TILE):
+            total = broadcast(ZERO)
+            for isect in range(first_isect, last_isect):
+                if get(touched, isect) != 0:
+                    total = total + load(labels, isect * padded + c)
+            at = i * channels + c
+            if at + TILE <= end * channels:
+                store(d_labels, at, total)  # what is too much, the next Gaussians write over
+            else:
+                masked_store(d_labels, at, total, in_tail)
 
 
 @parallel_kernel
@@ -106,17 +103,17 @@ def gather(
     channels: int,
     scene: tuple[Shapes, Array, Array],
     out: GaussianGradients,
-    blocks: Blocks,
+    next_one: Array,
 ) -> None:
     """Chunk after chunk until none is left: the gradients of all N Gaussians, of their labels as [N * C].
 
     ``offsets`` int64 [N + 1] as ``Intersections.gaussian_offsets``. ``scene``: the shapes, the records [N, RECORD] and
-    the camera of the forward pass.
+    the camera of the forward pass. ``next_one`` int64 [1] is the next chunk to take.
     """
-    count = offsets.shape[0] - 1
+    count, total = offsets.shape[0] - 1, np.empty(GRADIENT, np.float64)
     chunks = chunk_count(count)
-    first, end = next_chunk(blocks.next_one, chunks, count)
+    first, end = next_chunk(next_one, chunks, count)
     while first < end:
-        gather_geometry((first, end), offsets, isects, scene, out, blocks.rows[worker])
+        gather_geometry((first, end), offsets, isects, scene, out, total)
         gather_labels((first, end), offsets, isects, channels, out.labels)
-        first, end = next_chunk(blocks.next_one, chunks, count)
+        first, end = next_chunk(next_one, chunks, count)

@@ -1,6 +1,6 @@
-"""Public tables of classes: what the ids of a data set mean, which are things, and which of the paper's 21 each is.
+"""Public tables of classes: names of a data set's ids, which of them are things, and their class of the paper's 21.
 
-One CSV a table: ``id`` as networks trained on it give it, ``name``, ``thing`` (1 or 0), and where it is known
+One CSV a table: ``id`` in the results of networks trained on it, ``name``, ``thing`` (1 or 0), and in some tables
 ``reduced``, the class of ``reduced.csv`` (0 = void). ``coco.csv`` counts from 0 to 132; ``coco_id`` is the category id
 of the data set's own files.
 """
@@ -20,7 +20,7 @@ REDUCED = "reduced"
 
 @dataclass(frozen=True)
 class KnownTable:
-    """``labels`` in order of id; ``reduced``: the class among the paper's 21 of each id, empty where nobody said."""
+    """``labels`` in order of id. ``reduced`` maps ids to the paper's 21 classes; it may be empty."""
 
     labels: tuple[ClassLabel, ...]
     reduced: dict[int, int]
@@ -36,8 +36,10 @@ def known_table(name: str) -> KnownTable:
 
 
 def is_thing_by_name(name: str) -> bool | None:
-    """Whether a class of this name is a thing in one of the tables; None where none has it. Of synonyms, as ADE20K's
-    networks list them ("road, route"), the first that is known counts."""
+    """Whether a class of this name is a thing in one of the tables; None if no table has it.
+
+    Among synonyms, as ADE20K's networks list them ("road, route"), the first known one counts.
+    """
     for word in (name.casefold(), *(part.strip() for part in name.casefold().split(","))):
         for table in TABLES:
             for label in known_table(table).labels:
@@ -47,7 +49,7 @@ def is_thing_by_name(name: str) -> bool | None:
 
 
 def reduced_by_name(name: str) -> int | None:
-    """The class among the paper's 21 that a class of this name is, 0 = void; None where no table says so."""
+    """The class among the paper's 21 that a class of this name is, 0 = void; None if no table has it."""
     for table in TABLES:
         known = known_table(table)
         for label in known.labels:

@@ -1,8 +1,75 @@
-"""One reader a format. ``find_format`` tells which one reads a folder or file."""
+"""The formats of scenes: one reader each, which recognises its files by their names and reads posed pictures.
+
+A new format is a module with a ``SceneFormat`` in this folder and its entry in ``FORMATS``. The panel's list follows.
+"""
 
 from __future__ import annotations
 
-from .capture import Capture, Shot
-from .recognising import FORMATS, SceneFormat, find_format
+from pathlib import Path
+
+from ...errors import PlgsError
+from ..layout import shown
+from . import (
+    colmap,
+    folders,
+    hypersim,
+    nerfstudio,
+    open3d_log,
+    polycam,
+    record3d,
+    replica,
+    scannetpp,
+    sens,
+    seven_scenes,
+    stray,
+    tum,
+)
+from .capture import Capture, SceneFormat, Shot
 
 __all__ = ["FORMATS", "Capture", "SceneFormat", "Shot", "find_format"]
+
+FORMATS: tuple[SceneFormat, ...] = (
+    folders.FORMAT,
+    nerfstudio.FORMAT,
+    colmap.FORMAT,
+    tum.TUM,
+    tum.ICL,
+    seven_scenes.SEVEN_SCENES,
+    seven_scenes.TSDF_FUSION,
+    replica.NICE_SLAM,
+    replica.VMAP,
+    sens.FORMAT,
+    polycam.FORMAT,
+    record3d.FORMAT,
+    stray.FORMAT,
+    scannetpp.FORMAT,
+    hypersim.FORMAT,
+    open3d_log.FORMAT,
+)
+
+
+def find_format(place: Path, name: str | None = None) -> SceneFormat:
+    """The format called ``name``, or the one that recognises ``place``, a folder or file.
+
+    The first format comes before all others: prepared folders often hold what they were made from as well. Raises
+    PlgsError for an unknown name, and when no other format or more than one is recognised.
+    """
+    if not place.exists():
+        raise PlgsError("there is no such folder", place, "Name the folder of a scene.")
+    known = {each.name: each for each in FORMATS}
+    if name is not None:
+        if name not in known:
+            raise PlgsError(f'no format is called "{shown(name)}"', place, f"Choose one of {', '.join(known)}.")
+        return known[name]
+    try:
+        found = [each for each in FORMATS if each.recognises(place)]
+    except OSError as error:
+        raise PlgsError(f"the folder cannot be read ({error.strerror})", place, "Check its permissions.") from error
+    if len(found) > 1 and found[0] is not FORMATS[0]:
+        names = " and ".join(each.name for each in found)
+        fix = f"Say which one it is, such as --format {found[0].name}."
+        raise PlgsError(f"this looks like {names}", place, fix, option="--format")
+    if not found:
+        wanted = "; ".join(f"{each.name}: {each.looks_for}" for each in FORMATS)
+        raise PlgsError("no scene of a known format is here", place, f"Looked for {wanted}.")
+    return found[0]

@@ -1,47 +1,88 @@
-"""What a format's reader delivers: posed pictures in one convention, before masks and the split are known."""
+"""Formats of scenes and the results of their readers: posed pictures in one convention, without masks and split."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...scene_source import UpAxis
 from ..camera import Camera
-from ..frame import Size
-from ..matrices import UpAxis
-from ..sparse_points import SparsePoints
+from ..depth import DepthMap
+from ..frame import SparsePoints
 from ..splits import Split
+from .lens import STRAIGHT, Distortion
+
+_NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One posed picture. The fields mean what they mean in ``Frame``; the camera stands in the format's own world."""
+    """One posed picture. The camera stands in the format's own world, and its pose has OpenCV's axes and metres.
+
+    ``read_colour`` gives uint8 [H, W, 3] RGB of the camera's size. It is None when the image file at ``colour_path``
+    is the picture. ``distortion`` bends both pictures as they are read; the engine straightens them.
+    """
 
     name: str
     camera: Camera
     colour_path: Path
-    read_colour: Callable[[Size | None], NDArray[np.uint8]]
-    depth_path: Path | None = None
-    read_depth: Callable[[Size | None], NDArray[np.float32]] | None = None
-    file_shows_colour: bool = True
+    depth: DepthMap | None = None
+    read_colour: Callable[[], NDArray[np.uint8]] | None = None
+    distortion: Distortion = STRAIGHT
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All shots in recording order.
+    """All pictures in recording order: ``found`` holds their names with a Shot each, or None without a pose.
 
-    ``up`` is the axis of the format's world that points up, None where the format does not say; ``up_is_known`` when it
-    was measured, so that cameras held sideways mean nothing. ``lost`` names pictures
-    without a pose, which are left out. ``split`` is there where the reader had to know it.
+    ``up`` is the axis of the format's world that points up, None if the format does not say. ``up_is_known`` means
+    that it was measured, so that cameras held sideways are no reason for a warning. ``split`` is given by readers that
+    need it themselves.
     """
 
-    shots: tuple[Shot, ...]
+    found: Sequence[tuple[str, Shot | None]]
     up: UpAxis | None
-    lost: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     points: SparsePoints | None = None
     split: Split | None = None
     up_is_known: bool = False
+
+    @property
+    def shots(self) -> list[Shot]:
+        return [shot for _, shot in self.found if shot is not None]
+
+    @property
+    def lost(self) -> list[str]:
+        """The names of pictures without a pose. They are left out."""
+        return [name for name, shot in self.found if shot is None]
+
+
+@dataclass(frozen=True)
+class SceneFormat:
+    """A format of scenes: the ``name`` that options use, the ``label`` in the panel, and the files it looks for.
+
+    ``recognises`` says whether a folder or file has it; nothing is decoded for that. ``read`` raises PlgsError.
+    """
+
+    name: str
+    label: str
+    looks_for: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path], Capture]
+
+
+def frame_names(paths: Sequence[str]) -> list[str]:
+    """The stems of ``paths`` if these are all different, else the whole paths with ``_`` between their parts.
+
+    Other files are named after frames, so each character that no file name can hold becomes ``_`` too.
+    """
+    parts = [PurePosixPath(path.replace("\\", "/")).with_suffix("").parts for path in paths]
+    stems = [each[-1] if each else "" for each in parts]
+    if len(set(stems)) < len(stems):
+        stems = ["_".join(part for part in each if part not in (".", "..", "/")) for each in parts]
+    return [_NOT_IN_NAMES.sub("_", stem) or "_" for stem in stems]

@@ -10,15 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...gates import read_plain
-from ..frame import SceneError
-from ..sparse_points import SparsePoints
+from ...errors import PlgsError
+from ..frame import SparsePoints
+from ..layout import read_file, read_text
 
 _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8),
     ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
 )  # fmt: skip
-"""Each model's name and number of parameters; its place in the list is its number in binary files."""
+"""Each model's name and number of parameters. Its place in the list is its number in binary files."""
+_SUFFIXES = ("bin", "txt")
+_MOST_BYTES = 1 << 31
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 _FIX = "Let COLMAP export the model again."
 
@@ -61,7 +63,7 @@ def has_model(folder: Path) -> bool:
 
 
 def read_model(folder: Path) -> ColmapModel:
-    """Read the model in ``folder``; binary, where both are there. Raises SceneError."""
+    """Read the model in ``folder``, the binary one if there are two. Raises PlgsError."""
     if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file():
         cameras, images = _binary_cameras(folder / "cameras.bin"), _binary_images(folder / "images.bin")
     else:
@@ -75,19 +77,11 @@ def read_model(folder: Path) -> ColmapModel:
     return ColmapModel(folder, cameras, images, point_ids, points)
 
 
-MOST_BYTES = 1 << 31
-_SUFFIXES = ("bin", "txt")
-
-
 class _Bytes:
-    """A binary file read from front to back. Raises SceneError when it is shorter than it says."""
+    """A binary file read from front to back. Raises PlgsError when it is shorter than it says."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.position = path, 0
-        try:
-            self.data = read_plain(path, MOST_BYTES)
-        except OSError as error:
-            raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+        self.path, self.position, self.data = path, 0, read_file(path, _MOST_BYTES)
 
     def take(self, layout: str) -> tuple[float, ...]:
         """The next values, as ``struct`` calls them."""
@@ -119,8 +113,8 @@ class _Bytes:
             raise self._cut_off()
         self.position += size
 
-    def _cut_off(self) -> SceneError:
-        return SceneError("the file is cut off", self.path, _FIX)
+    def _cut_off(self) -> PlgsError:
+        return PlgsError("the file is cut off", self.path, _FIX)
 
 
 def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
@@ -128,7 +122,7 @@ def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
     for _ in range(file.count()):
         camera, model, width, height = (int(value) for value in file.take("<IiQQ"))
         if not 0 <= model < len(_MODELS):
-            raise SceneError(f"camera {camera} has the model number {model}, which is not known", path, _FIX)
+            raise PlgsError(f"camera {camera} has the model number {model}, which is not known", path, _FIX)
         name, count = _MODELS[model]
         cameras[camera] = _checked_camera(ColmapCamera(name, width, height, file.take(f"<{count}d")), camera, path)
     return cameras
@@ -164,18 +158,13 @@ def _as_points(
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers, comments left out. Raises SceneError."""
-    try:
-        text = read_plain(path, MOST_BYTES).decode()
-    except OSError as error:
-        raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
-    except UnicodeDecodeError as error:
-        raise SceneError("this is not a text file", path, _FIX) from error
+    """Lines with their numbers, comments left out. Raises PlgsError."""
+    text = read_text(path, _MOST_BYTES, _FIX)
     return ((number, line) for number, line in enumerate(text.split("\n"), start=1) if not line.startswith("#"))
 
 
-def _broken(path: Path, number: int) -> SceneError:
-    return SceneError(f"line {number} is not as COLMAP writes it", path, _FIX)
+def _broken(path: Path, number: int) -> PlgsError:
+    return PlgsError(f"line {number} is not as COLMAP writes it", path, _FIX)
 
 
 def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
@@ -192,14 +181,14 @@ def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
             raise _broken(path, number) from error
         if counts.get(model) != len(parameters):
             what = f"camera {camera} has the model {model[:40]} with {len(parameters)} numbers, which is not known"
-            raise SceneError(what, path, _FIX)
+            raise PlgsError(what, path, _FIX)
         cameras[camera] = _checked_camera(ColmapCamera(model, width, height, parameters), camera, path)
     return cameras
 
 
 def _checked_camera(camera: ColmapCamera, number: int, path: Path) -> ColmapCamera:
     if not (0 < camera.width < 2**16 and 0 < camera.height < 2**16 and np.isfinite(camera.parameters).all()):
-        raise SceneError(f"camera {number} has numbers that no camera has", path, _FIX)
+        raise PlgsError(f"camera {number} has numbers that no camera has", path, _FIX)
     return camera
 
 

@@ -1,8 +1,9 @@
-"""Hypersim's pixels: tilted lenses straightened, distances made planar depth, linear colour tone mapped."""
+"""Hypersim's pixels out of HDF5: tilted lenses straightened, distances made planar, linear colour tone mapped."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,20 +12,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import PlgsError
 from ..camera import Camera
-from ..frame import SceneError, Size
-from ..pixels import resize_colour, resize_nearest
-from .hdf5 import read_hdf5
 
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 _STRAIGHT = 1e-6
+_LARGEST = 2**27
+"""Numbers of one array, at most: a picture of 8192x5461 in colour."""
+_FIX = "Download this file again."
 _BRIGHT, _BRIGHT_SHARE, _GAMMA = 0.8, 90.0, 1.0 / 2.2
 """The project's tool brings the 90th percentile of brightness to 0.8, after a gamma of 1 / 2.2."""
 
 
 @dataclass(frozen=True)
 class Projection:
-    """Which rays the pixels of a ``width`` x ``height`` picture see.
+    """The rays of the pixels of a ``width`` x ``height`` picture.
 
     ``rays`` is M_cam_from_uv, nine numbers, row by row: (u, v, 1), with u to the right and v up in -1..1, to a ray in
     OpenGL axes.
@@ -36,7 +38,7 @@ class Projection:
 
     @property
     def is_tilted(self) -> bool:
-        """Whether the picture's plane is not upright to where the camera looks, so that no pinhole has its rays."""
+        """Whether the picture's plane is tilted against the viewing direction, so that no pinhole has its rays."""
         ray = self.ray_of_pixel()
         return bool(np.abs(np.array([ray[0, 1], ray[1, 0], *(ray[2, :2])]) * self.width).max() > _STRAIGHT * 1e3)
 
@@ -47,7 +49,7 @@ class Projection:
         return np.asarray(matrix / (matrix[2] @ [self.width / 2.0, self.height / 2.0, 1.0]))
 
     def pinhole(self) -> Camera:
-        """A camera at the origin: it sees the same in the middle, and everywhere where nothing is tilted."""
+        """A camera at the origin that sees the same in the middle, and everywhere if the lens is not tilted."""
         ray = self.ray_of_pixel()
         middle = ray @ [self.width / 2.0, self.height / 2.0, 1.0]
         fx, fy = 1.0 / ray[0, 0], 1.0 / ray[1, 1]
@@ -57,7 +59,7 @@ class Projection:
 
 @lru_cache(maxsize=4)
 def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Where each pixel of the pinhole's picture lies in the tilted one, from pixel centres, float32 [H, W] x and y."""
+    """The place of each pixel of the pinhole's picture in the tilted one, from centres, float32 [H, W] x and y."""
     warp = np.linalg.inv(projection.ray_of_pixel()) @ np.linalg.inv(projection.pinhole().K)
     x, y = np.meshgrid(np.arange(projection.width) + 0.5, np.arange(projection.height) + 0.5)
     source = np.stack([x, y, np.ones_like(x)], axis=-1) @ warp.T
@@ -73,54 +75,64 @@ def _straighten(pixels: NDArray[Any], projection: Projection, smooth: bool) -> N
     return cv2.remap(pixels, *_source_pixels(projection), cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
 
 
-@dataclass(frozen=True, eq=False)
-class StraightColour:
-    """Reads a tilted picture through ``read`` and straightens it; black where it does not reach."""
-
-    read: Callable[[Size | None], NDArray[np.uint8]]
-    projection: Projection
-
-    def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
-        """uint8 [H, W, 3] RGB. Raises SceneError."""
-        straight = _straighten(self.read((self.projection.width, self.projection.height)), self.projection, smooth=True)
-        return resize_colour(straight, size) if size else straight
+def straightened(read: Callable[[], NDArray[np.uint8]], projection: Projection) -> NDArray[np.uint8]:
+    """The tilted picture that ``read`` gives, uint8 [H, W, 3], straight; black beyond its edges. Raises PlgsError."""
+    return _straighten(read(), projection, smooth=True)
 
 
-@dataclass(frozen=True)
-class PlanarDepth:
-    """Reads distances to the camera's centre and makes planar depth of them."""
-
-    path: Path
-    projection: Projection
-
-    def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
-        """Planar depth, float32 [H, W] metres, 0 = none. Raises SceneError."""
-        distance = read_hdf5(self.path, 2).astype(np.float64)
-        own = (self.projection.width, self.projection.height)
-        if distance.shape != own[::-1]:
-            raise SceneError("depth has another size than colour", self.path, "Download the scene again.")
-        x, y = np.meshgrid(np.arange(own[0]) + 0.5, np.arange(own[1]) + 0.5)
-        rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ self.projection.ray_of_pixel().T
-        depth = distance * rays[..., 2] / np.linalg.norm(rays, axis=-1)
-        depth = np.where(np.isfinite(depth) & (depth > 0.0), depth, 0.0).astype(np.float32)
-        if self.projection.is_tilted:
-            depth = _straighten(depth, self.projection, smooth=False)
-        return resize_nearest(depth, size) if size else depth
+def planar_depth(path: Path, projection: Projection) -> NDArray[np.float32]:
+    """Planar depth, float32 [H, W] metres, 0 = none, of distances to the camera's centre. Raises PlgsError."""
+    distance = read_hdf5(path, 2).astype(np.float64)
+    if distance.shape != (projection.height, projection.width):
+        raise PlgsError("depth has another size than colour", path, "Download the scene again.")
+    x, y = np.meshgrid(np.arange(projection.width) + 0.5, np.arange(projection.height) + 0.5)
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ projection.ray_of_pixel().T
+    depth = distance * rays[..., 2] / np.linalg.norm(rays, axis=-1)
+    depth = np.where(np.isfinite(depth) & (depth > 0.0), depth, 0.0).astype(np.float32)
+    return _straighten(depth, projection, smooth=False) if projection.is_tilted else depth
 
 
-@dataclass(frozen=True)
-class ToneMapped:
-    """Reads a linear picture and tone maps it."""
+def tone_mapped(path: Path) -> NDArray[np.uint8]:
+    """A linear picture, tone mapped to uint8 [H, W, 3] RGB. Raises PlgsError."""
+    linear = np.nan_to_num(read_hdf5(path, 3).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    if linear.shape[2] != 3:
+        raise PlgsError("the picture has no three channels", path, "Download it again.")
+    bright = float(np.percentile(linear @ np.array([0.3, 0.59, 0.11], np.float32), _BRIGHT_SHARE))
+    scale = _BRIGHT ** (1.0 / _GAMMA) / bright if bright > 1e-4 else 0.0
+    mapped = np.clip(np.maximum(scale * linear, 0.0) ** _GAMMA, 0.0, 1.0)
+    return np.round(mapped * 255.0).astype(np.uint8)
 
-    path: Path
 
-    def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
-        """uint8 [H, W, 3] RGB at ``size`` (width, height) or its own. Raises SceneError."""
-        linear = np.nan_to_num(read_hdf5(self.path, 3).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-        if linear.shape[2] != 3:
-            raise SceneError("the picture has no three channels", self.path, "Download it again.")
-        bright = float(np.percentile(linear @ np.array([0.3, 0.59, 0.11], np.float32), _BRIGHT_SHARE))
-        scale = _BRIGHT ** (1.0 / _GAMMA) / bright if bright > 1e-4 else 0.0
-        mapped = np.clip(np.maximum(scale * linear, 0.0) ** _GAMMA, 0.0, 1.0)
-        pixels = np.round(mapped * 255.0).astype(np.uint8)
-        return resize_colour(pixels, size) if size else pixels
+def read_hdf5(path: Path, dimensions: int) -> NDArray[Any]:
+    """The array called "dataset", of numbers. Raises PlgsError."""
+    with _dataset(path, dimensions) as dataset:
+        values: NDArray[Any] = dataset[()]
+    return values
+
+
+def size_of_hdf5(path: Path) -> tuple[int, int]:
+    """(width, height) of the picture [H, W, 3] called "dataset"; it is not read. Raises PlgsError."""
+    with _dataset(path, 3) as dataset:
+        height, width, _ = dataset.shape
+        return int(width), int(height)
+
+
+@contextmanager
+def _dataset(path: Path, dimensions: int) -> Iterator[Any]:
+    try:
+        import h5py
+    except ImportError as error:
+        fix = "Let the engine's Python install it: python -m pip install -r requirements/readers.txt."
+        raise PlgsError("HDF5 files need the package h5py", path, fix) from error
+    if not path.is_file():
+        raise PlgsError("the file is missing", path, _FIX)
+    try:
+        with h5py.File(path, "r") as file:  # is_file above: no FIFO
+            dataset = file.get("dataset")
+            if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
+                raise PlgsError('there is no array of numbers called "dataset"', path, _FIX)
+            if dataset.ndim != dimensions or not 0 < np.prod(dataset.shape, dtype=np.float64) <= _LARGEST:
+                raise PlgsError(f"the array has the shape {dataset.shape}", path, _FIX)
+            yield dataset
+    except (OSError, KeyError, ValueError, RuntimeError) as error:
+        raise PlgsError("the file cannot be read, or is cut off", path, _FIX) from error

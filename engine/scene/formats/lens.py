@@ -1,8 +1,7 @@
-"""Lenses that bend: pictures and depth are undistorted on reading, so that the engine sees pinholes only."""
+"""Lenses: checked intrinsics, and distortion, which is taken out on reading so that the engine sees pinholes only."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,11 +10,43 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import PlgsError
 from ..camera import Camera
-from ..frame import SceneError, Size
-from ..pixels import resize_colour, resize_nearest
+from ..image_header import read_image_header
+from ..layout import same_shape, shown_size
 
 UNDISTORTED = "the lens bends: pictures are undistorted on reading, and masks must be of the undistorted pictures"
+
+
+def pinhole(
+    width: float,
+    height: float,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    *,
+    path: Path,
+    fix: str,
+    whose: str = "a camera",
+) -> Camera:
+    """A camera at the origin, pixel centres at +0.5, for pictures of ``width`` x ``height``.
+
+    Raises PlgsError for intrinsics that no camera has; ``path`` and ``whose`` name their source.
+    """
+    fits = 0.0 <= cx <= width < 2**16 and 0.0 <= cy <= height < 2**16
+    if not (fits and 0.0 < fx < 1e6 and 0.0 < fy < 1e6 and width >= 1.0 and height >= 1.0):
+        what = f"{whose} has intrinsics that no camera has with pictures of {width:.0f}x{height:.0f}"
+        raise PlgsError(what, path, fix)
+    return Camera(round(width), round(height), float(fx), float(fy), float(cx), float(cy), np.eye(4))
+
+
+def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
+    """``lens`` at the size of an image file. Raises PlgsError when it is for pictures of another shape."""
+    size = read_image_header(picture).size
+    if not same_shape(size, lens.size):
+        raise PlgsError(f"the picture is {shown_size(size)}, its camera {shown_size(lens.size)}", picture, fix)
+    return lens.resized(*size)
 
 
 @dataclass(frozen=True)
@@ -30,68 +61,35 @@ class Distortion:
         return self.model == "fisheye" or any(self.coefficients)
 
 
-@dataclass(frozen=True)
-class _Pinhole:
-    """A camera's lens without its pose, fit to be a key."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+STRAIGHT = Distortion("brown", ())
 
 
-@dataclass(frozen=True, eq=False)
-class UndistortedColour:
-    """Reads a colour image through ``read`` and undistorts it for ``lens``, a pinhole of the same focal lengths."""
+def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path: Path, smooth: bool) -> NDArray[Any]:
+    """A picture or depth map [H, W, ...] as a pinhole of the same focal lengths sees it; 0 beyond its edges.
 
-    read: Callable[[Size | None], NDArray[np.uint8]]
-    lens: Camera
-    distortion: Distortion
-    path: Path
-
-    def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
-        """uint8 [H, W, 3] RGB; black where the picture does not reach. Raises SceneError."""
-        straight = _straighten(self.read(None), self.lens, self.distortion, self.path, smooth=True)
-        return resize_colour(straight, size) if size else straight
-
-
-@dataclass(frozen=True, eq=False)
-class UndistortedDepth:
-    """Reads depth that lies on the distorted picture through ``read`` and undistorts it in the same way."""
-
-    read: Callable[[Size | None], NDArray[np.float32]]
-    lens: Camera
-    distortion: Distortion
-    path: Path
-
-    def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
-        """float32 [H, W] metres, 0 = none, also where the picture does not reach. Raises SceneError."""
-        straight = _straighten(self.read(None), self.lens, self.distortion, self.path, smooth=False)
-        return resize_nearest(straight, size) if size else straight
-
-
-def _straighten(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path: Path, smooth: bool) -> NDArray[Any]:
+    ``smooth`` mixes neighbouring pixels. Raises PlgsError, naming ``path``, when OpenCV cannot do it.
+    """
     import cv2
 
     height, width = pixels.shape[:2]
     own = lens.resized(width, height)
     try:
-        maps = _maps(_Pinhole(width, height, own.fx, own.fy, own.cx, own.cy), distortion)
+        maps = _source_pixels(width, height, own.fx, own.fy, own.cx, own.cy, distortion)
         return cv2.remap(pixels, *maps, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
     except cv2.error as error:
         fix = "Undistort the pictures before, and give pinhole cameras."
-        raise SceneError(f"the lens cannot be undistorted ({error.err})", path, fix) from error
+        raise PlgsError(f"the lens cannot be undistorted ({error.err})", path, fix) from error
 
 
 @lru_cache(maxsize=4)
-def _maps(lens: _Pinhole, distortion: Distortion) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _source_pixels(
+    width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: Distortion
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Where each pixel of the undistorted picture lies in the distorted one, float32 [H, W] x and y."""
     import cv2
 
     # OpenCV counts pixels from their centres.
-    K = np.array([[lens.fx, 0.0, lens.cx - 0.5], [0.0, lens.fy, lens.cy - 0.5], [0.0, 0.0, 1.0]])
+    K = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
     build = cv2.fisheye.initUndistortRectifyMap if distortion.model == "fisheye" else cv2.initUndistortRectifyMap
     coefficients = np.array(distortion.coefficients)
-    return build(K, coefficients, np.eye(3), K, (lens.width, lens.height), cv2.CV_32FC1)  # type: ignore[return-value]
+    return build(K, coefficients, np.eye(3), K, (width, height), cv2.CV_32FC1)  # type: ignore[return-value]

@@ -10,42 +10,37 @@ reconstruction. The file says nothing about which way is up unless nerfstudio's 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ...errors import PlgsError
+from ...json_file import read_json_object, take_number, take_objects, take_text
+from ...scene_source import UpAxis
 from ..camera import Camera
-from ..colour import ColourReader
-from ..depth import MILLIMETRES, DepthReader, check_depth_header
-from ..frame import SceneError, Size
+from ..depth import MILLIMETRES, DepthMap, npy_depth, png_depth
+from ..frame import Size, SparsePoints
 from ..image_header import read_image_header
-from ..json_file import file_inside, read_json_object, take_matrix, take_number, take_objects, take_text
-from ..layout import natural_order, same_shape, shown_size
-from ..matrices import UpAxis, placed
-from ..sparse_points import SparsePoints
-from .capture import Capture, Shot
-from .frame_names import frame_names
-from .lens import UNDISTORTED, Distortion, UndistortedColour, UndistortedDepth
-from .npy_depth import NpyDepthReader
+from ..layout import file_inside, natural_order
+from ..matrices import take_matrix
+from .capture import Capture, SceneFormat, Shot, frame_names
+from .lens import STRAIGHT, Distortion, fitted, pinhole
 from .ply_points import read_ply_points
 from .poses import finite_pose, from_opengl
 
-LOOKS_FOR = "transforms.json"
+_FILE = "transforms.json"
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "perspective", "")
 _OPENCV = ("OPENCV", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV")
 _IMAGES = (".png", ".jpg", ".jpeg")
 
 
-def recognises(place: Path) -> bool:
-    return (place / LOOKS_FOR).is_file() or (place.is_file() and place.name == LOOKS_FOR)
+def _recognises(place: Path) -> bool:
+    return (place / _FILE).is_file() or (place.is_file() and place.name == _FILE)
 
 
-def read(place: Path) -> Capture:
-    """Open the frames; only headers of images are read. Raises SceneError."""
-    path = place if place.is_file() else place / LOOKS_FOR
+def _read(place: Path) -> Capture:
+    """Open the frames; only headers of images are read. Raises PlgsError."""
+    path = place if place.is_file() else place / _FILE
     content = read_json_object(path)
     frames = take_objects(content, "frames", "the file", path)
     for frame in frames:
@@ -53,60 +48,46 @@ def read(place: Path) -> Capture:
     frames.sort(key=lambda frame: natural_order(frame["file_path"]))
     present = [frame for frame in frames if _image_path(path, frame["file_path"]).is_file()]
     if frames and not present:
-        raise SceneError("the pictures are missing", _image_path(path, frames[0]["file_path"]), "Copy them there.")
+        raise PlgsError("the pictures are missing", _image_path(path, frames[0]["file_path"]), "Copy them there.")
     missing, frames = len(frames) - len(present), present
     names = frame_names([frame["file_path"] for frame in frames])
-    shots, lost = [], []
-    for name, frame in zip(names, frames, strict=True):
-        shot = _shot(name, {**content, **frame}, path)
-        if shot is None:
-            lost.append(name)
-        else:
-            shots.append(shot)
-    warnings = [UNDISTORTED] if any(isinstance(shot.read_colour, UndistortedColour) for shot in shots) else []
+    found = [(name, _shot(name, {**content, **frame}, path)) for name, frame in zip(names, frames, strict=True)]
+    warnings = []
     if missing:
         warnings.append(f"{missing} frames are left out: their pictures are missing")
     if any("mask_path" in frame for frame in frames):
         warnings.append("mask_path is not used: it says what to leave out, not what is what")
     up: UpAxis | None = "z" if content.get("orientation_override") == "none" else None
-    return Capture(tuple(shots), up, tuple(lost), tuple(warnings), _points(content, path))
+    return Capture(found, up, tuple(warnings), _points(content, path))
 
 
 def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
-    """One frame, with what holds for all frames beside what is its own; None when its pose is not finite."""
+    """One frame from its own entry over the one for all frames; None when its pose is not finite."""
     entry, context = dict(frame), f"frame {name}"
     pose = finite_pose(take_matrix(entry, "transform_matrix", context, path, ((4, 4), (3, 4))), path)
     if pose is None:
         return None
     colour_path = _image_path(path, frame["file_path"])
     lens = _lens(entry, read_image_header(colour_path).size, context, path)
-    read_colour: Callable[[Size | None], NDArray[np.uint8]] = ColourReader(colour_path)
-    depth_path, read_depth = _depth(entry, lens, context, path)
-    distortion = _distortion(entry, context, path)
-    if distortion.bends:
-        read_colour = UndistortedColour(read_colour, lens, distortion, path)
-        if read_depth is not None:
-            read_depth = UndistortedDepth(read_depth, lens, distortion, path)
-    camera = placed(lens, from_opengl(pose))
-    return Shot(name, camera, colour_path, read_colour, depth_path, read_depth, not distortion.bends)
+    lens = fitted(lens, colour_path, f"Correct w and h of {context} in {path.name}.")
+    depth = _depth(entry, lens, context, path)
+    camera = lens.at(from_opengl(pose))
+    return Shot(name, camera, colour_path, depth, distortion=_distortion(entry, context, path))
 
 
 def _image_path(path: Path, name: str) -> Path:
-    """The image that ``file_path`` names; some writers leave its suffix away. Raises SceneError when it is outside."""
+    """The image called ``file_path``; some writers omit its suffix. Raises PlgsError when it is outside."""
     image = file_inside(path.parent, name, path)
     found = [image.with_name(image.name + suffix) for suffix in _IMAGES]
     return next((each for each in found if not image.is_file() and each.is_file()), image)
 
 
 def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera:
-    """A camera at the origin for the image as it is; the intrinsics may be for another size. Raises SceneError."""
+    """A camera at the origin at the size of its intrinsics, which may not be the image's ``size``. Raises PlgsError."""
     width, height = (
         take_number(entry, key, context, path) if key in entry else float(side)
         for key, side in zip("wh", size, strict=True)
     )
-    if width < 1.0 or height < 1.0 or not same_shape((round(width), round(height)), size):
-        shape = f"{width:.0f}x{height:.0f}"
-        raise SceneError(f"{context} is {shown_size(size)}, the intrinsics are for {shape}", path, "Correct w and h.")
     if "fl_x" in entry or "camera_angle_x" not in entry:
         fx = take_number(entry, "fl_x", context, path)
     else:
@@ -119,21 +100,18 @@ def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera
         fy = fx
     cx = take_number(entry, "cx", context, path) if "cx" in entry else width / 2.0
     cy = take_number(entry, "cy", context, path) if "cy" in entry else height / 2.0
-    if fx <= 0.0 or fy <= 0.0 or not (0.0 <= cx <= width and 0.0 <= cy <= height):
-        raise SceneError(f"{context} has intrinsics that no camera has", path, "Correct fl_x, fl_y, cx and cy.")
-    x, y = size[0] / width, size[1] / height
-    return Camera(*size, fx * x, fy * y, cx * x, cy * y, np.eye(4))
+    return pinhole(width, height, fx, fy, cx, cy, path=path, fix="Correct w, h, fl_x, fl_y, cx and cy.", whose=context)
 
 
 def _focal_length(entry: dict[str, Any], key: str, side: float, context: str, path: Path) -> float:
     angle = take_number(entry, key, context, path)
     if not 0.0 < angle < math.pi:
-        raise SceneError(f'"{key}" of {context} is no angle of view in radians', path, "Correct it.")
+        raise PlgsError(f'"{key}" of {context} is no angle of view in radians', path, "Correct it.")
     return side / 2.0 / math.tan(angle / 2.0)
 
 
 def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
-    """The lens's distortion. Raises SceneError for a model that is not known."""
+    """The lens's distortion. Raises PlgsError for a model that is not known."""
     k1, k2, k3, k4, p1, p2 = (
         take_number(entry, key, context, path) if key in entry else 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2")
     )
@@ -143,29 +121,26 @@ def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
     if model in _OPENCV:
         return Distortion("brown", (k1, k2, p1, p2, k3, k4, 0.0, 0.0))
     if model in _PINHOLES:
-        return Distortion("brown", ())
+        return STRAIGHT
     fix = "Undistort the pictures, and give PINHOLE, OPENCV or OPENCV_FISHEYE."
-    raise SceneError(f'{context} has the camera model "{str(model)[:40]}", which is not known', path, fix)
+    raise PlgsError(f'{context} has the camera model "{str(model)[:40]}", which is not known', path, fix)
 
 
-def _depth(
-    entry: dict[str, Any], lens: Camera, context: str, path: Path
-) -> tuple[Path | None, Callable[[Size | None], NDArray[np.float32]] | None]:
-    """The frame's depth file and its reader; None for both where it has none. Raises SceneError."""
+def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> DepthMap | None:
+    """The frame's depth; None if it has none. Raises PlgsError."""
     key = next((key for key in ("depth_file_path", "depth_path") if entry.get(key)), None)
     if key is None:
-        return None, None
+        return None
     depth_path = file_inside(path.parent, take_text(entry, key, context, path), path)
     if depth_path.suffix.lower() == ".npy":
-        return depth_path, NpyDepthReader(depth_path)
+        return npy_depth(depth_path)
     if not depth_path.suffix and not depth_path.is_file():
         depth_path = depth_path.with_name(depth_path.name + ".png")
-    check_depth_header(depth_path, lens)
     has_scale = "integer_depth_scale" in entry
     unit = take_number(entry, "integer_depth_scale", context, path) if has_scale else MILLIMETRES
     if not 0.0 < unit < 1.0:
-        raise SceneError('"integer_depth_scale" is no length of a step in metres', path, "Such as 0.001.")
-    return depth_path, DepthReader(depth_path, unit=unit)
+        raise PlgsError('"integer_depth_scale" is no length of a step in metres', path, "Such as 0.001.")
+    return png_depth(depth_path, lens, unit)
 
 
 def _points(content: dict[str, Any], path: Path) -> SparsePoints | None:
@@ -173,3 +148,6 @@ def _points(content: dict[str, Any], path: Path) -> SparsePoints | None:
         return None
     ply = file_inside(path.parent, take_text(content, "ply_file_path", "the file", path), path)
     return read_ply_points(ply) if ply.is_file() else None
+
+
+FORMAT = SceneFormat("nerfstudio", "transforms.json (nerfstudio)", _FILE, _recognises, _read)

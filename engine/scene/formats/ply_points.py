@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...gates import read_plain
-from ..frame import SceneError
-from ..sparse_points import SparsePoints
+from ...errors import PlgsError
+from ..frame import SparsePoints
+from ..layout import read_file
 
 _MOST_BYTES = 1 << 30
 _TYPES = {
@@ -22,52 +22,48 @@ _FIX = "Write a PLY whose first element is vertex, with x, y, z."
 
 
 def read_ply_points(path: Path) -> SparsePoints:
-    """The vertices of a PLY (ascii or binary), white where it has no colours. Raises SceneError."""
-    try:
-        data = read_plain(path, _MOST_BYTES)
-    except OSError as error:
-        raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    """The vertices of a PLY (ascii or binary), white if it has no colours. Raises PlgsError."""
+    data = read_file(path, _MOST_BYTES)
     end = data.find(b"end_header")
     body = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or not body:
-        raise SceneError("this is no PLY file", path, _FIX)
+        raise PlgsError("this is no PLY file", path, _FIX)
     form, count, fields = _parse_header(data[:end].decode("ascii", "replace"), path)
     vertices = _vertices(data[body:], form, count, np.dtype(fields), path)
     names = vertices.dtype.names or ()
     xyz = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
-    has_colour = all(name in names for name in ("red", "green", "blue"))
     rgb = np.full((count, 3), 255, np.uint8)
-    if has_colour:
+    if {"red", "green", "blue"} <= {*names}:
         rgb = np.stack([vertices[name].astype(np.uint8) for name in ("red", "green", "blue")], axis=-1)
     good = np.isfinite(xyz).all(-1)
     return SparsePoints(xyz[good], rgb[good])
 
 
 def _parse_header(header: str, path: Path) -> tuple[str, int, list[tuple[str, str]]]:
-    """The format's name, the number of vertices and their fields. Raises SceneError."""
+    """The format's name, the number of vertices and their fields. Raises PlgsError."""
     lines = [line.split() for line in header.splitlines()]
     form = next((line[1] for line in lines if len(line) > 1 and line[0] == "format"), "")
     elements = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
     vertex = lines[elements[0]] if elements else []
     if len(vertex) != 3 or vertex[1] != "vertex" or not vertex[2].isdecimal():
-        raise SceneError("the PLY does not begin with vertices", path, _FIX)
+        raise PlgsError("the PLY does not begin with vertices", path, _FIX)
     last = elements[1] if len(elements) > 1 else len(lines)
     order = ">" if form == "binary_big_endian" else "<"
     fields = []
     for line in lines[elements[0] + 1 : last]:
         if line[:1] == ["property"]:
             if len(line) != 3 or line[1] not in _TYPES:
-                raise SceneError("the PLY's vertices have a property that is not understood", path, _FIX)
+                raise PlgsError("the PLY's vertices have a property that is not understood", path, _FIX)
             fields.append((line[2], order + _TYPES[line[1]]))
     names = [name for name, _ in fields]
     if not {"x", "y", "z"} <= {*names} or len({*names}) < len(names):
-        raise SceneError("the PLY's vertices have no x, y and z", path, _FIX)
+        raise PlgsError("the PLY's vertices have no x, y and z", path, _FIX)
     return form, int(vertex[2]), fields
 
 
 def _vertices(body: bytes, form: str, count: int, fields: np.dtype[np.void], path: Path) -> NDArray[np.void]:
-    """The vertices, a structured array [count]. Raises SceneError."""
-    cut_off = SceneError("the PLY is cut off", path, "Write this file again.")
+    """The vertices, a structured array [count]. Raises PlgsError."""
+    cut_off = PlgsError("the PLY is cut off", path, "Write this file again.")
     if form != "ascii":
         if len(body) < count * fields.itemsize:
             raise cut_off
@@ -78,4 +74,4 @@ def _vertices(body: bytes, form: str, count: int, fields: np.dtype[np.void], pat
     try:
         return np.array([tuple(float(value) for value in row) for row in rows], fields)
     except (ValueError, OverflowError) as error:
-        raise SceneError("the PLY's vertices are not numbers", path, _FIX) from error
+        raise PlgsError("the PLY's vertices are not numbers", path, _FIX) from error

@@ -1,4 +1,4 @@
-"""Poses in the hands of formats: quaternions, OpenGL's axes, world-to-camera."""
+"""Poses as files have them: quaternions, OpenGL's axes, world-to-camera."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frame import SceneError
+from ...errors import PlgsError
 from ..matrices import rigid
 
 _FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -17,7 +17,7 @@ _FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 def finite_pose(matrix: NDArray[np.float64], path: Path) -> NDArray[np.float64] | None:
     """A camera-to-world pose, float64 [4, 4] or [3, 4], straightened; None when a number in it is not finite.
 
-    Raises SceneError when it is not rigid.
+    Raises PlgsError when it is not rigid.
     """
     if not np.isfinite(matrix).all():
         return None
@@ -32,11 +32,11 @@ def from_opengl(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def quaternion_pose(wxyz: Sequence[float], position: Sequence[float], path: Path) -> NDArray[np.float64]:
-    """The pose, float64 [4, 4], that turns by a quaternion and then moves. Raises SceneError for a zero quaternion."""
+    """The pose, float64 [4, 4], that turns by a quaternion and then moves. Raises PlgsError for a zero quaternion."""
     w, x, y, z = (float(value) for value in wxyz)
     square = w * w + x * x + y * y + z * z
     if not square > 1e-12 or not np.isfinite(square):
-        raise SceneError("a quaternion is zero", path, "Write the rotation as a unit quaternion.")
+        raise PlgsError("a quaternion is zero", path, "Write the rotation as a unit quaternion.")
     s = 2.0 / square
     pose = np.eye(4)
     pose[:3, :3] = [

@@ -2,43 +2,55 @@
 
 ``metadata`` is JSON: ``K`` (column by column) for pictures of ``w`` x ``h``, or ``perFrameIntrinsicCoeffs`` (fx fy cx
 cy); ``poses`` (qx qy qz qw tx ty tz), camera-to-world, OpenGL axes, metres; ``dw`` and ``dh``, the size of depth.
-Depth is LZFSE of float32 metres, confidence LZFSE of bytes 0 to 2; the lowest is dropped. LZFSE needs the package
-pyliblzfse.
+Depth is LZFSE of float32 metres, confidence LZFSE of bytes 0 to 2; pixels with 0 are dropped. LZFSE needs the package
+pyliblzfse. A stream is blocks, each with a header that claims an unpacked size. The library does not go by it and takes
+what memory a stream asks for, so ``unpack_lzfse`` bounds it.
 """
 
 from __future__ import annotations
 
 import re
+import struct
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...gates import read_plain, refuse_special
+from ...errors import PlgsError
+from ...gates import refuse_special
+from ...json_file import parse_json_object, take_list, take_number
+from ...scene_source import UpAxis
 from ..camera import Camera
-from ..frame import SceneError, Size
-from ..json_file import parse_json_object, take_list, take_matrix, take_number
-from ..matrices import UpAxis, placed
-from ..pixels import decode_bytes, resize_colour, resize_nearest
-from ..upright import upright_rotation
-from .capture import Capture, Shot
-from .confidence import drop_untrusted
-from .lzfse_blocks import unpack
+from ..depth import DepthMap, drop_untrusted, only_depth
+from ..frame import Size
+from ..layout import read_file
+from ..matrices import take_matrix, take_numbers
+from ..pixels import decode_bytes
+from ..up_axis import upright_rotation
+from .capture import Capture, SceneFormat, Shot
+from .lens import pinhole
 from .poses import from_opengl, quaternion_pose
 
-LOOKS_FOR = "a .r3d file, or metadata with the folder rgbd"
 _FIX = "Export it from Record3D again."
 _LARGEST = 2**28
-"""Bytes of one picture or depth map, unpacked."""
+"""Bytes of one unpacked picture or depth map, at most."""
 _DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
-"""LiDAR and TrueDepth, upright and lying, where the metadata does not say."""
+"""(width, height) of LiDAR and TrueDepth, upright and lying, for metadata without a size."""
 _MOST_DEPTHS = 2**22
-"""Numbers of a depth map."""
+"""Numbers of a depth map, at most."""
 _CLEARLY_Y = 0.9
 """Cosine of 25 degrees."""
+_STORED, _SHORT, _USUAL, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"
+"""Kinds of LZFSE's blocks."""
+_FULL_BLOCK = 10_000
+"""Bytes that all blocks but the last exceed: they are full with 10 000 matches or 40 000 literals."""
+_AT_ONCE = 8
+"""Blocks that are unpacked before their size is compared with the claims: no block can grow beyond 27 MB."""
 
 
 @dataclass(frozen=True)
@@ -54,31 +66,28 @@ class _Archive:
             return archive.namelist()
 
     def read(self, name: str) -> bytes:
-        """Raises SceneError."""
+        """Raises PlgsError."""
         if self.path.is_dir():
-            try:
-                return read_plain(self.path / name, _LARGEST)
-            except OSError as error:
-                raise SceneError(f"the file cannot be read ({error.strerror})", self.path / name, _FIX) from error
+            return read_file(self.path / name, _LARGEST, _FIX)
         with self._open() as archive:
             try:
                 if archive.getinfo(name).file_size > _LARGEST:
-                    raise SceneError(f"{name} is too large", self.path, _FIX)
+                    raise PlgsError(f"{name} is too large", self.path, _FIX)
                 return archive.read(name)
             except KeyError as error:
-                raise SceneError(f"{name} is missing", self.path, _FIX) from error
+                raise PlgsError(f"{name} is missing", self.path, _FIX) from error
             except (BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError, EOFError) as error:
-                raise SceneError(f"{name} cannot be unpacked", self.path, _FIX) from error
+                raise PlgsError(f"{name} cannot be unpacked", self.path, _FIX) from error
 
     def _open(self) -> ZipFile:
         try:
             refuse_special(self.path)
             return ZipFile(self.path)
         except (BadZipFile, OSError, ValueError, NotImplementedError) as error:
-            raise SceneError("this is no .r3d file, or it is cut off", self.path, _FIX) from error
+            raise PlgsError("this is no .r3d file, or it is cut off", self.path, _FIX) from error
 
 
-def recognises(place: Path) -> bool:
+def _recognises(place: Path) -> bool:
     if place.is_file():
         return place.suffix.lower() == ".r3d"
     return _find(place) is not None
@@ -92,43 +101,34 @@ def _find(place: Path) -> Path | None:
     return found[0] if len(found) == 1 else None
 
 
-def read(place: Path) -> Capture:
-    """Open the frames; no picture is decoded. Raises SceneError."""
+def _read(place: Path) -> Capture:
+    """Open the frames; no picture is decoded. Raises PlgsError."""
     path = _find(place)
     if path is None:
-        raise SceneError("there is no .r3d file, or more than one", place, "Name the file.")
-    archive = _Archive(path)
+        raise PlgsError("there is no .r3d file, or more than one", place, "Name the file.")
+    found = list(_shots(_Archive(path), path))
+    return Capture(found, _up([shot for _, shot in found if shot is not None]))
+
+
+def _shots(archive: _Archive, path: Path) -> Iterator[tuple[str, Shot | None]]:
     metadata = parse_json_object(archive.read("metadata"), path)
     count = len(take_list(metadata, "poses", "metadata", path))
     poses = take_matrix(metadata, "poses", "metadata", path, ((count, 7),))
     names = {*archive.names()}
     numbers = sorted(int(match[1]) for name in names if (match := re.fullmatch(r"rgbd/(\d+)\.jpg", name)))
     if not numbers or numbers[-1] >= count:
-        raise SceneError(f"there are {count} poses and {len(numbers)} pictures", path, _FIX)
-    shots, lost = [], []
+        raise PlgsError(f"there are {count} poses and {len(numbers)} pictures", path, _FIX)
+    size = (int(metadata["dw"]), int(metadata["dh"])) if _has_depth_size(metadata) else None
     for number in numbers:
         if not np.isfinite(poses[number]).all():
-            lost.append(str(number))
+            yield str(number), None
             continue
         qx, qy, qz, qw, *position = poses[number].tolist()
-        pose = from_opengl(quaternion_pose((qw, qx, qy, qz), position, path))
-        camera = placed(_lens(metadata, number, path), pose)
-        size = (int(metadata["dw"]), int(metadata["dh"])) if _has_depth_size(metadata) else None
-        has_depth = f"rgbd/{number}.depth" in names
-        conf = f"rgbd/{number}.conf"
-        depth = _DepthReader(archive, f"rgbd/{number}.depth", conf if conf in names else None, size, camera)
-        shots.append(
-            Shot(
-                name=str(number),
-                camera=camera,
-                colour_path=path,
-                read_colour=_ColourReader(archive, f"rgbd/{number}.jpg"),
-                depth_path=path if has_depth else None,
-                read_depth=depth if has_depth else None,
-                file_shows_colour=False,
-            )
-        )
-    return Capture(tuple(shots), _up(shots), tuple(lost))
+        camera = _lens(metadata, number, path).at(from_opengl(quaternion_pose((qw, qx, qy, qz), position, path)))
+        depth, conf = f"rgbd/{number}.depth", f"rgbd/{number}.conf"
+        read = partial(_read_depth, archive, depth, conf if conf in names else None, size, camera)
+        picture = partial(_read_colour, archive, f"rgbd/{number}.jpg")
+        yield str(number), Shot(str(number), camera, path, DepthMap(path, read) if depth in names else None, picture)
 
 
 def _up(shots: list[Shot]) -> UpAxis | None:
@@ -142,78 +142,117 @@ def _has_depth_size(metadata: dict[str, Any]) -> bool:
 
 
 def _lens(metadata: dict[str, Any], number: int, path: Path) -> Camera:
-    """A picture's camera at the origin; the file does not say where pixels are counted from: their corners."""
+    """A picture's camera at the origin. The file does not say where pixels count from; their corners are assumed."""
     width, height = (take_number(metadata, key, "metadata", path) for key in "wh")
-    each = metadata.get("perFrameIntrinsicCoeffs")
+    each, whose = metadata.get("perFrameIntrinsicCoeffs"), f"frame {number}"
     if isinstance(each, list) and len(each) > number:
-        own = {"coefficients": [each[number][:4]] if isinstance(each[number], list) else each[number : number + 1]}
-        fx, fy, cx, cy = take_matrix(own, "coefficients", f"frame {number}", path, ((1, 4),))[0].tolist()
+        own = each[number][:4] if isinstance(each[number], list) else each[number]
+        fx, fy, cx, cy = take_numbers({"coefficients": own}, "coefficients", whose, path, 4).tolist()
     else:
-        K = take_matrix({"K": [metadata.get("K")]}, "K", "metadata", path, ((1, 9),))[0].tolist()
-        fx, fy, cx, cy = K[0], K[4], K[6], K[7]
-    if not (0.0 < fx < 1e6 and 0.0 < fy < 1e6 and 0.0 <= cx <= width < 2**16 and 0.0 <= cy <= height < 2**16):
-        raise SceneError(f"frame {number} has intrinsics that no camera has", path, _FIX)
-    return Camera(round(width), round(height), fx, fy, cx, cy, np.eye(4))
+        fx, _, _, _, fy, _, cx, cy, _ = take_numbers(metadata, "K", "metadata", path, 9).tolist()
+    return pinhole(width, height, fx, fy, cx, cy, path=path, fix=_FIX, whose=whose)
 
 
-@dataclass(frozen=True)
-class _ColourReader:
-    """Reads one picture of an archive."""
-
-    archive: _Archive
-    name: str
-
-    def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
-        """uint8 [H, W, 3] RGB at ``size`` (width, height) or its own. Raises SceneError."""
-        pixels = decode_bytes(self.archive.read(self.name), self.archive.path, as_colour=True)
-        return resize_colour(pixels, size) if size else pixels
+def _read_colour(archive: _Archive, name: str) -> NDArray[np.uint8]:
+    return decode_bytes(archive.read(name), archive.path, as_colour=True)
 
 
-@dataclass(frozen=True, eq=False)
-class _DepthReader:
-    """Reads one depth map of an archive; ``size`` is None where the metadata does not say it."""
+def _read_depth(
+    archive: _Archive, name: str, confidence: str | None, size: Size | None, camera: Camera
+) -> NDArray[np.float32]:
+    """Planar depth, float32 [H, W] metres, 0 = none; ``size`` is None if the metadata lacks it. Raises PlgsError."""
+    width, height = size or max(_DEPTH_SIZES)
+    values = np.frombuffer(_unpacked(archive, name, 4, min(width * height, _MOST_DEPTHS)), "<f4")
+    width, height = size or _guessed_size(len(values), camera, name, archive.path)
+    if width * height != len(values):
+        raise PlgsError(f"{name} does not hold {width}x{height} numbers", archive.path, _FIX)
+    depth = only_depth(values.reshape(height, width))
+    if confidence is not None:
+        level = np.frombuffer(_unpacked(archive, confidence, 1, depth.size), np.uint8)
+        if len(level) == depth.size:
+            depth = drop_untrusted(depth, level.reshape(depth.shape), archive.path)
+    return depth
 
-    archive: _Archive
-    name: str
-    confidence: str | None
-    size: Size | None
-    camera: Camera
 
-    def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
-        """Planar depth, float32 [H, W] metres, 0 = none. Raises SceneError."""
-        width, height = self.size or max(_DEPTH_SIZES)
-        values = np.frombuffer(self._unpacked(self.name, 4, min(width * height, _MOST_DEPTHS)), "<f4")
-        width, height = self.size or self._guessed_size(len(values))
-        if width * height != len(values):
-            raise SceneError(f"{self.name} does not hold {width}x{height} numbers", self.archive.path, _FIX)
-        depth = values.reshape(height, width)
-        depth = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.float32(0.0))
-        if self.confidence is not None:
-            level = np.frombuffer(self._unpacked(self.confidence, 1, depth.size), np.uint8)
-            if len(level) == depth.size:
-                depth = drop_untrusted(depth, level.reshape(depth.shape), self.archive.path)
-        return resize_nearest(depth, size) if size else depth
+def _guessed_size(count: int, camera: Camera, name: str, path: Path) -> Size:
+    """Which of the sensors' sizes has ``count`` pixels, lying or upright as the picture is. Raises PlgsError."""
+    upright = camera.height > camera.width
+    found = [size for size in _DEPTH_SIZES if size[0] * size[1] == count and (size[1] > size[0]) is upright]
+    if not found:
+        raise PlgsError(f"{name} has a size that is not known", path, _FIX)
+    return found[0]
 
-    def _guessed_size(self, count: int) -> Size:
-        """Which of the sensors' sizes has so many pixels, lying or upright as the picture is. Raises SceneError."""
-        upright = self.camera.height > self.camera.width
-        found = [size for size in _DEPTH_SIZES if size[0] * size[1] == count and (size[1] > size[0]) is upright]
-        if not found:
-            raise SceneError(f"{self.name} has a size that is not known", self.archive.path, _FIX)
-        return found[0]
 
-    def _unpacked(self, name: str, step: int, most: int) -> bytes:
-        """The bytes, whole steps of them, ``most`` at most. Raises SceneError."""
-        data = self.archive.read(name)
-        try:
-            import liblzfse
-        except ImportError as error:
-            fix = "Let the engine's Python install it: python -m pip install -r requirements/readers.txt."
-            raise SceneError("depth of Record3D needs the package pyliblzfse", self.archive.path, fix) from error
-        try:
-            unpacked = unpack(data, most * step, liblzfse.decompress)
-        except (liblzfse.error, ValueError, MemoryError) as error:
-            raise SceneError(f"{name} cannot be decompressed ({error})", self.archive.path, _FIX) from error
-        if len(unpacked) % step:
-            raise SceneError(f"{name} is cut off", self.archive.path, _FIX)
-        return unpacked
+def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
+    """A file of the archive, unpacked: whole steps of ``step`` bytes, at most ``most``. Raises PlgsError."""
+    data = archive.read(name)
+    try:
+        import liblzfse
+    except ImportError as error:
+        fix = "Let the engine's Python install it: python -m pip install -r requirements/readers.txt."
+        raise PlgsError("depth of Record3D needs the package pyliblzfse", archive.path, fix) from error
+    try:
+        unpacked = unpack_lzfse(data, most * step, liblzfse.decompress)
+    except (liblzfse.error, ValueError, MemoryError) as error:
+        raise PlgsError(f"{name} cannot be decompressed ({error})", archive.path, _FIX) from error
+    if len(unpacked) % step:
+        raise PlgsError(f"{name} is cut off", archive.path, _FIX)
+    return unpacked
+
+
+class _Block(NamedTuple):
+    """Where a block ends in its stream, and the unpacked bytes that all blocks up to it claim."""
+
+    end: int
+    unpacked: int
+
+
+def unpack_lzfse(data: bytes, most_bytes: int, decompress: Callable[[bytes], bytes]) -> bytes:
+    """The bytes of a stream. Raises ValueError when it is cut off or holds more than ``most_bytes``.
+
+    Raises what ``decompress`` raises, too.
+    """
+    blocks = _blocks(data, 4 + most_bytes // _FULL_BLOCK)
+    if blocks and blocks[-1].unpacked > most_bytes:
+        raise ValueError(f"it unpacks to more than {most_bytes} bytes")
+    for block in blocks[_AT_ONCE - 1 : -1 : _AT_ONCE]:
+        _refuse_more(decompress(data[: block.end] + _END), block.unpacked)
+    unpacked = decompress(data)
+    _refuse_more(unpacked, blocks[-1].unpacked if blocks else 0)
+    return unpacked
+
+
+def _refuse_more(unpacked: bytes, claimed: int) -> None:
+    if len(unpacked) != claimed:
+        raise ValueError("a block unpacks to another size than it says")
+
+
+def _blocks(data: bytes, most: int) -> list[_Block]:
+    """The blocks of a stream. Raises ValueError when it is cut off or has more than ``most``."""
+    found, place, unpacked = list[_Block](), 0, 0
+    try:
+        while (kind := data[place : place + 4]) != _END:
+            (claimed,) = struct.unpack_from("<I", data, place + 4)
+            place, unpacked = place + _length(data, place, kind, claimed), unpacked + claimed
+            found.append(_Block(place, unpacked))
+            if len(found) > most:
+                raise ValueError("it has too many blocks")
+    except struct.error as error:
+        raise ValueError("it is cut off") from error
+    return found
+
+
+def _length(data: bytes, place: int, kind: bytes, claimed: int) -> int:
+    """The bytes of a block with its header. Raises ValueError, struct.error."""
+    if kind == _STORED:
+        return 8 + claimed
+    if kind == _SHORT:
+        return 12 + int(struct.unpack_from("<I", data, place + 8)[0])
+    if kind != _USUAL:
+        raise ValueError("it has a block of a kind that is not known")
+    # 64 bits hold numbers of 20: literals' bytes from bit 20 of the first, matches' from bit 40 of the second.
+    first, second, third = struct.unpack_from("<3Q", data, place + 8)
+    return (third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
+
+
+FORMAT = SceneFormat("record3d", "Record3D .r3d", "a .r3d file, or metadata with the folder rgbd", _recognises, _read)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...gates import read_plain
-from ..frame import SceneError
-from ..json_file import MOST_BYTES
+from ...errors import PlgsError
+from ...json_file import LARGEST_TABLE
+from ..layout import read_text
 
 
 @dataclass(frozen=True)
@@ -23,16 +23,11 @@ class Row:
 
 
 def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool = False) -> Iterator[Row]:
-    """The rows of a text file that hold something, and its columns' ``titles`` if wanted. Raises SceneError, with
-    ``fix`` as the advice.
+    """The rows of a text file that are not empty, with its columns' ``titles`` if wanted.
+
+    Raises PlgsError, with ``fix`` as the advice.
     """
-    try:
-        text = read_plain(path, MOST_BYTES).decode("utf-8-sig")
-    except OSError as error:
-        raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
-    except UnicodeDecodeError as error:
-        raise SceneError("this is not a text file", path, fix) from error
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(read_text(path, LARGEST_TABLE, fix).splitlines(), start=1):
         words = [word.strip() for word in line.partition("#")[0].split(separator)]
         # TUM's column titles are comments; some tools take the # away.
         if any(words) and (titles or words[0] != "timestamp"):
@@ -40,20 +35,20 @@ def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool =
 
 
 def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray[np.float64]:
-    """A row's words as numbers, float64; they may be inf or NaN. Raises SceneError unless there are ``count``."""
+    """A row's words as numbers, float64; they may be inf or NaN. Raises PlgsError unless there are ``count``."""
     try:
         values = np.array([float(word) for word in row.words])
     except ValueError as error:
-        raise SceneError(f"line {row.line} holds something else than numbers", path, fix) from error
+        raise PlgsError(f"line {row.line} holds something else than numbers", path, fix) from error
     if count is not None and len(values) != count:
-        raise SceneError(f"line {row.line} holds {len(values)} numbers, not {count}", path, fix)
+        raise PlgsError(f"line {row.line} holds {len(values)} numbers, not {count}", path, fix)
     return values
 
 
 def matrix_rows(path: Path, fix: str) -> Iterator[NDArray[np.float64]]:
-    """Matrices, float64 [4, 4], of a file with 16 (or, without the last row, 12) numbers a line. Raises SceneError."""
+    """Matrices, float64 [4, 4], of a file with 16 (or, without the last row, 12) numbers a line. Raises PlgsError."""
     for row in read_rows(path, fix):
         values = numbers(row, path, fix)
         if len(values) not in (12, 16):
-            raise SceneError(f"line {row.line} holds {len(values)} numbers, not 16", path, fix)
+            raise PlgsError(f"line {row.line} holds {len(values)} numbers, not 16", path, fix)
         yield np.vstack([values.reshape(-1, 4)[:3], [0.0, 0.0, 0.0, 1.0]])

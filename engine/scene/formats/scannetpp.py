@@ -1,104 +1,213 @@
 """ScanNet++'s iPhone captures: ``iphone/pose_intrinsic_imu.json`` beside the video and depth.
 
 A frame has ``aligned_pose``, camera-to-world in the laser scan's frame, OpenCV axes, metres, z up, and ``intrinsic``,
-3x3. Pictures are ``rgb/frame_000000.jpg`` where they were taken out, else frames of ``rgb.mp4`` or ``rgb.mkv``. Depth
-is ``depth/frame_000000.png`` in millimetres where it was taken out, else ``depth.bin``: see ``scannetpp_depth``.
+3x3. Pictures are ``rgb/frame_000000.jpg`` if they were extracted, else frames of ``rgb.mp4`` or ``rgb.mkv``. Depth
+is ``depth/frame_000000.png`` in millimetres if it was extracted, else ``depth.bin``: 256x192 a frame, planar, in one of
+two ways.
+
+* One raw deflate stream of float32 metres, frame after frame.
+* For each frame 4 bytes of size (little endian), then an LZ4 block of 16-bit millimetres or a raw deflate stream of
+  float32 metres.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+import zlib
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
+from threading import Lock
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import PlgsError
+from ...gates import open_plain
+from ...json_file import read_json_object
 from ..camera import Camera
-from ..colour import ColourReader
-from ..depth import DepthReader, check_depth_header
-from ..frame import SceneError, Size
+from ..depth import DepthMap, only_depth, png_depth
 from ..image_header import read_image_header
-from ..json_file import read_json_object, take_matrix
-from ..layout import files_by_stem, natural_order
-from ..matrices import placed
-from .capture import Capture, Shot
+from ..layout import files_if_any, natural_order
+from ..matrices import take_matrix
+from .capture import Capture, SceneFormat, Shot
+from .lens import pinhole
 from .poses import finite_pose
-from .scannetpp_depth import DepthFile, DepthFileReader
-from .video import Video, VideoColour
+from .video import Video
 
-LOOKS_FOR = "iphone/pose_intrinsic_imu.json"
 _FIX = "Download the iPhone data of the scene again."
 _TABLE = "pose_intrinsic_imu.json"
+_WIDTH, _HEIGHT = 256, 192
+_PIXELS = _WIDTH * _HEIGHT
+_CHUNK = 1 << 16
 
 
-def recognises(place: Path) -> bool:
+def _recognises(place: Path) -> bool:
     return (place / _TABLE).is_file() or (place / "iphone" / _TABLE).is_file()
 
 
-def read(place: Path) -> Capture:
-    """Open the frames; headers of images, at most one picture of the video is decoded. Raises SceneError."""
+def _read(place: Path) -> Capture:
+    """Open the frames; headers of images, at most one picture of the video is decoded. Raises PlgsError."""
     folder = place if (place / _TABLE).is_file() else place / "iphone"
-    table = read_json_object(folder / _TABLE)
-    pictures = files_by_stem(folder / "rgb", {".jpg", ".png"}, _FIX) if (folder / "rgb").is_dir() else None
+    return Capture(list(_shots(folder)), "z", up_is_known=True)
+
+
+def _shots(folder: Path) -> Iterator[tuple[str, Shot | None]]:
+    path = folder / _TABLE
+    table = read_json_object(path)
+    pictures = files_if_any(folder / "rgb", {".jpg", ".png"}, _FIX)
     video = None if pictures else _video(folder)
-    size = None if video is None else video.size()
-    depths = files_by_stem(folder / "depth", {".png"}, _FIX) if (folder / "depth").is_dir() else {}
-    stream = DepthFile(folder / "depth.bin") if not depths and (folder / "depth.bin").is_file() else None
-    shots, lost = [], []
+    size = video.size() if video else None
+    depths = files_if_any(folder / "depth", {".png"}, _FIX)
+    stream = _DepthStream(folder / "depth.bin") if not depths and (folder / "depth.bin").is_file() else None
     for name in sorted(table, key=natural_order):
-        number = re.fullmatch(r"frame_(\d+)", name)
-        if number is None or not isinstance(table[name], dict):
-            raise SceneError(f'"{name[:40]}" is no frame', folder / _TABLE, _FIX)
-        if pictures is not None and name not in pictures:
-            continue  # only some were taken out
-        pose = _pose(table[name], name, folder / _TABLE)
+        match = re.fullmatch(r"frame_(\d+)", name)
+        entry = table[name]
+        if match is None or not isinstance(entry, dict):
+            raise PlgsError(f'"{name[:40]}" is no frame', path, _FIX)
+        if pictures and name not in pictures:
+            continue  # only some were extracted
+        pose = None
+        if "aligned_pose" in entry:
+            pose = finite_pose(take_matrix(entry, "aligned_pose", name, path, ((4, 4),)), path)
         if pose is None:
-            lost.append(name)
+            yield name, None
             continue
-        path = video.path if video else pictures[name]  # type: ignore[index]
-        lens = _lens(table[name], name, size or read_image_header(path).size, folder / _TABLE)
-        colour: Callable[[Size | None], NDArray[np.uint8]] = (
-            VideoColour(video, int(number[1])) if video else ColourReader(path)
-        )
-        depth_path, depth = _depth(name, int(number[1]), depths, stream, lens)
-        shots.append(Shot(name, placed(lens, pose), path, colour, depth_path, depth, file_shows_colour=not video))
-    return Capture(tuple(shots), "z", tuple(lost), up_is_known=True)
+        number, picture = int(match[1]), video.path if video else pictures[name]
+        lens = _lens(entry, name, size or read_image_header(picture).size, path)
+        depth = None
+        if stream is not None:
+            depth = DepthMap(stream.path, partial(stream.frame, number))
+        elif depths:
+            if name not in depths:
+                raise PlgsError(f"{name} has no depth", folder / "depth", "Take out depth for all pictures.")
+            depth = png_depth(depths[name], lens)
+        yield name, Shot(name, lens.at(pose), picture, depth, video.reader(number) if video else None)
 
 
 def _video(folder: Path) -> Video:
     for name in ("rgb.mp4", "rgb.mkv"):
         if (folder / name).is_file():
             return Video(folder / name)
-    raise SceneError("the pictures are missing", folder / "rgb.mkv", _FIX)
+    raise PlgsError("the pictures are missing", folder / "rgb.mkv", _FIX)
 
 
-def _pose(entry: dict[str, Any], name: str, path: Path) -> NDArray[np.float64] | None:
-    if "aligned_pose" not in entry:
-        return None
-    return finite_pose(take_matrix(entry, "aligned_pose", name, path, ((4, 4),)), path)
-
-
-def _lens(entry: dict[str, Any], name: str, size: Size, path: Path) -> Camera:
-    """A camera at the origin; the file does not say where pixels are counted from: their corners."""
+def _lens(entry: dict[str, Any], name: str, size: tuple[int, int], path: Path) -> Camera:
+    """A camera at the origin. The file does not say where pixels are counted from; their corners are assumed."""
     K = take_matrix(entry, "intrinsic", name, path, ((3, 3),))
-    fx, fy, cx, cy = (float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-    width, height = size
-    if not (0.0 < fx < 1e6 and 0.0 < fy < 1e6 and 0.0 <= cx <= width and 0.0 <= cy <= height):
-        raise SceneError(f"the intrinsics of {name} do not fit pictures of {width}x{height}", path, _FIX)
-    return Camera(width, height, fx, fy, cx, cy, np.eye(4))
+    return pinhole(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], path=path, fix=_FIX, whose=name)
 
 
-def _depth(
-    name: str, number: int, depths: dict[str, Path], stream: DepthFile | None, lens: Camera
-) -> tuple[Path | None, Callable[[Size | None], NDArray[np.float32]] | None]:
-    """Where a frame's depth lies, and its reader; None for both where there is none. Raises SceneError."""
-    if stream is not None:
-        return stream.path, DepthFileReader(stream, number)
-    if not depths:
-        return None, None
-    if name not in depths:
-        raise SceneError(f"{name} has no depth", next(iter(depths.values())).parent, "Take out depth for all pictures.")
-    check_depth_header(depths[name], lens)
-    return depths[name], DepthReader(depths[name])
+class _DepthStream:
+    """A depth.bin. A single stream is unpacked forward; an earlier frame starts it anew."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._blocks = _find_blocks(path)
+        self._lock = Lock()
+        self._file: BinaryIO | None = None
+        self._unpacker: Any = None
+        self._next = 0
+
+    def frame(self, number: int) -> NDArray[np.float32]:
+        """Depth of the frame ``number``, float32 [192, 256] metres, 0 = none. Raises PlgsError."""
+        try:
+            if self._blocks is None:
+                with self._lock:
+                    return only_depth(self._from_stream(number))
+            if number >= len(self._blocks):
+                raise PlgsError(f"there is no depth of frame {number}", self.path, _FIX)
+            with open_plain(self.path) as file:
+                file.seek(self._blocks[number][0])
+                return only_depth(_unpack_block(file.read(self._blocks[number][1])))
+        except (zlib.error, ValueError, OSError) as error:
+            raise PlgsError(f"depth of frame {number} cannot be unpacked", self.path, _FIX) from error
+
+    def _from_stream(self, number: int) -> NDArray[np.float32]:
+        if self._file is None or number < self._next:
+            if self._file is not None:
+                self._file.close()
+            self._file = open_plain(self.path)
+            self._unpacker, self._next = zlib.decompressobj(-zlib.MAX_WBITS), 0
+        while True:
+            depth = self._unpack(4 * _PIXELS)
+            self._next += 1
+            if self._next > number:
+                return np.frombuffer(depth, "<f4").reshape(_HEIGHT, _WIDTH)
+
+    def _unpack(self, size: int) -> bytes:
+        """The next ``size`` bytes of the stream. Raises ValueError at its end."""
+        assert self._file is not None
+        parts, left = [], size
+        while left:
+            packed = self._unpacker.unconsumed_tail or self._file.read(_CHUNK)
+            part = self._unpacker.decompress(packed, left)
+            if not part and not packed:
+                raise ValueError("the stream ends")
+            parts.append(part)
+            left -= len(part)
+        return b"".join(parts)
+
+
+def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
+    """Where each frame's block starts and how long it is; None when the sizes do not lead to the file's end."""
+    end, blocks, start = path.stat().st_size, [], 0
+    with open_plain(path) as file:
+        while start < end:
+            file.seek(start)
+            length = int.from_bytes(file.read(4), "little")
+            if not 0 < length <= 8 * _PIXELS or start + 4 + length > end:
+                return None
+            blocks.append((start + 4, length))
+            start += 4 + length
+    return blocks
+
+
+def _unpack_block(data: bytes) -> NDArray[np.float32]:
+    """Raises ValueError, zlib.error."""
+    try:
+        steps = lz4_unpack(data, 2 * _PIXELS)
+    except ValueError:
+        steps = b""
+    if len(steps) == 2 * _PIXELS:
+        return np.frombuffer(steps, "<u2").reshape(_HEIGHT, _WIDTH) * np.float32(0.001)
+    metres = zlib.decompressobj(-zlib.MAX_WBITS).decompress(data, 4 * _PIXELS)
+    return np.frombuffer(metres, "<f4").reshape(_HEIGHT, _WIDTH)
+
+
+def lz4_unpack(data: bytes, largest: int) -> bytes:
+    """The bytes of one block in LZ4's block format, at most ``largest``. Raises ValueError when it is damaged."""
+    out, i = bytearray(), 0
+    while i < len(data):
+        token = data[i]
+        length, i = _lz4_length(data, i + 1, token >> 4)
+        if i + length > len(data):
+            raise ValueError("the block is cut off")
+        out += data[i : i + length]
+        i += length
+        if i == len(data):
+            break
+        back = int.from_bytes(data[i : i + 2], "little")
+        length, i = _lz4_length(data, i + 2, token & 15)
+        if not 0 < back <= len(out) or len(out) + length + 4 > largest:
+            raise ValueError("the block is damaged")
+        # A match may reach into what it writes itself: then it repeats.
+        match = bytes(out[-back:])
+        out += (match * ((length + 4) // back + 1))[: length + 4]
+    if len(out) > largest:
+        raise ValueError("the block is too long")
+    return bytes(out)
+
+
+def _lz4_length(data: bytes, i: int, length: int) -> tuple[int, int]:
+    """A length that starts at 4 bits and goes on in further bytes while these are 255, and where it ends."""
+    more = length == 15
+    while more:
+        if i >= len(data):
+            raise ValueError("the block is cut off")
+        length, more, i = length + data[i], data[i] == 255, i + 1
+    return length, i
+
+
+FORMAT = SceneFormat("scannetpp", "ScanNet++ iPhone", "iphone/pose_intrinsic_imu.json", _recognises, _read)

@@ -15,32 +15,27 @@ y.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
-from ..colour import ColourReader
-from ..depth import DepthReader, check_depth_header
-from ..frame import SceneError, Size
+from ...errors import PlgsError
+from ...scene_source import UpAxis
+from ..depth import png_depth
+from ..frame import Size
 from ..image_header import read_image_header
-from ..json_file import file_inside
-from ..layout import files_by_stem, listed
-from ..matrices import UpAxis, placed
-from .capture import Capture, Shot
-from .frame_names import frame_names
-from .lens import UNDISTORTED, Distortion, UndistortedColour, UndistortedDepth
+from ..layout import file_inside, files_by_stem, listed
+from .capture import Capture, SceneFormat, Shot, frame_names
+from .lens import Distortion, pinhole
 from .poses import finite_pose, quaternion_pose
 from .rows import numbers, read_rows
 
-LOOKS_FOR = "groundtruth.txt with the folder rgb"
-LOOKS_FOR_ICL = "*.gt.freiburg, or groundtruth.txt with whole numbers as time stamps, with the folder rgb"
 _STEP = 1.0 / 5000.0
 _APART = 0.02
-"""Seconds by which a picture, its depth and its pose may differ in time."""
+"""Seconds by which a picture, its depth and its pose may differ at most."""
 _POSE_FIX = "Write t tx ty tz qx qy qz qw, a pose a line."
 _LIST_FIX = "Write a time stamp and a file name a line."
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
@@ -48,8 +43,9 @@ _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class _Lens:
-    """Intrinsics with integer pixel centres, k1 k2 p1 p2 k3 of the distortion, the axis that points up in its world,
-    and the size that they are for, None for the pictures' own.
+    """Intrinsics with integer pixel centres, and k1 k2 p1 p2 k3 of the distortion.
+
+    ``up`` is the axis that points up in the lens's world. ``size`` is the size of its pictures, None for any.
     """
 
     fx: float
@@ -79,12 +75,12 @@ class _Stamped:
     path: Path
 
 
-def recognises(place: Path) -> bool:
+def _recognises(place: Path) -> bool:
     path = place / "groundtruth.txt"
-    return (place / "rgb").is_dir() and path.is_file() and not recognises_icl(place)
+    return (place / "rgb").is_dir() and path.is_file() and not _recognises_icl(place)
 
 
-def recognises_icl(place: Path) -> bool:
+def _recognises_icl(place: Path) -> bool:
     if not (place / "rgb").is_dir():
         return False
     if any(place.glob("*.gt.freiburg")):
@@ -98,8 +94,8 @@ def recognises_icl(place: Path) -> bool:
     return first.isdecimal()
 
 
-def read(place: Path) -> Capture:
-    """Open a TUM RGB-D sequence; only headers of images are read. Raises SceneError."""
+def _read(place: Path) -> Capture:
+    """Open a TUM RGB-D sequence; only headers of images are read. Raises PlgsError."""
     name = next((name for name in _LENSES if name in place.resolve().name.lower()), None)
     calibration, note = place / "calibration.txt", None
     if calibration.is_file():
@@ -108,50 +104,46 @@ def read(place: Path) -> Capture:
         lens = _LENSES[name]
     else:
         lens = _KINECT
-        note = "the lens is taken for a Kinect's (525 525 319.5 239.5): put fx fy cx cy into calibration.txt if not"
-    return _read(place, place / "groundtruth.txt", lens, note)
+        note = "the lens is taken for a Kinect's (525 525 319.5 239.5): put another's fx fy cx cy into calibration.txt"
+    return _capture(place, place / "groundtruth.txt", lens, note)
 
 
 def _read_calibration(path: Path) -> _Lens:
     fix = "Write fx fy cx cy."
     row = next(read_rows(path, fix), None)
     if row is None or len(row.words) < 4:
-        raise SceneError("the intrinsics are not all there", path, fix)
+        raise PlgsError("the intrinsics are not all there", path, fix)
     fx, fy, cx, cy = numbers(row, path, fix)[:4].tolist()
     return _Lens(fx, fy, cx, cy, size=None)
 
 
-def read_icl(place: Path) -> Capture:
-    """Open a sequence of ICL-NUIM; only headers of images are read. Raises SceneError."""
+def _read_icl(place: Path) -> Capture:
+    """Open a sequence of ICL-NUIM; only headers of images are read. Raises PlgsError."""
     trajectory = next(iter(sorted(place.glob("*.gt.freiburg"))), place / "groundtruth.txt")
-    return _read(place, trajectory, _ICL, None, mirrored=True)
+    return _capture(place, trajectory, _ICL, None, mirrored=True)
 
 
-def _read(place: Path, trajectory: Path, lens: _Lens, note: str | None, mirrored: bool = False) -> Capture:
+def _capture(place: Path, trajectory: Path, lens: _Lens, note: str | None, mirrored: bool = False) -> Capture:
     pairs = _pairs(place)
     poses = _read_poses(trajectory, mirrored)
     times = [time for time, _ in poses]
     names = frame_names([colour.path.relative_to(place).as_posix() for colour, _ in pairs])
-    shots, lost = [], []
+    found: list[tuple[str, Shot | None]] = []
     for name, (colour, depth) in zip(names, pairs, strict=True):
         nearest = _nearest(times, colour.time)
         pose = None if nearest is None else poses[nearest][1]
-        if pose is None:
-            lost.append(name)
-        else:
-            shots.append(_shot(name, colour.path, None if depth is None else depth.path, lens, pose))
+        shot = None if pose is None else _shot(name, colour.path, None if depth is None else depth.path, lens, pose)
+        found.append((name, shot))
     warnings = [] if note is None else [note]
-    blind = [shot.name for shot in shots if shot.read_depth is None]
-    if blind and len(blind) < len(shots):
+    blind = [name for name, shot in found if shot is not None and shot.depth is None]
+    if blind and any(shot is not None and shot.depth is not None for _, shot in found):
         warnings.append(f"{len(blind)} frames have no depth within {_APART} s and are left out: {listed(blind)}")
-        shots = [shot for shot in shots if shot.read_depth is not None]
-    if lens.bent:
-        warnings.append(UNDISTORTED)
-    return Capture(tuple(shots), lens.up, tuple(lost), tuple(warnings))
+        found = [(name, shot) for name, shot in found if name not in blind]
+    return Capture(found, lens.up, tuple(warnings))
 
 
 def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
-    """Colour images in the order of time, each with the depth image next to it in time. Raises SceneError."""
+    """Colour images in the order of time, each with the depth image next to it in time. Raises PlgsError."""
     lists = [place / name for name in ("associations.txt", "associated.txt") if (place / name).is_file()]
     if lists:
         pairs = []
@@ -182,19 +174,19 @@ def _stamped(words: Sequence[str], line: int, path: Path) -> _Stamped:
         stamp = float(time)
     except ValueError as error:
         where = f"line {line}" if line else f'the name "{words[0]}"'
-        raise SceneError(f"{where} is no time stamp with a file name", path, _LIST_FIX) from error
+        raise PlgsError(f"{where} is no time stamp with a file name", path, _LIST_FIX) from error
     return _Stamped(stamp, file_inside(path.parent, name, path))
 
 
 def _nearest(times: Sequence[float], time: float) -> int | None:
-    """The place of the nearest of ascending ``times``, None where it is too far away."""
+    """The index of the nearest of ascending ``times``, None when it is too far away."""
     after = bisect_left(times, time)
     near = [i for i in (after - 1, after) if 0 <= i < len(times) and abs(times[i] - time) <= _APART]
     return min(near, key=lambda i: abs(times[i] - time), default=None)
 
 
 def _read_poses(path: Path, mirrored: bool) -> list[tuple[float, NDArray[np.float64] | None]]:
-    """Poses by ascending time; None where a number is not finite."""
+    """Poses by ascending time; None for one with a number that is not finite."""
     poses = []
     for row in read_rows(path, _POSE_FIX):
         time, tx, ty, tz, qx, qy, qz, qw = numbers(row, path, _POSE_FIX, 8).tolist()
@@ -209,18 +201,20 @@ def _read_poses(path: Path, mirrored: bool) -> list[tuple[float, NDArray[np.floa
 
 def _shot(name: str, colour: Path, depth: Path | None, lens: _Lens, pose: NDArray[np.float64]) -> Shot:
     size = read_image_header(colour).size
-    if not (lens.fx > 0.0 and lens.fy > 0.0):
-        raise SceneError("the intrinsics are those of no camera", colour.parent.parent, "Write fx fy cx cy.")
-    own = lens.size or size
-    camera = Camera(*own, lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, np.eye(4)).resized(*size)
-    read_colour: Callable[[Size | None], NDArray[np.uint8]] = ColourReader(colour)
-    read_depth: Callable[[Size | None], NDArray[np.float32]] | None = None
-    if depth is not None:
-        check_depth_header(depth, camera)
-        read_depth = DepthReader(depth, unit=_STEP)
-    if lens.bent:
-        distortion = Distortion("brown", lens.bent)
-        read_colour = UndistortedColour(read_colour, camera, distortion, colour)
-        if read_depth is not None:
-            read_depth = UndistortedDepth(read_depth, camera, distortion, colour)
-    return Shot(name, placed(camera, pose), colour, read_colour, depth, read_depth, not lens.bent)
+    fix = "Write fx fy cx cy of the pictures into calibration.txt."
+    own = pinhole(
+        *(lens.size or size), lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, path=colour.parent.parent, fix=fix
+    )
+    camera = own.resized(*size).at(pose)
+    depth_map = None if depth is None else png_depth(depth, camera, _STEP)
+    return Shot(name, camera, colour, depth_map, distortion=Distortion("brown", lens.bent))
+
+
+TUM = SceneFormat("tum", "TUM RGB-D", "groundtruth.txt with the folder rgb", _recognises, _read)
+ICL = SceneFormat(
+    "icl",
+    "ICL-NUIM",
+    "*.gt.freiburg, or groundtruth.txt with whole numbers as time stamps, with the folder rgb",
+    _recognises_icl,
+    _read_icl,
+)

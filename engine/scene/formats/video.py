@@ -1,9 +1,10 @@
-"""Pictures out of a video, decoded when they are asked for."""
+"""Pictures out of a video, decoded on demand."""
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import Any, BinaryIO
@@ -11,18 +12,18 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import PlgsError
 from ...gates import open_plain
-from ..frame import SceneError, Size
-from ..pixels import resize_colour
+from ..frame import Size
 
 _BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
-"""One of these an MP4 or MOV begins with."""
+"""An MP4 or MOV begins with one of these."""
 _MATROSKA = b"\x1a\x45\xdf\xa3"
 _FIX = "Copy or record it again, or take its pictures out with another tool."
 
 
 class Video:
-    """One decoder for all frames of a video. It goes forward; a frame that lies behind starts it anew.
+    """One decoder for all frames of a video. It goes forward; an earlier frame starts it anew.
 
     Orientation tags are ignored, as intrinsics refer to the stored pixels.
     """
@@ -34,17 +35,21 @@ class Video:
         self._lock = Lock()
 
     def frame(self, number: int) -> NDArray[np.uint8]:
-        """The picture ``number``, counted from 0, uint8 [H, W, 3] RGB. Raises SceneError."""
+        """The picture ``number``, counted from 0, uint8 [H, W, 3] RGB. Raises PlgsError."""
         with self._lock:
             self._go_to(number)
             good, pixels = self._capture.read()
             self._next = number + 1
         if not good or pixels is None:
-            raise SceneError(f"the video has no frame {number}, or it cannot be decoded", self.path, _FIX)
+            raise PlgsError(f"the video has no frame {number}, or it cannot be decoded", self.path, _FIX)
         return np.ascontiguousarray(pixels[..., ::-1])
 
+    def reader(self, number: int) -> Callable[[], NDArray[np.uint8]]:
+        """What reads the picture ``number``."""
+        return partial(self.frame, number)
+
     def size(self) -> Size:
-        """(width, height) of its pictures; decodes one where the header does not tell. Raises SceneError."""
+        """(width, height) of its pictures. One is decoded if the header does not tell. Raises PlgsError."""
         size = mp4_size(self.path)
         if size is None:
             height, width, _ = self.frame(0).shape
@@ -61,67 +66,45 @@ class Video:
             self._next = 0
             if not self._capture.isOpened():
                 self._capture = None
-                raise SceneError("the video cannot be opened", self.path, _FIX)
+                raise PlgsError("the video cannot be opened", self.path, _FIX)
         while self._next < number and self._capture.grab():
             self._next += 1
 
 
 def _refuse_other_files(path: Path) -> None:
-    """Raise SceneError for what is no MP4, MOV, Matroska or AVI by its first bytes: the decoder would follow the
-    addresses in a playlist, wherever they lead.
+    """Raise PlgsError unless the first bytes are those of an MP4, MOV, Matroska or AVI.
+
+    The decoder would follow the addresses in a playlist, wherever they lead.
     """
     try:
         with open_plain(path) as file:
             start = file.read(12)
     except OSError as error:
-        raise SceneError(f"the video cannot be read ({error.strerror})", path, _FIX) from error
+        raise PlgsError(f"the video cannot be read ({error.strerror})", path, _FIX) from error
     is_avi = start[:4] == b"RIFF" and start[8:] == b"AVI "
     if start[4:8] not in _BOXES and not start.startswith(_MATROSKA) and not is_avi:
-        raise SceneError("this is no MP4, MOV, Matroska or AVI video", path, _FIX)
-
-
-@dataclass(frozen=True, eq=False)
-class VideoColour:
-    """Reads one frame of a video."""
-
-    video: Video
-    number: int
-
-    def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
-        """uint8 [H, W, 3] RGB at ``size`` (width, height) or its own. Raises SceneError."""
-        pixels = self.video.frame(self.number)
-        return resize_colour(pixels, size) if size else pixels
+        raise PlgsError("this is no MP4, MOV, Matroska or AVI video", path, _FIX)
 
 
 def mp4_size(path: Path) -> Size | None:
-    """The size of an MP4's pictures from its headers; None for other videos, and where headers are not as usual."""
+    """The size of an MP4's pictures from its headers; None for other videos and for unusual headers."""
     with open_plain(path) as file:
         end = file.seek(0, 2)
-        if not any(kind == b"ftyp" for kind, _, _ in _boxes(file, 0, min(end, 64))):
+        if not any(_boxes(file, b"ftyp", 0, min(end, 64))):
             return None
-        for kind, start, stop in _boxes(file, 0, end):
-            if kind == b"moov":
-                for kind_inside, track, track_end in _boxes(file, start, stop):
-                    size = _track_size(file, track, track_end) if kind_inside == b"trak" else None
-                    if size is not None:
-                        return size
+        tracks = (each for movie in _boxes(file, b"moov", 0, end) for each in _boxes(file, b"trak", *movie))
+        for begin, stop in (head for track in tracks for head in _boxes(file, b"tkhd", *track)):
+            if stop - begin >= 84:
+                file.seek(stop - 8)  # 16.16 fixed point at the end of a track's header; 0 for sound
+                sides = file.read(8)
+                width, height = (side >> 16 for side in struct.unpack(">II", sides)) if len(sides) == 8 else (0, 0)
+                if width and height:
+                    return width, height
     return None
 
 
-def _track_size(file: BinaryIO, start: int, stop: int) -> Size | None:
-    """A track's width and height, 16.16 fixed point at the end of its header; None for sound."""
-    for kind, begin, end in _boxes(file, start, stop):
-        if kind == b"tkhd" and end - begin >= 84:
-            file.seek(end - 8)
-            sides = file.read(8)
-            width, height = (side >> 16 for side in struct.unpack(">II", sides)) if len(sides) == 8 else (0, 0)
-            return (width, height) if width and height else None
-    return None
-
-
-def _boxes(file: BinaryIO, start: int, stop: int) -> list[tuple[bytes, int, int]]:
-    """The boxes between two places of an MP4: kind, and where the content starts and ends."""
-    boxes = []
+def _boxes(file: BinaryIO, wanted: bytes, start: int, stop: int) -> Iterator[tuple[int, int]]:
+    """Where the content of each box of the kind ``wanted`` starts and ends, between two places of an MP4."""
     while start + 8 <= stop:
         file.seek(start)
         head = file.read(16)
@@ -134,6 +117,6 @@ def _boxes(file: BinaryIO, start: int, stop: int) -> list[tuple[bytes, int, int]
             length = stop - start
         if length < begin - start:
             break
-        boxes.append((kind, begin, start + length))
+        if kind == wanted:
+            yield begin, start + length
         start += length
-    return boxes

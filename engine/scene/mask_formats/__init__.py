@@ -1,8 +1,79 @@
-"""One reader a format of masks. ``find_mask_format`` tells which one reads a folder or file."""
+"""The formats of masks: one reader each, which recognises its files and reads segments.
+
+A new format is a module with a ``MaskFormat`` in this folder and its entry in ``MASK_FORMATS``. The panel's list
+follows.
+"""
 
 from __future__ import annotations
 
-from .recognising import MASK_FORMATS, MaskFormat, find_mask_format
-from .source import FoundMask, FoundSegment, MaskSource
+from pathlib import Path
 
-__all__ = ["MASK_FORMATS", "FoundMask", "FoundSegment", "MaskFormat", "MaskSource", "find_mask_format"]
+from ...errors import PlgsError
+from ..layout import listed, shown
+from . import (
+    class_arrays,
+    coco,
+    detections,
+    exr_masks,
+    grounded_sam2,
+    label_pairs,
+    panoptic_lifting,
+    sam2,
+    segment_maps,
+)
+from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
+
+__all__ = ["MASK_FORMATS", "FoundMask", "FoundSegment", "MaskFormat", "MaskSource", "StoredMask", "find_mask_format"]
+
+MASK_FORMATS: tuple[MaskFormat, ...] = (
+    coco.FORMAT,
+    panoptic_lifting.FORMAT,
+    grounded_sam2.FORMAT,
+    label_pairs.PAIRS_FORMAT,
+    segment_maps.TRANSFORMERS,
+    segment_maps.DETECTRON2,
+    sam2.FORMAT,
+    label_pairs.PALETTE,
+    detections.FORMAT,
+    exr_masks.CRYPTOMATTE,
+    exr_masks.OBJECT_INDEX,
+    class_arrays.FORMAT,
+)
+_PICKLES = {".pkl", ".pickle", ".pt", ".pth", ".ptz", ".joblib"}
+
+
+def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
+    """The format called ``name``, or the one that recognises ``place``, a folder or file.
+
+    Raises PlgsError for an unknown name, and when no format or more than one is recognised.
+    """
+    known = {each.name: each for each in MASK_FORMATS}
+    if name is not None:
+        if name not in known:
+            raise PlgsError(f'no mask format is called "{shown(name)}"', place, f"Choose one of {', '.join(known)}.")
+        return known[name]
+    if not place.exists():
+        raise PlgsError("there are no masks", place, "Name a folder of masks.")
+    try:
+        seen = [each for each in MASK_FORMATS if each.recognises(place)]
+        found = [each for each in seen if each.own_names][:1] or seen
+    except OSError as error:
+        raise PlgsError(f"the folder cannot be read ({error.strerror})", place, "Check its permissions.") from error
+    if len(found) > 1:
+        names = " and ".join(each.name for each in found)
+        fix = f"Say which one it is, such as --mask-format {found[0].name}."
+        raise PlgsError(f"these masks look like {names}", place, fix, option="--mask-format")
+    if not found:
+        _refuse_pickles(place)
+        wanted = "; ".join(f"{each.name}: {each.looks_for}" for each in MASK_FORMATS)
+        raise PlgsError("there are no masks of a known format", place, f"Looked for {wanted}.")
+    return found[0]
+
+
+def _refuse_pickles(place: Path) -> None:
+    files = [place] if place.is_file() else [path for path in sorted(place.iterdir()) if path.is_file()]
+    pickles = [path.name for path in files if path.suffix.lower() in _PICKLES]
+    if pickles:
+        fix = "Save the arrays with numpy.save and what belongs to them as JSON."
+        what = f"masks are pickled ({listed(pickles, 2)}), which could run code when they are read"
+        raise PlgsError(what, place, fix)

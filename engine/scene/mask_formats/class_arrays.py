@@ -1,64 +1,64 @@
 """NumPy arrays of classes a frame: a picture of numbers, or the probability of each class at each pixel.
 
 ``<frame>.npy`` or ``.npz``. Whole numbers [H, W] are classes; beside them an .npz may have instances (``instance``).
-Floats [C, H, W] or [H, W, C] are probabilities, or shares of whatever sum: the greatest wins, channel k is the class k
-of the table that the user names, and what the winners had on average is the segment's score.
+Floats [C, H, W] or [H, W, C] are probabilities, or shares of any sum: the greatest wins. Channel k is the class k of
+the table that the user names. A segment's score is the mean share of its pixels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frame import SceneError, Size
-from ..layout import files_by_stem, require_all
-from .label_map import whole_numbers
-from .mask_arrays import array_headers, read_array
-from .painting import segments_of_labels, segments_of_pairs
-from .source import IGNORED, FoundMask, FoundSegment, MaskSource
+from ...errors import PlgsError
+from ..array_file import array_headers, read_array
+from ..frame import Size
+from ..label_image import whole_numbers
+from ..layout import files_of_frames
+from .source import (
+    IGNORED,
+    FoundMask,
+    FoundSegment,
+    MaskFormat,
+    MaskSource,
+    StoredMask,
+    segments_of_labels,
+    segments_of_pairs,
+)
 
-LOOKS_FOR = "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"
 _CLASSES = ("semantic", "semantics", "labels", "label_map", "classes", "probabilities", "probability", "probs", "arr_0")
 _INSTANCES = ("instance", "instances")
 _FIX = "Save classes [H, W] as whole numbers, or probabilities [C, H, W] as floats."
 
 
-@dataclass(frozen=True)
-class ClassArrayReader:
-    """Reads one frame's array ``name``, and its ``instances`` where it has any."""
-
-    path: Path
-    name: str
-    instances: str | None
-
-    def __call__(self) -> FoundMask:
-        """The mask. Raises SceneError for a bad file."""
-        values = read_array(self.path, self.name)
-        if values.ndim == 3:
-            return _most_probable(values, self.path)
-        labels = whole_numbers(values, self.path)
-        if self.instances is None:
-            return segments_of_labels(labels)
-        instances = whole_numbers(read_array(self.path, self.instances), self.path)
-        if instances.shape != labels.shape:
-            raise SceneError("instances and classes differ in size", self.path, _FIX)
-        return segments_of_pairs(labels, instances)
+def _read_mask(path: Path, name: str, instances_name: str | None) -> FoundMask:
+    """The mask in a file's array ``name``, with its instances if it has any. Raises PlgsError."""
+    values = read_array(path, name)
+    if values.ndim == 3:
+        return _most_probable(values, path)
+    labels = whole_numbers(values, path)
+    if instances_name is None:
+        return segments_of_labels(labels)
+    instances = whole_numbers(read_array(path, instances_name), path)
+    if instances.shape != labels.shape:
+        raise PlgsError("instances and classes differ in size", path, _FIX)
+    return segments_of_pairs(labels, instances)
 
 
 def _most_probable(values: NDArray[Any], path: Path) -> FoundMask:
-    """Of [C, H, W] or [H, W, C]: channels are fewer than rows and columns."""
+    """The mask of probabilities [C, H, W] or [H, W, C]: channels are fewer than rows and columns."""
     if _is_channels_last(values.shape):
         values = np.moveaxis(values, -1, 0)
     values = values.astype(np.float32)
     if not np.isfinite(values).all():
-        raise SceneError("probabilities are no numbers", path, _FIX)
+        raise PlgsError("probabilities are no numbers", path, _FIX)
     if values.min() < 0.0:
-        raise SceneError("these are no probabilities but logits", path, "Save what softmax makes of them.")
+        raise PlgsError("these are no probabilities but logits", path, "Save what softmax makes of them.")
     labels, best = values.argmax(0), values.max(0)
     labels = np.where(best > 0.0, labels, -1)
     share = best / np.maximum(values.sum(0), 1e-12)
@@ -74,7 +74,7 @@ def _is_channels_last(shape: tuple[int, ...]) -> bool:
     return shape[2] < min(shape[0], shape[1])
 
 
-def recognises(place: Path) -> bool:
+def _recognises(place: Path) -> bool:
     if not place.is_dir() or any(place.glob("*.json")):
         return False
     first = next(iter(sorted([*place.glob("*.npy"), *place.glob("*.npz")])), None)
@@ -82,26 +82,25 @@ def recognises(place: Path) -> bool:
 
 
 def _name_of(path: Path) -> str | None:
-    """The array of classes; None where the file has none that could be it."""
+    """The name of the array of classes; None if no array can be it."""
     headers = array_headers(path)
     if any("mask" in name for name in headers):
         return None
     return next((name for name in ("", *_CLASSES) if name in headers), None)
 
 
-def read(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the arrays; headers only. Raises SceneError."""
-    files = files_by_stem(place, {".npy", ".npz"}, _FIX)
-    require_all(names, files, "mask", place, _FIX)
-    readers, sizes = {}, {}
-    for name in names:
-        key = _name_of(files[name])
+def _read(place: Path, names: Sequence[str]) -> MaskSource:
+    """Open the arrays; headers only. Raises PlgsError."""
+    masks = {}
+    for name, path in files_of_frames(place, names, {".npy", ".npz"}, "mask", _FIX).items():
+        key = _name_of(path)
         if key is None:
-            raise SceneError("there is no array of classes", files[name], f"Call it {_CLASSES[0]}. {_FIX}")
-        headers = array_headers(files[name])
-        sizes[name] = _size(headers[key].shape, headers[key].kind, files[name])
-        readers[name] = ClassArrayReader(files[name], key, next((one for one in _INSTANCES if one in headers), None))
-    return MaskSource(None, readers, sizes, {name: files[name] for name in names}, void=IGNORED)
+            raise PlgsError("there is no array of classes", path, f"Call it {_CLASSES[0]}. {_FIX}")
+        headers = array_headers(path)
+        instances = next((one for one in _INSTANCES if one in headers), None)
+        size = _size(headers[key].shape, headers[key].kind, path)
+        masks[name] = StoredMask(path, size, partial(_read_mask, path, key, instances))
+    return MaskSource(masks, void=IGNORED)
 
 
 def _size(shape: tuple[int, ...], kind: str, path: Path) -> Size:
@@ -109,4 +108,8 @@ def _size(shape: tuple[int, ...], kind: str, path: Path) -> Size:
         return shape[1], shape[0]
     if len(shape) == 3 and kind == "f" and 0 not in shape:
         return (shape[1], shape[0]) if _is_channels_last(shape) else (shape[2], shape[1])
-    raise SceneError(f"an array of the shape {list(shape)} is no mask", path, _FIX)
+    raise PlgsError(f"an array of the shape {list(shape)} is no mask", path, _FIX)
+
+
+_LOOKS_FOR = "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"
+FORMAT = MaskFormat("arrays", _LOOKS_FOR, _recognises, _read)

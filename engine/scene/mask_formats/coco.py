@@ -1,8 +1,8 @@
 """COCO panoptic masks: one JSON table and one PNG a frame, id = R + 256 G + 65536 B.
 
-Where it differs between exporters this reader is lenient without guessing: a missing score counts as 1, ``label_id``
-(transformers) is taken for ``category_id``, a palette-free grey PNG holds the ids themselves. What would silently mix
-up segments is refused.
+Exporters differ, and this reader is lenient without guessing: a missing score counts as 1, ``label_id`` (transformers)
+counts as ``category_id``, a palette-free grey PNG holds the ids themselves. Tables that would silently mix up segments
+are refused.
 
 Class ids are the category ids. A table that uses 0 is shifted by one as a whole, as 0 is void here: class id =
 category id + 1, in ground truth too.
@@ -12,74 +12,55 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import PlgsError
+from ...json_file import read_json_object, take_flag, take_list, take_objects, take_text, take_whole_number, wrong_type
 from ..classes import LARGEST_CLASS_ID, ClassLabel
-from ..frame import SceneError
 from ..image_header import read_image_header
-from ..json_file import (
-    file_inside,
-    read_json_object,
-    take_flag,
-    take_list,
-    take_objects,
-    take_text,
-    take_whole_number,
-    wrong_type,
-)
-from ..layout import listed, require_all
+from ..label_image import LARGEST_PIXELS
+from ..layout import file_inside, listed, require_all
 from ..pixels import decode, distinct_ids
-from .label_map import LARGEST_PIXELS
-from .source import FoundMask, FoundSegment, MaskSource
-
-LOOKS_FOR = "panoptic.json and the PNGs in panoptic"
+from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
 _LARGEST_SEGMENT_ID = 256**3 - 1
 
 
-@dataclass(frozen=True)
-class CocoMaskReader:
-    """Reads one frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void."""
+def _read_mask(png: Path, table: Path, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
+    """One frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void.
 
-    png: Path
-    table: Path
-    segments: tuple[FoundSegment, ...]
-    crowd_ids: frozenset[int] = frozenset()
-
-    def __call__(self) -> FoundMask:
-        """The mask. Raises SceneError for an id that the JSON does not have."""
-        ids = self.read_ids()
-        found, _ = distinct_ids(ids)
-        unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in self.segments} - self.crowd_ids)
-        if unknown:
-            raise SceneError(
-                f"segment ids {listed(unknown)} of the PNG are missing in {self.table.name}",
-                self.png,
-                "Add them to this frame's segments_info, or paint them 0 (id = R + 256 G + 65536 B).",
-            )
-        if self.crowd_ids:
-            ids[np.isin(ids, list(self.crowd_ids))] = 0
-        return FoundMask(ids, self.segments)
-
-    def read_ids(self) -> NDArray[np.int32]:
-        """The segment ids as stored, int32 [H, W]."""
-        pixels = decode(self.png, as_colour=False)
-        if pixels.ndim == 2:
-            return pixels.astype(np.int32)
-        if pixels.dtype != np.uint8 or pixels.shape[2] < 3:
-            raise SceneError("the mask is not an 8-bit RGB PNG", self.png, "Save ids as R + 256 G + 65536 B.")
-        ids = pixels[..., 0].astype(np.int32)
-        for channel in (1, 2):
-            ids += pixels[..., channel].astype(np.int32) << 8 * channel
-        return ids
+    Raises PlgsError for an id that the JSON does not have.
+    """
+    ids = _read_ids(png)
+    found, _ = distinct_ids(ids)
+    unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
+    if unknown:
+        fix = "Add them to this frame's segments_info, or paint them 0 (id = R + 256 G + 65536 B)."
+        raise PlgsError(f"segment ids {listed(unknown)} of the PNG are missing in {table.name}", png, fix)
+    if crowd_ids:
+        ids[np.isin(ids, list(crowd_ids))] = 0
+    return FoundMask(ids, segments)
 
 
-def recognises(place: Path) -> bool:
+def _read_ids(png: Path) -> NDArray[np.int32]:
+    """The segment ids as stored, int32 [H, W]."""
+    pixels = decode(png, as_colour=False)
+    if pixels.ndim == 2:
+        return pixels.astype(np.int32)
+    if pixels.dtype != np.uint8 or pixels.shape[2] < 3:
+        raise PlgsError("the mask is not an 8-bit RGB PNG", png, "Save ids as R + 256 G + 65536 B.")
+    ids = pixels[..., 0].astype(np.int32)
+    for channel in (1, 2):
+        ids += pixels[..., channel].astype(np.int32) << 8 * channel
+    return ids
+
+
+def _recognises(place: Path) -> bool:
     return _table_of(place).is_file()
 
 
@@ -87,28 +68,23 @@ def _table_of(place: Path) -> Path:
     return place if place.suffix.lower() == ".json" else place / "panoptic.json"
 
 
-def read(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the JSON at ``place``, or panoptic.json in it, and its folder of PNGs, which has the JSON's stem. Raises
-    SceneError.
-    """
+def _read(place: Path, names: Sequence[str]) -> MaskSource:
+    """Open the JSON at ``place``, or panoptic.json in it. Its folder of PNGs has the JSON's stem. Raises PlgsError."""
     table = _table_of(place)
     content = read_json_object(table)
     labels = _read_categories(content, table)
     folder = table.with_suffix("")
     if not folder.is_dir():
-        raise SceneError("the folder of mask images is missing", folder, f"Put the PNGs of {table.name} there.")
+        raise PlgsError("the folder of mask images is missing", folder, f"Put the PNGs of {table.name} there.")
     entries = _entries_by_frame(content, table, names)
     require_all(names, entries, "mask", table, "Add an annotation whose file name has the colour image's stem.")
     known = frozenset(label.id for label in labels)
-    readers = {name: _open_frame(entries[name], name, folder, table, known) for name in names}
-    crowded = [name for name, reader in readers.items() if reader.crowd_ids]
-    return MaskSource(
-        labels=labels,
-        readers=readers,
-        sizes={name: read_image_header(reader.png).size for name, reader in readers.items()},
-        paths={name: reader.png for name, reader in readers.items()},
-        warnings=(f"crowd segments (iscrowd) count as void: {listed(crowded)}",) if crowded else (),
-    )
+    masks, crowded = {}, []
+    for name in names:
+        masks[name], has_crowds = _open_frame(entries[name], name, folder, table, known)
+        crowded += [name] * has_crowds
+    warnings = (f"crowd segments (iscrowd) count as void: {listed(crowded)}",) if crowded else ()
+    return MaskSource(masks, labels, warnings)
 
 
 def _read_categories(content: dict[str, Any], table: Path) -> tuple[ClassLabel, ...]:
@@ -117,11 +93,11 @@ def _read_categories(content: dict[str, Any], table: Path) -> tuple[ClassLabel, 
         context = f"category {position}"
         category_id = take_whole_number(entry, "id", context, table)
         if not 0 <= category_id <= LARGEST_CLASS_ID:
-            raise SceneError(
+            raise PlgsError(
                 f"the category id {category_id} is out of range", table, f"Use ids from 1 to {LARGEST_CLASS_ID}."
             )
         if category_id in found:
-            raise SceneError(f"the category id {category_id} occurs twice", table, "Give each category its own id.")
+            raise PlgsError(f"the category id {category_id} occurs twice", table, "Give each category its own id.")
         found[category_id] = ClassLabel(
             id=category_id,
             name=take_text(entry, "name", context, table),
@@ -129,7 +105,7 @@ def _read_categories(content: dict[str, Any], table: Path) -> tuple[ClassLabel, 
             colour=_colour(entry, context, table),
         )
     if not found:
-        raise SceneError("there are no categories", table, "List the classes of the masks.")
+        raise PlgsError("there are no categories", table, "List the classes of the masks.")
     return tuple(found[category_id] for category_id in sorted(found))
 
 
@@ -143,7 +119,7 @@ def _colour(entry: dict[str, Any], context: str, table: Path) -> tuple[int, int,
 
 
 def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The annotation of each frame: the frame's name is the stem of its image's file name, or of the mask's."""
+    """The annotation of each frame. A frame is called like its image's file or, else, like the mask's."""
     images: dict[str, str] = {}
     if "images" in content:
         for position, image in enumerate(take_objects(content, "images", "the file", table)):
@@ -156,7 +132,7 @@ def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]
         name = images.get(str(entry.get("image_id")), stem)
         name = name if name in wanted else stem
         if name in found:
-            raise SceneError(f"frame {name} has two annotations", table, "Keep one annotation a frame.")
+            raise PlgsError(f"frame {name} has two annotations", table, "Keep one annotation a frame.")
         found[name] = entry
     return found
 
@@ -165,20 +141,23 @@ def _stem(file_name: str) -> str:
     return file_name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
 
 
-def _open_frame(entry: dict[str, Any], name: str, folder: Path, table: Path, known: frozenset[int]) -> CocoMaskReader:
+def _open_frame(
+    entry: dict[str, Any], name: str, folder: Path, table: Path, known: frozenset[int]
+) -> tuple[StoredMask, bool]:
+    """A frame's mask, and whether it has crowds. Raises PlgsError."""
     context = f"the annotation of frame {name}"
     png = file_inside(folder, take_text(entry, "file_name", context, table), table)
     header = read_image_header(png)
     if header.width * header.height > LARGEST_PIXELS:
-        raise SceneError(f"{header.width}x{header.height} is too large for a mask", png, "Write this file again.")
+        raise PlgsError(f"{header.width}x{header.height} is too large for a mask", png, "Write this file again.")
     if header.format != "png" or header.bit_depth < 8:
-        raise SceneError("masks must be PNGs of 8 or 16 bits a channel", png, "Save ids as R + 256 G + 65536 B.")
+        raise PlgsError("masks must be PNGs of 8 or 16 bits a channel", png, "Save ids as R + 256 G + 65536 B.")
     segments: dict[int, FoundSegment] = {}
     crowd_ids: set[int] = set()
     for info in take_objects(entry, "segments_info", context, table):
         segment = _segment(info, name, table, known)
         if segment.id in segments or segment.id in crowd_ids:
-            raise SceneError(
+            raise PlgsError(
                 f"frame {name} has the segment id {segment.id} twice",
                 table,
                 "Give each segment its own id; with transformers, post-process without label_ids_to_fuse.",
@@ -187,18 +166,19 @@ def _open_frame(entry: dict[str, Any], name: str, folder: Path, table: Path, kno
             crowd_ids.add(segment.id)
         else:
             segments[segment.id] = segment
-    return CocoMaskReader(png, table, tuple(segments[key] for key in sorted(segments)), frozenset(crowd_ids))
+    ordered = tuple(segments[key] for key in sorted(segments))
+    return StoredMask(png, header.size, partial(_read_mask, png, table, ordered, frozenset(crowd_ids))), bool(crowd_ids)
 
 
 def _segment(info: dict[str, Any], name: str, table: Path, known: frozenset[int]) -> FoundSegment:
     segment_id = take_whole_number(info, "id", f"a segment of frame {name}", table)
     context = f"segment {segment_id} of frame {name}"
     if not 1 <= segment_id <= _LARGEST_SEGMENT_ID:
-        raise SceneError(f"{context} has an id that a PNG cannot hold", table, "Number segments from 1; 0 is void.")
+        raise PlgsError(f"{context} has an id that a PNG cannot hold", table, "Number segments from 1; 0 is void.")
     key = "label_id" if "category_id" not in info and "label_id" in info else "category_id"
     category_id = take_whole_number(info, key, context, table)
     if category_id not in known:
-        raise SceneError(
+        raise PlgsError(
             f"{context} has the category id {category_id}, which is not in the categories",
             table,
             "Add the category, or correct the id.",
@@ -207,7 +187,7 @@ def _segment(info: dict[str, Any], name: str, table: Path, known: frozenset[int]
 
 
 def take_score(info: dict[str, Any], context: str, table: Path) -> float:
-    """The detector's confidence; 1 where it gave none."""
+    """The detector's confidence, 1 if there is none."""
     score = info.get("score")
     if score is None:
         return 1.0
@@ -216,3 +196,6 @@ def take_score(info: dict[str, Any], context: str, table: Path) -> float:
     if not 0.0 <= score <= 1.0:
         raise wrong_type("score", "between 0 and 1", score, context, table)
     return float(score)
+
+
+FORMAT = MaskFormat("coco", "panoptic.json and the PNGs in panoptic", _recognises, _read, in_scene=True, own_names=True)

@@ -7,62 +7,30 @@ numbers are the same in all frames. SAM 2 gives no classes: ``classes.toml`` may
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from ...gates import open_plain
-from ..frame import SceneError, Size
-from ..layout import files_by_stem, require_all, shown_size
-from .label_map import label_header, read_indices
-from .painting import paint
-from .source import FoundMask, FoundSegment, MaskSource
+from ..label_image import label_header, read_indices
+from ..layout import files_by_stem, files_of_frames, require_all
+from .source import (
+    FoundMask,
+    FoundSegment,
+    MaskFormat,
+    MaskSource,
+    StoredMask,
+    painted_files,
+    segments_of_objects,
+)
 
-LOOKS_FOR = "<frame>.png with a palette, or <object number>/<frame>.png"
 _FIX = "Name the folder that SAM 2 wrote for the video: a PNG a frame, or a folder an object."
 
 
-@dataclass(frozen=True)
-class ObjectMapReader:
-    """Reads one frame in which each value is an object."""
-
-    path: Path
-
-    def __call__(self) -> FoundMask:
-        """The mask. Raises SceneError for a bad file."""
-        ids = read_indices(self.path)
-        objects = [int(value) for value in np.unique(ids) if value]
-        return FoundMask(ids, tuple(FoundSegment(one, one, track=one) for one in objects))
+def _recognises(place: Path) -> bool:
+    return bool(_object_folders(place)) or (_has_palette(place) and not any(place.glob("*.json")))
 
 
-@dataclass(frozen=True)
-class ObjectFoldersReader:
-    """Reads one frame out of the folders of its objects: ``paths`` by the object's number."""
-
-    paths: Mapping[int, Path]
-    size: Size
-
-    def __call__(self) -> FoundMask:
-        """The mask: of objects that overlap, the smaller is on top. Raises SceneError for a bad file."""
-        masks, segments = [], []
-        for number, path in self.paths.items():
-            mask = read_indices(path) > 0
-            if mask.shape != self.size[::-1]:
-                raise SceneError(f"this mask is not {shown_size(self.size)} as the others are", path, _FIX)
-            if mask.any():
-                masks.append(mask)
-                segments.append(FoundSegment(number, number, track=number))
-        if not masks:
-            return FoundMask(np.zeros(self.size[::-1], np.int32), ())
-        return FoundMask(paint(masks, segments), tuple(segments))
-
-
-def recognises(place: Path) -> bool:
-    return bool(object_folders(place)) or (has_palette(place) and not any(place.glob("*.json")))
-
-
-def object_folders(place: Path) -> dict[int, Path]:
+def _object_folders(place: Path) -> dict[int, Path]:
     """The folders whose names are numbers, if they hold PNGs."""
     if not place.is_dir():
         return {}
@@ -70,7 +38,7 @@ def object_folders(place: Path) -> dict[int, Path]:
     return {int(path.name): path for path in folders if int(path.name) and any(path.glob("*.png"))}
 
 
-def has_palette(place: Path) -> bool:
+def _has_palette(place: Path) -> bool:
     """Whether the first PNG of a folder has a palette."""
     first = next(iter(sorted(place.glob("*.png"))), None) if place.is_dir() else None
     if first is None:
@@ -79,34 +47,31 @@ def has_palette(place: Path) -> bool:
         return file.read(26)[25:26] == b"\3"  # the colour type of the header
 
 
-def read(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the masks; headers only. Raises SceneError."""
-    folders = object_folders(place)
-    return _from_folders(place, folders, names) if folders else _from_maps(place, names)
-
-
-def _from_maps(place: Path, names: Sequence[str]) -> MaskSource:
-    files = files_by_stem(place, {".png"}, _FIX)
-    require_all(names, files, "mask", place, _FIX)
-    return MaskSource(
-        labels=None,
-        readers={name: ObjectMapReader(files[name]) for name in names},
-        sizes={name: label_header(files[name]).size for name in names},
-        paths={name: files[name] for name in names},
-        tells_no_class=True,
-    )
-
-
-def _from_folders(place: Path, folders: Mapping[int, Path], names: Sequence[str]) -> MaskSource:
-    files = {number: files_by_stem(folder, {".png"}, _FIX) for number, folder in folders.items()}
-    of_frame = {name: {n: found[name] for n, found in files.items() if name in found} for name in names}
+def _read(place: Path, names: Sequence[str]) -> MaskSource:
+    """Open the masks; headers only. Raises PlgsError."""
+    folders = _object_folders(place)
+    if not folders:
+        files = files_of_frames(place, names, {".png"}, "mask", _FIX)
+        masks = {
+            name: StoredMask(path, label_header(path).size, partial(_read_map, path)) for name, path in files.items()
+        }
+        return MaskSource(masks, tells_no_class=True)
+    found = {number: files_by_stem(folder, {".png"}, _FIX) for number, folder in folders.items()}
+    of_frame = {name: {number: files[name] for number, files in found.items() if name in files} for name in names}
     require_all(names, [name for name in names if of_frame[name]], "mask", place, _FIX)
-    first = {name: next(iter(of_frame[name].values())) for name in names}
-    sizes = {name: label_header(first[name]).size for name in names}
-    return MaskSource(
-        labels=None,
-        readers={name: ObjectFoldersReader(of_frame[name], sizes[name]) for name in names},
-        sizes=sizes,
-        paths=first,
-        tells_no_class=True,
-    )
+    return MaskSource({name: _of_objects(of_frame[name]) for name in names}, tells_no_class=True)
+
+
+def _read_map(path: Path) -> FoundMask:
+    return segments_of_objects(read_indices(path))
+
+
+def _of_objects(files: Mapping[int, Path]) -> StoredMask:
+    """A frame's mask out of a black and white PNG for each object's number. Smaller objects are on top."""
+    paths = (*files.values(),)
+    size = label_header(paths[0]).size
+    segments = [FoundSegment(number, number, track=number) for number in files]
+    return StoredMask(paths[0], size, partial(painted_files, paths, segments, size, _FIX))
+
+
+FORMAT = MaskFormat("sam2", "<frame>.png with a palette, or <object number>/<frame>.png", _recognises, _read)

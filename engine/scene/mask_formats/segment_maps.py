@@ -1,12 +1,12 @@
-"""A picture of segment ids and a JSON of its segments a frame: what Hugging Face's and detectron2's networks give.
+"""A picture of segment ids and a JSON of its segments a frame: the results of Hugging Face's and detectron2's networks.
 
 ``<frame>.json`` holds the list ``segments_info``, alone or under that name; beside it lies the picture of ids as
-``<frame>.npy``, ``.npz`` or ``.png``. Neither library writes files by itself: this is how users save what it gives.
+``<frame>.npy``, ``.npz`` or ``.png``. Neither library writes files by itself; users save its results so.
 
 * transformers (``post_process_panoptic_segmentation``): ``{id, label_id, was_fused, score}``. Ids count from 1 with 0
-  for nothing, or from 0 with -1 for nothing; -1 all over where nothing was found. One stuff class may come in pieces.
-  The names are ``id2label`` of the model's ``config.json``, where that lies beside.
-* detectron2: ``{id, isthing, category_id, score}``; ids that nobody lists are void. ``category_id`` counts without gaps
+  for nothing, or from 0 with -1 for nothing; -1 everywhere if nothing was found. One stuff class may come in pieces.
+  The names are ``id2label`` of the model's ``config.json``, if that lies beside them.
+* detectron2: ``{id, isthing, category_id, score}``; ids outside the list are void. ``category_id`` counts without gaps
   from 0 over all classes, or over the things and over the stuff apart (Panoptic FPN on COCO, stuff from 1).
 """
 
@@ -14,66 +14,55 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...gates import read_plain
+from ...errors import PlgsError
+from ...json_file import LARGEST_TABLE, parse_json_object, read_json_object, take_flag, take_objects, take_whole_number
 from ..class_tables import is_thing_by_name
 from ..classes import LARGEST_CLASS_ID, ClassLabel
-from ..frame import SceneError
-from ..json_file import MOST_BYTES, parse_json_object, read_json_object, take_flag, take_objects, take_whole_number
-from ..layout import files_by_stem, listed, require_all
+from ..label_image import SUFFIXES, label_map_size, read_label_map
+from ..layout import files_of_frames, listed, read_file
 from .coco import take_score
-from .label_map import SUFFIXES, label_map_size, read_label_map
-from .source import FoundMask, FoundSegment, MaskSource
+from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
-LOOKS_FOR_TRANSFORMERS = "<frame>.json with label_id and <frame>.npy or .png"
-LOOKS_FOR_DETECTRON2 = "<frame>.json with category_id and <frame>.npy or .png"
 _FIX = "Save for each frame the picture of ids (numpy.save, or PNG) and segments_info as JSON, both named as the frame."
 _MOST_LOOKED_AT = 50
 _CONFIG = "config.json"
 _COCO_THINGS = 80
 
 
-@dataclass(frozen=True)
-class SegmentMapReader:
-    """Reads one frame; ``segments`` by their id in the picture."""
-
-    picture: Path
-    table: Path
-    segments: Mapping[int, FoundSegment]
-
-    def __call__(self) -> FoundMask:
-        """The mask. Raises SceneError for an id that the JSON does not have, where it should."""
-        ids = read_label_map(self.picture)
-        present = np.unique(ids)
-        void = {int(value) for value in present if value < 0}
-        if 0 not in self.segments:
-            void.add(0)
-        if self.picture.suffix.lower() == ".png":  # what -1 becomes there
-            void |= {255, 65535} - {*self.segments}
-        unknown = [int(value) for value in present if int(value) not in void and int(value) not in self.segments]
-        if unknown:
-            fix = "Save picture and segments of the same call; with transformers, without label_ids_to_fuse."
-            raise SceneError(f"segment ids {listed(unknown)} are missing in {self.table.name}", self.picture, fix)
-        number = np.array([self.segments[int(v)].id if int(v) in self.segments else 0 for v in present], np.int32)
-        painted = number[np.searchsorted(present, ids)]
-        return FoundMask(painted, tuple(sorted(self.segments.values(), key=lambda segment: segment.id)))
+def _read_mask(picture: Path, table: Path, segments: Mapping[int, FoundSegment]) -> FoundMask:
+    """One frame; ``segments`` by their id in the picture. Raises PlgsError for an id that the JSON should have."""
+    ids = read_label_map(picture)
+    present = np.unique(ids)
+    void = {int(value) for value in present if value < 0}
+    if 0 not in segments:
+        void.add(0)
+    if picture.suffix.lower() == ".png":  # a PNG holds -1 as its largest value
+        void |= {255, 65535} - {*segments}
+    unknown = [int(value) for value in present if int(value) not in void and int(value) not in segments]
+    if unknown:
+        fix = "Save picture and segments of the same call; with transformers, without label_ids_to_fuse."
+        raise PlgsError(f"segment ids {listed(unknown)} are missing in {table.name}", picture, fix)
+    number = np.array([segments[int(v)].id if int(v) in segments else 0 for v in present], np.int32)
+    painted = number[np.searchsorted(present, ids)]
+    return FoundMask(painted, tuple(sorted(segments.values(), key=lambda segment: segment.id)))
 
 
-def recognises_transformers(place: Path) -> bool:
+def _recognises_transformers(place: Path) -> bool:
     return _key_of(place) == "label_id"
 
 
-def recognises_detectron2(place: Path) -> bool:
+def _recognises_detectron2(place: Path) -> bool:
     return _key_of(place) == "category_id"
 
 
 def _key_of(place: Path) -> str | None:
-    """Which key the segments have; None where this is neither. Where no frame has any, transformers' is as good."""
+    """The key of the segments' classes, None in other files. Without any segment it is transformers'."""
     if not place.is_dir():
         return None
     tables = [path for path in sorted(place.glob("*.json")) if _picture_of(path) is not None]
@@ -88,28 +77,25 @@ def _picture_of(table: Path) -> Path | None:
 
 
 def _segments_info(path: Path) -> list[dict[str, Any]]:
-    """The list in a file: by itself, or as "segments_info" of an object. Raises SceneError."""
-    try:
-        data = read_plain(path, MOST_BYTES)
-    except OSError as error:
-        raise SceneError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+    """The list in a file: by itself, or as "segments_info" of an object. Raises PlgsError."""
+    data = read_file(path, LARGEST_TABLE)
     if data.lstrip().startswith(b"["):
         data = b'{"segments_info": ' + data + b"}"
     return take_objects(parse_json_object(data, path), "segments_info", "the file", path)
 
 
-def read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open transformers' results; headers and JSON only. Raises SceneError."""
+def _read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
+    """Open transformers' results; headers and JSON only. Raises PlgsError."""
     pictures, tables = _files(place, names)
     segments = {name: _transformers_segments(name, tables[name]) for name in names}
     fused = {one["label_id"] for name in names for one in _segments_info(tables[name]) if one.get("was_fused")}
     config = place / _CONFIG
     labels = _labels_of_config(config, fused) if config.is_file() else None
-    return _source(names, pictures, tables, segments, labels, stuff_in_pieces=True)
+    return MaskSource(_masks(pictures, tables, segments), labels, stuff_in_pieces=True, void=frozenset())
 
 
-def read_detectron2(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open detectron2's results; headers and JSON only. Raises SceneError."""
+def _read_detectron2(place: Path, names: Sequence[str]) -> MaskSource:
+    """Open detectron2's results; headers and JSON only. Raises PlgsError."""
     pictures, tables = _files(place, names)
     infos = {name: _segments_info(tables[name]) for name in names}
     kinds: dict[int, bool] = {}
@@ -125,11 +111,11 @@ def read_detectron2(place: Path, names: Sequence[str]) -> MaskSource:
             _add(segments[name], FoundSegment(one.id, label, one.score), name, tables[name])
     labels = tuple(ClassLabel(label, f"class {label}", kinds[label]) for label in sorted(kinds))
     named = "the masks do not say what their classes are called: name a table, such as --classes coco"
-    return _source(names, pictures, tables, segments, labels, warnings=(named,))
+    return MaskSource(_masks(pictures, tables, segments), labels, (named,), void=frozenset())
 
 
 def _counts_stuff_apart(infos: Mapping[str, list[dict[str, Any]]], tables: Mapping[str, Path]) -> bool:
-    """Whether one number is a thing's in one segment and stuff's in another, or stuff's where COCO has things only."""
+    """Whether one number is a thing's class in one segment and a stuff class in another."""
     things: set[int] = set()
     stuff: set[int] = set()
     for name, found in infos.items():
@@ -140,32 +126,17 @@ def _counts_stuff_apart(infos: Mapping[str, list[dict[str, Any]]], tables: Mappi
 
 
 def _files(place: Path, names: Sequence[str]) -> tuple[dict[str, Path], dict[str, Path]]:
-    pictures = files_by_stem(place, SUFFIXES, _FIX)
-    tables = files_by_stem(place, {".json"}, _FIX)
-    require_all(names, pictures, "mask", place, _FIX)
-    require_all(names, tables, "JSON of segments", place, _FIX)
-    return pictures, tables
+    pictures = files_of_frames(place, names, SUFFIXES, "mask", _FIX)
+    return pictures, files_of_frames(place, names, {".json"}, "JSON of segments", _FIX)
 
 
-def _source(
-    names: Sequence[str],
-    pictures: Mapping[str, Path],
-    tables: Mapping[str, Path],
-    segments: Mapping[str, Mapping[int, FoundSegment]],
-    labels: tuple[ClassLabel, ...] | None,
-    *,
-    warnings: tuple[str, ...] = (),
-    stuff_in_pieces: bool = False,
-) -> MaskSource:
-    return MaskSource(
-        labels=labels,
-        readers={name: SegmentMapReader(pictures[name], tables[name], segments[name]) for name in names},
-        sizes={name: label_map_size(pictures[name]) for name in names},
-        paths={name: tables[name] for name in names},
-        warnings=warnings,
-        stuff_in_pieces=stuff_in_pieces,
-        void=frozenset(),
-    )
+def _masks(
+    pictures: Mapping[str, Path], tables: Mapping[str, Path], segments: Mapping[str, Mapping[int, FoundSegment]]
+) -> dict[str, StoredMask]:
+    return {
+        name: StoredMask(tables[name], label_map_size(path), partial(_read_mask, path, tables[name], segments[name]))
+        for name, path in pictures.items()
+    }
 
 
 def _transformers_segments(name: str, table: Path) -> dict[int, FoundSegment]:
@@ -180,30 +151,38 @@ def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSeg
     context = f"segment {number} of frame {name}"
     label = take_whole_number(info, key, context, table)
     if not 0 <= number < 2**24 or not 0 <= label < LARGEST_CLASS_ID:
-        raise SceneError(f"{context} has a number out of range", table, "Save what the library gave.")
+        raise PlgsError(f"{context} has a number out of range", table, "Save the library's own numbers.")
     return FoundSegment(number, label, take_score(info, context, table))
 
 
 def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Path) -> None:
-    """Number segments from 1 in their order. Fused stuff is listed once a piece; another class under a number that was
-    given already means that the picture cannot tell them apart."""
+    """Number segments from 1 in their order. Fused stuff is listed once a piece. Raises PlgsError for two classes with
+    one number: the picture cannot tell them apart."""
     if one.id not in found:
         found[one.id] = FoundSegment(len(found) + 1, one.label, one.score)
     elif found[one.id].label != one.label:
         fix = "Post-process without label_ids_to_fuse: with it, transformers gives one id to several segments."
-        raise SceneError(f"frame {name} has the segment id {one.id} twice", table, fix)
+        raise PlgsError(f"frame {name} has the segment id {one.id} twice", table, fix)
 
 
 def _labels_of_config(config: Path, fused: set[int]) -> tuple[ClassLabel, ...]:
-    """``id2label`` of a model's config.json; which are things, the public tables say by name, else what was fused."""
+    """``id2label`` of a model's config.json. Public tables know things by name; other things are what was not fused."""
     names = read_json_object(config).get("id2label")
     fix = "Copy the model's config.json there, or take it away and name a table with --classes."
     if not isinstance(names, dict) or not names:
-        raise SceneError('the model\'s "id2label" is missing', config, fix)
+        raise PlgsError('the model\'s "id2label" is missing', config, fix, option="--classes")
     labels = {}
     for key, name in names.items():
         if not key.isdecimal() or int(key) > LARGEST_CLASS_ID or not isinstance(name, str) or not name.isprintable():
-            raise SceneError(f"the class {json.dumps(key)[:40]} of id2label is no number with a name", config, fix)
+            raise PlgsError(f"the class {json.dumps(key)[:40]} of id2label is no number with a name", config, fix)
         is_thing = is_thing_by_name(name)
         labels[int(key)] = ClassLabel(int(key), name, int(key) not in fused if is_thing is None else is_thing)
     return tuple(labels[key] for key in sorted(labels))
+
+
+TRANSFORMERS = MaskFormat(
+    "transformers", "<frame>.json with label_id and <frame>.npy or .png", _recognises_transformers, _read_transformers
+)
+DETECTRON2 = MaskFormat(
+    "detectron2", "<frame>.json with category_id and <frame>.npy or .png", _recognises_detectron2, _read_detectron2
+)

@@ -1,23 +1,30 @@
-"""What a mask format's reader delivers: segments as the files number them, before their classes mean anything."""
+"""Mask formats and the results of their readers: segments with the numbers and classes of the files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import PlgsError
+from ..class_tables import is_thing_by_name
 from ..classes import ClassLabel
 from ..frame import Size
+from ..label_image import read_indices
+from ..layout import shown, shown_size
+
+IGNORED = frozenset({0, 255, 65535})
+"""Labels that mean nothing in most label images, unless their table has them."""
 
 
 @dataclass(frozen=True)
 class FoundSegment:
     """A region: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' own numbers, its score in 0..1.
 
-    ``has_instance`` False: all that the frame shows of a class, which may be several objects. ``track``: see Segment.
+    ``has_instance`` is False for the whole area of a class, which may be several objects. ``track``: see Segment.
     """
 
     id: int
@@ -35,19 +42,26 @@ class FoundMask:
     segments: tuple[FoundSegment, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class StoredMask:
+    """One frame's mask on disk: its file, for messages, its (width, height), and ``read``, which raises PlgsError."""
+
+    path: Path
+    size: Size
+    read: Callable[[], FoundMask]
+
+
 @dataclass(frozen=True)
 class MaskSource:
-    """All frames' masks. ``labels`` are the classes as far as the files tell, None where they do not.
+    """All frames' masks. ``labels`` are the classes in their files, None if these do not say.
 
-    ``stuff_in_pieces``: one stuff class may come as several segments of a frame. ``tells_no_class``: the labels number
-    objects; without a table these are all of the one class "object". ``void``: labels that mean nothing where the table
-    does not have them. ``table`` names the classes' table in messages.
+    With ``stuff_in_pieces``, one stuff class may come as several segments of a frame. With ``tells_no_class``, labels
+    number objects; without a table these are all of the class "object". Labels in ``void`` mean nothing unless the
+    table has them. ``table`` is what messages call the classes' table.
     """
 
-    labels: tuple[ClassLabel, ...] | None
-    readers: Mapping[str, Callable[[], FoundMask]]
-    sizes: Mapping[str, Size]
-    paths: Mapping[str, Path]
+    masks: Mapping[str, StoredMask]
+    labels: tuple[ClassLabel, ...] | None = None
     warnings: tuple[str, ...] = ()
     stuff_in_pieces: bool = False
     tells_no_class: bool = False
@@ -55,5 +69,76 @@ class MaskSource:
     table: str = "the class table"
 
 
-IGNORED = frozenset({0, 255, 65535})
-"""The labels that mean nothing in most label images, unless their table has them."""
+@dataclass(frozen=True)
+class MaskFormat:
+    """A format of masks: the ``name`` that options use, and the files it looks for.
+
+    ``recognises`` says whether a folder or file has it, by names, headers and first keys; no picture is decoded.
+    ``read`` gets the frames' names and raises PlgsError. ``in_scene``: a scene's own folder is searched as well.
+    ``own_names``: its files have names of their own, so it comes before formats that look like others as well.
+    """
+
+    name: str
+    looks_for: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path, Sequence[str]], MaskSource]
+    in_scene: bool = False
+    own_names: bool = False
+
+
+def segments_of_pairs(labels: NDArray[np.integer], instances: NDArray[np.integer], tracked: bool = False) -> FoundMask:
+    """A segment for each pair of a class in ``labels`` [H, W] (< 0 = void) and an instance in ``instances`` [H, W].
+
+    Instances <= 0 are none. Segments are numbered from 1; those of the class 0, which is void in most tables, come
+    last. ``tracked``: instances are the same in all frames.
+    """
+    pairs = labels.astype(np.int64) << 32 | np.maximum(instances, 0).astype(np.int64)
+    present, inverse = np.unique(pairs, return_inverse=True)
+    number = np.zeros(len(present), np.int32)
+    segments: list[FoundSegment] = []
+    for place in sorted(np.flatnonzero(present >= 0).tolist(), key=lambda place: (present[place] >> 32 == 0, place)):
+        label, instance = int(present[place]) >> 32, int(present[place]) & 0xFFFFFFFF
+        number[place] = len(segments) + 1
+        track = instance if tracked and instance else None
+        segments.append(FoundSegment(len(segments) + 1, label, has_instance=instance != 0, track=track))
+    return FoundMask(number[inverse.reshape(pairs.shape)], tuple(segments))
+
+
+def segments_of_labels(labels: NDArray[np.integer]) -> FoundMask:
+    """One segment for each class in ``labels`` [H, W] (< 0 = void). Each may be several objects."""
+    return segments_of_pairs(labels, np.zeros_like(labels))
+
+
+def segments_of_objects(objects: NDArray[np.integer]) -> FoundMask:
+    """One segment for each number > 0 in ``objects`` [H, W]; numbers are the same in all frames and serve as labels."""
+    found = [int(value) for value in np.unique(objects) if value]
+    return FoundMask(objects.astype(np.int32), tuple(FoundSegment(one, one, track=one) for one in found))
+
+
+def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
+    """``masks``, bool [H, W] each, on top of each other, one a segment: the highest score, then the smallest, on top.
+
+    Segments that stay without pixels are left out.
+    """
+    ids = np.zeros(size[::-1], np.int32)
+    areas = [int(mask.sum()) for mask in masks]
+    for place in sorted(range(len(masks)), key=lambda place: (segments[place].score, -areas[place])):
+        ids[masks[place]] = segments[place].id
+    seen = {*np.unique(ids).tolist()}
+    return FoundMask(ids, tuple(segment for segment in segments if segment.id in seen))
+
+
+def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size: Size, fix: str) -> FoundMask:
+    """``painted`` of black and white PNGs. Raises PlgsError, also for one that is not of ``size``."""
+    masks = [read_indices(path) > 0 for path in paths]
+    for path, mask in zip(paths, masks, strict=True):
+        if mask.shape != size[::-1]:
+            raise PlgsError(f"this mask is not {shown_size(size)} as the others are", path, fix)
+    return painted(masks, segments, size)
+
+
+def named_labels(words: Collection[str]) -> tuple[dict[str, int], tuple[ClassLabel, ...]]:
+    """Labels for classes that files know by name: the number of each word, from 1, and the classes."""
+    label_of = {word: number for number, word in enumerate(sorted({*words}), start=1)}
+    labels = (ClassLabel(n, shown(word), is_thing_by_name(word) is not False) for word, n in label_of.items())
+    return label_of, tuple(labels)

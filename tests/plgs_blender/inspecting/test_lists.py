@@ -11,10 +11,10 @@ import bpy
 import numpy as np
 import pytest
 from plgs.engine.job import write_manifest
+from plgs.engine.result_files import MatchedSegment
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import best_view
 from plgs.plgs_blender.lift_collection import lifts_in
-from plgs.plgs_blender.results import Mask
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 from tiny_scene import CHAIR_ID
 
@@ -100,8 +100,8 @@ def test_lifts_of_older_versions_know_less(extension: None, lift: Path, tmp_path
     assert {(mask.class_id, mask.pixels, mask.reason) for mask in row.masks} <= {(CHAIR_ID, 0, "")}
 
 
-def mask(share: float, *rectangle: float) -> Mask:
-    return Mask("0001", 1, CHAIR_ID, 0.9, None, 0.5, 100, share, rectangle)  # type: ignore[arg-type]
+def mask(share: float, *rectangle: float) -> MatchedSegment:
+    return MatchedSegment("0001", 1, CHAIR_ID, 0.9, None, 0.5, 100, share, rectangle)  # type: ignore[arg-type]
 
 
 def test_the_best_view_sees_much_and_all_of_it() -> None:

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from mathutils import Matrix, Vector
 from plgs.plgs_blender.inspecting import highlight
 from plgs.plgs_blender.inspecting.drawing import draw_highlight, draw_rectangle, draw_text_boxes
-from plgs.plgs_blender.inspecting.labels import stack_labels
 from plgs.plgs_blender.inspecting.lookup import boxes_of
-from plgs.plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes, legend_text_boxes
+from plgs.plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes, legend_text_boxes, stack_labels
 
 WIDTH, HEIGHT = 480, 300
 
@@ -26,12 +25,12 @@ def test_labels_cover_no_other(labels: list[tuple[float, float, float]]) -> None
     anchors, widths = [(x, y) for x, y, _ in labels], [width for _, _, width in labels]
     placed = stack_labels(anchors, widths, 18.0, (640.0, 480.0))
     inside = {i for i, (x, y) in enumerate(anchors) if 0 <= x <= 640 and 0 <= y <= 480}
-    assert {label.index for label in placed} == inside
-    for one in placed:
-        assert 0.0 <= one.x and one.y >= anchors[one.index][1]
-        for other in placed:
-            apart = one.x >= other.x + other.width or other.x >= one.x + one.width or abs(one.y - other.y) >= 18.0
-            assert one is other or apart
+    assert set(placed) == inside
+    for one, (x, y) in placed.items():
+        assert 0.0 <= x and y >= anchors[one][1]
+        for other, (left, low) in placed.items():
+            apart = x >= left + widths[other] or left >= x + widths[one] or abs(y - low) >= 18.0
+            assert one == other or apart
 
 
 class Seen:

@@ -7,13 +7,13 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.job import JobError
+from plgs.engine.errors import PlgsError
 from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
-from plgs.plgs_blender.inspecting import following, highlight, selection
+from plgs.plgs_blender.inspecting import highlight, selection
 from plgs.plgs_blender.inspecting.lookup import active_lift, boxes_of, find_lift, objects_by_key
 from plgs.plgs_blender.lift_collection import lifts_in
-from plgs.plgs_blender.scene_survey import Place
 from tiny_lift import write_tiny_lift
 from tiny_scene import write_tiny_scene
 
@@ -33,11 +33,11 @@ def test_a_picked_box_is_found_in_the_list(root: bpy.types.Collection) -> None:
     boxes = boxes_of(root)
     for number in (2, 1):
         pick(boxes[number])
-        following.follow()
+        selection.follow()
         assert root.plgs.instances[root.plgs.instance_index].instance_id == number
         assert selected() == [boxes[number].name], "following changes no selection"
     pick(bpy.data.objects["Overview"])
-    following.follow()
+    selection.follow()
     assert root.plgs.instances[root.plgs.instance_index].instance_id == 1, "other objects leave the list as it is"
 
 
@@ -58,8 +58,8 @@ def test_what_is_hidden_or_gone_is_only_a_row(root: bpy.types.Collection) -> Non
     bpy.data.objects.remove(boxes[2])
     root.plgs.instance_index = 1
     assert selected() == ["Overview"]
-    following.follow()
-    with pytest.raises(JobError, match="no instance 7"):
+    selection.follow()
+    with pytest.raises(PlgsError, match="no instance 7"):
         selection.select_instance(root, 7, bpy.context.view_layer)
 
 
@@ -71,7 +71,7 @@ def test_found_whatever_it_is_called_and_after_undo(root: bpy.types.Collection) 
     bpy.ops.ed.undo_push(message="renamed")
     bpy.ops.ed.undo()
     (again,) = lifts_in(bpy.context.scene)
-    following.follow()
+    selection.follow()
     assert again.plgs.instances[again.plgs.instance_index].instance_id == 2
     assert selection.selected_instance(again, bpy.context.view_layer.objects.active) == 2
 
@@ -80,12 +80,12 @@ def test_two_lifts_keep_to_themselves(root: bpy.types.Collection, tmp_path: Path
     other = lift_scene.place_lift(write_tiny_lift(tmp_path / "lift", frames=4, bake=False).path, bpy.context.scene)
     scene = bpy.context.scene
     pick(boxes_of(other)[2])
-    following.follow()
+    selection.follow()
     assert (root.plgs.instance_index, other.plgs.instance_index) == (-1, 1)
     assert find_lift(scene, active=boxes_of(other)[1]) == other and find_lift(scene) == root
     assert find_lift(scene, other.name) == other and find_lift(scene, str(tmp_path / "lift")) == other
     assert active_lift(scene, None) == root
-    with pytest.raises(JobError, match="not in this scene"):
+    with pytest.raises(PlgsError, match="not in this scene"):
         find_lift(scene, str(tmp_path))
 
 
@@ -135,12 +135,12 @@ def test_boxes_without_their_properties_are_known(root: bpy.types.Collection) ->
     assert selection.select_class(root, number, bpy.context.view_layer) == 1
     root.plgs.instances[1].visible = False
     del root["plgs_lift_folder"]
-    with pytest.raises(JobError, match="not in this scene"):
+    with pytest.raises(PlgsError, match="not in this scene"):
         find_lift(bpy.context.scene, "elsewhere")
 
 
 def test_a_lift_with_a_result_goes_before_an_imported_scene(extension: None, lift: Path, tmp_path: Path) -> None:
-    imported = place_scene(Place(write_tiny_scene(tmp_path / "other", frames=4)), bpy.context.scene)
+    imported = place_scene(ChosenScene(write_tiny_scene(tmp_path / "other", frames=4)), bpy.context.scene)
     placed = lift_scene.place_lift(lift, bpy.context.scene)
     assert lifts_in(bpy.context.scene) == [imported, placed]
     assert active_lift(bpy.context.scene, None) == placed

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
-from plgs.engine.job import JobError
+from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender.inspecting import views
 from plgs.plgs_blender.inspecting.highlight import rectangle_in_space
@@ -35,7 +35,7 @@ def test_looking_from_a_frame_goes_there_on_the_timeline(root: bpy.types.Collect
     assert view.region_3d.view_perspective == "CAMERA"
     assert scene.render.resolution_x == 333, "the size of the user's renders is theirs"
     bpy.data.objects.remove(camera)
-    with pytest.raises(JobError, match="no camera of frame 0005"):
+    with pytest.raises(PlgsError, match="no camera of frame 0005"):
         views.look_from_frame(root, "0005", scene)
 
 
@@ -44,9 +44,9 @@ def test_a_mask_is_found_by_its_frame_and_segment(root: bpy.types.Collection) ->
     wanted = row.masks[2].frame
     assert views.mask_frame(root, 1, wanted) == wanted and row.mask_index == 2
     assert views.mask_frame(root, 1, "") == wanted, "the one chosen in the list"
-    with pytest.raises(JobError, match="no mask in frame 'none'"):
+    with pytest.raises(PlgsError, match="no mask in frame 'none'"):
         views.mask_frame(root, 1, "none")
-    with pytest.raises(JobError):
+    with pytest.raises(PlgsError):
         views.mask_frame(root, 1, wanted, segment=99)
 
 

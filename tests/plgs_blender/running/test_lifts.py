@@ -7,20 +7,25 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
-from plgs.engine.job import ExitCode, JobError, LiftFolder, LiftRequest, LiftState
+from plgs.engine.errors import ErrorCode, PlgsError
+from plgs.engine.job import LiftFolder, LiftRequest, LiftState
 from plgs.plgs_blender.running import lifts
+from plgs.plgs_blender.tasks import registry
 
 ENGINE = Path(__file__).resolve().parents[2] / "job" / "fake_engine.py"
 PYTHON = Path(sys.executable)
 Behaves = Callable[..., None]
+SCENE = SimpleNamespace(plgs=SimpleNamespace(place_when_done=False))
+"""In the place of Blender's scene: a pretended lift has nothing to show."""
 
 
 @pytest.fixture(autouse=True)
 def nothing_followed() -> Iterator[None]:
     yield
-    lifts.let_go()
+    registry.forget_all()
 
 
 @pytest.fixture
@@ -41,88 +46,88 @@ def lift(tmp_path: Path) -> LiftFolder:
     return LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "room"))
 
 
-def poll_until(watch: lifts.Watch, condition: Callable[[], bool]) -> None:
+def poll_until(followed: lifts.Lift, condition: Callable[[], bool]) -> None:
     give_up = time.monotonic() + 20.0
     while not condition():
-        assert time.monotonic() < give_up, watch.status
-        lifts.poll_all()
+        assert time.monotonic() < give_up, followed.progress
+        registry.poll_all(SCENE)
         time.sleep(0.01)
 
 
 def test_a_lift_from_start_to_end(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("short")
-    watch = lifts.start(lift, PYTHON)
-    assert watch.is_running and lifts.running() == [watch] and lifts.watch_of(lift.path) is watch
-    assert lifts.wait_for(watch).code is ExitCode.FINISHED
-    assert watch.is_finished and not watch.can_be_resumed and lifts.running() == []
-    assert lifts.message_for(watch) == "The lift is finished"
+    followed = lifts.start(lift, PYTHON)
+    assert followed.is_running and lifts.running() == [followed] and lifts.lift_of(lift.path) is followed
+    registry.wait_for(followed, SCENE)
+    assert followed.has_finished and followed.is_finished and not followed.can_be_resumed and lifts.running() == []
+    assert followed.message == "The lift is finished"
 
 
 def test_cancelled_and_resumed(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
-    watch = lifts.start(lift, PYTHON)
-    poll_until(watch, lambda: watch.status.step > 5)
-    watch.follower.cancel()
-    assert lifts.wait_for(watch).code is ExitCode.CANCELLED
-    assert watch.can_be_resumed and watch.outcome is not None and watch.outcome.error is None
-    reached = watch.status.step
+    followed = lifts.start(lift, PYTHON)
+    poll_until(followed, lambda: followed.progress.step > 5)
+    followed.cancel()
+    registry.wait_for(followed, SCENE)
+    assert followed.was_cancelled and followed.can_be_resumed and followed.error is None
+    reached = followed.progress.step
     behaves("long")
     again = lifts.start(lift, PYTHON, resume=True)
-    poll_until(again, lambda: again.status.step > 0)
-    assert again.status.step > reached - 2, "it went on where it was"
+    poll_until(again, lambda: again.progress.step > 0)
+    assert again.progress.step > reached - 2, "it went on where it was"
 
 
 @pytest.mark.parametrize("behaviour", ["broken", "memory", "segfault", "exits"])
 def test_an_engine_that_dies_leaves_a_message(behaves: Behaves, lift: LiftFolder, behaviour: str) -> None:
     behaves(behaviour)
-    watch = lifts.start(lift, PYTHON)
-    outcome = lifts.wait_for(watch)
-    assert outcome.code is ExitCode.INTERNAL_ERROR and outcome.error
-    assert watch.can_be_resumed
+    followed = lifts.start(lift, PYTHON)
+    registry.wait_for(followed, SCENE)
+    assert followed.error is not None and followed.error.code is ErrorCode.INTERNAL and followed.can_be_resumed
 
 
 def test_two_cannot_work_in_one_folder(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
-    watch = lifts.start(lift, PYTHON)
-    poll_until(watch, lambda: watch.status.step > 0)
-    with pytest.raises(JobError, match="another engine"):
+    followed = lifts.start(lift, PYTHON)
+    poll_until(followed, lambda: followed.progress.step > 0)
+    with pytest.raises(PlgsError, match="another engine"):
         lifts.start(lift, PYTHON)
-    assert lifts.attach(lift.path) is watch
+    assert lifts.attach(lift.path) is followed
 
 
 def test_another_blender_watches_and_cancels(behaves: Behaves, lift: LiftFolder) -> None:
     """Two followers of one folder, the second without a process, as in another Blender."""
     behaves("long")
     ours = lifts.start(lift, PYTHON)
-    poll_until(ours, lambda: ours.status.step > 3)
-    lifts._watches.clear()  # as if this were another process
+    poll_until(ours, lambda: ours.progress.step > 3)
+    registry._tasks.clear()  # as if this were another process
     theirs = lifts.attach(lift.path)
     assert theirs is not ours and theirs.is_running
-    poll_until(theirs, lambda: theirs.status.step > 3)
-    theirs.follower.cancel()
-    assert lifts.wait_for(theirs).code is ExitCode.CANCELLED
-    assert theirs.state is LiftState.CANCELLED
-    ours.follower.close()
+    poll_until(theirs, lambda: theirs.progress.step > 3)
+    theirs.cancel()
+    registry.wait_for(theirs, SCENE)
+    assert theirs.was_cancelled and theirs.lift_state is LiftState.CANCELLED
+    ours.let_go()
 
 
 def test_a_lift_that_goes_on_is_found_again(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long", "--go-on")
-    watch = lifts.start(lift, PYTHON, keep_running=True)
-    poll_until(watch, lambda: watch.status.step > 0)
-    lifts.let_go()
+    followed = lifts.start(lift, PYTHON, keep_running=True)
+    poll_until(followed, lambda: followed.progress.step > 0)
+    registry.forget_all()
     time.sleep(0.3)
     assert lift.is_running, "it outlives its Blender"
     again = lifts.look_at(lift.path)
     assert again is not None and again.is_running
-    again.follower.cancel()
-    assert lifts.wait_for(again).code is ExitCode.CANCELLED
+    again.cancel()
+    registry.wait_for(again, SCENE)
+    assert again.was_cancelled
 
 
 def test_a_lift_that_shall_not_go_on_ends_with_its_blender(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
-    watch = lifts.start(lift, PYTHON)
-    poll_until(watch, lambda: watch.status.step > 0)
-    lifts.let_go()
+    followed = lifts.start(lift, PYTHON)
+    poll_until(followed, lambda: followed.progress.step > 0)
+    registry.forget_all()
     give_up = time.monotonic() + 5.0
     while lift.is_running:
         assert time.monotonic() < give_up
@@ -137,29 +142,28 @@ def test_looking_at_what_is_no_lift(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_was_not_started_can_be_resumed(lift: LiftFolder) -> None:
-    watch = lifts.attach(lift.path)
-    assert watch.state is LiftState.NOT_STARTED and watch.can_be_resumed and not watch.is_running
+    followed = lifts.attach(lift.path)
+    assert followed.lift_state is LiftState.NOT_STARTED and followed.can_be_resumed and not followed.is_running
 
 
 def test_the_folder_is_deleted_while_it_lifts(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
-    watch = lifts.start(lift, PYTHON)
-    poll_until(watch, lambda: watch.status.step > 0)
-    watch.follower.kill()
+    followed = lifts.start(lift, PYTHON)
+    poll_until(followed, lambda: followed.progress.step > 0)
+    followed.follower.kill()
     shutil.rmtree(lift.path)
-    outcome = lifts.wait_for(watch)
-    assert outcome.code is ExitCode.INTERNAL_ERROR and outcome.error
-    assert "folder is gone" in lifts.message_for(watch)
+    registry.wait_for(followed, SCENE)
+    assert followed.error is not None and "folder is gone" in str(followed.error)
 
 
 def test_a_lift_that_can_no_longer_be_read_ends(lift: LiftFolder) -> None:
     with lift.lock():
-        watch = lifts.attach(lift.path)
-        assert watch.is_running
+        followed = lifts.attach(lift.path)
+        assert followed.is_running
     lift.events_path.unlink()
     lift.events_path.mkdir()
-    assert watch.poll() and not watch.is_running
-    assert "can no longer be read" in lifts.message_for(watch)
+    assert followed.poll(SCENE) and not followed.is_running
+    assert "can no longer be followed" in str(followed.error)
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "a\0b", "a\ud800b"])

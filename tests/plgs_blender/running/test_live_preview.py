@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from frame_size import look_through
 from plgs.engine.job import LiftFolder
-from plgs.engine.job.preview_request import PreviewCamera, read_preview_request
+from plgs.engine.job.cameras import PreviewCamera, read_preview_request
 from plgs.engine.scene import Camera, open_scene
+from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.running import live_preview
-from plgs.plgs_blender.scene_survey import Place
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def growing(plgs: ModuleType, lift: Path, tmp_path: Path) -> Iterator[LiftFolder
     folder = LiftFolder.create(tmp_path / "lift", LiftFolder.open(lift).request)
     scene = bpy.context.scene
     scene.plgs.lift_folder = str(folder.path)
-    place_scene(Place(folder.request.scene), scene)
+    place_scene(ChosenScene(folder.request.scene), scene)
     yield folder
     plgs.unregister()
 

@@ -1,4 +1,4 @@
-"""Whatever is in a sample's files, opening and looking into it either works or raises SceneError with one line."""
+"""Whatever is in a sample's files, opening and looking into it either works or raises PlgsError with one line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.scene import SceneError, describe, open_scene
+from engine.errors import PlgsError
+from engine.scene import describe, open_scene
 from tests.scene.formats import (
     test_colmap,
     test_hypersim,
@@ -119,7 +120,7 @@ def test_damaged_samples_get_a_line(tmp_path: Path, name: str) -> None:
         try:
             with np.errstate(all="ignore"):
                 describe(open_scene(place))
-        except SceneError as error:
+        except PlgsError as error:
             assert "\n" not in str(error) and error.fix.endswith((".", "?")), str(error)
         except Exception as error:
             raise AssertionError(f"{spoil.__name__} of {path.relative_to(folder)} in turn {turn}") from error

@@ -10,7 +10,7 @@ import pytest
 
 from engine.scene import Frame, Scene, open_scene
 from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views
-from tests.scene.formats.writing import in_steps, write_colour, write_grey
+from tests.scene.formats.writing import write_pair
 
 
 @pytest.fixture
@@ -18,9 +18,7 @@ def scene(tmp_path: Path) -> Scene:
     """As ScanNet's SensReader exports, with Panoptic Lifting's names of frames; K has integer pixel centres."""
     lens = Lens()
     for i, view in enumerate(views()):
-        picture = look(view, lens)
-        write_colour(tmp_path / "color" / f"0_{i:04d}.png", picture.colour)
-        write_grey(tmp_path / "depth" / f"0_{i:04d}.png", in_steps(picture.depth, 1000))
+        write_pair(tmp_path / "color" / f"0_{i:04d}.png", tmp_path / "depth" / f"0_{i:04d}.png", look(view, lens))
         (tmp_path / "pose").mkdir(exist_ok=True)
         np.savetxt(tmp_path / "pose" / f"0_{i:04d}.txt", opencv_pose(view), "%.6f")
     K = [[lens.fx, 0, lens.cx - 0.5, 0], [0, lens.fy, lens.cy - 0.5, 0], [0, 0, 1, 0], [0, 0, 0, 1]]

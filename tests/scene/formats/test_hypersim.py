@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.scene import SceneError, open_scene
+from engine.errors import PlgsError
+from engine.scene import open_scene
 from tests.scene.formats.room import cast, check_on_room, views
 from tests.scene.formats.writing import write_colour
+from tests.scene.refusing import refuses
 
 USUAL = np.array([[0.5773502886169104, 0.0, 0.0], [0.0, 0.4330127164626828, 0.0], [0.0, 0.0, -1.0]])
 # ai_007_005's, whose lens is shifted: its picture's plane is tilted.
@@ -93,17 +95,15 @@ def test_bad_files_get_a_line(tmp_path: Path) -> None:
         (good.replace("0.577", "x"), "not"),
     ):
         table.write_text(text)
-        with pytest.raises(SceneError, match=told):
-            open_scene(folder)
+        refuses(told, folder)
     table.write_text(good)
     depth = folder / "images" / "scene_cam_00_geometry_hdf5" / "frame.0001.depth_meters.hdf5"
     depth.write_bytes(depth.read_bytes()[:600])
     scene = open_scene(folder)
-    with pytest.raises(SceneError, match="cannot be read"):
+    with pytest.raises(PlgsError, match="cannot be read"):
         scene.frames[1].depth()
     (folder / "_detail" / "metadata_scene.csv").write_text("parameter_name, parameter_value\n")
-    with pytest.raises(SceneError, match="meters_per_asset_unit is missing"):
-        open_scene(folder)
+    refuses("meters_per_asset_unit is missing", folder)
 
 
 def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,5 +113,4 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
         "parameter_name,parameter_value\nmeters_per_asset_unit,1\n"
     )
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(SceneError, match=r"need the package h5py.*pip install -r requirements/readers\.txt"):
-        open_scene(tmp_path)
+    refuses(r"need the package h5py.*pip install -r requirements/readers\.txt", tmp_path)

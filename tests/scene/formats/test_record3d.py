@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
 import sys
@@ -14,8 +15,11 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import SceneError, open_scene
+from engine.errors import PlgsError
+from engine.scene import open_scene
+from engine.scene.formats.record3d import unpack_lzfse
 from tests.scene.formats.room import Lens, check_on_room, look, quaternion, views, y_up
+from tests.scene.refusing import refuses
 
 LENS = Lens(144, 192, 150.0, 150.0, 74.0, 93.0)
 DEPTH = Lens(192, 256, 200.0, 200.0, 74.0 * 4 / 3, 93.0 * 4 / 3)
@@ -88,7 +92,7 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
     monkeypatch.setitem(sys.modules, "liblzfse", None)
     scene = open_scene(write_r3d(tmp_path / "a.r3d"))
     scene.frames[0].read_colour(None)
-    with pytest.raises(SceneError, match=r"needs the package pyliblzfse.*pip install -r requirements/readers\.txt"):
+    with pytest.raises(PlgsError, match=r"needs the package pyliblzfse.*pip install -r requirements/readers\.txt"):
         scene.frames[0].depth()
 
 
@@ -98,7 +102,7 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
         ({"poses": [[0, 0, 0, 1, 0, 0, 0]]}, "1 poses and 11 pictures"),
         ({"poses": [[0, 0, 0, 1, 0, 0]] * 11}, '"poses" of metadata must be 11x7'),
         ({"poses": 5}, '"poses" of metadata'),
-        ({"K": None}, '"K" of metadata'),
+        ({"K": None}, 'metadata has no "K"'),
         ({"K": [1] * 4}, '"K" of metadata'),
         ({"w": 10}, "intrinsics that no camera has"),
         ({"w": "a"}, '"w" of metadata'),
@@ -106,8 +110,7 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
     ],
 )
 def test_bad_metadata_gets_a_line(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
-    with pytest.raises(SceneError, match=told):
-        open_scene(write_r3d(tmp_path / "a.r3d", **changes))
+    refuses(told, write_r3d(tmp_path / "a.r3d", **changes))
 
 
 def test_depth_that_unpacks_to_more_than_its_pixels_gets_a_line(
@@ -120,7 +123,7 @@ def test_depth_that_unpacks_to_more_than_its_pixels_gets_a_line(
         archive.extractall(tmp_path / "scan")
     bomb = b"bvxn" + struct.pack("<II", 2**32 - 1, 4) + b"bomb" + b"bvx$"
     (tmp_path / "scan" / "rgbd" / "0.depth").write_bytes(bomb)
-    with pytest.raises(SceneError, match="0.depth cannot be decompressed .it unpacks to more than"):
+    with pytest.raises(PlgsError, match="0.depth cannot be decompressed .it unpacks to more than"):
         open_scene(tmp_path / "scan").frames[0].depth()
     assert asked == []
 
@@ -128,11 +131,59 @@ def test_depth_that_unpacks_to_more_than_its_pixels_gets_a_line(
 def test_broken_archives_get_a_line(tmp_path: Path) -> None:
     whole = write_r3d(tmp_path / "a.r3d").read_bytes()
     (tmp_path / "b.r3d").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SceneError, match="no .r3d file, or it is cut off"):
-        open_scene(tmp_path / "b.r3d")
+    refuses("no .r3d file, or it is cut off", tmp_path / "b.r3d")
     (tmp_path / "c.r3d").write_bytes(whole[:3000] + bytes(20) + whole[3020:])
     scene = open_scene(tmp_path / "c.r3d")
-    with pytest.raises(SceneError, match="cannot be"):
+    with pytest.raises(PlgsError, match="cannot be"):
         for frame in scene.frames:
             frame.depth()
             frame.read_colour(None)
+
+
+USUAL = base64.b64decode(
+    "YnZ4MsASAAAUAIAAAAQAEGgtdRxoDwAQkQAAADLQgAyPAABwCBwCAIcAAAAAHD4Cj8ajAACPAgAAAAAAAAAAAAAAAAAAAAAAAAAAAPC2AAAAAAAAAAAA"
+    "AAAAAAAAAADvxG8AvwHwtcDXAu8EwDsBAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAACI7GisHh4AAAAAAAAAAAAAA/g/8H8AYnZ4JA=="
+)
+"""What Apple's library makes of "hello world " 400 times, 4800 bytes."""
+ONE, END = USUAL[:-4], USUAL[-4:]
+
+
+class Library:
+    """Unpacks every usual block to ``size`` bytes, whatever it says, and notes the most that it was asked for."""
+
+    def __init__(self, size: int) -> None:
+        self._size, self.most = size, 0
+
+    def __call__(self, data: bytes) -> bytes:
+        self.most = max(self.most, data.count(b"bvx2") * self._size)
+        return bytes(data.count(b"bvx2") * self._size)
+
+
+def test_what_is_as_it_says_comes_out() -> None:
+    assert unpack_lzfse(stored(b"depth"), 5, unstored) == b"depth"
+    for blocks in (1, 4, 8, 9, 30):
+        assert len(unpack_lzfse(ONE * blocks + END, 48_000 * 30, Library(4800))) == 4800 * blocks
+
+
+def test_what_says_more_than_may_be_reaches_no_library() -> None:
+    library = Library(4800)
+    vast = ONE[:4] + struct.pack("<I", 2**32 - 1) + ONE[8:] + END
+    for data in (vast, ONE * 2 + END, b"bvxn" + struct.pack("<II", 2**32 - 1, 4) + b"abcd" + END, ONE * 10_000 + END):
+        with pytest.raises(ValueError, match="unpacks to more than|too many blocks"):
+            unpack_lzfse(data, 4800, library)
+    assert library.most == 0
+
+
+def test_what_says_less_than_it_is_does_not_get_far() -> None:
+    library = Library(27_000_000)
+    with pytest.raises(ValueError, match="another size than it says"):
+        unpack_lzfse(ONE * 30 + END, 4800 * 100, library)
+    assert library.most == 8 * 27_000_000
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"bvx", ONE, USUAL[:100], USUAL[:20], USUAL[4:], b"bvx1" + bytes(800) + END, b"bvx-\xff\0\0\0" + END]
+)
+def test_what_is_no_whole_stream(data: bytes) -> None:
+    with pytest.raises(ValueError):
+        unpack_lzfse(data, 10**6, Library(4800))

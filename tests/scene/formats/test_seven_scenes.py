@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.scene import SceneError, open_scene
+from engine.scene import open_scene
 from tests.scene.formats.room import Lens, View, check_on_room, look, opencv_pose, views
 from tests.scene.formats.writing import in_steps, write_colour, write_grey
+from tests.scene.refusing import refuses
 
 # The Kinect's two lenses for pictures of 160x120, a quarter of the size; the principal point is the integer pixel
 # (320, 240) of 640x480.
@@ -90,8 +91,6 @@ def test_tsdf_fusion(tmp_path: Path, where: str) -> None:
 
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     write_seven(tmp_path)
-    with pytest.raises(SceneError, match=r"intrinsics are missing: .*camera-intrinsics\.txt"):
-        open_scene(tmp_path, scene_format="tsdf-fusion")
+    refuses(r"intrinsics are missing: .*camera-intrinsics\.txt", tmp_path, scene_format="tsdf-fusion")
     (tmp_path / "seq-01" / "frame-000002.depth.png").unlink()
-    with pytest.raises(SceneError, match=r"cannot be read .*frame-000002\.depth\.png"):
-        open_scene(tmp_path)
+    refuses(r"cannot be read .*frame-000002\.depth\.png", tmp_path)

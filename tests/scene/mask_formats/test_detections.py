@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import SceneError, check_scene, open_scene
+from engine.scene import open_scene
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
+from tests.scene.refusing import refuses
 
 COCO = {3: 72, 5: 56}
 """Of COCO's things: the cabinet seen as a refrigerator, the chair."""
@@ -76,8 +77,9 @@ def test_a_picture_a_detection(tmp_path: Path) -> None:
 def test_a_name_that_tells_nothing_is_refused(tmp_path: Path) -> None:
     write_pictures(tmp_path)
     cv2.imwrite(str(tmp_path / "masks" / "0001" / "chair.png"), np.zeros((48, 64), np.uint8))
-    with pytest.raises(SceneError, match=r"does not tell class and score: .*chair.png. Call it <k>_<class>_<score>"):
-        open_scene(tmp_path, mask_format="detections")
+    refuses(
+        r"does not tell class and score: .*chair.png. Call it <k>_<class>_<score>", tmp_path, mask_format="detections"
+    )
 
 
 @pytest.mark.parametrize(
@@ -95,5 +97,4 @@ def test_bad_stacks_get_a_line(tmp_path: Path, change: dict[str, np.ndarray | No
     with np.load(path) as stored:
         arrays = {**stored, **change}
     np.savez(path, **{key: values for key, values in arrays.items() if values is not None})
-    with pytest.raises(SceneError, match=told):
-        check_scene(open_scene(tmp_path, classes="coco"))
+    refuses(told, tmp_path, classes="coco", look_into_pixels=True)

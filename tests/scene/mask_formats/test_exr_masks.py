@@ -10,9 +10,11 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from engine.scene import SceneError, open_scene
-from engine.scene.mask_formats.exr_file import ExrHeader, placed, read_exr_header
+from engine.errors import PlgsError
+from engine.scene import open_scene
+from engine.scene.exr_file import ExrHeader, placed, read_exr_header
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, tracks, write_frames
+from tests.scene.refusing import refuses
 
 OBJECTS = {1: "Wall.001", 2: "Floor", 3: "Cabinet.007", 5: "Chair.002", 13: "Ceiling"}
 SHOWN = {1: "Wall", 2: "Floor", 3: "Cabinet", 5: "Chair", 13: "Ceiling"}
@@ -116,10 +118,9 @@ def test_bad_files_get_a_line(tmp_path: Path) -> None:
     assert huge != whole
     for data, told in ((b"", "no OpenEXR"), (whole[:90], "cut off"), (huge, "no size of a picture")):
         path.write_bytes(data)
-        with pytest.raises(SceneError, match=told):
-            open_scene(tmp_path)
+        refuses(told, tmp_path)
     path.write_bytes(whole[: len(whole) * 2 // 3])
-    with pytest.raises(SceneError, match="cut off"):
+    with pytest.raises(PlgsError, match="cut off"):
         mask_of(open_scene(tmp_path), 1)
 
 
@@ -134,7 +135,7 @@ def test_a_vast_part_behind_a_small_one_is_refused(tmp_path: Path) -> None:
     window = b"dataWindow\0box2i\0" + struct.pack("<5i", 16, 0, 0, 3, 4)
     before, between, after = path.read_bytes().split(window)
     path.write_bytes(before + window + between + window[:-8] + struct.pack("<2i", 2**20, 2**20) + after)
-    with pytest.raises(SceneError, match="no size of a picture"):
+    with pytest.raises(PlgsError, match="no size of a picture"):
         read_exr_header(path)
 
 
@@ -144,8 +145,7 @@ def test_deep_files_are_refused(tmp_path: Path) -> None:
     whole = bytearray(path.read_bytes())
     whole[5] |= 0x08
     path.write_bytes(whole)
-    with pytest.raises(SceneError, match="deep OpenEXR files are not read"):
-        open_scene(tmp_path)
+    refuses("deep OpenEXR files are not read", tmp_path)
 
 
 def test_what_lies_outside_the_data_window_is_void() -> None:

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import SceneError, check_scene, open_scene
+from engine.errors import PlgsError
+from engine.scene import check_scene, open_scene
 from tests.scene.mask_formats.labelled_room import (
     COCO_NAMES,
     COCO_NUMBERS,
@@ -19,6 +20,7 @@ from tests.scene.mask_formats.labelled_room import (
     mask_of,
     write_frames,
 )
+from tests.scene.refusing import refuses
 
 CONFIG = {"id2label": {str(COCO_NUMBERS[one]): COCO_NAMES[one] for one in COCO_NUMBERS}}
 CHAIRS = frozenset({"chair"})
@@ -88,8 +90,7 @@ def test_transformers_in_pngs_with_a_named_table(tmp_path: Path) -> None:
         truth.semantic[:2] = 0
         truth.instance[:2] = 0
     check_on_room(open_scene(tmp_path, classes="coco"), truths, COCO_NAMES | {0: ""}, CHAIRS)
-    with pytest.raises(SceneError, match="do not say what their classes are.*--classes"):
-        open_scene(tmp_path)
+    refuses("do not say what their classes are.*--classes", tmp_path)
 
 
 def test_transformers_ids_given_twice_are_refused(tmp_path: Path) -> None:
@@ -98,8 +99,7 @@ def test_transformers_ids_given_twice_are_refused(tmp_path: Path) -> None:
     infos = json.loads(path.read_text())["segments_info"]
     infos[-1]["id"] = infos[0]["id"]
     path.write_text(json.dumps(infos))
-    with pytest.raises(SceneError, match=r"segment id 1 twice.*0001.json.*label_ids_to_fuse"):
-        open_scene(tmp_path)
+    refuses(r"segment id 1 twice.*0001.json.*label_ids_to_fuse", tmp_path)
 
 
 def write_detectron2(folder: Path, numbers: dict[int, int], things: set[int]) -> list[Truth]:
@@ -151,6 +151,6 @@ def test_detectron2_names_no_classes(tmp_path: Path) -> None:
 def test_bad_tables_get_a_line(tmp_path: Path, content: str, told: str) -> None:
     write_detectron2(tmp_path, COCO_NUMBERS, {5})
     (tmp_path / "masks" / "0001.json").write_text(content)
-    with pytest.raises(SceneError, match=told) as caught:
+    with pytest.raises(PlgsError, match=told) as caught:
         check_scene(open_scene(tmp_path))
     assert "\n" not in str(caught.value) and "0001" in caught.value.where

@@ -11,8 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import SceneError, open_scene
+from engine.errors import PlgsError
+from engine.scene import open_scene
 from tests.scene.mask_formats.labelled_room import Truth, check_on_room, mask_of, tracks, write_frames
+from tests.scene.refusing import refuses
 
 OBJECTS = {1: "", 2: "", 3: "object", 5: "object", 13: ""}
 TRACKS = {1: {7}, 2: {12}}
@@ -86,8 +88,7 @@ def test_a_palettes_indices_are_objects(tmp_path: Path, bits: int) -> None:
 
 def test_a_palette_may_hold_classes_as_well(tmp_path: Path) -> None:
     write_palettes(tmp_path)
-    with pytest.raises(SceneError, match="look like sam2 and palette.*--mask-format sam2"):
-        open_scene(tmp_path)
+    refuses("look like sam2 and palette.*--mask-format sam2", tmp_path)
 
 
 def test_a_folder_an_object(tmp_path: Path) -> None:
@@ -115,7 +116,7 @@ def test_grounded_sam2_objects_without_a_row_are_refused(tmp_path: Path) -> None
     write_grounded(tmp_path)
     path = tmp_path / "masks" / "json_data" / "mask_0000.json"
     path.write_text(json.dumps({"labels": {}}))
-    with pytest.raises(SceneError, match=r"objects .*7.* are missing in mask_0000.json"):
+    with pytest.raises(PlgsError, match=r"objects .*7.* are missing in mask_0000.json"):
         mask_of(open_scene(tmp_path))
 
 
@@ -123,12 +124,10 @@ def test_frames_without_a_mask_are_named(tmp_path: Path) -> None:
     write_object_folders(tmp_path)
     for number in ("007", "012"):
         (tmp_path / "masks" / number / "0001.png").unlink()
-    with pytest.raises(SceneError, match="a frame has no mask .0001."):
-        open_scene(tmp_path)
+    refuses("a frame has no mask .0001.", tmp_path)
 
 
 def test_colours_are_no_objects(tmp_path: Path) -> None:
     write_palettes(tmp_path)
     cv2.imwrite(str(tmp_path / "masks" / "0001.png"), np.zeros((48, 64, 3), np.uint8))
-    with pytest.raises(SceneError, match="one channel, not colours"):
-        open_scene(tmp_path, mask_format="sam2")
+    refuses("one channel, not colours", tmp_path, mask_format="sam2")

@@ -1,0 +1,166 @@
+"""One run of a command: its events, how it is stopped, and how it ends."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TextIO
+
+from ..errors import Cancelled, ErrorCode, ExitCode, PlgsError
+from ..job import EventWriter, StopSignal, Watchdog
+from ..job.lock import FileLock
+from ..job.task import TaskPlace
+from ..job.terminal import Interrupted, Interrupts, ShownEvents
+from .log_output import output_to
+
+Work = Callable[[EventWriter, StopSignal], object]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a command does: its ``kind``, its ``work``, and the messages for one that did not get to its end."""
+
+    kind: str
+    work: Work
+    resumed: bool = False
+    when_stopped: str = ""
+    again: str = "try again"
+    with_less_memory: str = "Try again after closing other programs."
+
+
+def run_in_terminal(task: Task, *, as_json: bool = False, parent_pipe: int | None = None) -> ExitCode:
+    """Do it with progress on standard error and the answer on standard output, and return how it ended."""
+    events, stop = ShownEvents(sys.stderr, as_json=as_json), StopSignal()
+    try:
+        with Interrupts() as interrupts, Watchdog(stop, events, parent_pipe=parent_pipe):
+            code = _do(task, events, stop, sys.stderr, None)
+            if interrupts.pending is not None:  # native code may have made another error of it
+                raise Interrupted(interrupts.pending)
+            return code
+    except Interrupted as error:
+        events.close()
+        print(f"Stopped. {task.when_stopped}".strip(), file=sys.stderr)
+        return ExitCode(error.exit_code)
+    finally:
+        events.close()
+
+
+def run_at(
+    task: Task, place: TaskPlace, terminal: TextIO, *, parent_pipe: int | None = None, also_stops: tuple[Path, ...] = ()
+) -> ExitCode:
+    """Do it with events in ``place``, whose lock this process holds and to whose log all output goes. ``terminal`` is
+    for the few lines that are for people. The files ``also_stops`` stop it as the place's own cancel file does.
+    """
+    events = EventWriter(place.events)
+    try:
+        events.hello(task=task.kind, threads=_threads(), resumed=task.resumed)
+        stop = StopSignal(place.cancel, *also_stops)
+        with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
+            code = _do(task, events, stop, terminal, place)
+        with suppress(OSError):  # a full disk; the result and the exit code say it as well
+            if code is ExitCode.FINISHED:
+                events.done("finished")
+            elif code in (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED):
+                events.done("cancelled")
+        return code
+    finally:
+        events.close()
+
+
+def run_task(
+    task: Task,
+    place: TaskPlace | None,
+    *,
+    as_json: bool = False,
+    parent_pipe: int | None = None,
+    also_stops: tuple[Path, ...] = (),
+) -> ExitCode:
+    """Do it in the terminal or, where a place is given, there. Raises PlgsError when another process uses the place."""
+    if place is None:
+        return run_in_terminal(task, as_json=as_json, parent_pipe=parent_pipe)
+    with FileLock(place.events), output_to(place.log) as terminal:
+        return run_at(task, place, terminal, parent_pipe=parent_pipe, also_stops=also_stops)
+
+
+def _do(task: Task, events: EventWriter, stop: StopSignal, terminal: TextIO, place: TaskPlace | None) -> ExitCode:
+    """Do the work. What it raises becomes an event, a line for people, and an exit code."""
+    try:
+        stop.check()
+        task.work(events, stop)
+        return ExitCode.FINISHED
+    except Cancelled as error:
+        print(f"Stopped: {error}. {task.when_stopped}".strip(), file=terminal)
+        return stop.exit_code
+    except BrokenPipeError:
+        raise
+    except PlgsError as error:
+        failure = error
+    except Exception as error:  # the process's outermost frame: the traceback is kept, the user gets a line
+        failure = _failure(error, task, place)
+        if place is not None or failure.code is ErrorCode.INTERNAL:
+            traceback.print_exc()
+    try:
+        events.error(failure)
+    except OSError:  # the full disk that may be the very reason: the line below and the exit code say it
+        traceback.print_exc()
+    print(f"error: {failure}", file=terminal)
+    return failure.exit_code
+
+
+def _failure(error: Exception, task: Task, place: TaskPlace | None) -> PlgsError:
+    """The message for an error that is not a PlgsError."""
+    where = Path(sys.executable) if place is None else place.log
+    if isinstance(error, ModuleNotFoundError):
+        fix = f"Set the environment up anew with 'make set-up', then {task.again}."
+        return PlgsError(str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
+    if isinstance(error, MemoryError):
+        return PlgsError("memory ran out", where.parent, task.with_less_memory, code=ErrorCode.INTERNAL)
+    if _is_of_a_full_disk(error):
+        return PlgsError(
+            "the disk is full", where.parent, f"Make room there, then {task.again}.", code=ErrorCode.DISK_FULL
+        )
+    if isinstance(error, OSError) and error.filename is not None:
+        return PlgsError(f"this cannot be used ({error.strerror})", error.filename, f"See to it, then {task.again}.")
+    what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
+    fix = f"The log has the details. When the cause is gone, {task.again}."
+    return PlgsError(what, where, fix, code=ErrorCode.INTERNAL)
+
+
+def _is_of_a_full_disk(error: Exception) -> bool:
+    """Libraries in Rust have errors of their own, with the system's number in their text."""
+    return getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT) or f"os error {errno.ENOSPC}" in str(error)
+
+
+@contextmanager
+def _signals_ask(stop: StopSignal) -> Iterator[None]:
+    """Ctrl-C and SIGTERM stop the task as its cancel file does, with exit codes of their own."""
+    if threading.current_thread() is not threading.main_thread():  # only there Python lets handlers be set
+        yield
+        return
+    codes = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}
+
+    def ask(signum: int, frame: FrameType | None) -> None:
+        stop.ask(f"signal {signum}", codes[signal.Signals(signum)])
+
+    before = {number: signal.signal(number, ask) for number in codes}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _threads() -> int:
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    if given.isdecimal() and int(given) > 0:
+        return int(given)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

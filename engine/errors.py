@@ -1,0 +1,79 @@
+"""Errors that are no defect of the program: what a user can mend, and a stop that was asked for."""
+
+from __future__ import annotations
+
+import errno
+from enum import IntEnum, StrEnum
+from pathlib import Path
+
+from .gates import printable
+
+_SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
+
+
+class ExitCode(IntEnum):
+    """The exit status of the engine and of run_plgs.py.
+
+    130 is the shell's own number for a process that Ctrl-C ended, 143 for one that SIGTERM ended.
+    """
+
+    FINISHED = 0
+    INTERNAL_ERROR = 1
+    BAD_INPUT = 2
+    CANCELLED = 3
+    BUSY = 4
+    INTERRUPTED = 130
+    TERMINATED = 143
+
+
+class ErrorCode(StrEnum):
+    """The kinds of errors that a caller treats differently. The panel offers a button for most of them."""
+
+    BAD_INPUT = "bad-input"
+    BUSY = "busy"  # another process works there: try again later
+    NO_ENGINE = "no-engine"  # no usable Python: set the engine up
+    NO_MASKS = "no-masks"  # the scene has none: make them
+    NO_MEMORY = "no-memory"  # the lift was refused before it began: fit it
+    DISK_FULL = "disk-full"
+    NOT_FINISHED = "not-finished"  # the lift has no result yet: resume it
+    DAMAGED = "damaged"  # the result is not as it was written: resume the lift
+    INTERNAL = "internal"  # a defect, a crash, or memory that ran out
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """The exit status of a process that ends with such an error."""
+        match self:
+            case ErrorCode.INTERNAL | ErrorCode.DISK_FULL:
+                return ExitCode.INTERNAL_ERROR
+            case ErrorCode.BUSY:
+                return ExitCode.BUSY
+        return ExitCode.BAD_INPUT
+
+
+class PlgsError(Exception):
+    """Input, a lift folder or a computer that cannot be used: what is wrong, where, and what to do.
+
+    ``option`` is the command-line option that ``fix`` means, as ``fix`` spells it, such as "--masks"; several are
+    separated by blanks, none is an empty text. The panel shows the names of its own fields in their place.
+    """
+
+    def __init__(
+        self, what: str, where: Path | str, fix: str, *, code: ErrorCode = ErrorCode.BAD_INPUT, option: str = ""
+    ) -> None:
+        self.what, self.where, self.fix, self.code, self.option = what, str(where), fix, code, option
+        subject = f"{what}: {where}" if self.where else what
+        super().__init__(printable(f"{subject}. {fix}" if fix else subject).replace("\n", " "))
+
+    @property
+    def exit_code(self) -> ExitCode:
+        return self.code.exit_code
+
+
+class Cancelled(Exception):
+    """Somebody asked the engine to stop. The last checkpoint is kept and can be resumed (exit code 3)."""
+
+
+def is_silence(error: BaseException | None) -> bool:
+    """Whether a disk or share did not answer, which says nothing about what lies there: ``error`` or its cause."""
+    causes = (error, error.__cause__ if error is not None else None)
+    return any(isinstance(one, OSError) and one.errno in _SILENT for one in causes)

@@ -1,0 +1,137 @@
+"""Images of every frame: COCO panoptic, class and instance ids as 16-bit PNGs, the same as ScanNet names them,
+depth."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PlgsError
+from ..job import write_atomically
+from ..passes.baked_view import ShownInstances
+from ..passes.previews import instance_picture, png_bytes, semantic_picture
+from ..scene import VOID, ClassTable
+from .source import FinishedLift
+
+MOST_COCO_IDS = 4096
+"""Class and instance ids below this fit into one 24-bit colour."""
+MOST_IDS = 1 << 16
+"""Ids below this fit into 16 bits."""
+LEAST_COVERAGE = 0.5
+"""Alpha below which a pixel has no depth."""
+
+
+def export_coco(lift: FinishedLift, output: Path) -> None:
+    """See ``write_coco``. Raises PlgsError for ids that do not fit, OSError."""
+    views = ((frame.name, layers.semantic, layers.instance) for frame, layers in lift.views())
+    try:
+        write_coco(output, lift.classes, views)
+    except ValueError as error:
+        raise PlgsError(str(error), output, "Export instances instead: they have 16 bits each.") from error
+
+
+def write_coco(
+    folder: Path, classes: ClassTable, views: Iterable[tuple[str, NDArray[np.int32], NDArray[np.int32]]]
+) -> None:
+    """Write ``panoptic.json`` and ``panoptic/<frame>.png`` into ``folder``.
+
+    ``views``: frame name, class ids and instance ids, int32 [H, W] each. A segment's id is class * 4096 + instance. So,
+    unlike a detector's, it means the same object in every view. Raises ValueError for ids of 4096 or more, OSError.
+    """
+    images, annotations = [], []
+    for number, (name, semantic, instance) in enumerate(views, start=1):
+        if max(int(semantic.max(initial=0)), int(instance.max(initial=0))) >= MOST_COCO_IDS:
+            raise ValueError(f"{name}: class and instance ids must be below {MOST_COCO_IDS} for COCO panoptic")
+        ids = np.where(semantic == VOID, 0, semantic * MOST_COCO_IDS + instance)
+        colours = np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=-1).astype(np.uint8)
+        write_atomically(folder / "panoptic" / f"{name}.png", png_bytes(colours))
+        height, width = ids.shape
+        images.append({"id": number, "file_name": f"{name}.png", "width": width, "height": height})
+        segments = _segments(ids)
+        annotations.append({"image_id": number, "file_name": f"{name}.png", "segments_info": segments})
+    categories = [
+        {"id": c.id, "name": c.name, "isthing": int(c.is_thing), "color": list(c.colour)} for c in classes.categories
+    ]
+    content = {"images": images, "annotations": annotations, "categories": categories}
+    write_atomically(folder / "panoptic.json", json.dumps(content, ensure_ascii=False) + "\n")
+
+
+def _segments(ids: NDArray[np.int32]) -> list[dict[str, object]]:
+    """The segments of one view in ascending order of id, with area and bounding box (x, y, width, height)."""
+    segments: list[dict[str, object]] = []
+    for segment in np.unique(ids[ids > 0]).tolist():
+        rows, columns = np.nonzero(ids == segment)
+        left, top = int(columns.min()), int(rows.min())
+        box = [left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1]
+        category = segment // MOST_COCO_IDS
+        segments.append({"id": segment, "category_id": category, "area": len(rows), "bbox": box, "iscrowd": 0})
+    return segments
+
+
+def export_label_images(lift: FinishedLift, output: Path) -> None:
+    """class/<frame>.png and instance/<frame>.png (16 bits, 0 = none), the same in colours in class_colour/ and
+    instance_colour/, and labels.json with the meaning of the ids. Raises PlgsError for ids that do not fit, OSError.
+    """
+    for frame, layers in lift.views():
+        pictures = {
+            "class": id_bytes(layers.semantic, output),
+            "instance": id_bytes(layers.instance, output),
+            "class_colour": png_bytes(semantic_picture(layers.semantic, lift.classes)),
+            "instance_colour": png_bytes(instance_picture(layers.instance, lift.instances.colours)),
+        }
+        for folder, content in pictures.items():
+            write_atomically(output / folder / f"{frame.name}.png", content)
+    write_atomically(output / "labels.json", labels_text(lift.classes, lift.instances))
+
+
+def export_scannet(lift: FinishedLift, output: Path) -> None:
+    """label-filt/<frame>.png and instance-filt/<frame>.png, 16 bits, 0 = none, as in ScanNet's own folders. The ids are
+    those of the lift's classes, which labels.tsv names. Raises as ``export_label_images``.
+
+    ScanNet's instance images count the objects of a scene from 1, stuff included; here stuff has none.
+    """
+    for frame, layers in lift.views():
+        write_atomically(output / "label-filt" / f"{frame.name}.png", id_bytes(layers.semantic, output))
+        write_atomically(output / "instance-filt" / f"{frame.name}.png", id_bytes(layers.instance, output))
+    lines = ["id\traw_category\tcategory", *(f"{c.id}\t{c.name}\t{c.name}" for c in lift.classes.categories)]
+    write_atomically(output / "labels.tsv", "\n".join(lines) + "\n")
+
+
+def export_depth(lift: FinishedLift, output: Path) -> None:
+    """<frame>.npy: planar depth float32 [H, W] in metres, 0 = none. ``lift --depth`` takes such a folder where there is
+    no sensor. Raises OSError."""
+    for frame, layers in lift.views():
+        depth = np.where(layers.combined[..., 3] >= LEAST_COVERAGE, layers.depth, np.float32(0))
+        content = io.BytesIO()
+        np.save(content, depth.astype(np.float32), allow_pickle=False)
+        write_atomically(output / f"{frame.name}.npy", content.getvalue())
+
+
+def labels_text(classes: ClassTable, instances: ShownInstances) -> str:
+    """The meaning of the ids, JSON."""
+    class_of, colours = instances.class_of or {}, instances.colours
+    listed = [
+        {"id": one, "name": name, "class_id": class_of.get(one), "colour": colours[one]}
+        for one, name in sorted(instances.names.items())
+    ]
+    content = {"classes": [asdict(category) for category in classes.categories], "instances": listed}
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def id_bytes(ids: NDArray[np.int32], output: Path) -> bytes:
+    """Ids int32 [H, W] as a PNG of 16 bits. Raises PlgsError for ids of 65536 or more."""
+    import cv2
+
+    if int(ids.max(initial=0)) >= MOST_IDS:
+        fix = "Export COCO or points instead."
+        raise PlgsError(f"the id {int(ids.max())} does not fit into 16 bits", output, fix)
+    done, data = cv2.imencode(".png", ids.astype(np.uint16))
+    if not done:
+        raise ValueError(f"cannot encode ids of shape {ids.shape} as PNG")
+    return data.tobytes()

@@ -1,0 +1,108 @@
+"""What comes from other people passes here first: files, paths, texts, addresses. Standard library only.
+
+Files are opened only when they are plain (regular) files, and read only up to a size. A FIFO would block whoever opens
+it, a device may do anything, a link leads elsewhere. What is refused is an OSError with a message of its own, so that
+whoever reports errors of the system reports these too.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+from io import BufferedReader
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from stat import S_ISREG
+from typing import BinaryIO
+
+_USER = re.compile(r"(?<=://)[^/@\s]+@")
+_SAFE = sum(getattr(os, name, 0) for name in ("O_BINARY", "O_CLOEXEC", "O_NOCTTY", "O_NONBLOCK"))
+"""Never wait for the other end of a FIFO. Plain files make no difference. Windows has some of these only."""
+_NO_LINK: int = getattr(os, "O_NOFOLLOW", 0)
+
+
+def open_plain(path: Path, *, follow_link: bool = True) -> BufferedReader:
+    """A plain file, open for reading. Raises OSError, also for what is none, or (on request) is a link."""
+    descriptor = _open(path, os.O_RDONLY, follow_link)
+    return os.fdopen(descriptor, "rb")
+
+
+def read_plain(path: Path, most_bytes: int) -> bytes:
+    """The content of a plain file. Raises OSError, also for one that is larger than ``most_bytes``."""
+    try:
+        with open_plain(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            content = file.read(most_bytes + 1) if size <= most_bytes else b""
+    except MemoryError as error:
+        raise OSError(errno.ENOMEM, "no memory is left for it", str(path)) from error
+    if size > most_bytes or len(content) > most_bytes:
+        raise OSError(errno.EFBIG, f"it is larger than {most_bytes / 1e6:.3g} MB", str(path))
+    return content
+
+
+def refuse_special(path: Path) -> None:
+    """Raise OSError for what is no plain file: before a library opens it by its name."""
+    if not S_ISREG(os.stat(path).st_mode):
+        raise _special(path)
+
+
+def open_to_append(path: Path) -> int:
+    """A descriptor to read a plain file and append to it; made when missing.
+
+    Raises OSError, also for a link and for a file that has a second name elsewhere: its content would change there.
+    """
+    descriptor = _open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, follow_link=False)
+    if os.fstat(descriptor).st_nlink > 1:
+        os.close(descriptor)
+        raise OSError(errno.EMLINK, "it has a second name elsewhere (a hard link)", str(path))
+    return descriptor
+
+
+def create_plain(path: Path) -> BinaryIO:
+    """A new file, open for writing, in place of whatever had its name. Raises OSError."""
+    path.unlink(missing_ok=True)
+    return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK | _SAFE, 0o666), "wb")
+
+
+def _open(path: Path, flags: int, follow_link: bool) -> int:
+    try:
+        descriptor = os.open(path, flags | _SAFE | (0 if follow_link else _NO_LINK), 0o666)
+    except OSError as error:
+        if error.errno == errno.ELOOP and not follow_link:
+            raise OSError(errno.ELOOP, "it is a link", str(path)) from error
+        if error.errno == errno.ENXIO:  # a FIFO that nobody reads, a socket
+            raise _special(path) from error
+        raise
+    if not S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise _special(path)
+    return descriptor
+
+
+def _special(path: Path) -> OSError:
+    return OSError(errno.EINVAL, "it is no plain file", str(path))
+
+
+def inner_path(text: str) -> PurePosixPath:
+    """A relative path of plain names. Raises ValueError for one that leaves its folder.
+
+    Windows' rules decide, which are the wider ones: drives, shares (a look at one sends the user's credentials there),
+    both kinds of slashes.
+    """
+    parts = PureWindowsPath(text)
+    if parts.anchor or ".." in parts.parts or not parts.parts or "\0" in text:
+        raise ValueError(f"{text!r} leaves the folder")
+    return PurePosixPath(text)
+
+
+def printable(text: object) -> str:
+    """The text without what a terminal takes for a command, or cannot show: each such character becomes "?".
+
+    Line breaks and tabs stay. Colours, cursor movements and half surrogate pairs (of paths that are no UTF-8) go.
+    """
+    return "".join(each if each.isprintable() or each in "\n\t" else "?" for each in str(text))
+
+
+def without_credentials(text: str) -> str:
+    """The text with ``****`` where an address names a user or a password."""
+    return _USER.sub("****@", text)

@@ -1,0 +1,181 @@
+"""JSON in and out, strictly: any program can read the files, and each value is read as the type that it should be."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import unicodedata
+from collections.abc import Mapping
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, NoReturn
+
+from .errors import PlgsError
+from .gates import read_plain
+
+MOST_BYTES = 1 << 26
+"""Bytes of a file of ours, at most. Parsed, it takes some twenty times as much memory."""
+LARGEST_TABLE = 1 << 28
+"""Bytes of a table that another program wrote, at most. Those of the longest recordings have a tenth of that."""
+_WRITE_AGAIN = "Write this file again."
+Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
+
+
+def plain(value: object) -> Json:
+    """The value in JSON's own types: numpy's numbers become Python's, paths text, NaN and infinity null.
+
+    Raises TypeError for other values.
+    """
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, os.PathLike):
+        return Path(value).as_posix()
+    if isinstance(value, Integral):
+        return int(value)
+    if isinstance(value, Real):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def to_line(value: Mapping[str, object]) -> bytes:
+    """The object as one line of UTF-8 with its newline. Characters of broken paths that UTF-8 lacks are escaped."""
+    return (json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n").encode(errors="backslashreplace")
+
+
+def to_text(value: Mapping[str, object]) -> str:
+    """The object as indented text."""
+    return json.dumps(plain(value), ensure_ascii=False, allow_nan=False, indent=1) + "\n"
+
+
+def read_value(path: Path, fix: str) -> Json:
+    """The JSON value in a file of ours. Raises PlgsError, with ``fix`` as the advice."""
+    value: Json = _parsed(_read(path, MOST_BYTES, fix), path, fix)
+    return value
+
+
+def read_object(path: Path, fix: str) -> dict[str, Json]:
+    """The JSON object in a file of ours. Raises PlgsError, with ``fix`` as the advice."""
+    return _object(read_value(path, fix), path, fix)
+
+
+def read_json_object(path: Path) -> dict[str, Any]:
+    """The JSON object in a table that another program wrote. Raises PlgsError."""
+    return parse_json_object(_read(path, LARGEST_TABLE, "Check that it exists."), path)
+
+
+def parse_json_object(data: bytes, path: Path) -> dict[str, Any]:
+    """``read_json_object`` for bytes out of the file ``path``. Raises PlgsError."""
+    return _object(_parsed(data, path, _WRITE_AGAIN), path, "Write it as {...}.")
+
+
+def _read(path: Path, most_bytes: int, fix: str) -> bytes:
+    try:
+        return read_plain(path, most_bytes)
+    except OSError as error:
+        raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
+
+
+def _parsed(data: bytes, path: Path, fix: str) -> Any:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise PlgsError("this is not a JSON text", path, fix) from error
+    if not text.strip():
+        raise PlgsError("the JSON file is empty", path, fix)
+    try:
+        return json.loads(text, parse_constant=_refuse_constant)
+    except json.JSONDecodeError as error:
+        what = f"the JSON is cut off or broken (line {error.lineno}: {error.msg})"
+        raise PlgsError(what, path, fix) from error
+    except RecursionError as error:
+        raise PlgsError("the JSON is nested too deeply", path, fix) from error
+    except (ValueError, MemoryError) as error:
+        reason = str(error) or "no memory is left for it"
+        raise PlgsError(f"the JSON cannot be used ({reason})", path, fix) from error
+
+
+def _object(value: Any, path: Path, fix: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise PlgsError(f"the file holds {_kind_of(value)}, not an object", path, fix)
+    return value
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number")
+
+
+def _kind_of(value: object) -> str:
+    """What JSON calls a value, for messages."""
+    if value is None:
+        return "null"
+    names = {bool: "true or false", int: "a number", float: "a number", str: "a text", list: "a list"}
+    return names.get(type(value), "an object")
+
+
+def take_list(entry: dict[str, Any], key: str, context: str, path: Path) -> list[Any]:
+    """``entry[key]`` as a list; ``context`` says whose key it is ("annotation 3"). Raises PlgsError."""
+    value = _take(entry, key, context, path)
+    if not isinstance(value, list):
+        raise wrong_type(key, "a list", value, context, path)
+    return value
+
+
+def take_objects(entry: dict[str, Any], key: str, context: str, path: Path) -> list[dict[str, Any]]:
+    """``entry[key]`` as a list of objects. Raises PlgsError."""
+    value = take_list(entry, key, context, path)
+    for item in value:
+        if not isinstance(item, dict):
+            raise wrong_type(key, "a list of objects", item, context, path)
+    return value
+
+
+def take_whole_number(entry: dict[str, Any], key: str, context: str, path: Path) -> int:
+    """``entry[key]`` as a whole number (2 or 2.0, not true, not "2"). Raises PlgsError."""
+    value = _take(entry, key, context, path)
+    whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
+    if isinstance(value, bool) or not whole:
+        raise wrong_type(key, "a whole number", value, context, path)
+    return int(value)
+
+
+def take_number(entry: dict[str, Any], key: str, context: str, path: Path) -> float:
+    """``entry[key]`` as a finite number. Raises PlgsError."""
+    value = _take(entry, key, context, path)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
+        raise wrong_type(key, "a number", value, context, path)
+    return float(value)
+
+
+def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
+    """``entry[key]`` as a text that is not empty. Raises PlgsError."""
+    value = _take(entry, key, context, path)
+    if not isinstance(value, str) or not value:
+        raise wrong_type(key, "a text", value, context, path)
+    if any(unicodedata.category(character) in ("Cc", "Cs") for character in value):  # nothing could show or store it
+        raise PlgsError(f'"{key}" of {context} has characters that no name can have', path, "Correct the file.")
+    return value
+
+
+def take_flag(entry: dict[str, Any], key: str, context: str, path: Path) -> bool:
+    """``entry[key]`` as true or false, also written 1 or 0. Raises PlgsError."""
+    value = _take(entry, key, context, path)
+    if value not in (0, 1) or isinstance(value, float):
+        raise wrong_type(key, "0 or 1", value, context, path)
+    return bool(value)
+
+
+def _take(entry: dict[str, Any], key: str, context: str, path: Path) -> Any:
+    if key not in entry:
+        raise PlgsError(f'{context} has no "{key}"', path, "Add it.")
+    return entry[key]
+
+
+def wrong_type(key: str, wanted: str, value: object, context: str, path: Path) -> PlgsError:
+    """The error for a value of another kind than wanted."""
+    shown = repr(value) if isinstance(value, bool | int | float | str) else _kind_of(value)
+    return PlgsError(f'"{key}" of {context} must be {wanted}, not {shown[:60]}', path, "Correct the file.")

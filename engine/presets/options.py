@@ -1,0 +1,203 @@
+"""The options of a preset by name, such as ``weights.depth``: read from a text, checked, put into a preset, shown."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import Field, dataclass, fields, is_dataclass, replace
+from functools import cache, reduce
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from ..errors import PlgsError
+from ..json_file import Json
+from .preset import PRESETS, Preset
+
+LISTING = "python -m engine presets"
+_KINDS = {"int": "a whole number", "float": "a number", "ints": "whole numbers", "bool": "true or false"}
+_BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
+
+
+@dataclass(frozen=True)
+class PresetOption:
+    """One option. ``length``: the number of values in a list; ``least`` and ``most`` bound a number, or each one of a
+    list; ``choices``: the texts that it may be."""
+
+    name: str
+    kind: Literal["bool", "int", "float", "choice", "ints"]
+    choices: tuple[str, ...] = ()
+    length: int = 0
+    least: float = 0
+    most: float = math.inf
+    can_be_none: bool = False
+
+    @property
+    def expected(self) -> str:
+        """What a value has to be, in words."""
+        text = _KINDS.get(self.kind, ", ".join(self.choices))
+        if self.kind in ("int", "float", "ints"):
+            text = f"{text} from {self.least:g}" + ("" if math.isinf(self.most) else f" to {self.most:g}")
+        text = f"{self.length} {text}" if self.length else text
+        return f"{text}, or none" if self.can_be_none else text
+
+
+def preset_options() -> Mapping[str, PresetOption]:
+    """All options by name, in the order of the presets' fields."""
+    kind: Any = type(PRESETS["preview"])  # a subclass where baselines are registered
+    return _options_of(kind)
+
+
+@cache
+def _options_of(kind: Any) -> Mapping[str, PresetOption]:
+    return {option.name: option for option in _options(kind)}
+
+
+def _options(kind: Any, group: str = "") -> Iterator[PresetOption]:
+    hints = get_type_hints(kind)
+    for each in fields(kind):
+        if is_dataclass(hints[each.name]):
+            yield from _options(hints[each.name], f"{group}{each.name}.")
+        elif each.name != "name":
+            yield _option(f"{group}{each.name}", hints[each.name], each)
+
+
+def _option(name: str, kind: Any, declared: Field) -> PresetOption:
+    if get_origin(kind) is Literal:
+        return PresetOption(name, "choice", get_args(kind))
+    if get_origin(kind) is tuple:
+        return PresetOption(name, "ints", length=len(get_args(kind)), **declared.metadata)
+    can_be_none = NoneType in get_args(kind)
+    found: Any = {bool: "bool", int: "int", float: "float"}[get_args(kind)[0] if can_be_none else kind]
+    return PresetOption(name, found, can_be_none=can_be_none, **declared.metadata)
+
+
+def option_value(preset: Preset, name: str) -> Json:
+    """The value of an option in a preset, as JSON has it."""
+    value: Any = reduce(getattr, name.split("."), preset)
+    return list(value) if isinstance(value, tuple) else value
+
+
+def with_options(preset: Preset, options: Mapping[str, Json]) -> Preset:
+    """The preset with options as ``checked_options`` gives them. Steps that are given without ``steps_a_view`` are
+    exactly that many, however many views there are."""
+    if "steps" in options:
+        options = {"steps_a_view": 0.0, **options}
+    for name, value in options.items():
+        *groups, last = name.split(".")
+        part: Any = reduce(getattr, groups, preset)
+        part = replace(part, **{last: tuple(value) if isinstance(value, list) else value})
+        preset = replace(preset, **{groups[0]: part}) if groups else part
+    return preset
+
+
+def changed_options(preset: Preset, options: Mapping[str, Json]) -> dict[str, Json]:
+    """Those of the options that are other than the preset's."""
+    chosen = with_options(preset, options)
+    same_steps = (chosen.steps, chosen.steps_a_view) == (preset.steps, preset.steps_a_view)
+
+    def changes(name: str) -> bool:
+        if "steps" in options and name in ("steps", "steps_a_view"):  # steps without the other are exactly that many
+            return not same_steps and (name == "steps" or chosen.steps_a_view > 0)
+        return options[name] != option_value(preset, name)
+
+    return {name: value for name, value in options.items() if changes(name)}
+
+
+def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
+    """The options of ``name=value`` texts; a later one wins. Raises PlgsError for an unknown name or a bad value."""
+    found: dict[str, Json] = {}
+    for text in texts:
+        name, separator, value = text.partition("=")
+        if not separator:
+            raise PlgsError("is no option", f"--set {text}", "Write name=value, such as weights.depth=0.")
+        option = known_option(name.strip())
+        found[option.name] = checked_value(option, value.strip())
+    return found
+
+
+def checked_options(options: Mapping[str, Json]) -> dict[str, Json]:
+    """Options as JSON has them, in the order of the presets' fields. Raises PlgsError as ``parsed_options``."""
+    checked = {name: checked_value(known_option(name), value) for name, value in options.items()}
+    return {name: checked[name] for name in preset_options() if name in checked}
+
+
+def known_option(name: str) -> PresetOption:
+    """The option of that name. Raises PlgsError, which names the nearest one, when there is none."""
+    options = preset_options()
+    if name in options:
+        return options[name]
+    last = [known for known in options if known.rpartition(".")[2] == name]
+    near = last or difflib.get_close_matches(name, options, 1, 0.5)
+    hint = f"Did you mean {near[0]}? " if near else ""
+    what = f"there is no option {name!r}, or there is none any more"
+    raise PlgsError(what, "--set", f"{hint}'{LISTING} preview' lists them all.")
+
+
+def checked_value(option: PresetOption, value: Json) -> Json:
+    """The value that JSON or a text gives: floats where floats are wanted. Raises PlgsError for one that the option
+    cannot have."""
+    found = _from_text(option, value) if isinstance(value, str) else value
+    if found is None and option.can_be_none:
+        return None
+    checked: Json = None
+    if option.kind == "bool" and isinstance(found, bool):
+        checked = found
+    elif option.kind == "choice" and found in option.choices:
+        checked = found
+    elif option.kind in ("int", "float"):
+        checked = _number(option, found)
+    elif isinstance(found, list | tuple) and len(found) == option.length:
+        numbers: list[Json] = [_number(option, each) for each in found]
+        checked = None if None in numbers else numbers
+    if checked is None:
+        near = difflib.get_close_matches(str(value), option.choices, 1, 0.4)
+        fix = f"Did you mean {near[0]}? " if near else ""
+        raise PlgsError("is no value of this option", f"{option.name} = {value!r}", f"{fix}Give {option.expected}.")
+    return checked
+
+
+def _number(option: PresetOption, value: Json) -> float | int | None:
+    """None for what is no number, or out of range."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not option.least <= value <= option.most:
+        return None
+    if option.kind == "float":
+        return float(value) if value <= sys.float_info.max else None
+    return int(value) if value == value // 1 else None
+
+
+def _from_text(option: PresetOption, text: str) -> Json:
+    """A text as the JSON value that it means; a text that means none stays a text, and is refused as a value."""
+    if option.kind == "choice":
+        return text
+    if text.lower() == "none":
+        return None
+    if option.kind == "bool":
+        return _BOOLEANS.get(text.lower(), text)
+    if option.kind == "ints":
+        return [_as_number(part) for part in text.strip("[]()").replace("x", ",").split(",")]
+    return _as_number(text)
+
+
+def _as_number(text: str) -> Json:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def shown_value(value: Json) -> str:
+    """A value as ``parsed_options`` reads it."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return ",".join(map(shown_value, value)) if isinstance(value, list) else str(value)
+
+
+def shown_options(options: Mapping[str, Json]) -> list[str]:
+    """``name=value`` texts that ``parsed_options`` reads."""
+    return [f"{name}={shown_value(value)}" for name, value in options.items()]

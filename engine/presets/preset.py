@@ -1,0 +1,225 @@
+"""The options of a lift and their values in the three presets, in their one home.
+
+Each field is an option. It has the same name here, after --set, in a preset's file and in request.json; one of a group
+is called ``group.field``. What neither a preset nor an experiment varies is a constant beside the code that uses it.
+Every schedule point is a fraction of the steps, so that a preset of 500 steps goes through the same stages as the
+paper's 30 000 (paper, "Implementation Details").
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal, TypeVar
+
+SHORTEST_SIDE, LONGEST_SIDE = 16, 16384
+"""Pixels of a picture's side."""
+
+
+Number = TypeVar("Number")
+
+
+def _ranged(default: Number, least: float = 0, most: float = math.inf) -> Number:
+    """A field whose number, or each of whose numbers, lies from ``least`` to ``most``."""
+    value: Number = field(default=default, metadata={"least": least, "most": most})
+    return value
+
+
+@dataclass(frozen=True)
+class Matching:
+    """Algorithm 1. ``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
+    Hungarian partner if its cost is at most tau, else the best global instance if that is, else a new one; "literal" is
+    the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone."""
+
+    tau_new: float = _ranged(-0.1, -2.0, 0.0)
+    rule: Literal["hybrid", "literal"] = "hybrid"
+    cost: Literal["IoU+IoM", "IoU", "IoM"] = "IoU+IoM"
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """``self_training_every``: the share of the steps after which each round of pseudo labels is made. With 1 there is
+    none; the paper's is 5k of 30k, and the first round ends its initial stage."""
+
+    self_training_every: float = _ranged(1.0, 0.001, 1.0)
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """All weights of L_total; ``Trainer._losses`` multiplies and adds. lambda_ssim, lambda_vol, lambda_sem and
+    lambda_ins are those of the paper's section "Implementation Details"; ``depth`` is ours (see ``depth_loss``).
+    ``cluster`` weighs L_cluster within L_sem."""
+
+    ssim: float = _ranged(0.2)
+    volume: float = _ranged(0.001)
+    semantic: float = _ranged(0.2)
+    instance: float = _ranged(0.2)
+    depth: float = _ranged(0.5)
+    cluster: float = _ranged(1.0)
+
+
+@dataclass(frozen=True)
+class Growth:
+    """``least_visits``: this many visits are enough to judge an anchor, however many steps lie between two rounds. In a
+    short lift of many views an anchor that few of them see would else never be judged. None waits for Scaffold-GS's
+    shares of the steps (``GrowthRules``)."""
+
+    least_visits: int | None = _ranged(10)
+
+
+@dataclass(frozen=True)
+class SegmentVoting:
+    """``rounds`` in which segments take the label of their points and vote again."""
+
+    rounds: int = _ranged(2)
+
+
+@dataclass(frozen=True)
+class Voting:
+    """How views vote on Gaussians. In each view a Gaussian has (summed weight)^``power`` votes. The label decoders have
+    ``prior`` votes on each Gaussian."""
+
+    power: float = _ranged(0.5)
+    prior: float = _ranged(0.3)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Everything that shapes a lift except its input and its seed. The defaults are those of "preview"."""
+
+    name: str
+    steps: int = _ranged(500, 1, 10_000_000)
+    size: tuple[int, int] = _ranged((200, 200), SHORTEST_SIDE, LONGEST_SIDE)
+    """Pixels (width, height): frames are brought into this box for the lift, never enlarged."""
+    frames: int = _ranged(400, 0, 1_000_000)
+    """At most this many frames are trained on (see ``choose_frames``); 0: all."""
+    voxel_size: float = _ranged(0.06, 0.001, 10.0)
+    """Metres (the paper's epsilon)."""
+    gaussians_per_anchor: int = _ranged(4, 1, 32)
+    instance_slots: int = _ranged(0, 0, 1000)
+    """The least number of slots. With ``objects`` "none" there are this many, which mean what the linear assignment
+    makes of them."""
+    most_anchors: int = _ranged(400_000, 1)
+    distance_input: bool = False
+    """Decoders are given the camera's distance beside its direction, as the paper's formula has it."""
+    label_view_input: bool = False
+    """The label decoders are given both, too, so that labels depend on who looks."""
+    neighbours: int = _ranged(0, 0, 64)
+    """N_w: the number of views whose masks are compared with those of a view."""
+    vote_by: Literal["views", "pixels"] = "views"
+    majority: float = _ranged(0.0, 0.0, 1.0)
+    """How the cloud's points vote, with ``vote_by``: see CloudOptions."""
+    objects: Literal["boxes", "agreement", "none"] = "agreement"
+    """How segments of all views become instances: Algorithm 1 by ``matching``, or ours, with a vote of the views on
+    each object's class. With "none" nothing is matched in space."""
+    most_instances: int = _ranged(1000, 1, 4000)
+    """Of what was matched, those with the most pixels are kept."""
+    one_class_an_object: bool = True
+    """What is shown of an instance has the instance's class."""
+    most_points: int = _ranged(200_000, 1)
+    """At most this many points are in the semantic point cloud."""
+    seeded_features: bool = True
+    """Features start from colour and label of the anchors, not from zero."""
+    warm_start: bool = True
+    """The decoders are fitted to these before training (see ``warm_start``)."""
+    matching: Matching = Matching()
+    schedule: Schedule = Schedule()
+    weights: LossWeights = LossWeights()
+    growth: Growth = Growth()
+    steps_a_view: float = _ranged(5.0)
+    """Where there are many views, there are enough steps to see each of them this often."""
+    all_frames_vote: bool = True
+    """Frames that are not trained on vote on the classes of objects and points."""
+    fill_holes: bool = True
+    """Planar holes of the depth are filled before anything is placed in space."""
+    segment_voting: SegmentVoting = SegmentVoting()
+    """How segments and points vote on the labels of objects found by agreement."""
+    linear_assignment: bool = False
+    """A view's segments are assigned to slots in each step, by what is drawn."""
+    fit_exposure: bool = True
+    """Each photo is compared after the model's picture was brought to its exposure."""
+    weigh_sharpness: bool = True
+    """Blurred photos count less."""
+    labels: Literal["decoders", "votes"] = "votes"
+    """What the finished scene shows: what the label decoders say, or what the views vote on its Gaussians. Votes need
+    objects by agreement, of one class each, else decoders serve."""
+    vote_size: tuple[int, int] = _ranged((320, 320), SHORTEST_SIDE, LONGEST_SIDE)
+    """Pixels (width, height) of the box within which the voting masks are read."""
+    vote_rounds: int = _ranged(2, 1, 10)
+    """Rounds in which the views vote on the Gaussians."""
+    label_every: int = _ranged(4, 1)
+    """Labels are trained in each step whose number this divides."""
+    voting: Voting = Voting()
+
+    @property
+    def shows_votes(self) -> bool:
+        """Whether the finished scene shows what the views vote."""
+        return self.labels == "votes" and self.can_vote
+
+    @property
+    def can_vote(self) -> bool:
+        """Whether views can vote on Gaussians: that needs objects by agreement, of one class each."""
+        return self.objects == "agreement" and self.one_class_an_object
+
+    def views_of(self, train_frames: int) -> int:
+        """How many of ``train_frames`` frames to train on are lifted."""
+        return min(train_frames, self.frames) if self.frames else train_frames
+
+    def for_views(self, views: int) -> Preset:
+        """With as many steps as ``views`` views need."""
+        return replace(self, steps=max(self.steps, round(self.steps_a_view * views)))
+
+
+PRESETS: dict[str, Preset] = {
+    preset.name: preset
+    for preset in (
+        Preset("preview"),
+        Preset(
+            "standard",
+            steps=1500,
+            size=(320, 320),
+            frames=900,  # Panoptic Lifting's number
+            voxel_size=0.05,
+            steps_a_view=15.0,
+            vote_size=(640, 640),
+        ),
+        Preset(
+            "paper",
+            steps=30_000,
+            size=(640, 640),
+            frames=900,
+            voxel_size=0.02,
+            gaussians_per_anchor=10,
+            instance_slots=25,
+            most_anchors=2_000_000,
+            distance_input=True,
+            label_view_input=True,
+            neighbours=4,
+            vote_by="pixels",
+            majority=0.5,
+            objects="boxes",
+            one_class_an_object=False,
+            most_points=2_000_000,
+            seeded_features=False,
+            warm_start=False,
+            schedule=Schedule(self_training_every=1 / 6),
+            weights=LossWeights(depth=0.0),
+            growth=Growth(least_visits=None),
+            steps_a_view=0.0,
+            all_frames_vote=False,
+            fill_holes=False,
+            linear_assignment=True,
+            fit_exposure=False,
+            weigh_sharpness=False,
+            labels="decoders",
+            vote_rounds=1,
+            label_every=1,
+        ),
+    )
+}
+
+
+def extend_presets(kind: type[Preset]) -> None:
+    """Give all presets the further options of a subclass, at their defaults: `research` adds those of its baselines."""
+    for name, preset in PRESETS.items():
+        PRESETS[name] = kind(**{each.name: getattr(preset, each.name) for each in fields(preset)})

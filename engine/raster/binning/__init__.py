@@ -1,1 +1,0 @@
-"""Which Gaussians each tile of the picture draws, front to back."""

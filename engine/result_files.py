@@ -1,0 +1,256 @@
+"""The objects and the labelled points of a result: instances.json, semantic_points.npz, anchors.npz.
+
+Written and read here alone, by the engine and by Blender. The same content gives the same bytes. Readers take nothing
+from a file that was not checked.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import PlgsError
+from .job import write_atomically
+from .job.manifest import MAKE_ANEW
+from .json_file import read_object
+from .scene import Category, ClassTable
+from .scene.array_file import read_npz
+from .scene.classes import LARGEST_ID
+
+INSTANCES, SEMANTIC_POINTS, ANCHORS = "instances.json", "semantic_points.npz", "anchors.npz"
+
+_FORMAT = 1
+_LARGEST = 2**31 - 1
+"""Largest whole number that Blender keeps."""
+_FARTHEST = 1e6
+"""Metres. No room is that large. Numbers near the largest float would spoil the sums that are made of them."""
+_BAD = (OSError, KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError)
+"""What reading content of the wrong form raises."""
+_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
+    "xyz": (np.float32, (3,)),
+    "rgb": (np.uint8, (3,)),
+    "class_id": (np.int32, ()),
+    "instance_id": (np.int32, ()),
+    "level": (np.int32, ()),
+    "confidence": (np.float32, ()),
+    "opacity": (np.float32, ()),
+}
+"""Type of each array, and the shape of a row."""
+
+
+@dataclass(frozen=True, eq=False)
+class SemanticPoints:
+    """``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3] sRGB, ``class_id`` int32 [N] (0 = unknown),
+    ``instance_id`` int32 [N] (0 = none), ``confidence`` float32 [N], the winner's share of the votes."""
+
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    class_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """``xyz`` float32 [M, 3] world metres, ``class_id``, ``instance_id`` int32 [M], ``opacity`` float32 [M] (mean of
+    max(opacity, 0) over the anchor's Gaussians), ``level`` int32 [M] (0 initial, 1.. grown), ``rgb`` uint8 [M, 3]."""
+
+    xyz: NDArray[np.float32]
+    class_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
+    opacity: NDArray[np.float32]
+    level: NDArray[np.int32]
+    rgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class MatchedSegment:
+    """A mask's segment that was matched to an instance, with its own class and score.
+
+    ``cost`` and ``agreement`` say why it was matched; one of them is None. ``cost`` is that of Algorithm 1, from -1.5
+    (same box) to 0, and None for the segment that founded the instance. ``agreement`` is the share of the views'
+    judgements that put it together with the instance's other masks. ``pixels``: how many it has with depth at the size
+    of the lift; ``share`` of the picture's pixels; ``rectangle`` around it: left, top, right, bottom, 0..1. The first
+    versions of this file have none of the last four: then they are None and 0.
+    """
+
+    frame: str
+    segment_id: int
+    class_id: int
+    score: float
+    cost: float | None
+    agreement: float | None
+    pixels: int
+    share: float
+    rectangle: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One object: ``centre`` and ``size`` of its box in world metres, ``yaw`` in radians about +z, ``rotation`` the
+    same as a quaternion wxyz, ``colour`` sRGB bytes, ``score`` in [0, 1], ``points`` the number of points it owns."""
+
+    id: int
+    name: str
+    class_id: int
+    class_name: str
+    colour: tuple[int, int, int]
+    centre: tuple[float, float, float]
+    size: tuple[float, float, float]
+    yaw: float
+    rotation: tuple[float, float, float, float]
+    views: int
+    score: float
+    points: int
+    segments: tuple[MatchedSegment, ...]
+
+
+Arrays = TypeVar("Arrays", SemanticPoints, Anchors)
+
+
+def write_arrays(path: Path, arrays: SemanticPoints | Anchors) -> None:
+    """An .npz with fixed time stamps, so that its bytes depend on the arrays alone. Raises ValueError when lengths
+    differ, OSError."""
+    named = {name: np.ascontiguousarray(array, _ARRAYS[name][0]) for name, array in vars(arrays).items()}
+    if len({len(array) for array in named.values()}) != 1:
+        lengths = ", ".join(f"{name} {len(array)}" for name, array in named.items())
+        raise ValueError(f"arrays differ in length: {lengths}")
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+        for name, array in named.items():
+            entry = zipfile.ZipInfo(f"{name}.npy")  # dated 1980-01-01
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, array, allow_pickle=False)
+            archive.writestr(entry, buffer.getvalue())
+    write_atomically(path, content.getvalue())
+
+
+def read_arrays(path: Path, kind: type[Arrays]) -> Arrays:
+    """The arrays that a file holds, each of the right type and with as many rows as the first. Raises PlgsError."""
+    try:
+        arrays = read_npz(path, MAKE_ANEW, [field.name for field in fields(kind)])
+    except PlgsError as error:
+        raise PlgsError(error.what, path, MAKE_ANEW) from error
+    rows: tuple[int, ...] = arrays["xyz"].shape[:1]
+    for name, array in arrays.items():
+        dtype, tail = _ARRAYS[name]
+        if array.shape != rows + tail or array.dtype != dtype:
+            raise PlgsError(f"cannot be read ({name} is {array.dtype} {list(array.shape)})", path, MAKE_ANEW)
+    if not (np.abs(arrays["xyz"]) <= _FARTHEST).all():  # false for NaN, too
+        raise PlgsError("holds positions that are no numbers, or absurdly far away", path, MAKE_ANEW)
+    return kind(**arrays)
+
+
+def write_instances(path: Path, classes: ClassTable, instances: Sequence[Instance]) -> None:
+    """Write instances in ascending order of id. Raises ValueError for NaN or a repeated id, OSError."""
+    ids = [instance.id for instance in instances]
+    if len(set(ids)) != len(ids) or min(ids, default=1) < 1:
+        raise ValueError("instance ids must be unique and at least 1")
+    content = {
+        "format": _FORMAT,
+        "up": "z",
+        "classes": [asdict(category) for category in classes.categories],
+        "instances": [asdict(instance) for instance in sorted(instances, key=lambda instance: instance.id)],
+    }
+    write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
+    """The classes and the instances that a file lists. Raises PlgsError."""
+    content: Any = read_object(path, MAKE_ANEW)
+    try:
+        if content["format"] != _FORMAT:
+            fix = "Use the version of PLGS that wrote it, or lift into another folder."
+            raise PlgsError(f"has format {content['format']!r}, this version reads {_FORMAT}", path, fix)
+        categories = [
+            Category(_id(each["id"]), _text(each["name"]), bool(each["is_thing"]), _colour(each["colour"]))
+            for each in content["classes"]
+        ]
+        instances = tuple(_instance(each) for each in content["instances"])
+        for kind, rows in (("class", categories), ("instance", instances)):
+            if len({row.id for row in rows}) < len(rows):
+                raise ValueError(f"two {kind} ids are equal")
+        return ClassTable(tuple(sorted(categories, key=lambda category: category.id))), instances
+    except _BAD as error:
+        raise PlgsError(f"cannot be read ({error!r})", path, MAKE_ANEW) from error
+
+
+def _instance(entry: dict[str, Any]) -> Instance:
+    return Instance(
+        id=_id(entry["id"], least=1),
+        name=_text(entry["name"]),
+        class_id=_id(entry["class_id"]),
+        class_name=_text(entry["class_name"]),
+        colour=_colour(entry["colour"]),
+        centre=_floats(entry["centre"], 3),
+        size=_floats(entry["size"], 3),
+        yaw=_number(entry["yaw"]),
+        rotation=_floats(entry["rotation"], 4),
+        views=_whole(entry["views"]),
+        score=_number(entry["score"]),
+        points=_whole(entry["points"]),
+        segments=tuple(_segment(each) for each in entry.get("segments", ())),
+    )
+
+
+def _segment(entry: dict[str, Any]) -> MatchedSegment:
+    cost, agreement = entry.get("cost"), entry.get("agreement")
+    return MatchedSegment(
+        frame=_text(entry["frame"]),
+        segment_id=_whole(entry["segment_id"]),
+        class_id=_id(entry["class_id"]),
+        score=_number(entry["score"]),
+        cost=None if cost is None else _number(cost),
+        agreement=None if agreement is None else _number(agreement),
+        pixels=_whole(entry.get("pixels", 0)),
+        share=_number(entry.get("share", 0.0)),
+        rectangle=_floats(entry.get("rectangle", (0.0, 0.0, 0.0, 0.0)), 4),
+    )
+
+
+def _colour(value: Any) -> tuple[int, int, int]:
+    red, green, blue = (_whole(part) for part in value)
+    if max(red, green, blue) > 255:
+        raise ValueError(f"{value!r} is no colour")
+    return red, green, blue
+
+
+def _whole(value: Any) -> int:
+    number = int(value)
+    if not 0 <= number <= _LARGEST:
+        raise ValueError(f"{value!r} is not from 0 to {_LARGEST}")
+    return number
+
+
+def _id(value: Any, least: int = 0) -> int:
+    """Palettes and lists have a place for each id up to the largest."""
+    number = _whole(value)
+    if not least <= number <= LARGEST_ID:
+        raise ValueError(f"{value!r} is no id from {least} to {LARGEST_ID}")
+    return number
+
+
+def _text(value: Any) -> str:
+    text = str(value)
+    text.encode()  # half of a surrogate pair is no text; UnicodeEncodeError is a ValueError
+    return text
+
+
+def _number(value: Any) -> float:
+    return float(_floats([value], 1)[0])
+
+
+def _floats(value: Any, count: int) -> Any:
+    numbers = tuple(float(part) for part in value)
+    if len(numbers) != count or not all(abs(number) <= _FARTHEST for number in numbers):
+        raise ValueError(f"{value!r} is not {count} numbers of a usual size")
+    return numbers

@@ -1,0 +1,8 @@
+"""Making the engine's own Python environment. Standard library only: any Python that PLGS supports can run it."""
+
+from __future__ import annotations
+
+from .environments import remove_environments
+from .steps import SetUp, SetUpRequest
+
+__all__ = ["SetUp", "SetUpRequest", "remove_environments"]

@@ -1,0 +1,91 @@
+"""The folder of environments: what is known of an unfinished one, how large one is, and how one is deleted."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from ..errors import PlgsError
+from ..job.lock import is_locked
+
+LOG, LOCK = "set-up.log", "set-up.lock"
+_NOTES = "set-up.json"
+_TRASH = "trash-"
+
+
+@dataclass
+class Notes:
+    """The progress of an environment, kept in its folder for the set-up that goes on with it.
+
+    ``done`` names the finished steps. ``installing`` says that pip has begun to write packages: after a kill these can
+    be half-written.
+    """
+
+    torch_build: str
+    done: list[str] = field(default_factory=list)
+    installing: bool = False
+
+    @classmethod
+    def read(cls, environment: Path) -> Notes | None:
+        """The notes of an environment; None where there are none."""
+        try:
+            data = json.loads((environment / _NOTES).read_text(encoding="utf-8"))
+            return cls(str(data["torch_build"]), [str(step) for step in data["done"]], bool(data["installing"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def write(self, environment: Path) -> None:
+        """Replace the notes by rename, so that a kill leaves the old ones or the new. Raises OSError."""
+        part = environment / f"{_NOTES}.part"
+        part.write_text(json.dumps(asdict(self)), encoding="utf-8")
+        part.replace(environment / _NOTES)
+
+
+def bytes_in(folder: Path) -> int:
+    """Bytes of all files in a folder. Files that vanish meanwhile or cannot be looked at count nothing."""
+    total, waiting = 0, [str(folder)]
+    while waiting:
+        with suppress(OSError), os.scandir(waiting.pop()) as entries:
+            for entry in entries:
+                with suppress(OSError):
+                    if entry.is_dir(follow_symlinks=False):
+                        waiting.append(entry.path)
+                    else:
+                        total += entry.stat(follow_symlinks=False).st_size
+    return total
+
+
+def throw_away(path: Path, folder: Path) -> None:
+    """Move a file or folder aside in ``folder``, on the same disk, to be deleted by `empty_trash`. This takes no time.
+
+    Nothing happens when it is not there. Raises OSError, on Windows also while a program in it still runs.
+    """
+    if not path.exists() and not path.is_symlink():
+        return
+    number = 0
+    while (target := folder / f"{_TRASH}{number}").exists():
+        number += 1
+    path.rename(target)
+
+
+def empty_trash(folder: Path) -> None:
+    """Delete what was thrown away, as far as it can be deleted. This takes seconds."""
+    for path in sorted(folder.glob(f"{_TRASH}*")):
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def remove_environments(folder: Path) -> None:
+    """Delete all environments in ``folder`` that a set-up made, and nothing else.
+
+    Raises PlgsError while a set-up is at work there, OSError.
+    """
+    if is_locked(folder / LOCK):
+        raise PlgsError("the engine is being set up", folder, "Wait until it is done, or cancel it.")
+    for environment in sorted(folder.glob("engine-*")):
+        if (environment / "pyvenv.cfg").is_file():
+            throw_away(environment, folder)
+    empty_trash(folder)

@@ -1,0 +1,102 @@
+"""What is known of the engine, in words for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from ...engine.errors import PlgsError
+from ...engine.job.handshake import TOO_OLD, VERSION, EngineAnswer
+from ...engine.job.process import ChosenPython, Origin
+
+_SET_UP = "Press 'Set up engine' in the add-on's preferences, or choose a Python there that has what it needs."
+_OTHER_PYTHON = "Choose another Python, or set the engine up."
+
+
+class EngineState(Enum):
+    """How much is known of the engine."""
+
+    UNKNOWN = "unknown"
+    CHECKING = "checking"
+    READY = "ready"
+    MISSING = "missing"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class EngineStatus:
+    """One line for people, and what to do where the engine cannot be used. ``note`` says what is odd but may work."""
+
+    state: EngineState
+    message: str = ""
+    fix: str = ""
+    note: str = ""
+    python: Path | None = None
+    answer: EngineAnswer | None = None
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether nothing is known that speaks against it."""
+        return self.state not in (EngineState.MISSING, EngineState.FAILED)
+
+
+UNKNOWN = EngineStatus(EngineState.UNKNOWN, "The engine was not asked yet", "Check the engine.")
+
+
+def checking(choice: ChosenPython) -> EngineStatus:
+    """While a Python is asked."""
+    return EngineStatus(EngineState.CHECKING, "Asking the engine", python=choice.python)
+
+
+def without_python(error: PlgsError) -> EngineStatus:
+    """No Python is there that could run it."""
+    return EngineStatus(EngineState.MISSING, _capital(error.what), _SET_UP)
+
+
+def of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> EngineStatus:
+    """A Python ran to its end with this answer, None when it gave none."""
+    engine = EngineAnswer.from_json(answer or {})
+    if engine is None:
+        message = f"{choice.python} answers, but not as a Python with this engine does"
+        return failed(choice, message, "Choose another Python.")
+    if engine.version != VERSION:
+        message = f"engine {engine.version} does not belong to this PLGS, which is {VERSION}"
+        return failed(choice, message, "Restart Blender: PLGS was updated while it ran.")
+    if engine.missing:
+        message = f"{choice.python} ({choice.origin}) lacks {', '.join(engine.missing)}"
+        fix = choice.fix if choice.origin is Origin.VARIABLE else _SET_UP
+        return EngineStatus(EngineState.MISSING, message, fix, "", choice.python, engine)
+    note = f"Other versions than the tested ones: {', '.join(engine.others)}" if engine.others else ""
+    return EngineStatus(EngineState.READY, _describe(engine), "", note, choice.python, engine)
+
+
+def of_error(choice: ChosenPython, error: PlgsError) -> EngineStatus:
+    """A Python does not run the engine."""
+    if TOO_OLD in error.what:
+        return failed(choice, error.what, "Choose a newer Python, or set the engine up.")
+    return failed(choice, f"{choice.python} does not run the engine ({str(error)[:200]})", _OTHER_PYTHON)
+
+
+def without_answer(choice: ChosenPython) -> EngineStatus:
+    """A Python did not answer in time."""
+    return failed(choice, f"{choice.python} did not answer", "Check the engine again, or choose another Python.")
+
+
+def failed(choice: ChosenPython, message: str, fix: str) -> EngineStatus:
+    """No engine answers."""
+    fix = fix if choice.origin is Origin.CHOSEN else f"{fix} {choice.fix}"
+    return EngineStatus(EngineState.FAILED, _capital(message), fix, "", choice.python)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _describe(answer: EngineAnswer) -> str:
+    build = f"CUDA {answer.cuda}" if answer.cuda else "CPU"
+    torch = (answer.packages["torch"] or "").partition("+")[0]
+    cores = "1 core" if answer.cpus == 1 else f"{answer.cpus} cores"
+    return f"Engine {answer.version}, Python {answer.python}, torch {torch} ({build}), {cores}"

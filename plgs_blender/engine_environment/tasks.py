@@ -1,0 +1,178 @@
+"""Asking a Python what engine it has, setting the engine up, and removing it."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ...engine.errors import PlgsError
+from ...engine.job.environment import environments_folder
+from ...engine.job.follower import TaskFollower
+from ...engine.job.process import ROOT, ChosenPython, choose_python
+from ...engine.job.task import last_lines
+from ..tasks import registry, timer
+from ..tasks.registry import Task, start_engine
+from . import status as states
+from .choices import SetUpChoice, choose, chosen_python, own_python
+from .status import EngineStatus
+
+PATIENCE_S = 10.0
+"""Seconds that a Python has to answer. An answer takes some tenths of a second, the first from a cold disk a few
+seconds."""
+OFFLINE_FIX = "Allow online access in Preferences > System."
+_FIRST_CHECK_S = 0.5
+_LOG_NAME = "set-up.log"
+_LOG_LINES = 8
+_LOG_EVERY_S = 1.0
+
+_status = states.UNKNOWN
+
+
+def status() -> EngineStatus:
+    """What is known of the engine. Looks at no disk."""
+    return _status
+
+
+class EngineCheck(Task):
+    """A Python is asked what engine it has."""
+
+    kind, label = "check", "Asking the engine"
+
+    def __init__(self, choice: ChosenPython, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self._choice = choice
+        self._is_hung = False
+
+    def poll(self, scene: Any) -> bool:
+        if self.is_running and not self._is_hung and time.monotonic() - self.began > PATIENCE_S:
+            self._is_hung = True
+            self.follower.kill()
+        return super().poll(scene)
+
+    def done(self, scene: Any) -> None:
+        global _status
+        if self._is_hung:
+            _status = states.without_answer(self._choice)
+        elif self.error is not None:
+            _status = states.of_error(self._choice, self.error)
+        else:
+            _status = states.of_answer(self._choice, self.answer)
+
+
+class SetUp(Task):
+    """The engine's environment is made. When it is cancelled the next set-up goes on where this one was."""
+
+    kind, label, cancel_operator = "set-up", "Setting the engine up", "plgs.cancel_engine_set_up"
+    counts_steps = False
+
+    def __init__(self, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self.log_lines: tuple[str, ...] = ()
+        """The last lines of the log, about a second old."""
+        self._log_seen_at = 0.0
+        self._is_offline = False
+
+    def poll(self, scene: Any) -> bool:
+        if self.is_running and not bpy.app.online_access and not self._is_offline:
+            self._is_offline = True
+            self.cancel()
+        has_news = super().poll(scene)
+        if not self.is_running or time.monotonic() - self._log_seen_at > _LOG_EVERY_S:
+            self.log_lines, self._log_seen_at = last_lines(log_path(), _LOG_LINES), time.monotonic()
+        return has_news
+
+    def done(self, scene: Any) -> None:
+        if self.has_finished:
+            choose(None)  # who sets the engine up wants that one
+        check()
+        if self._is_offline:
+            raise PlgsError("online access was switched off", "Set up engine", OFFLINE_FIX)
+
+    def let_go(self) -> None:
+        """The engine ends within a second, and first ends the programs that it started."""
+        self.follower.close()
+
+
+class Removal(Task):
+    """The environments that set-ups made are deleted."""
+
+    kind, label = "removal", "Removing the engine"
+
+    def done(self, scene: Any) -> None:
+        check()
+
+
+def check() -> EngineCheck | None:
+    """Ask the Python that is chosen now, and know the answer in `status` a moment later; None when there is none."""
+    global _status
+    registry.forget(EngineCheck.kind)
+    try:
+        choice = choose_python(ROOT, os.environ, chosen_python())
+    except PlgsError as error:
+        _status = states.without_python(error)
+        timer.redraw_panels()
+        return None
+    _status = states.checking(choice)
+    try:
+        return timer.begin(EngineCheck(choice, start_engine("handshake", choice.python)))
+    except (PlgsError, OSError) as error:
+        what, fix = (error.what, error.fix) if isinstance(error, PlgsError) else (str(error), "Try again.")
+        _status = states.failed(choice, f"{what}: {choice.python}", fix)
+        return None
+
+
+def running_set_up() -> SetUp | None:
+    """The set-up that goes on; None when none does."""
+    return next(iter(registry.running(SetUp)), None)
+
+
+def log_path() -> Path:
+    """The set-up's log; it may be missing."""
+    return environments_folder() / _LOG_NAME
+
+
+def why_no_set_up() -> str | None:
+    """Why the engine cannot be set up now; None when it can. Looks at no disk."""
+    if running_set_up() is not None:
+        return "The engine is being set up already"
+    return None if bpy.app.online_access else f"Packages have to be downloaded. {OFFLINE_FIX}"
+
+
+def set_up(choice: SetUpChoice) -> SetUp:
+    """Begin to make the engine's environment, or go on with it. Raises PlgsError, OSError."""
+    reason = why_no_set_up()
+    if reason is not None:
+        raise PlgsError("the engine cannot be set up now", "Set up engine", reason)
+    return timer.begin(SetUp(start_engine(
+        "set-up", own_python(), environments_folder(), *choice.arguments(), variables=choice.variables()
+    )))  # fmt: skip
+
+
+def remove() -> Removal:
+    """Delete all environments that "Set up engine" made, and nothing else. Raises PlgsError, OSError."""
+    if running_set_up() is not None:
+        raise PlgsError("the engine is being set up", environments_folder(), "Wait until it is done, or cancel it.")
+    return timer.begin(Removal(start_engine("set-up", own_python(), environments_folder(), "--remove")))
+
+
+def register() -> None:
+    """Ask the engine a moment from now: while extensions are switched on there may be no preferences."""
+    if not bpy.app.background:
+        bpy.app.timers.register(_first_check, first_interval=_FIRST_CHECK_S, persistent=True)
+
+
+def unregister() -> None:
+    global _status
+    if bpy.app.timers.is_registered(_first_check):
+        bpy.app.timers.unregister(_first_check)
+    for kind in (EngineCheck, SetUp, Removal):
+        registry.forget(kind.kind)
+    _status = states.UNKNOWN
+
+
+def _first_check() -> None:
+    check()

@@ -1,0 +1,216 @@
+"""From what the panel says to a lift, a bake or an export, and from a finished lift to objects in the scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+
+from ...engine.errors import ErrorCode, PlgsError
+from ...engine.job import LiftFolder
+from ...engine.scene import open_scene_to_lift
+from .. import engine_environment
+from ..engine_environment import why_no_engine
+from ..errors import with_field_names
+from ..lift_collection import lift_of_scene, root_of_placed
+from ..meshes import mesh_folder
+from ..owned import text_of
+from ..paths import absolute, free_folder
+from ..settings import PLGS_PG_settings, adopt, chosen_lift, chosen_scene, request_of, why_no_options
+from ..shots import ShotReader, shot_of
+from . import exports, lifts
+from .lifts import Lift
+from .survey import survey_of, why_not_liftable
+
+
+def followed_lift(settings: PLGS_PG_settings) -> Lift | None:
+    """The lift that the panel is set to, when it is followed."""
+    folder = chosen_lift(settings)
+    return None if folder is None else lifts.lift_of(folder)
+
+
+def why_no_scene(settings: PLGS_PG_settings) -> str | None:
+    """Why the panel's scene cannot be used; None when it can, or nobody knows yet. Looks at no disk."""
+    if not settings.scene_folder:
+        return "Choose the scene's folder first"
+    survey = survey_of(chosen_scene(settings))
+    return None if survey is None or survey.error is None else with_field_names(survey.error)
+
+
+def why_no_lift(settings: PLGS_PG_settings) -> str | None:
+    """Why the panel's lift cannot be started now; None when it can. Looks at no disk."""
+    followed = followed_lift(settings)
+    if followed is not None and followed.is_running:
+        return "This lift is running already"
+    survey = survey_of(chosen_scene(settings)) if settings.scene_folder else None
+    return (
+        why_no_engine()
+        or why_no_options(settings)
+        or why_no_scene(settings)
+        or (None if survey is None else why_not_liftable(survey))
+    )
+
+
+def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
+    """The lift whose objects keep their names: a whole lift of the same scene that Blender's scene shows. None where
+    the settings keep no names."""
+    if not settings.keep_names or not settings.scene_folder:
+        return None
+    found = lift_of_scene(absolute(settings.scene_folder), settings.id_data)
+    return found if found is not None and (found / "result" / "manifest.json").is_file() else None
+
+
+def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, names_from: str = "") -> Lift:
+    """Start the lift that the settings ask for in their lift folder. Where that holds a lift already, a new folder
+    beside the scene's is taken; with ``in_that_folder`` it is refused. Objects are called as in ``names_from``, or as
+    in `earlier_lift`.
+
+    Raises PlgsError, OSError; then no folder is left behind.
+    """
+    if not settings.scene_folder:
+        raise PlgsError("no scene is chosen", "Scene", "Choose a folder with color, depth, pose and intrinsic.")
+    python = engine_environment.usable_python()
+    request = replace(request_of(settings), names_from=absolute(names_from) if names_from else earlier_lift(settings))
+    known = survey_of(chosen_scene(settings))
+    if known is None or known.error is not None or why_not_liftable(known) is not None:
+        open_scene_to_lift(request)  # otherwise a look has shown that it can be lifted, and a button answers at once
+    folder = chosen_lift(settings)
+    if folder is None or (not in_that_folder and (folder / "request.json").exists()):
+        folder = free_folder(request.scene, "lift")
+    lift = LiftFolder.create(folder, request)
+    try:
+        followed = lifts.start(lift, python, keep_running=settings.keep_running)
+    except PlgsError:
+        lift.discard()
+        raise
+    settings.lift_folder = str(folder)
+    return followed
+
+
+def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
+    """Go on with the lift in `folder`, or in that of the settings, which then say what it was asked for.
+
+    Raises PlgsError when there is none, it is running, or it is finished; OSError.
+    """
+    lift = lift_at(settings, folder)
+    known = lifts.attach(lift.path)
+    if not known.can_be_resumed:
+        fix = "Watch it, or cancel it first." if known.is_running else "Lift into another folder."
+        raise PlgsError(f"cannot be resumed: it is {known.lift_state.value}", lift.path, fix)
+    followed = lifts.start(lift, engine_environment.usable_python(), resume=True, keep_running=settings.keep_running)
+    adopt(settings, lift.request, lift.path)
+    return followed
+
+
+def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
+    """Follow the lift in `folder`, or in that of the settings, which then say what was asked. One that is finished is
+    put into the scene if that wants it. Raises PlgsError.
+    """
+    lift = lift_at(scene.plgs, folder)
+    followed = lifts.attach(lift.path)
+    adopt(scene.plgs, lift.request, lift.path)
+    if not followed.is_running:
+        followed.done(scene)
+    return followed
+
+
+def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
+    """Ask a lift to stop. Raises PlgsError when it is not running, or its folder cannot be written."""
+    lift = lift_at(settings, folder)
+    followed = lifts.lift_of(lift.path) or lifts.attach(lift.path)
+    if not followed.is_running:
+        raise PlgsError(f"is not running: it is {followed.lift_state.value}", lift.path, "There is nothing to cancel.")
+    try:
+        followed.cancel()
+    except OSError as error:
+        fix = "Ask whoever started it to cancel it."
+        raise PlgsError(f"cannot be cancelled from here ({error.strerror})", lift.path, fix) from error
+
+
+def why_no_bake(settings: PLGS_PG_settings) -> str | None:
+    """Why no passes can be baked from the panel now; None when they can. Looks at no disk."""
+    followed = followed_lift(settings)
+    if followed is None or not (followed.is_finished or followed.is_running):
+        return "Passes are baked from a finished lift: lift the scene first, or choose the folder of a lift"
+    return "The lift is still running" if followed.is_running else None
+
+
+def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
+    """Let an engine bake passes of a finished lift: of "all" frames, the held-out ones ("test"), or that of the scene's
+    "active" camera. Raises PlgsError, OSError.
+    """
+    lift = lift_at(scene.plgs, folder)
+    names = [frames]
+    if frames == "active":
+        names = [text_of(scene.camera, "frame")] if scene.camera is not None else [""]
+        if not names[0]:
+            fix = "Choose one of the lift's cameras: select it and press Ctrl+Numpad 0."
+            raise PlgsError("the active camera is no frame of the lift", scene.name, fix)
+    python = engine_environment.usable_python()
+    return lifts.bake(lift, python, names, keep_running=scene.plgs.keep_running)
+
+
+def read_camera(
+    scene: bpy.types.Scene, camera: str, frames: tuple[int | None, int | None, int | None]
+) -> ShotReader:
+    """Begin to read a camera, the scene's active one unless named, over ``frames`` (first, last, step), the scene's
+    where None. Raises PlgsError, also where there is no engine to bake it.
+    """
+    engine_environment.usable_python()
+    return ShotReader(scene, shot_of(scene, camera, *frames))
+
+
+def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "") -> Lift:
+    """Let an engine bake passes of a finished lift from a camera that is read. Views that were baked from the same
+    camera are kept. Raises PlgsError, OSError.
+    """
+    lift = lift_at(scene.plgs, folder)
+    cameras, python = shot.write(lift.path), engine_environment.usable_python()
+    return lifts.bake(lift, python, cameras=cameras, keep_running=scene.plgs.keep_running)
+
+
+def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str, folder: str = "") -> exports.Export:
+    """Let an engine export a finished lift into the folder ``output``. Raises PlgsError, OSError."""
+    lift = lift_at(settings, folder)
+    if not output:
+        raise PlgsError("needs a folder", f"Export of {form}", "Choose where the files shall go.")
+    return exports.export(lift.path, form, absolute(output), engine_environment.usable_python(), [frames])
+
+
+def make_meshes(scene: bpy.types.Scene, frames: str, folder: str = "") -> exports.Export:
+    """Let an engine make the meshes of a finished lift that is placed in the scene, and put them there. Raises
+    PlgsError, OSError.
+    """
+    lift = lift_at(scene.plgs, folder).path
+    root_of_placed(lift, scene)  # raises now what would else be raised when the meshes are made
+    python = engine_environment.usable_python()
+    return exports.export(lift, "mesh", mesh_folder(lift), python, [frames], mesh_scene=scene.name)
+
+
+def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:
+    """Put the finished lift in `folder`, or in that of the scene's settings, into the scene. Raises PlgsError."""
+    lift = lift_at(scene.plgs, folder)
+    try:
+        return lifts.show_lift(scene, lift)
+    except PlgsError as error:
+        if not lift.is_running:
+            raise
+        fix = "Wait until it is finished."
+        raise PlgsError("cannot be shown yet: it is still running", lift.path, fix, code=ErrorCode.BUSY) from error
+
+
+def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
+    """The engine's log of the lift in `folder`, or in that of the settings. Raises PlgsError when there is none."""
+    log = lift_at(settings, folder).log_path
+    if not log.is_file():
+        raise PlgsError("is not there: the engine never began", log, "Start it anew.")
+    return log
+
+
+def lift_at(settings: PLGS_PG_settings, folder: str = "") -> LiftFolder:
+    """The lift in `folder`, or in that of the settings. Raises PlgsError when there is none."""
+    path: Path | None = absolute(folder) if folder else chosen_lift(settings)
+    if path is None:
+        raise PlgsError("no lift is chosen", "Lift folder", "Start a lift, or choose the folder of one.")
+    return LiftFolder.open(path)

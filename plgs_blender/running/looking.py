@@ -1,0 +1,80 @@
+"""What is looked at without being asked for: the chosen scene, the chosen lift, the lifts of a file that is opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ...engine.job.recent import remembered_lifts
+from .. import settings as panel
+from ..chosen_scene import ChosenScene
+from ..engine_environment import engine_python
+from ..paths import absolute
+from ..settings import PLGS_PG_settings, chosen_lift, chosen_scene
+from ..tasks import timer
+from . import estimate, lifts, live_preview, survey
+
+
+def look_at_scene(chosen: ChosenScene) -> None:
+    """Look at what is in a scene's folder. `survey.survey_of` knows it then; in a window a moment later."""
+    estimate.learn_slowness()
+    # Without a window nothing polls an engine, and nobody is kept waiting by a look from here.
+    survey.look(chosen, None if bpy.app.background else engine_python())
+
+
+def look_at_lift(folder: Path) -> None:
+    """Follow the lift in this folder, if there is one: running or ended, of this Blender or another."""
+    if lifts.look_at(folder) is not None:
+        timer.go_on()
+
+
+def find_own_lifts() -> None:
+    """Follow the lifts that the open file's scenes name, as far as they are in this user's list of lifts.
+
+    A file may come from somebody else and name any path: a FIFO, or a disk that never answers. Other paths are looked
+    at only when somebody asks for it, and so is the scene's folder.
+    """
+    own = {Path(path) for path in remembered_lifts()}
+    for scene in bpy.data.scenes:
+        if scene.plgs.lift_folder and absolute(scene.plgs.lift_folder) in own:
+            look_at_lift(absolute(scene.plgs.lift_folder))
+
+
+def _on_scene_chosen(settings: PLGS_PG_settings) -> None:
+    look_at_scene(chosen_scene(settings))
+
+
+def _on_lift_chosen(settings: PLGS_PG_settings) -> None:
+    folder = chosen_lift(settings)
+    if folder is not None:
+        look_at_lift(folder)
+
+
+def _at_start() -> None:
+    lifts.refresh_recent()
+    find_own_lifts()
+
+
+@bpy.app.handlers.persistent
+def _on_load(*_: object) -> None:
+    find_own_lifts()
+
+
+def register() -> None:
+    panel.on_scene_chosen.append(_on_scene_chosen)
+    panel.on_lift_chosen.append(_on_lift_chosen)
+    bpy.app.handlers.load_post.append(_on_load)
+    # A moment later: while extensions are switched on there is no file to look at.
+    if not bpy.app.background:
+        bpy.app.timers.register(_at_start, first_interval=0.0)
+
+
+def unregister() -> None:
+    panel.on_scene_chosen.remove(_on_scene_chosen)
+    panel.on_lift_chosen.remove(_on_lift_chosen)
+    bpy.app.handlers.load_post.remove(_on_load)
+    if bpy.app.timers.is_registered(_at_start):
+        bpy.app.timers.unregister(_at_start)
+    lifts.forget_refusals()
+    live_preview.forget()

@@ -1,0 +1,47 @@
+"""An engine that makes masks for a scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ...engine.errors import PlgsError
+from ...engine.job.follower import TaskFollower
+from ..chosen_scene import ChosenScene
+from ..paths import absolute
+from ..settings import chosen_scene
+from ..tasks import registry, timer
+from ..tasks.registry import Task, start_engine
+from . import looking
+
+
+class MaskMaking(Task):
+    """What it made is kept when it is cancelled, and the next one goes on."""
+
+    kind, label, cancel_operator = "masks", "Making masks", "plgs.cancel_masks"
+
+    def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self.chosen = chosen
+
+    def done(self, scene: Any) -> None:
+        settings = scene.plgs
+        if self.has_finished and settings.scene_folder and chosen_scene(settings) == self.chosen:
+            looking.look_at_scene(self.chosen)
+
+    def error_for(self, chosen: ChosenScene) -> PlgsError | None:
+        """Its error, where it is of this scene."""
+        return self.error if chosen == self.chosen else None
+
+
+def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool) -> MaskMaking:
+    """Start an engine. ``model`` is a folder or a name on Hugging Face's hub; empty leaves it to the engine.
+    ``download`` lets it fetch that. Raises PlgsError when one is at it already or cannot be started, OSError.
+    """
+    registry.refuse_second(MaskMaking)
+    if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
+        model = str(absolute(model))
+    command: list[str | Path] = [chosen.scene, f"--up={chosen.up}"]
+    command += [] if chosen.scene_format is None else ["--format", chosen.scene_format]
+    command += [*(["--model", model] if model else []), *(["--download"] if download else [])]
+    return timer.begin(MaskMaking(chosen, start_engine("segment", python, *command)))

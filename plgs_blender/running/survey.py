@@ -1,0 +1,212 @@
+"""What is in the scene that the panel is set to, and what can be done with it.
+
+An engine looks into the pixels meanwhile; where there is none, the headers tell. The panel draws from here and reads
+nothing while it draws.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ...engine.errors import PlgsError
+from ...engine.job.follower import TaskFollower
+from ...engine.scene import Scene, Size
+from ..chosen_scene import ChosenScene
+from ..tasks import registry, timer
+from ..tasks.registry import Task, start_engine
+
+_ENGINE_MAKES_THEM = "set the engine up, which makes them"
+_NAMES = {"depth": "depth maps", "masks": "masks"}
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known of a scene. ``error`` says why it cannot be lifted; None when it can.
+
+    ``sizes`` holds the sizes of the colour images with how many have each, the commonest first. ``depth_range`` is the
+    nearest, middle and farthest depth in metres, None where no engine has looked into the pixels. ``picture_files``
+    counts the frames whose picture is an image file that Blender can show as it is. While an engine looks
+    (``is_looking``), nothing else is known.
+    """
+
+    chosen: ChosenScene
+    train_frames: int = 0
+    test_frames: int = 0
+    sizes: tuple[tuple[Size, int], ...] = ()
+    classes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    error: PlgsError | None = None
+    depth_range: tuple[float, float, float] | None = None
+    is_looking: bool = False
+    format: str = ""
+    has_depth: bool = False
+    has_masks: bool = False
+    sparse_points: int = 0
+    picture_files: int = 0
+
+    @property
+    def frames(self) -> int:
+        return self.train_frames + self.test_frames
+
+
+class SceneLook(Task):
+    """An engine looks into a scene's pixels."""
+
+    kind, label = "survey", "Looking at the frames"
+
+    def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self.chosen = chosen
+
+    def done(self, scene: Any) -> None:
+        global _latest
+        if self.has_finished or self.error is not None:
+            _latest = _with_answer(Survey(self.chosen), self.answer, self.error)
+
+
+_latest: Survey | None = None
+
+
+def survey_of(chosen: ChosenScene) -> Survey | None:
+    """What is known of this scene; None when nobody has looked yet."""
+    return _latest if _latest is not None and _latest.chosen == chosen else None
+
+
+def look(chosen: ChosenScene, python: Path | None) -> Survey:
+    """Let an engine look at the scene if there is a ``python`` for one; else read its headers now, 1 ms a frame.
+
+    Never raises for a bad scene: the survey says what is wrong.
+    """
+    global _latest
+    registry.forget(SceneLook.kind)
+    _latest = Survey(chosen)
+    if python is None or not _begin_look(chosen, python):
+        try:
+            _latest = _from_headers(chosen, chosen.open())
+        except PlgsError as error:
+            _latest = Survey(chosen, error=error)
+        except (OSError, ValueError) as error:  # a path that this system cannot even look at
+            refusal = PlgsError(f"the scene cannot be looked at ({error})", chosen.scene, "Choose other folders.")
+            _latest = Survey(chosen, error=refusal)
+    return _latest
+
+
+def _begin_look(chosen: ChosenScene, python: Path) -> bool:
+    """Whether an engine could be started. If not, its status says what is wrong with that Python."""
+    global _latest
+    try:
+        timer.begin(SceneLook(chosen, start_engine("inspect", python, *chosen.arguments())))
+    except (PlgsError, OSError):
+        return False
+    _latest = Survey(chosen, is_looking=True)
+    return True
+
+
+def _from_headers(chosen: ChosenScene, scene: Scene) -> Survey:
+    sizes = Counter(frame.size for frame in scene.frames).most_common()
+    return Survey(
+        chosen,
+        train_frames=len(scene.train_frames),
+        test_frames=len(scene.test_frames),
+        sizes=tuple(sizes),
+        classes=tuple(category.name for category in scene.classes.categories),
+        warnings=scene.warnings,
+        format=scene.format,
+        has_depth=scene.has_depth,
+        has_masks=scene.has_masks,
+        sparse_points=0 if scene.points is None else len(scene.points),
+        picture_files=sum(frame.file_shows_colour for frame in scene.frames),
+    )
+
+
+def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsError | None) -> Survey:
+    """The survey with the answer of `engine inspect`, or its error."""
+    if error is not None or answer is None:
+        unknown = PlgsError("the engine did not say what is in it", survey.chosen.scene, "Look again.")
+        return replace(survey, error=error or unknown)
+    try:
+        depth_range = answer["depth_range"]
+        if depth_range is not None:
+            near, middle, far = (float(each) for each in depth_range)
+            depth_range = (near, middle, far)
+        return replace(
+            survey,
+            train_frames=int(answer["train_frames"]),
+            test_frames=int(answer["test_frames"]),
+            sizes=tuple(((int(width), int(height)), int(count)) for (width, height), count in answer["colour_sizes"]),
+            classes=tuple(str(each["name"]) for each in answer["classes"]),
+            warnings=tuple(str(each) for each in answer["warnings"]),
+            depth_range=depth_range,
+            format=str(answer["format"]),
+            has_depth=_is_of_all(answer, "depth_sizes"),
+            has_masks=_is_of_all(answer, "mask_sizes"),
+            sparse_points=int(answer["sparse_points"]),
+            picture_files=int(answer["picture_files"]),
+        )
+    except (ValueError, TypeError, KeyError) as fault:
+        what = f"the engine's answer is not understood ({fault!r})"
+        return replace(survey, error=PlgsError(what, survey.chosen.scene, "Look again."))
+
+
+def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:
+    """Whether as many frames have it as there are."""
+    count = sum(int(count) for _, count in answer[sizes])
+    return count == int(answer["train_frames"]) + int(answer["test_frames"])
+
+
+class Possibility(NamedTuple):
+    """One thing that can be done with a scene, whether it can be had, and how or why not."""
+
+    what: str
+    is_possible: bool
+    why: str
+
+
+def possibilities(survey: Survey, has_engine: bool) -> tuple[Possibility, ...]:
+    """What can be done with a scene that was looked at and has no error."""
+    return (
+        Possibility("Cameras", True, f"{survey.frames}, and one that moves along them"),
+        _pictures(survey, has_engine),
+        _cloud(survey, has_engine),
+        _lift(survey),
+    )
+
+
+def why_not_liftable(survey: Survey) -> str | None:
+    """Why a scene without an error cannot be lifted; None when it can, or nobody knows yet."""
+    if survey.is_looking or survey.error is not None:
+        return None
+    lift = _lift(survey)
+    return None if lift.is_possible else f"No lift: {lift.why}"
+
+
+def _pictures(survey: Survey, has_engine: bool) -> Possibility:
+    if survey.picture_files == survey.frames:
+        return Possibility("Pictures", True, "as they are")
+    inside = "they lie in a video or an archive, or their lens bends"
+    return Possibility(
+        "Pictures", has_engine, f"{inside}: {'the engine makes them' if has_engine else _ENGINE_MAKES_THEM}"
+    )
+
+
+def _cloud(survey: Survey, has_engine: bool) -> Possibility:
+    if survey.has_depth and has_engine:
+        return Possibility("Coloured cloud", True, "of the depth, by the engine")
+    if survey.sparse_points:
+        return Possibility("Coloured cloud", True, f"{survey.sparse_points} points of the reconstruction")
+    if survey.has_depth:
+        return Possibility("Coloured cloud", False, "of the depth: set the engine up, which makes it")
+    return Possibility("Coloured cloud", False, "there is neither depth nor a reconstruction's points")
+
+
+def _lift(survey: Survey) -> Possibility:
+    lacks = [what for what, has in (("depth", survey.has_depth), ("masks", survey.has_masks)) if not has]
+    if not lacks:
+        return Possibility("Lift", True, "depth and masks are there")
+    verb = "are" if "masks" in lacks else "is"
+    why = f"there {verb} no {' and no '.join(lacks)}: give {' and '.join(_NAMES[what] for what in lacks)} below"
+    return Possibility("Lift", False, why)

@@ -1,0 +1,193 @@
+"""The tasks that this Blender follows, each an engine's command in a process of its own. Knows nothing of Blender.
+
+A kind of task is a subclass of `Task` that takes its answer in `done`. Tasks live here, not in an operator or a file:
+so they survive undo and the opening of another .blend. `poll_all` is called often and never waits; no thread is used.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+from ...engine.errors import PlgsError
+from ...engine.job.follower import TaskFollower
+from ...engine.job.process import engine_call
+from ...engine.job.task import TaskPlace, TaskProgress, TaskState
+
+_POLL_S = 0.05
+
+
+class Task:
+    """A followed task, and what came of it after its end. A subclass says what its answer is for."""
+
+    kind: ClassVar[str]
+    """The name of the kind. Tasks of one kind run one at a time, unless their `key` differs."""
+    label = ""
+    """The work in words, such as "Making masks"."""
+    cancel_operator: ClassVar[str] = ""
+    """The operator that cancels it; empty where nobody needs one."""
+    counts_steps: ClassVar[bool] = True
+    """Whether its steps mean something to people. If not, they are shown in percent."""
+    lift_folder: Path | None = None
+    """The lift folder that it works in, where it does in one."""
+    undo_step = ""
+    """The name of the undo step for what `done` changed in the file; empty where it changed nothing."""
+
+    def __init__(self, follower: TaskFollower) -> None:
+        self.follower = follower
+        self.began = time.monotonic()
+        self.is_taken = False
+        """Whether `done` was called."""
+        self._problem: PlgsError | None = None
+
+    @property
+    def key(self) -> Hashable:
+        """The task that this one replaces has the same."""
+        return self.kind
+
+    @property
+    def is_running(self) -> bool:
+        return self.follower.is_running
+
+    @property
+    def state(self) -> TaskState:
+        return self.follower.state
+
+    @property
+    def has_finished(self) -> bool:
+        """Whether it ended well, and its answer was taken without an error."""
+        return self.state is TaskState.FINISHED and self.error is None
+
+    @property
+    def was_cancelled(self) -> bool:
+        return self.state is TaskState.CANCELLED
+
+    @property
+    def progress(self) -> TaskProgress:
+        return self.follower.progress
+
+    @property
+    def answer(self) -> Mapping[str, Any] | None:
+        return self.follower.answer
+
+    @property
+    def error(self) -> PlgsError | None:
+        """Why the engine failed, or else why its answer could not be taken."""
+        return self.follower.error or self._problem
+
+    def poll(self, scene: Any) -> bool:
+        """Take in what happened, `done` included; whether there is news."""
+        has_news = self.follower.poll()
+        if not self.is_running and not self.is_taken:
+            self.is_taken = True
+            self.follower.close()
+            try:
+                self.done(scene)
+            except PlgsError as error:
+                self._problem = error
+            except OSError as error:
+                self._problem = PlgsError(str(error), "", "")
+            return True
+        return has_news
+
+    def done(self, scene: Any) -> None:
+        """Take the answer into Blender, whose current scene is ``scene``. It is called once, however the task ended.
+
+        Raises PlgsError, OSError.
+        """
+
+    def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
+        """Called at every tick of the timer with all scenes of the file; whether 3D views have to be drawn anew."""
+        return False
+
+    def cancel(self) -> None:
+        """Ask the engine to stop: it does within a second. Raises OSError when it is somebody else's."""
+        self.follower.cancel()
+
+    def let_go(self) -> None:
+        """Follow it no longer, and end its engine."""
+        if self.is_running:
+            self.follower.kill()
+            self.follower.close()
+
+
+Kind = TypeVar("Kind", bound=Task)
+_tasks: dict[Hashable, Task] = {}
+
+
+def start_engine(
+    kind: str, python: Path, *arguments: str | Path, variables: Mapping[str, str] | None = None
+) -> TaskFollower:
+    """Start the engine's command ``kind``, which ends when this Blender does. Raises PlgsError, OSError."""
+    command = [*engine_call(python), kind, *arguments]
+    return TaskFollower.start(command, TaskPlace.temporary(), kind=kind, variables=variables or {})
+
+
+def follow(task: Kind) -> Kind:
+    """Follow a task in place of the one with the same key."""
+    forget(task.key)
+    _tasks[task.key] = task
+    return task
+
+
+def latest(kind: type[Kind]) -> Kind | None:
+    """The task of a kind that was followed last, running or ended; None when there was none."""
+    return next((task for task in reversed(_tasks.values()) if isinstance(task, kind)), None)
+
+
+def task_of(key: Hashable) -> Task | None:
+    """The task with this key."""
+    return _tasks.get(key)
+
+
+def running(kind: type[Kind]) -> list[Kind]:
+    """The tasks of a kind that go on. `Task` stands for every kind."""
+    return [task for task in _tasks.values() if isinstance(task, kind) and task.is_running]
+
+
+def refuse_second(kind: type[Task]) -> None:
+    """Raise PlgsError when a task of this kind is running."""
+    for task in running(kind):
+        raise PlgsError("an engine is at work already", task.label, "Wait until it is done, or cancel it.")
+
+
+def poll_all(scene: Any) -> list[Task]:
+    """Poll all tasks once; those with news."""
+    return [task for task in list(_tasks.values()) if (task.is_running or not task.is_taken) and task.poll(scene)]
+
+
+def wait_for(task: Task, scene: Any, tell: Callable[[str], object] = lambda line: None) -> None:
+    """Block until a task has ended and its answer is taken. Each new step is told. Ctrl-C cancels it."""
+    told = ""
+    try:
+        while task.is_running or not task.is_taken:
+            task.poll(scene)
+            progress = task.progress
+            line = f"{progress.stage_index}/{progress.stage_count} {progress.label}"
+            if progress.stage_count and line != told:
+                told = line
+                tell(line)
+            time.sleep(_POLL_S if task.is_running else 0.0)
+    except KeyboardInterrupt:
+        with suppress(OSError):
+            task.cancel()
+        while not task.is_taken:
+            task.poll(scene)
+            time.sleep(_POLL_S)
+        raise
+
+
+def forget(key: Hashable) -> None:
+    """Let go of a task, and of what it found."""
+    task = _tasks.pop(key, None)
+    if task is not None:
+        task.let_go()
+
+
+def forget_all() -> None:
+    """Let go of all tasks. Engines of our own end, unless they were started to go on."""
+    for key in list(_tasks):
+        forget(key)

@@ -1,0 +1,200 @@
+"""3D Gaussian Splatting (3DGS): every Gaussian has its own shape, colour and labels, and no decoder makes them smooth.
+
+It lives in the same tensors as the structured scene, so that all else can be the same: an anchor is one Gaussian, its
+offset is how far it has moved, in metres, and its feature holds what else is learnt, column by column, in units of its
+rate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+from torch.nn import functional
+
+from engine.model.anchors import UNKNOWN_CLASS, Anchors, spacing
+from engine.model.checking import LARGEST_LEVEL
+from engine.model.decoders import DECODERS, Decoders, DecoderShape
+from engine.model.growing import GrowthRound, GrowthStatistics
+from engine.model.neural_gaussians import NeuralGaussians
+from engine.model.torch_decoding import cluster_loss
+
+OPACITY, SCALE, QUAT, COLOUR, LABELS = slice(0, 1), slice(1, 4), slice(4, 8), slice(8, 11), 11
+"""Columns of a feature: the opacity's logit, log scales, quaternion, colour as spherical harmonics of degree 0; from 11
+on logits of the classes, then of the slots."""
+OPACITY_RATE, SCALE_RATE, QUAT_RATE, COLOUR_RATE = 20.0, 2.0, 0.4, 1.0
+"""How much faster than a colour each is learnt: 3DGS's rates 0.05, 0.005, 0.001 over its 0.0025."""
+LABEL_RATE = 20.0
+"""3DGS has no labels; logits start at 0 and have hundreds of steps."""
+HARMONIC = 0.28209479177387814
+"""The spherical harmonic of degree 0."""
+
+
+@dataclass(frozen=True)
+class PlainRules:
+    """When Gaussians are cloned, split and pruned (3DGS, section 5.2).
+
+    ``gradient`` of the projected centre in NDC units beyond which one is cloned, or split where it is larger than
+    ``dense_share`` of the scene's extent; below ``opacity`` it goes. Opacities are set back to at most ``reset_to``
+    every ``reset_share`` of all steps, where these are at least ``reset_steps``: a shorter lift has no time to bring
+    them back."""
+
+    gradient: float = 2e-4
+    dense_share: float = 0.01
+    opacity: float = 0.005
+    reset_share: float = 0.1
+    reset_to: float = 0.01
+    reset_steps: int = 500
+
+
+class PlainDecoders(Decoders):
+    """What stands in for the decoders: nothing is learnt here, labels are columns of the features."""
+
+    kind = "3dgs"
+    decodes_all_anchors = True  # they have moved away from where they began
+
+    def __init__(self, shape: DecoderShape, seed: int = 0) -> None:
+        nn.Module.__init__(self)  # none of the networks
+        self.shape = shape
+
+    @classmethod
+    def of_labels(cls, classes: int, instance_slots: int) -> PlainDecoders:
+        """For that many labels."""
+        features = LABELS + classes + instance_slots
+        return cls(DecoderShape(features, 1, classes, instance_slots, distance_input=False, label_view_input=False))
+
+    @classmethod
+    def sides(cls, shape: DecoderShape) -> dict[str, tuple[int, int]]:
+        """There are no networks."""
+        return {}
+
+    @classmethod
+    def check_shape(cls, shape: DecoderShape) -> None:
+        """As ``Decoders.check_shape``."""
+        if (shape.gaussians_per_anchor, shape.features) != (1, LABELS + shape.classes + shape.instance_slots):
+            raise ValueError("the columns of plain Gaussians do not fit their labels")
+
+    def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """As ``Decoders.label_logits``."""
+        logits = LABEL_RATE * feature[:, None, LABELS:]
+        return logits[..., : self.shape.classes], logits[..., self.shape.classes :]
+
+    def own_decoding(
+        self,
+        anchors: Anchors,
+        visible: torch.Tensor,
+        centre: torch.Tensor,
+        channels: torch.Tensor | None,
+        known_labels: torch.Tensor | None,
+    ) -> NeuralGaussians:
+        """The Gaussians look the same from everywhere."""
+        feature = anchors.feature.index_select(0, visible)
+        opacity = torch.sigmoid(OPACITY_RATE * feature[:, OPACITY])
+        cluster = feature.new_zeros(())
+        if known_labels is not None:
+            labels = known_labels.index_select(0, visible)
+        else:
+            logits = self.label_logits(feature, feature)
+            labels = torch.cat([functional.softmax(each[:, 0], dim=1) for each in logits], dim=1)
+            if channels is not None:
+                cluster = cluster_loss(logits[0], channels.index_select(0, visible))
+        return NeuralGaussians(
+            means=anchors.position.index_select(0, visible) + anchors.offset.index_select(0, visible)[:, 0],
+            scales=torch.exp(SCALE_RATE * feature[:, SCALE]),
+            quats=QUAT_RATE * feature[:, QUAT],
+            opacities=opacity[:, 0],
+            colours=(0.5 + HARMONIC * COLOUR_RATE * feature[:, COLOUR]).clamp_min(0.0),
+            labels=labels,
+            visible=visible,
+            all_opacities=opacity.detach(),
+            kept=torch.arange(len(visible)),
+            cluster_loss=cluster,
+        )
+
+
+DECODERS[PlainDecoders.kind] = PlainDecoders
+
+
+def plain_gaussians(
+    positions: NDArray[np.float32], classes: NDArray[np.integer], rgb: NDArray[np.uint8], shape: DecoderShape
+) -> Anchors:
+    """Gaussians at ``positions`` [M, 3] metres of colours ``rgb`` uint8 [M, 3], without labels; ``classes`` [M], class
+    ids of the cloud (0 unknown), serve the cluster loss alone."""
+    count = len(positions)
+    feature = np.zeros((count, shape.features), np.float32)
+    feature[:, OPACITY] = _logit(0.1) / OPACITY_RATE
+    feature[:, SCALE] = np.log(spacing(positions))[:, None] / SCALE_RATE
+    feature[:, QUAT] = np.array([1.0, 0.0, 0.0, 0.0]) / QUAT_RATE
+    feature[:, COLOUR] = (rgb.astype(np.float32) / 255.0 - 0.5) / HARMONIC / COLOUR_RATE
+    return Anchors(
+        position=torch.from_numpy(np.ascontiguousarray(positions, np.float32)),
+        feature=torch.from_numpy(feature),
+        offset=torch.zeros(count, 1, 3),
+        log_scale=torch.zeros(count, 6),
+        level=torch.zeros(count, dtype=torch.int64),
+        initial_class=torch.from_numpy(np.asarray(classes, np.int64)),
+    )
+
+
+def clone_split_prune(
+    anchors: Anchors,
+    statistics: GrowthStatistics,
+    rules: PlainRules,
+    *,
+    extent: float,
+    random: np.random.Generator,
+    most: int,
+) -> GrowthRound:
+    """One round of 3DGS's densification; the statistics are set back to zero in place. ``extent`` in metres.
+
+    A small Gaussian with a large gradient is cloned, a large one gives way to two of 1/1.6 its size, drawn from it.
+    """
+    feature = anchors.feature.detach()
+    gradient = (statistics.gradient / statistics.drawn.clamp_min(1)).squeeze(1)
+    scale = torch.exp(SCALE_RATE * feature[:, SCALE])
+    faint = torch.sigmoid(OPACITY_RATE * feature[:, 0]) < rules.opacity
+    moved = (gradient >= rules.gradient) & ~faint
+    is_large = scale.amax(dim=1) > rules.dense_share * extent
+    keep = ~faint & ~(moved & is_large)
+    room = max(0, most - int(keep.sum()))
+    clones = anchors.select(moved & ~is_large)
+    splits = _split(anchors, (moved & is_large).nonzero().squeeze(1), random)
+    grown = clones.extended(splits)
+    grown.level.add_(1).clamp_(max=LARGEST_LEVEL)
+    grown.initial_class.fill_(UNKNOWN_CLASS)
+    if len(grown) > room:
+        grown = grown.select(torch.from_numpy(np.sort(random.choice(len(grown), room, replace=False))))
+    for sums in statistics.tensors().values():
+        sums.zero_()
+    return GrowthRound(keep, grown)
+
+
+def _split(anchors: Anchors, rows: torch.Tensor, random: np.random.Generator) -> Anchors:
+    """Two for each of ``rows`` int64 [n]."""
+    halves = anchors.select(rows.repeat(2))
+    scale = torch.exp(SCALE_RATE * halves.feature[:, SCALE])
+    drawn = torch.from_numpy(random.standard_normal(tuple(scale.shape)).astype(np.float32)) * scale
+    halves.offset += _rotated(QUAT_RATE * halves.feature[:, QUAT], drawn)[:, None]
+    halves.feature[:, SCALE] -= float(np.log(1.6)) / SCALE_RATE
+    return halves
+
+
+def _rotated(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
+    """``vectors`` [n, 3] turned by ``quats`` wxyz [n, 4], not normalised."""
+    unit = functional.normalize(quats, dim=1)
+    w, axis = unit[:, :1], unit[:, 1:]
+    across = torch.linalg.cross(axis, vectors)
+    return vectors + 2.0 * (w * across + torch.linalg.cross(axis, across))
+
+
+def reset_opacities(anchors: Anchors, rules: PlainRules) -> None:
+    """Bring all opacities down to at most ``reset_to``, in place."""
+    with torch.no_grad():
+        anchors.feature[:, OPACITY].clamp_(max=_logit(rules.reset_to) / OPACITY_RATE)
+
+
+def _logit(share: float) -> float:
+    return float(np.log(share / (1.0 - share)))

@@ -1,0 +1,146 @@
+"""Lifts of baselines: PLGS's way, but for what the options of ``BaselinePreset`` say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from engine.instances.panoptic_labels import PanopticLabels
+from engine.instances.segment_votes import member_labels
+from engine.lift.method import Method, use_method
+from engine.lift.preparation import PreparedLift
+from engine.lift.starting_scene import starting_anchors, starting_scene
+from engine.model.decoders import Decoders, DecoderShape
+from engine.model.structured import StructuredScene
+from engine.presets.preset import Preset, extend_presets
+from engine.scene import ClassTable, OnDemand, View, stored
+from engine.train.progress import StageProgress, StageReporter
+from engine.train.targets import ViewTargets, columns_of, slots_of
+from engine.train.trainer import Trainer
+
+from . import contrastive_loss, identity_loss
+from .embedding_clusters import with_clusters
+from .encodings import EncodedDecoders, EncodedShape, FollowedDecoders, TwiceEncodedShape
+from .gaussian_splatting import PlainDecoders, plain_gaussians
+from .options import BaselinePreset, refuse_clashing_options
+from .trainer import EncodingTrainer, SegmentTrainer, SplattingTrainer
+
+
+def register() -> None:
+    """Make the baselines known to the engine in this process: their options, and what they do otherwise. Their kinds of
+    decoders are known once this module is imported."""
+    extend_presets(BaselinePreset)
+    use_method(Baselines())
+
+
+class Baselines(Method):
+    """Whichever the preset's options name; with none of them PLGS itself."""
+
+    def refuse_bad_options(self, preset: Preset) -> None:
+        """See ``refuse_clashing_options``."""
+        refuse_clashing_options(cast(BaselinePreset, preset))
+
+    def prepare(
+        self,
+        views: Sequence[View],
+        classes: ClassTable,
+        preset: Preset,
+        seed: int,
+        stages: StageReporter,
+        scratch: Path | None = None,
+        others: Sequence[View] = (),
+    ) -> PreparedLift:
+        """PLGS's start, with another scene, other targets or other label maps in place of its own."""
+        options = cast(BaselinePreset, preset)
+        has_own_start = (
+            options.representation != "structured" or options.instances != "slots" or not options.labelled_start
+        )
+        first = replace(preset, warm_start=False) if has_own_start else preset
+        prepared = super().prepare(views, classes, first, seed, stages, scratch, others)
+        if options.vote_from == "masks" and prepared.label_maps is not None:
+            prepared = with_labels_of_masks(prepared, views, scratch)
+        if has_own_start:
+            viewpoints = np.array([view.camera.centre for view in views])
+            prepared = replace(prepared, scene=baseline_scene(prepared, viewpoints, options, seed))
+        if options.semantic_targets != "projected":
+            prepared = with_semantic_targets(prepared, views, options.semantic_targets)
+        return prepared
+
+    def trainer(self, prepared: PreparedLift, views: Sequence[View], preset: Preset, seed: int) -> Trainer:
+        """The one of the preset's baseline."""
+        options = cast(BaselinePreset, preset)
+        kind: type[Trainer] = SegmentTrainer
+        if options.representation == "plain":
+            kind = SplattingTrainer
+        elif options.instances != "slots":
+            kind = EncodingTrainer
+        return kind(prepared.scene, prepared.targets, views, preset, seed)
+
+    def finish(
+        self, trainer: Trainer, prepared: PreparedLift, classes: ClassTable, progress: StageProgress
+    ) -> PreparedLift:
+        """The clusters of contrastive embeddings become the instances."""
+        if isinstance(trainer.scene.decoders, FollowedDecoders):
+            trainer.scene = with_clusters(trainer.scene, trainer.views, classes.thing_ids, trainer.seed, progress)
+            prepared = replace(prepared, scene=trainer.scene)
+        return prepared
+
+
+def baseline_scene(
+    prepared: PreparedLift, viewpoints: NDArray[np.float64], options: BaselinePreset, seed: int
+) -> StructuredScene:
+    """The scene before the first step, of the kind that the options name."""
+    channels = prepared.scene.channels
+    start = starting_anchors(prepared.cloud, prepared.instance_of_point, options)
+    if not options.labelled_start:
+        start = start._replace(classes=np.zeros_like(start.classes), owners=np.zeros_like(start.owners))
+    if options.representation == "plain":
+        decoders = PlainDecoders.of_labels(len(channels.class_ids), len(channels.slot_ids))
+        gaussians = plain_gaussians(start.positions, start.classes, start.rgb, decoders.shape)
+        return StructuredScene(gaussians, decoders, channels, options.voxel_size)
+
+    def new_decoders(shape: DecoderShape, seed: int) -> Decoders:
+        if options.instances == "identity":
+            return EncodedDecoders(EncodedShape(**vars(shape), encoding=identity_loss.CHANNELS), seed)
+        if options.instances == "contrastive":
+            return FollowedDecoders(TwiceEncodedShape(**vars(shape), encoding=contrastive_loss.CHANNELS), seed)
+        return Decoders(shape, seed)
+
+    return starting_scene(start, channels, viewpoints, options, seed, new_decoders)
+
+
+def with_labels_of_masks(prepared: PreparedLift, views: Sequence[View], scratch: Path | None) -> PreparedLift:
+    """Label maps straight from the input masks with their objects, and targets of these."""
+    labels = PanopticLabels(prepared.cloud.class_ids, tuple(one.class_id for one in prepared.instances))
+    object_of = {(item.frame, item.segment_id): one.id for one in prepared.instances for item in one.evidence}
+    maps = stored((member_labels(view, labels, object_of) for view in views), scratch)
+    channels, targets = prepared.scene.channels, prepared.targets
+
+    def target(number: int) -> ViewTargets:
+        classes = labels.classes(maps[number])
+        matched = slots_of(labels.objects(maps[number]), classes != 0, channels)
+        return replace(targets[number], projected=_columns(classes, channels.class_ids), matched=matched)
+
+    return replace(prepared, label_maps=maps, targets=OnDemand(len(views), target))
+
+
+def with_semantic_targets(prepared: PreparedLift, views: Sequence[View], source: str) -> PreparedLift:
+    """Targets whose classes come from the input masks, or that have none."""
+    class_ids, targets = prepared.scene.channels.class_ids, prepared.targets
+
+    def target(number: int) -> ViewTargets:
+        classes = views[number].mask.class_map()
+        projected = _columns(classes if source == "masks" else np.zeros_like(classes), class_ids)
+        return replace(targets[number], projected=projected)
+
+    return replace(prepared, targets=OnDemand(len(views), target))
+
+
+def _columns(classes: NDArray[np.int32], class_ids: tuple[int, ...]) -> torch.Tensor:
+    return columns_of(classes, class_ids).to(torch.int16)

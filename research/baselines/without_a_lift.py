@@ -1,0 +1,87 @@
+"""Baselines that need no lift: the input masks as they are, and votes in voxels, on the held-out frames of a scene."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from engine import __version__
+from engine.errors import PlgsError
+from engine.job import write_atomically
+from engine.job.atomic import sha256
+from engine.json_file import Json, read_object
+from engine.metrics.report import INPUT_MASKS, PredictedView, Report, add_input_masks
+from engine.scene import GroundTruth, Scene, open_asked
+from engine.scene_source import SceneSource
+
+from ..results import Figures, scores_by_method
+from .voxel_vote import VOXEL_VOTE, add_voxel_vote
+
+VOXELS_ALONE = "voxel vote without objects"
+WITHOUT_A_LIFT = (INPUT_MASKS, VOXEL_VOTE, VOXELS_ALONE)
+FORMAT = 2
+
+
+class _WithoutObjects(Report):
+    """Scores each answer of the voxels a second time, with no object told from another of its class."""
+
+    def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
+        super().add_labels(method, frame, view, truth)
+        if method == VOXEL_VOTE:
+            alone = PredictedView(view.semantic, np.zeros_like(view.instance))
+            super().add_labels(VOXELS_ALONE, frame, alone, truth)
+
+
+WITH_IDS = (VOXEL_VOTE,)
+"""Those whose ids mean the same in every frame, so that changes of them can be counted."""
+
+
+def files_fingerprint(scene: Scene, results: Path) -> str:
+    """A hash of the names, sizes and times of change of all files of the scene, masks and ground truth among them; of
+    a scene in one file, of those beside it too. ``results``: a folder that is left out, as it may lie within the
+    scene's. Raises PlgsError."""
+    is_folder, results = scene.folder.is_dir(), results.resolve()
+    place = (scene.folder if is_folder else scene.folder.parent).resolve()
+    fix = "Check that the scene's files are there and may be read."
+    digest = hashlib.sha256(scene.format.encode())
+    try:
+        for path in sorted(place.rglob("*") if is_folder else (*place.glob("*"), *place.glob("*/*"))):
+            if path.is_file() and results not in path.parents:
+                name, facts = path.relative_to(place), path.stat()
+                line = f"{name}\0{facts.st_size}\0{facts.st_mtime_ns}\n"
+                digest.update(line.encode(errors="surrogateescape"))
+    except OSError as error:
+        raise PlgsError(f"its files cannot be looked at ({error.strerror})", place, fix) from error
+    return digest.hexdigest()
+
+
+def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures]:
+    """Figures by method (WITHOUT_A_LIFT). Empty without ground truth. They are kept in ``cache`` and measured anew when
+    the engine has changed, a file of the scene, or the format or classes that its masks are read by.
+
+    Raises PlgsError when a file or the cache is bad.
+    """
+    scene, classes = open_asked(source), source.classes
+    made_of: dict[str, Json] = {
+        "format": FORMAT,
+        "engine_version": __version__,
+        "files": files_fingerprint(scene, cache.parent),
+        "mask_format": source.mask_format,
+        "classes": sha256(Path(classes)) if classes and classes.endswith(".toml") else classes,
+    }
+    content = read_object(cache, "Delete it: the same command then makes it anew.") if cache.is_file() else {}
+    if any(content.get(key) != value for key, value in made_of.items()):
+        began, report = time.monotonic(), _WithoutObjects(scene.classes)
+        add_input_masks(report, scene)
+        add_voxel_vote(report, scene)
+        content = {**report.to_json(), **made_of}  # type: ignore[dict-item]
+        content["seconds"] = round(time.monotonic() - began, 1)
+        cache.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(cache, json.dumps(content, indent=1) + "\n")
+    tables = content.get("tables")
+    found = scores_by_method([each for each in tables if isinstance(each, dict)] if isinstance(tables, list) else [])
+    return {name: each if name in WITH_IDS else each._replace(id_changes=None) for name, each in found.items()}

@@ -1,0 +1,199 @@
+"""``python -m research bench step``: where the time of a training step goes, and how fast a lifted scene is drawn."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import torch
+from torch.autograd.graph import register_multi_grad_hook
+
+from engine.job import EventWriter, StopSignal
+from engine.lift.preparation import PreparedLift, prepare
+from engine.lift.run import STAGES
+from engine.model.gaussians import visible_anchors
+from engine.model.render import render_view
+from engine.model.scene_labels import scene_labels
+from engine.passes.layers import decide
+from engine.presets.preset import PRESETS, Preset
+from engine.scene import ClassTable, View, load_view, open_scene
+from engine.train.progress import StageReporter, StepClock
+from engine.train.trainer import Trainer
+
+from .raster import processor_name
+
+SAMPLE = Path(__file__).resolve().parents[2] / "sample" / "room"
+SIZE = (640, 480)
+"""The sample's frames are enlarged to this: what is measured is time, not what is seen."""
+EVERY = 4
+"""Each fourth training frame is lifted: enough to see all of the room."""
+VOXEL_SIZE = 0.09
+"""Metres; makes about 50 000 anchors of the sample."""
+WARM_UP_STEPS = 3
+EPOCHS = 2
+"""How often each view is trained on, and drawn, while the clock runs."""
+
+DECODE = ("decode, forward", "decode, backward")
+RASTERISE = ("rasterise, forward", "rasterise, backward")
+LOSSES = ("SSIM, L1, volume", "label losses", "depth loss", "losses, backward")
+OPTIMISE = ("growth statistics", "optimiser")
+
+
+class MeasuringClock(StepClock):
+    """Keeps the wall seconds of each part of each step in ``steps``. A part told twice in a step adds up."""
+
+    def __init__(self) -> None:
+        self.steps: list[dict[str, float]] = []
+        self._last = 0.0
+
+    def start(self) -> None:
+        self.steps.append({})
+        self._last = time.perf_counter()
+
+    def lap(self, part: str) -> None:
+        now = time.perf_counter()
+        parts = self.steps[-1]
+        parts[part] = parts.get(part, 0.0) + now - self._last
+        self._last = now
+
+    def lap_on_way_back(self, tensors: Sequence[torch.Tensor], part: str) -> None:
+        # Nodes run back in the order in which they were made, so all of what came after goes before.
+        register_multi_grad_hook(tensors, lambda gradient: self.lap(part), mode="any")
+
+
+@dataclass(frozen=True)
+class StepProfile:
+    """Milliseconds of a training step by part, and what they were measured on. ``visible`` anchors and ``gaussians``
+    are means over the steps; ``draw`` and ``decide`` make a panoptic frame: drawn, and every pixel decided."""
+
+    processor: str
+    threads: int
+    anchors: int
+    visible: int
+    gaussians: int
+    parts: dict[str, float]
+    draw: float
+    decide: float
+
+    @property
+    def frame(self) -> float:
+        return self.draw + self.decide
+
+    @property
+    def step(self) -> float:
+        return sum(self.parts.values())
+
+    def ratio(self, names: Sequence[str]) -> float:
+        """Time of these parts over the rasteriser's."""
+        return sum(self.parts.get(name, 0.0) for name in names) / sum(self.parts[name] for name in RASTERISE)
+
+    def facts(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "cpu": self.processor,
+            "threads": self.threads,
+            "anchors": self.anchors,
+            "visible_anchors": self.visible,
+            "gaussians": self.gaussians,
+            "step_ms": self.step,
+            "parts_ms": self.parts,
+            "decode_over_rasterise": self.ratio(DECODE),
+            "losses_and_optimiser_over_rasterise": self.ratio((*LOSSES, *OPTIMISE)),
+            "draw_ms": self.draw,
+            "decide_ms": self.decide,
+        }
+
+
+def bench_step() -> dict[str, object]:
+    """Prepare a lift of the bundled sample, measure its steps and its pictures, print and return what they took. Raises
+    PlgsError where the sample is not."""
+    preset = replace(PRESETS["standard"], size=SIZE, voxel_size=VOXEL_SIZE)
+    scene = open_scene(SAMPLE, None, "z")
+    views = [load_view(frame, SIZE) for frame in scene.train_frames[::EVERY]]
+    print(f"{processor_name()}, {torch.get_num_threads()} threads")
+    print(f"preparing a lift of {len(views)} views of {SIZE[0]}x{SIZE[1]} ...", flush=True)
+    profile = profile_lift(views, scene.classes, preset)
+    print_profile(profile)
+    return profile.facts()
+
+
+def profile_lift(views: Sequence[View], classes: ClassTable, preset: Preset, epochs: int = EPOCHS) -> StepProfile:
+    """Prepare a lift, train it until all parts take part, then measure ``epochs`` epochs of steps with labels:
+    the others have fewer parts."""
+    preset = replace(preset, label_every=1)
+    prepared = _prepared(views, classes, preset)
+    trainer = Trainer(prepared.scene, prepared.targets, list(views), preset, seed=0)
+    first = max(WARM_UP_STEPS, round(Trainer.growth_schedule.statistics_from * preset.steps) + 1)
+    print(f"{len(prepared.scene.anchors)} anchors; {first} steps to warm up ...", flush=True)
+    for _ in range(first):
+        trainer.step()
+    clock = trainer.clock = MeasuringClock()
+    reports = [trainer.step() for _ in range(epochs * len(views))]
+    anchors = trainer.scene.anchors
+    draw, decided = _frame_times(prepared, trainer, views, classes, epochs)
+    return StepProfile(
+        processor=processor_name(),
+        threads=torch.get_num_threads(),
+        anchors=len(anchors),
+        visible=round(np.mean([len(visible_anchors(anchors, view.camera)) for view in views])),
+        gaussians=round(np.mean([report.gaussians for report in reports])),
+        parts=typical(clock.steps),
+        draw=draw,
+        decide=decided,
+    )
+
+
+def _prepared(views: Sequence[View], classes: ClassTable, preset: Preset) -> PreparedLift:
+    with TemporaryDirectory() as folder:
+        events = EventWriter(Path(folder) / "events.jsonl")
+        try:
+            stages = StageReporter(events, StopSignal(Path(folder) / "cancel"), STAGES)
+            return prepare(views, classes, preset, 0, stages)
+        finally:
+            events.close()
+
+
+def typical(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Mean milliseconds of each part over the middle half of the steps by their whole time.
+
+    As little moved by a disturbed step as a median, and the parts add up to the whole. Raises ValueError for no steps.
+    """
+    if not steps:
+        raise ValueError("there is no step to tell of")
+    ordered = sorted(steps, key=lambda parts: sum(parts.values()))
+    cut = len(ordered) // 4
+    middle = ordered[cut : len(ordered) - cut]
+    return {name: 1e3 * float(np.mean([parts.get(name, 0.0) for parts in middle])) for name in steps[0]}
+
+
+def _frame_times(
+    prepared: PreparedLift, trainer: Trainer, views: Sequence[View], classes: ClassTable, epochs: int
+) -> tuple[float, float]:
+    """Median milliseconds of drawing a panoptic frame, and of deciding it."""
+    seconds = []
+    labels = scene_labels(trainer.scene)
+    for view in [views[0], *(list(views) * epochs)]:
+        began = time.perf_counter()
+        rendering = render_view(trainer.scene, view.camera, labels)
+        drawn = time.perf_counter()
+        decide(rendering, classes, prepared.class_of_instance)
+        seconds.append((drawn - began, time.perf_counter() - drawn))
+    draw, decided = np.median(seconds[1:], axis=0)
+    return 1e3 * float(draw), 1e3 * float(decided)
+
+
+def print_profile(profile: StepProfile) -> None:
+    print(f"{profile.anchors} anchors, of which a view sees {profile.visible}; {profile.gaussians} Gaussians drawn")
+    for name, milliseconds in profile.parts.items():
+        print(f"{name:20s} {milliseconds:8.1f} ms")
+    print(f"{'whole step':20s} {profile.step:8.1f} ms")
+    print(f"decode / rasterise: {profile.ratio(DECODE):.2f} (at most 1.5)")
+    print(f"(losses + optimiser) / rasterise: {profile.ratio((*LOSSES, *OPTIMISE)):.2f} (at most 0.5)")
+    print(
+        f"panoptic frame: drawn {profile.draw:.1f} ms, decided {profile.decide:.1f} ms: "
+        f"{1e3 / profile.frame:.1f} a second (at least 10)"
+    )

@@ -1,0 +1,195 @@
+"""``python -m research``: experiments and benches, and the engine's own commands on lifts of baselines.
+
+What a command runs is imported when it is wanted, so that --help and a typing error need no torch.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from engine.command_line.main import main as run_command
+from engine.command_line.parser import make_parser as parser_of_the_engine
+from engine.errors import PlgsError
+from engine.job import UPS, ExitCode
+from engine.job.options import add_format_option, add_label_options, add_set_option, preset_or_file
+from engine.job.terminal import Interrupted, Interrupts
+from engine.presets.preset import PRESETS
+
+SAMPLE = "sample/room"
+OF_THE_ENGINE = ("lift", "bake", "export", "evaluate", "presets")
+"""Commands of the engine that also take the baselines' options here."""
+FEWEST_OF_A_CAPTURE = 10
+"""Frames of a long capture: 8 of them are held out."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run a command and return its exit code. Bad arguments end with SystemExit(2), as argparse has it."""
+    if arguments[:1] and arguments[0] in OF_THE_ENGINE:
+        _register_baselines()
+        return run_command(arguments, _parser_of_the_engine)
+    return run_command(arguments, make_parser)
+
+
+def _parser_of_the_engine() -> argparse.ArgumentParser:
+    """With ``lift SCENE -o OUT`` done by a process of this program."""
+    parser = parser_of_the_engine()
+    parser.set_defaults(program="research")
+    return parser
+
+
+def _register_baselines() -> None:
+    from .baselines.method import register
+
+    register()
+
+
+def make_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m research",
+        description="Baselines, experiments and benches. The engine's commands "
+        f"{', '.join(OF_THE_ENGINE)} are here too, with the baselines' options.",
+    )
+    known = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_experiments(known.add_parser("experiments", help="lift many scenes and show their figures in one table"))
+    _add_bench(known.add_parser("bench", help="measure this machine"))
+    return parser
+
+
+def _add_experiments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Lift every scene in the ways of the rows, each in a process of its own and without passes, and print the "
+        "paper's tables in Markdown: baselines, ablations, departures. What is finished in FOLDER is not lifted again, "
+        "what was stopped goes on."
+    )
+    about = f"a scene's folder; AXIS is one of {', '.join(UPS)}"
+    parser.add_argument("scenes", nargs="*", metavar="SCENE[:up=AXIS]", help=f"{about} (default: {SAMPLE})")
+    parser.add_argument("--scenes", nargs="+", dest="named_scenes", metavar="SCENE[:up=AXIS]", help="the same")
+    parser.add_argument("--names", type=_names, metavar="A,B,..", help="what to call them (default: as their folders)")
+    parser.add_argument("--only", nargs="+", default=[], metavar="ROW|TABLE", help="these rows, or the rows of a table")
+    parser.add_argument("--list", action="store_true", help="list the tables and rows")
+    parser.add_argument(
+        "--preset", type=preset_or_file, default="preview", metavar="NAME|FILE.toml",
+        help="as for lift (default: preview)",
+    )  # fmt: skip
+    add_set_option(parser)
+    add_label_options(parser)
+    add_format_option(parser)
+    parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
+    parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="seeds of chance (default: 0)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",
+        help="where lifts, results.json, .csv and .md, plots and sheets go (default: lifts/experiments)",
+    )  # fmt: skip
+    parser.add_argument("--report", type=Path, metavar="FILE.md", help="a page whose tables are brought up to date")
+    parser.add_argument("--finished", action="store_true", help="lift nothing more: the tables of what is finished")
+    parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier results.json: before -> after")
+    parser.set_defaults(run=run_experiments)
+
+
+def _add_bench(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak. "
+        "step: a training step of a lift of the sample, by part, and the drawing of what was lifted. "
+        "bake: a baked frame, by part, and its memory. "
+        "long: lifts of long captures made of the sample, by stage, with their memory."
+    )
+    parser.add_argument("what", choices=("raster", "step", "bake", "long"))
+    parser.add_argument(
+        "--frames", type=_enough_frames, nargs="+", default=[100, 300], metavar="N",
+        help="long: frames of each capture (default: 100 300)",
+    )  # fmt: skip
+    parser.add_argument("--preset", choices=PRESETS, default="preview", help="long: as for lift (default: preview)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("lifts/long"), metavar="FOLDER",
+        help="long: where the captures are kept (default: lifts/long)",
+    )  # fmt: skip
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
+    parser.set_defaults(run=run_bench)
+
+
+def run_experiments(options: argparse.Namespace) -> int:
+    """Run the rows, one process each, and print the tables. Raises PlgsError."""
+    from .experiments.rows import read_rows
+    from .experiments.run import Experiment, run_experiment
+    from .experiments.scenes import scenes_from
+    from .results import read_results
+
+    _register_baselines()
+    rows = read_rows()
+    if options.list:
+        print(*rows.listed(), sep="\n")
+        return ExitCode.FINISHED
+    if options.named_scenes and options.scenes:
+        raise PlgsError("scenes are named twice", "--scenes", "Leave one of the two out.")
+    experiment = Experiment(
+        scenes=scenes_from(options.named_scenes or options.scenes or [SAMPLE], options.names),
+        folder=options.output,
+        rows=rows,
+        only=tuple(options.only),
+        preset=options.preset,
+        steps=options.steps,
+        sets=tuple(options.set or ()),
+        scene_format=options.scene_format,
+        mask_format=options.mask_format,
+        classes=options.classes,
+        seeds=tuple(options.seeds),
+        earlier=read_results(options.against) if options.against else (),
+        page=options.report,
+        only_finished=options.finished,
+    )
+    try:
+        with Interrupts() as interrupts:
+            return run_experiment(experiment, interrupts)
+    except Interrupted as error:
+        print("Stopped. The same command goes on.", file=sys.stderr)
+        return error.exit_code
+
+
+def run_bench(options: argparse.Namespace) -> ExitCode:
+    """Run one bench, print its figures and write them to a file. Raises PlgsError."""
+    from .bench import bake, long, raster, step
+
+    if options.json is not None:
+        _refuse_unwritable(options.json)
+    figures: object
+    if options.what == "long":
+        figures = long.bench_long(options.frames, options.output, options.preset)
+    else:
+        figures = {"raster": raster.bench_raster, "step": step.bench_step, "bake": bake.bench_bake}[options.what]()
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    return ExitCode.FINISHED
+
+
+def _refuse_unwritable(file: Path) -> None:
+    """Before minutes of work: raise PlgsError when ``file`` could not be written."""
+    if file.is_dir():
+        raise PlgsError("the figures need a file, this is a folder", file, "Name a file in it.")
+    if not file.parent.is_dir():
+        raise PlgsError("there is no such folder for the figures", file.parent, "Make it, or name another file.")
+    if not os.access(file if file.exists() else file.parent, os.W_OK):
+        raise PlgsError("this cannot be written", file, "Name a file in a folder of yours.")
+
+
+def _names(text: str) -> list[str]:
+    return text.split(",")
+
+
+def _seeds(text: str) -> list[int]:
+    seeds = text.split(",")
+    if not all(seed.isdecimal() for seed in seeds):
+        raise argparse.ArgumentTypeError(f"{text!r} are no whole numbers with commas between, such as 0,1,2")
+    return list(dict.fromkeys(map(int, seeds)))
+
+
+def _enough_frames(text: str) -> int:
+    """For a long capture; for argparse, so it raises ArgumentTypeError."""
+    if not re.fullmatch(r"[0-9]{1,7}", text) or int(text) < FEWEST_OF_A_CAPTURE:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of frames from {FEWEST_OF_A_CAPTURE} on")
+    return int(text)

@@ -1,0 +1,123 @@
+"""The rows of the tables as data: rows.toml, read and checked."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from engine.errors import PlgsError
+from engine.json_file import Json
+from engine.presets.options import checked_options
+
+ROWS = Path(__file__).with_suffix(".toml")
+_FIX = "Mend rows.toml."
+
+
+@dataclass(frozen=True)
+class Cited:
+    """What the paper reports, in per cent and decibels, of the scenes of ``dataset``."""
+
+    dataset: str
+    miou: float | None = None
+    pq: float | None = None
+    psnr: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table: a lift with ``options`` changed, with the scene's file ``masks`` in place of the usual ones,
+    with the depth that the lift of the row ``depth_from`` renders in place of the sensor's. Or ``method``, which needs
+    no lift; or ``same_as``, the lift of another row; or, ``is_cited``, the paper's figures alone."""
+
+    name: str
+    table: str
+    options: Mapping[str, Json] = field(default_factory=dict)
+    method: str | None = None
+    same_as: str | None = None
+    masks: str | None = None
+    depth_from: str | None = None
+    paper: Cited | None = None
+    is_cited: bool = False
+
+    @property
+    def is_lift(self) -> bool:
+        return not (self.is_cited or self.method or self.same_as)
+
+    @property
+    def slug(self) -> str:
+        """Part of a folder's name."""
+        return re.sub(r"\W+", "-", self.name.lower()).strip("-")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """All rows in their order, and the headings of their tables."""
+
+    rows: tuple[Row, ...]
+    tables: Mapping[str, str]
+
+    def named(self, name: str) -> Row:
+        """Raises KeyError when there is none."""
+        return next(row for row in self.rows if row.name == name)
+
+    def lift_of(self, row: Row) -> Row:
+        """The row whose lift this one shows."""
+        return self.named(row.same_as) if row.same_as else row
+
+    def listed(self) -> Iterator[str]:
+        """A line a row, under the name of its table."""
+        for table, heading in self.tables.items():
+            yield f"{table}: {heading}"
+            yield from (f"    {row.name}" for row in self.rows if row.table == table and not row.is_cited)
+
+    def chosen(self, only: Sequence[str]) -> tuple[Row, ...]:
+        """The rows of these names, or of the tables of these names; all of them without any. Raises PlgsError, which
+        tells the nearest name."""
+        known = {name.casefold(): name for name in (*self.tables, *(row.name for row in self.rows))}
+        for wanted in only:
+            if wanted.casefold() not in known:
+                near = difflib.get_close_matches(wanted.casefold(), known, 1, 0.4)
+                hint = f"Did you mean {known[near[0]]!r}? " if near else ""
+                fix = f"{hint}There are the tables {', '.join(self.tables)} and their rows, see rows.toml."
+                raise PlgsError("there is no such row or table", wanted, fix)
+        names = {wanted.casefold() for wanted in only}
+        return tuple(row for row in self.rows if not only or {row.name.casefold(), row.table.casefold()} & names)
+
+
+def read_rows(path: Path = ROWS) -> Rows:
+    """Raises PlgsError when the file is no table of rows."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        rows = tuple(_rows(content))
+        found = Rows(rows, content["tables"])
+        for row in rows:
+            others = [found.named(name) for name in (row.same_as, row.depth_from) if name]
+            if row.table not in found.tables or not all(other.is_lift for other in others):
+                raise KeyError(row.name)
+    except (OSError, ValueError, KeyError, TypeError, StopIteration) as error:
+        raise PlgsError(f"holds no rows ({error!r})", path, _FIX) from error
+    if len({row.slug for row in rows}) != len(rows):
+        raise PlgsError("two rows have one name", path, _FIX)
+    return found
+
+
+def _rows(content: Mapping[str, Any]) -> Iterator[Row]:
+    for kind in ("row", "cited"):
+        for entry in content.get(kind, ()):
+            own = {key: value for key, value in entry.items() if key not in ("set", "way", "paper")}
+            options = {**_way(content, entry.get("way")), **entry.get("set", {})}
+            paper = Cited(**entry["paper"]) if "paper" in entry else None
+            yield Row(**own, options=checked_options(options), paper=paper, is_cited=kind == "cited")
+
+
+def _way(content: Mapping[str, Any], name: str | None) -> dict[str, Any]:
+    if name is None:
+        return {}
+    own = dict(content["ways"][name])
+    return {**_way(content, own.pop("way", None)), **own}

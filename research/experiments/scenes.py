@@ -1,0 +1,58 @@
+"""The scenes that a command line names: ``SCENE`` or ``SCENE:up=y``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from engine.errors import PlgsError
+from engine.job import UPS
+from engine.scene_source import UpAxis
+
+_SCENE = re.compile(r"(?P<folder>.+?)(?::up=(?P<up>.*))?", re.DOTALL)
+_NAME = re.compile(r"\w[\w .+-]*")
+"""It becomes a part of a folder's name, and a cell of a Markdown table."""
+
+
+@dataclass(frozen=True)
+class SceneToLift:
+    """A scene's folder (absolute), the axis of its poses that points up, and what tables call it."""
+
+    name: str
+    folder: Path
+    up: UpAxis = "z"
+
+
+def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tuple[SceneToLift, ...]:
+    """The scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, called ``names`` or as their folders are.
+
+    Raises PlgsError when an axis or a name is none, when two have one name, or when the numbers differ.
+    """
+    if names is not None and len(names) != len(texts):
+        raise PlgsError(f"{len(names)} names for {len(texts)} scenes", ",".join(names), "Give a name for each scene.")
+    scenes = [_scene(text) for text in texts]
+    if names is not None:
+        scenes = [SceneToLift(name, scene.folder, scene.up) for name, scene in zip(names, scenes, strict=True)]
+    known: set[str] = set()
+    for scene in scenes:
+        if not _NAME.fullmatch(scene.name):
+            fix = "Give names of letters, digits and - with --names."
+            raise PlgsError(f"{scene.name!r} cannot be a scene's name", scene.folder, fix)
+        if scene.name.casefold() in known:  # on some disks Office and office are one folder
+            raise PlgsError(f"two scenes are called {scene.name}", scene.folder, "Give other names with --names.")
+        known.add(scene.name.casefold())
+    return tuple(scenes)
+
+
+def _scene(text: str) -> SceneToLift:
+    match = _SCENE.fullmatch(text)
+    if match is None:
+        raise PlgsError("is no scene", repr(text), "Give the scene's folder.")
+    up = match["up"] if match["up"] is not None else SceneToLift.up
+    if up not in UPS:
+        raise PlgsError(f"{up!r} is no axis that points up", text, f"Write SCENE:up= and one of {', '.join(UPS)}.")
+    folder = Path(match["folder"]).resolve()
+    return SceneToLift(folder.name, folder, cast(UpAxis, up))

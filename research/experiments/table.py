@@ -1,0 +1,156 @@
+"""The figures of all rows as tables in Markdown, beside those that the paper reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from statistics import mean, stdev
+
+from engine import __version__
+
+from ..results import Result
+from .rows import Cited, Row, Rows
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a figure (a field of Figures, or "steps") is shown: times ``factor``, with ``digits`` after the point.
+    ``best``: which of several seeds' is shown, as with times, which other work only makes worse; without, their mean
+    and standard deviation are."""
+
+    figure: str
+    heading: str
+    factor: float
+    digits: int
+    best: Callable[[Sequence[float]], float] | None = None
+
+    def values(self, seeds: Sequence[Result]) -> list[float]:
+        """As they are shown, of the seeds in which it was measured."""
+        found = [one.steps or None if self.figure == "steps" else getattr(one.figures, self.figure) for one in seeds]
+        return [value * self.factor for value in found if value is not None]
+
+
+COLUMNS = (
+    Column("miou", "mIoU %", 100.0, 1),
+    Column("pq", "PQ-scene %", 100.0, 1),
+    Column("miou_pl_compat", "mIoU % `pl_compat`", 100.0, 1),
+    Column("pq_pl_compat", "PQ-scene % `pl_compat`", 100.0, 1),
+    Column("pq_frame", "per-frame PQ %", 100.0, 1),
+    Column("id_changes", "id changes per object", 1.0, 2),
+    Column("psnr", "PSNR dB", 1.0, 2),
+    Column("psnr_fitted", "PSNR dB, colours fitted", 1.0, 2),
+    Column("ssim", "SSIM", 1.0, 3),
+    Column("depth_error_m", "depth error cm", 100.0, 1),
+    Column("steps", "steps", 1.0, 0, max),
+    Column("seconds", "lift s", 1.0, 0, min),
+    Column("peak_bytes", "peak GB", 1e-9, 1, max),
+    Column("fps", "panoptic frames/s", 1.0, 1, max),
+)
+
+MARK = "†"
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Everything that tables are made of: the ``chosen`` rows of ``rows``, what was measured so far, and earlier
+    results to compare with, "before -> after". ``version`` of the engine: what another one lifted is marked."""
+
+    rows: Rows
+    chosen: tuple[Row, ...]
+    results: tuple[Result, ...]
+    earlier: tuple[Result, ...] = ()
+    version: str = __version__
+
+    def markdown(self) -> str:
+        """A section a scene, in it a table each. Left out are rows that are not measured yet, tables whose rows all
+        stand in another one, and after the first scene the systems that are cited."""
+        scenes = dict.fromkeys(result.scene for result in self.results)
+        return "\n".join(text for k, scene in enumerate(scenes) for text in self._of_scene(scene, with_cited=k == 0))
+
+    def _of_scene(self, scene: str, *, with_cited: bool) -> Iterator[str]:
+        yield f"### {scene}\n"
+        for table, heading in self.rows.tables.items():
+            rows = [row for row in self.chosen if row.table == table and (with_cited or not row.is_cited)]
+            if any(self.measured(scene, row) and not row.same_as for row in rows):
+                lines = list(self.lines(scene, rows))
+                yield f"**{heading}**\n"
+                yield "\n".join(lines) + "\n"
+
+    def lines(self, scene: str, rows: Sequence[Row]) -> Iterator[str]:
+        """The table of some rows, as far as they were measured; nothing where none was."""
+        measured = {row.name: self.measured(scene, row) for row in rows}
+        rows = [row for row in rows if measured[row.name] or row.is_cited]
+        if not any(measured.values()):
+            return
+        cells = {
+            row.name: dict(_cells(measured[row.name], _of_row(self.earlier, scene, self.measured_as(row))))
+            for row in rows
+        }
+        shown = [column for column in COLUMNS if any(cells[row.name][column.figure] for row in rows)]
+        with_paper = any(row.paper for row in rows)
+        heading = ["", *(column.heading for column in shown), *(["in the paper"] if with_paper else [])]
+        others = {row.name: self._other_versions(scene, row) for row in rows}
+        names = [_name(row, others[row.name]) for row in rows]
+        body = [
+            [name, *(cells[row.name][column.figure] for column in shown)] for name, row in zip(names, rows, strict=True)
+        ]
+        if with_paper:
+            body = [[*line, _cited(row.paper)] for line, row in zip(body, rows, strict=True)]
+        yield from _aligned([heading, *body])
+        if marked := sorted(set().union(*others.values())):
+            yield f"\n{MARK} Lifted by the engine {', '.join(marked)}, not by this one, {self.version}."
+
+    def measured(self, scene: str, row: Row) -> list[Result]:
+        """What was measured of a row, seed by seed."""
+        return _of_row(self.results, scene, self.measured_as(row))
+
+    def _other_versions(self, scene: str, row: Row) -> set[str]:
+        """Of the engines that measured a row, those that are not this one."""
+        return {result.engine_version for result in self.measured(scene, row)} - {self.version}
+
+    def measured_as(self, row: Row) -> str:
+        """What a row's results are called."""
+        if row.method:
+            return f"{row.method}, {row.masks}" if row.masks else row.method
+        return self.rows.lift_of(row).name
+
+
+def _of_row(results: Sequence[Result], scene: str, name: str) -> list[Result]:
+    return [result for result in results if (result.scene, result.row) == (scene, name)]
+
+
+def _name(row: Row, other_versions: set[str]) -> str:
+    return f"{row.name}{' (cited)' if row.is_cited else ''}{f' {MARK}' if other_versions else ''}"
+
+
+def _cells(now: Sequence[Result], before: Sequence[Result]) -> Iterator[tuple[str, str]]:
+    for column in COLUMNS:
+        text, earlier = _cell(now, column), _cell(before, column)
+        yield column.figure, f"{earlier or '-'} -> {text or '-'}" if earlier or (before and text) else text
+
+
+def _cell(seeds: Sequence[Result], column: Column) -> str:
+    """Empty where nothing was measured."""
+    values = column.values(seeds)
+    if not values:
+        return ""
+    text = f"{(column.best or mean)(values):.{column.digits}f}"
+    return f"{text} ± {stdev(values):.{column.digits}f}" if len(values) > 1 and not column.best else text
+
+
+def _cited(paper: Cited | None) -> str:
+    """Such as "71.2 / 57.8 / 36.6 dB (Replica)"."""
+    if paper is None:
+        return ""
+    shares = [f"{value:.1f}" if value is not None else "-" for value in (paper.miou, paper.pq)]
+    psnr = [] if paper.psnr is None else [f"{paper.psnr:.1f} dB"]
+    return f"{paper.note or ' / '.join([*shares, *psnr])} ({paper.dataset})"
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """The first column flush left, figures flush right."""
+    widths = [max(3, *(len(row[place]) for row in rows)) for place in range(len(rows[0]))]
+    rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+    for row in [rows[0], rule, *rows[1:]]:
+        cells = zip(row, widths, strict=True)
+        yield f"| {' | '.join(c.rjust(w) if place else c.ljust(w) for place, (c, w) in enumerate(cells))} |"

@@ -1,0 +1,171 @@
+"""What was measured of lifts: read out of a finished lift, and kept in results.json and results.csv."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from engine.errors import PlgsError
+from engine.job import Event, EventReader, LiftFolder, read_manifest
+from engine.json_file import Json, read_object, to_text
+from engine.metrics.report import LIFTED
+
+FORMAT = 2
+_FIX = "Give a results.json that this command wrote."
+_TEXTS = ("scene", "row", "preset", "engine_version")
+
+
+class Figures(NamedTuple):
+    """What was measured of a row: shares in [0, 1], decibels, metres, seconds; None where something was not.
+
+    ``miou`` and ``pq`` are of the mode ``strict``; ``pq_frame`` is PQ frame by frame, ``id_changes`` how often an
+    object changes its id over the held-out frames; ``psnr_fitted`` is PSNR after a fit of the colours; ``fps`` panoptic
+    frames a second, drawn and decided at the frames' own size.
+    """
+
+    miou: float | None = None
+    pq: float | None = None
+    miou_pl_compat: float | None = None
+    pq_pl_compat: float | None = None
+    pq_frame: float | None = None
+    id_changes: float | None = None
+    psnr: float | None = None
+    psnr_fitted: float | None = None
+    ssim: float | None = None
+    depth_error_m: float | None = None
+    seconds: float | None = None
+    peak_bytes: float | None = None
+    fps: float | None = None
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was measured of one row on one scene; ``steps`` 0 where nothing was trained."""
+
+    scene: str
+    row: str
+    preset: str
+    steps: int
+    seed: int
+    engine_version: str
+    figures: Figures
+
+    @property
+    def key(self) -> tuple[str, str, str, int]:
+        """What it is a result of."""
+        return self.scene, self.row, self.preset, self.seed
+
+
+def read_result(scene: str, row: str, preset: str, lift: LiftFolder) -> Result:
+    """The figures of a finished lift. Raises PlgsError when its files cannot be read."""
+    manifest = read_manifest(lift.result_path)
+    content = read_object(lift.result_path / "metrics.json", "Delete it: the same command then makes it anew.")
+    tables = content.get("tables")
+    found = scores_by_method([table for table in tables if isinstance(table, dict)] if isinstance(tables, list) else [])
+    events = EventReader(lift.events_path).poll()
+    figures = found.get(LIFTED, Figures())._replace(seconds=lifting_seconds(events), **run_figures(events))
+    steps = int(number(manifest.settings.get("steps")) or 0)
+    return Result(scene, row, preset, steps, manifest.seed, manifest.engine_version, figures)
+
+
+def scores_by_method(tables: Sequence[Mapping[str, Json]]) -> dict[str, Figures]:
+    """The figures in the tables of metrics.json, by method. A table without a mode has no scores of labels."""
+    rows: dict[str, Figures] = {}
+    for table in tables:
+        method = str(table.get("name"))
+        figures = rows.get(method, Figures())
+        rendered = {key: number(table.get(key)) for key in ("psnr", "psnr_fitted", "ssim", "depth_error_m")}
+        labels = number(table.get("miou")), number(table.get("pq"))
+        if table.get("mode") == "pl_compat":
+            figures = figures._replace(miou_pl_compat=labels[0], pq_pl_compat=labels[1])
+        else:
+            followed = {key: number(table.get(key)) for key in ("pq_frame", "id_changes")}
+            figures = figures._replace(miou=labels[0], pq=labels[1], **followed)
+        rows[method] = figures._replace(**rendered)
+    return rows
+
+
+def run_figures(events: Sequence[Event]) -> dict[str, float | None]:
+    """Frames a second of a lift's last run, and the most memory of all its runs."""
+    told = [event.data["values"] for event in events if event.kind == "metric" and event.data.get("name") == "run"]
+    values = [each for each in told if isinstance(each, dict)]
+    peaks = [peak for each in values if (peak := number(each.get("peak_bytes"))) is not None]
+    return {"peak_bytes": max(peaks, default=None), "fps": number(values[-1].get("fps")) if values else None}
+
+
+def lifting_seconds(events: Sequence[Event]) -> float | None:
+    """How long a lift took, all its runs together; None when there was none.
+
+    From the beginning of a run until the held-out frames are drawn: drawing and scoring them is no part of a lift.
+    """
+    runs: list[list[Event]] = []
+    for event in events:
+        if event.kind == "hello":
+            runs.append([])
+        if runs:
+            runs[-1].append(event)
+    lifts = [run for run in runs if run[0].data.get("task", "lift") == "lift"]  # the others baked more afterwards
+    return round(sum(_seconds_of_run(run) for run in lifts), 1) if lifts else None
+
+
+def _seconds_of_run(run: Sequence[Event]) -> float:
+    ends = (event for event in run if event.kind == "stage" and event.data["name"] == "bake")
+    return next(ends, run[-1]).time - run[0].time
+
+
+def number(value: Json) -> float | None:
+    """None for what is none."""
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def results_text(results: Sequence[Result]) -> str:
+    """The text of results.json: shares in [0, 1], decibels, metres, seconds, null where nothing was measured."""
+    entries = [{**vars(result), "figures": result.figures._asdict()} for result in results]
+    return to_text({"format": FORMAT, "results": entries})
+
+
+def csv_text(results: Sequence[Result]) -> str:
+    """The text of results.csv: a line a result, with the same figures; empty where nothing was measured."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([*(name for name in vars(results[0]) if name != "figures"), *Figures._fields] if results else [])
+    for result in results:
+        writer.writerow([*(value for name, value in vars(result).items() if name != "figures"), *result.figures])
+    return out.getvalue()
+
+
+def read_results(path: Path) -> tuple[Result, ...]:
+    """What `results_text` wrote. Raises PlgsError when the file holds something else."""
+    content = read_object(path, _FIX)
+    if content.get("format") != FORMAT:
+        what = f"has format {content.get('format')!r}, this version reads {FORMAT}"
+        raise PlgsError(what, path, _FIX)
+    try:
+        results = tuple(_from_json(entry) for entry in _objects(content["results"]))
+    except (KeyError, TypeError) as error:
+        raise PlgsError(f"is damaged ({error!r})", path, _FIX) from error
+    if not results:
+        raise PlgsError("holds no results", path, _FIX)
+    return results
+
+
+def _from_json(entry: Mapping[str, Json]) -> Result:
+    """Raises KeyError or TypeError when something is missing or of another type."""
+    steps, seed, figures = entry["steps"], entry["seed"], entry["figures"]
+    if not isinstance(steps, int) or not isinstance(seed, int) or not isinstance(figures, dict):
+        raise TypeError("steps, seed or figures have another type")
+    read = Figures(**{key: number(figures.get(key)) for key in Figures._fields})
+    return Result(**{key: str(entry[key]) for key in _TEXTS}, steps=steps, seed=seed, figures=read)
+
+
+def _objects(value: Json) -> list[dict[str, Json]]:
+    """Raises TypeError when it is no list of objects."""
+    entries = value if isinstance(value, list) else [value]
+    objects = [entry for entry in entries if isinstance(entry, dict)]
+    if not isinstance(value, list) or len(objects) != len(entries):
+        raise TypeError("a list of objects is missing")
+    return objects

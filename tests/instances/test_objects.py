@@ -1,0 +1,33 @@
+from __future__ import annotations
+
+import numpy as np
+
+from engine.instances.objects import object_classes, vote_classes
+from tests.semantics.plane_views import CHAIR, CLASS_IDS, SOFA, WALL
+
+
+def shown(rows: list[int], classes: list[int], pixels: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return np.array(rows, np.int32), np.array(classes, np.int32), np.array(pixels, np.int32)
+
+
+OWNER = np.array([1, 1, 1, 2, 0], np.int32)
+
+
+def test_each_view_has_the_square_root_of_its_pixels() -> None:
+    near = shown([0, 1, 2, 3], [SOFA, SOFA, CHAIR, WALL], [60, 60, 40, 9])
+    far = shown([0, 4], [CHAIR, CHAIR], [25, 999])
+    votes = vote_classes([near, far], OWNER, 2, CLASS_IDS)
+    np.testing.assert_allclose(votes[0], 0)
+    np.testing.assert_allclose(votes[1], [0, 0, 40 / np.sqrt(160) + 5, 120 / np.sqrt(160)])
+    np.testing.assert_allclose(votes[2], [3, 0, 0, 0])
+
+
+def test_void_and_unknown_classes_do_not_vote() -> None:
+    votes = vote_classes([shown([0, 1], [0, 99], [10, 10])], OWNER, 2, CLASS_IDS)
+    assert not votes.any()
+
+
+def test_the_class_with_most_votes_is_the_objects() -> None:
+    votes = np.array([[0, 0, 0, 0], [0, 0, 1, 3], [5, 0, 0, 5], [0, 0, 0, 0]], np.float64)
+    classes = object_classes(votes, CLASS_IDS)
+    assert classes.tolist() == [0, SOFA, WALL, 0], "ties go to the lower class, without votes there is none"

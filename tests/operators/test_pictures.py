@@ -1,0 +1,255 @@
+"""Captures of other layouts into Blender, with what only an engine can make of them, and pictures on demand."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+import numpy as np
+import pytest
+from plgs.engine.errors import PlgsError
+from plgs.engine.scene import open_scene
+from plgs.plgs_blender.chosen_scene import ChosenScene
+from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder, make_frames
+from plgs.plgs_blender.settings import chosen_scene
+from plgs.plgs_blender.tasks import registry
+
+from tests.scene.formats.room import distance_to_room
+from tests.scene.formats.test_hypersim import USUAL, write_hypersim
+from tests.scene.formats.test_nerfstudio import change
+
+
+@pytest.fixture
+def no_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Blender without an engine, and without the packages that only the engine's Python has."""
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
+    monkeypatch.setitem(sys.modules, "cv2", None)
+
+
+@pytest.fixture
+def own(captures: Path, tmp_path: Path) -> Iterator[Path]:
+    """The captures, in a folder of this test's own."""
+    yield Path(shutil.copytree(captures, tmp_path / "captures"))
+
+
+def frames() -> dict[str, bpy.types.Object]:
+    return {ob["frame"]: ob for ob in bpy.context.scene.objects if "frame" in ob}
+
+
+def shown(ob: bpy.types.Object) -> np.ndarray:
+    """What is before a camera's view, uint8 [H, W, 3] from the top."""
+    image = ob.data.background_images[0].image
+    width, height = image.size
+    values = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(values)
+    return np.rint(values.reshape(height, width, 4)[::-1, :, :3] * 255).astype(np.uint8)
+
+
+def clouds(key: str = "cloud") -> list[bpy.types.Object]:
+    return [ob for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith(f"{key}:")]
+
+
+def points_of(ob: bpy.types.Object, name: str = "position", key: str = "vector", width: int = 3) -> np.ndarray:
+    points = ob.data.attributes[name].data
+    values = np.empty(width * len(points), np.float32)
+    points.foreach_get(key, values)
+    return values.reshape(-1, width)
+
+
+def positions(key: str = "cloud") -> np.ndarray:
+    return np.concatenate([points_of(ob) for ob in clouds(key)])
+
+
+def test_an_archive_comes_with_pictures_and_a_cloud(own: Path) -> None:
+    assert bpy.ops.plgs.import_scene(scene_folder=str(own / "scans" / "one.sens"), format="sens") == {"FINISHED"}
+    scene = open_scene(own / "scans" / "one.sens")
+    assert [*frames()] == [frame.name for frame in scene.frames]
+    for frame in scene.frames:
+        assert np.abs(shown(frames()[frame.name]).astype(int) - frame.read_colour(None)).mean() < 3.0
+    assert len(positions()) > 2000 and (distance_to_room(positions()) < 0.06).mean() > 0.97
+    assert 3 < len(clouds()) <= 27
+    for ob in clouds():  # in Solid shading an object has one colour: about that of its points
+        assert np.abs(points_of(ob, "Col", "color", 4)[:, :3].mean(axis=0) - ob.color[:3]).max() < 0.05
+    assert {each.name for each in (own / "scans").iterdir()} == {"one.sens", "two.sens", "one_frames"}
+
+
+def test_without_an_engine_cameras_come_alone(own: Path, no_engine: None, capfd: pytest.CaptureFixture[str]) -> None:
+    assert bpy.ops.plgs.import_scene(scene_folder=str(own / "scans" / "one.sens")) == {"FINISHED"}
+    assert len(frames()) == 6 and not any(ob.data.background_images for ob in frames().values())
+    assert not clouds()
+    assert "An engine would add pictures and a coloured cloud" in capfd.readouterr().out
+    bpy.context.scene.camera = frames()["2"]
+    with pytest.raises(RuntimeError, match="nowhere"):
+        bpy.ops.plgs.show_picture(what="PHOTO")
+
+
+def test_what_an_engine_made_is_there_at_the_next_import(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = str(own / "scans" / "one.sens")
+    bpy.ops.plgs.import_scene(scene_folder=place)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
+    bpy.ops.plgs.import_scene(scene_folder=place)
+    assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == ""
+    assert all(ob.data.background_images for ob in frames().values())
+    count, blocks = len(positions()), len(bpy.data.pointclouds)
+    bpy.ops.plgs.import_scene(scene_folder=place)
+    assert len(positions()) == count and len(bpy.data.pointclouds) == blocks, "importing again replaces the cloud"
+    later = Path(place).stat().st_mtime + 100
+    os.utime(place, (later, later))
+    bpy.ops.plgs.import_scene(scene_folder=place)
+    assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == "colour cloud", "the scene is newer"
+
+
+def test_sparse_points_need_no_engine(captures: Path, no_engine: None) -> None:
+    assert bpy.ops.plgs.import_scene(scene_folder=str(captures / "walk")) == {"FINISHED"}
+    assert len(frames()) == 6 and all(ob.data.background_images for ob in frames().values())
+    points = open_scene(captures / "walk").points
+    assert points is not None
+    np.testing.assert_allclose(positions("sparse_points"), points.xyz, atol=1e-5)
+
+
+def test_a_file_is_chosen_in_the_browser(captures: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.up = "-y"
+    file = captures / "studio" / "transforms.json"
+    assert bpy.ops.plgs.browse_scene(filepath=str(file), cloud=False) == {"FINISHED"}
+    assert len(frames()) == 6 and settings.up == "z" and Path(settings.scene_folder) == captures / "studio"
+    assert not clouds()
+    with pytest.raises(RuntimeError, match="belongs to no scene"):
+        bpy.ops.plgs.browse_scene(filepath=str(captures / "nothing.json"))
+    with pytest.raises(RuntimeError, match="no scene of a known format"):
+        bpy.ops.plgs.browse_scene(filepath=str(captures))
+
+
+def test_the_menu_offers_it() -> None:
+    drawn = getattr(bpy.types.TOPBAR_MT_file_import.draw, "_draw_funcs", ())
+    assert any("scene_panel" in each.__module__ for each in drawn)
+
+
+def test_depth_and_masks_are_drawn_by_blender_itself(room: Path, no_engine: None) -> None:
+    bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
+    camera = frames()["0003"]
+    bpy.context.scene.camera = camera
+    photo = camera.data.background_images[0].image
+    assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
+    image = camera.data.background_images[0].image
+    assert (image["near_metres"], image["far_metres"]) == pytest.approx((0.9, 3.3), abs=0.8)
+    far_and_near = shown(camera).astype(int).sum(-1)
+    assert far_and_near.shape == (48, 64) and far_and_near.max() > 2 * np.percentile(far_and_near, 20)
+    assert bpy.ops.plgs.show_picture(what="MASKS") == {"FINISHED"}
+    colours = {tuple(each) for each in shown(camera).reshape(-1, 3).tolist()}
+    classes = {each.colour for each in open_scene(room).classes.categories}
+    assert len(colours & classes) >= 3
+    assert bpy.ops.plgs.show_picture(what="PHOTO") == {"FINISHED"}
+    assert camera.data.background_images[0].image == photo
+    others = [ob for name, ob in frames().items() if name != "0003"]
+    assert all(ob.data.background_images[0].image.name.startswith(ob["frame"]) for ob in others)
+
+
+def test_the_engine_draws_what_blender_cannot(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Depth of a bent lens has to be straightened, for which Blender's Python lacks OpenCV."""
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    change(own / "studio", k1=-0.05)
+    bpy.ops.plgs.import_scene(scene_folder=str(own / "studio"), cloud=False)
+    camera = frames()["frame_9"]
+    assert Path(camera.data.background_images[0].image.filepath) == own / "studio_frames" / "color" / "frame_9.jpg"
+    bpy.context.scene.camera = camera
+    assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
+    assert camera.data.background_images[0].image["far_metres"] > 1.0
+    assert shown(camera).shape == (48, 64, 3)
+    with pytest.raises(RuntimeError, match="has no mask"):
+        bpy.ops.plgs.show_picture(what="MASKS")
+
+
+def test_pictures_belong_to_frames_cameras_alone(room: Path) -> None:
+    assert not bpy.ops.plgs.show_picture.poll()
+    bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
+    assert bpy.ops.plgs.show_picture.poll() and not bpy.ops.plgs.cancel_frames.poll()
+    bpy.context.scene.camera = bpy.context.scene.objects["Camera path"]
+    assert not bpy.ops.plgs.show_picture.poll()
+
+
+def test_depth_of_a_lifts_frame(lift: Path) -> None:
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    bpy.context.scene.camera = frames()["0002"]
+    assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    assert not any(image.name.startswith("Depth") for image in bpy.data.images), "placing anew shows photos"
+
+
+def test_what_an_engine_cannot_make_is_told(own: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The last frame's depth is damaged: pictures come, the cloud does not."""
+    place = own / "scans" / "one.sens"
+    place.write_bytes(place.read_bytes()[:-1000] + bytes(1000))
+    assert bpy.ops.plgs.import_scene(scene_folder=str(place)) == {"FINISHED"}
+    assert all(ob.data.background_images for ob in frames().values()) and not clouds()
+    making = registry.latest(FrameMaking)
+    assert making is not None and not making.is_running and making.error is not None
+    assert "one.sens" in str(making.error) and "Warning" in capfd.readouterr().out
+    assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == "cloud"
+    settings, key = bpy.context.scene.plgs, frames()["5"]["plgs_lift"]
+    assert making.error_for(chosen_scene(settings), "") == making.error_for(None, key) == making.error
+    settings.scene_folder = str(own / "scans" / "two.sens")
+    assert making.error_for(chosen_scene(settings), "") is None, "another scene has no such error"
+    bpy.context.scene.camera = frames()["5"]
+    with pytest.raises(RuntimeError, match=r"one\.sens"):
+        bpy.ops.plgs.show_picture(what="DEPTH")
+    bpy.ops.plgs.import_scene(scene_folder=str(own / "studio"), cloud=False)
+    other = registry.latest(FrameMaking)
+    assert other is None or other.error is None, "another import"
+
+
+def test_importing_touches_nothing_of_the_users(captures: Path) -> None:
+    scene = bpy.context.scene
+    mine = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
+    scene.collection.objects.link(mine)
+    scene.camera, scene.frame_end = mine, 40
+    before = (scene.render.resolution_x, scene.frame_start, scene.frame_end, scene.unit_settings.scale_length)
+    bpy.ops.plgs.import_scene(scene_folder=str(captures / "walk"))
+    assert scene.camera == mine and [*scene.collection.objects] == [mine] and mine.animation_data is None
+    assert before == (scene.render.resolution_x, scene.frame_start, scene.frame_end, scene.unit_settings.scale_length)
+
+
+def test_what_blender_cannot_even_open_an_engine_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hypersim's arrays need h5py, which Blender's Python has not."""
+    pytest.importorskip("h5py")
+    folder = write_hypersim(tmp_path / "ai_001_001", USUAL)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    assert bpy.ops.plgs.import_scene(scene_folder=str(folder)) == {"FINISHED"}
+    scene = bpy.context.scene
+    assert len(frames()) == 6 and all(ob.data.background_images for ob in frames().values())
+    near = distance_to_room(positions()) < 0.05
+    assert near.mean() > 0.95
+    scene.camera = next(iter(frames().values()))
+    assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
+    bpy.ops.plgs.import_scene(scene_folder=str(folder))
+    assert len(frames()) == 6, "what the engine made is still there"
+    shutil.rmtree(tmp_path / "ai_001_001_frames")
+    with pytest.raises(RuntimeError, match="h5py"):
+        bpy.ops.plgs.import_scene(scene_folder=str(folder))
+
+
+def test_switching_off_ends_the_engine(captures: Path, tmp_path: Path, plgs: ModuleType) -> None:
+    chosen = ChosenScene(shutil.copytree(captures / "studio", tmp_path / "studio"))
+    make_frames(FrameOrder(chosen, "nobody's", ("colour", "depth", "cloud")), Path(sys.executable))
+    with pytest.raises(PlgsError, match="at work already"):
+        make_frames(FrameOrder(chosen, "nobody's", ("depth",)), Path(sys.executable))
+    assert registry.running(FrameMaking) and bpy.ops.plgs.cancel_frames.poll()
+    plgs.unregister()
+    assert registry.latest(FrameMaking) is None
+    plgs.register()
+
+
+def test_files_that_nobody_waits_for_any_more_are_shown_nowhere(captures: Path, tmp_path: Path) -> None:
+    """Another file was opened meanwhile."""
+    chosen = ChosenScene(shutil.copytree(captures / "studio", tmp_path / "studio"))
+    making = make_frames(FrameOrder(chosen, "nobody's", ("cloud",)), Path(sys.executable))
+    registry.wait_for(making, bpy.context.scene)
+    assert making.error is None and not bpy.data.objects and not bpy.data.pointclouds

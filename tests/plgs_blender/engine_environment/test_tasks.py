@@ -1,0 +1,241 @@
+"""What this Blender knows of the engine: a Python is asked, the engine is set up, and both end with the extension."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import pytest
+from plgs.engine.errors import PlgsError
+from plgs.engine.job.follower import TaskFollower
+from plgs.engine.job.handshake import TOO_OLD, VERSION
+from plgs.engine.job.process import EngineProcess
+from plgs.engine.job.task import TaskPlace
+from plgs.plgs_blender import engine_environment
+from plgs.plgs_blender.engine_environment import EngineState, choices, tasks
+from plgs.plgs_blender.engine_environment.choices import SetUpChoice
+from plgs.plgs_blender.engine_environment.status import EngineStatus
+from plgs.plgs_blender.tasks import registry, timer
+from pretended_python import pretended_python
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the cache folder is chosen by XDG_CACHE_HOME")
+Python = Callable[..., Path]
+
+
+@pytest.fixture(autouse=True)
+def nothing_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Nothing is known, nothing was made, nothing is chosen; offline as Blender is by default."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("PLGS_ENGINE_PYTHON", raising=False)
+    tasks.register()
+    yield
+    tasks.unregister()
+    registry.forget_all()
+    choices.choose(None)
+    bpy.context.preferences.system.use_online_access = False
+
+
+@pytest.fixture
+def python(tmp_path: Path) -> Python:
+    """Makes programs that answer as a Python with this engine does, or otherwise. Each is written once: a program that
+    is written anew while it starts may fail."""
+
+    def make(name: str = "python", instead: str = "", **others: str | None) -> Path:
+        return pretended_python(tmp_path / name, instead, **others)  # type: ignore[arg-type]
+
+    return make
+
+
+def answer_of(chosen: Path | None) -> EngineStatus:
+    """What is known once the chosen Python was asked."""
+    choices.choose(chosen)
+    wait_for(tasks.check())
+    return engine_environment.status()
+
+
+def wait_for(task: registry.Task | None) -> None:
+    if task is not None:
+        registry.wait_for(task, bpy.context.scene)
+
+
+def test_at_first_nothing_is_known_and_nothing_speaks_against_it() -> None:
+    status = engine_environment.status()
+    assert status.state is EngineState.UNKNOWN and status.is_usable and engine_environment.why_no_engine() is None
+
+
+def test_the_chosen_python_is_asked_without_waiting(python: Python) -> None:
+    chosen = python()
+    choices.choose(chosen)
+    check = tasks.check()
+    assert engine_environment.status().state is EngineState.CHECKING
+    assert engine_environment.engine_python() == chosen
+    wait_for(check)
+    status = engine_environment.status()
+    assert status.state is EngineState.READY and status.python == chosen
+    assert status.message == f"Engine {VERSION}, Python 3.11.9, torch 2.0 (CPU), 4 cores" and not status.fix
+    assert engine_environment.usable_python() == chosen
+
+
+def test_this_python_answers() -> None:
+    status = answer_of(Path(sys.executable))
+    assert status.answer is not None and status.answer.python == sys.version.split()[0]
+    assert status.answer.packages["numpy"] is not None
+
+
+def test_a_python_without_torch_tells_what_it_lacks(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True, timeout=120)
+    status = answer_of(tmp_path / "bare" / "bin" / "python")
+    assert status.state is EngineState.MISSING and status.answer is not None and "torch" in status.answer.missing
+    assert str(tmp_path / "bare") in status.answer.fix and "pip install torch==" in status.answer.fix
+
+
+def test_a_window_goes_by_what_is_known(python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It does not wait for a second look: the engine itself says what it lacks when it was asked too soon."""
+    monkeypatch.setattr(engine_environment, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+    lacking = python(torch=None)
+    choices.choose(lacking)
+    assert engine_environment.usable_python() == lacking
+    answer_of(lacking)
+    with pytest.raises(PlgsError, match="lacks torch") as refused:
+        engine_environment.usable_python()
+    assert "Set up engine" in refused.value.fix and engine_environment.engine_python() is None
+    assert "lacks torch" in (engine_environment.why_no_engine() or "")
+
+
+def test_what_is_no_engine_is_told_apart(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    picture = tmp_path / "picture.png"
+    picture.write_bytes(b"\x89PNG\r\n\x1a\n\0\0")
+    executable_picture = tmp_path / "run.png"
+    executable_picture.write_bytes(picture.read_bytes())
+    executable_picture.chmod(0o755)
+    for number, (chosen, told, mend) in enumerate((
+        (Path("/nowhere/python"), "/nowhere/python", "a Python"),
+        (picture, "picture.png", "a Python"),
+        (executable_picture, "run.png", "a Python"),
+        (tmp_path, str(tmp_path), "a Python"),
+        ("echo hello", "not as a Python", "Choose another Python"),
+        ("echo No module named engine >&2; exit 1", "No module named", "Choose another Python"),
+        (f"echo 'error: {TOO_OLD}, this is 3.9' >&2; exit 1", "3.9", "newer Python"),
+        ("kill -SEGV $$", "does not run", "Choose another Python"),
+        ("head -c 50000000 /dev/zero; exit 1", "does not run", "Choose another Python"),
+    )):  # fmt: skip
+        status = answer_of(python(f"python {number}", chosen) if isinstance(chosen, str) else chosen)
+        assert status.state is EngineState.FAILED and not status.is_usable, (chosen, status)
+        assert told in status.message and mend in status.fix and len(status.message) < 1000, (chosen, status)
+        assert engine_environment.engine_python() is None
+    status = answer_of(python("other", version="99.0"))
+    assert status.state is EngineState.FAILED and "99.0" in status.message and "Restart" in status.fix
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(python("lacking", torch=None)))
+    assert "PLGS_ENGINE_PYTHON" in answer_of(None).fix
+
+
+def test_a_program_that_hangs_is_given_up_and_ended(
+    python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tasks, "PATIENCE_S", 0.5)
+    status = answer_of(python("hanging", f"echo $$ > {tmp_path / 'pid'}; exec sleep 60"))
+    assert status.state is EngineState.FAILED and "did not answer" in status.message
+    assert not Path(f"/proc/{int((tmp_path / 'pid').read_text())}").exists()
+
+
+def test_other_versions_are_noted_but_may_work(python: Python) -> None:
+    status = answer_of(python(torch="3.0"))
+    assert status.state is EngineState.READY and "torch 3.0 instead of 2.0" in status.note
+
+
+def test_where_there_is_no_python_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(*_: object) -> None:
+        raise PlgsError("no Python for the engine", "here", "Get one.")
+
+    monkeypatch.setattr(tasks, "choose_python", none)
+    assert tasks.check() is None
+    status = engine_environment.status()
+    assert status.state is EngineState.MISSING and "Set up engine" in status.fix
+
+
+def test_nothing_is_set_up_offline() -> None:
+    assert "Allow online access" in (tasks.why_no_set_up() or "")
+    with pytest.raises(PlgsError, match="Preferences > System"):
+        tasks.set_up(SetUpChoice())
+    assert tasks.running_set_up() is None and not tasks.log_path().exists()
+
+
+def test_a_password_stands_in_no_argument() -> None:
+    choice = SetUpChoice(Path("/base"), "cuda", "https://me:secret@index")
+    assert choice.arguments() == ["--torch", "cuda", "--base-python", Path("/base")]
+    assert choice.variables() == {"PLGS_INDEX_URL": "https://me:secret@index"} and SetUpChoice().variables() == {}
+
+
+@pytest.fixture
+def online() -> None:
+    bpy.context.preferences.system.use_online_access = True
+
+
+def pretend(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
+    """Let set-ups run a program instead of the engine."""
+    ask = tasks.start_engine
+
+    def start_engine(kind: str, python: Path, *arguments: str | Path, **others: object) -> TaskFollower:
+        if kind != "set-up":
+            return ask(kind, python, *arguments)
+        return TaskFollower(TaskPlace.temporary(), EngineProcess([sys.executable, "-c", program]), kind=kind)
+
+    monkeypatch.setattr(tasks, "start_engine", start_engine)
+
+
+def test_after_a_set_up_its_python_is_asked(online: None, python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
+    pretend(monkeypatch, "")
+    choices.choose(python())  # which is why somebody sets it up
+    set_up = tasks.set_up(SetUpChoice())
+    assert tasks.why_no_set_up() == "The engine is being set up already"
+    wait_for(set_up)
+    assert set_up.has_finished and choices.chosen_python() is None
+    assert engine_environment.status().state is EngineState.CHECKING
+
+
+def test_an_error_stays_to_be_read(online: None) -> None:
+    """The engine's own command, in this Python."""
+    wait_for(tasks.set_up(SetUpChoice(base_python=Path("/nowhere/python"))))
+    set_up = registry.latest(tasks.SetUp)
+    assert set_up is not None and set_up.error is not None and "/nowhere/python cannot be run" in set_up.error.what
+    assert any("/nowhere/python" in line for line in set_up.log_lines)
+
+
+def test_switching_online_access_off_ends_it(online: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    pretend(monkeypatch, "import time; time.sleep(600)")
+    set_up = tasks.set_up(SetUpChoice())
+    with pytest.raises(PlgsError, match="being set up"):
+        tasks.remove()
+    bpy.context.preferences.system.use_online_access = False
+    wait_for(set_up)
+    assert tasks.running_set_up() is None and "online access" in str(set_up.error)
+
+
+def test_the_timer_asks_and_then_stops(python: Python) -> None:
+    choices.choose(python())
+    tasks.check()
+    give_up = time.monotonic() + 10
+    while timer.tick() is not None:
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+    assert engine_environment.status().state is EngineState.READY
+
+
+def test_switching_the_extension_off_ends_what_goes_on(python: Python, tmp_path: Path) -> None:
+    pid = tmp_path / "pid"
+    choices.choose(python("slow", f"echo $$ > {pid}.part; mv {pid}.part {pid}; exec sleep 60"))
+    tasks.check()
+    give_up = time.monotonic() + 10
+    while not pid.exists():
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+    tasks.unregister()
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(pid.read_text()), 0)
+    tasks.register()

@@ -1,0 +1,29 @@
+"""Programs that answer as a Python with this engine does."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from plgs.engine.job.handshake import VERSION, EngineAnswer
+from plgs.engine.json_file import to_line
+
+WANTED = {"torch": "2.0", "numba": "1.0"}
+
+
+def pretended_python(path: Path, instead: str = "", *, version: str = VERSION, **packages: str | None) -> Path:
+    """Write a program that answers a handshake; ``instead`` is a line of shell that it does in place of that."""
+    answer = EngineAnswer(version, "3.11.9", path, {**WANTED, **packages}, WANTED, 4, None)
+    events = [
+        {"event": "answer", "answer": json.loads(to_line(answer.to_json()))},
+        {"event": "done", "state": "finished"},
+    ]
+    lines = "\n".join(json.dumps({"seq": seq, "time": 0.0, **event}) for seq, event in enumerate(events, start=1))
+    answering = f"""
+while [ $# -gt 1 ]; do [ "$1" = --events ] && events="$2"; shift; done
+cat >> "$events" <<'END'
+{lines}
+END"""
+    path.write_text(f"#!/bin/sh\n{instead or answering}\n")
+    path.chmod(0o755)
+    return path

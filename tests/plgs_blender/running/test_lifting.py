@@ -1,0 +1,129 @@
+"""From the panel to a lift: what is refused, and the advice that comes with it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import plgs
+import pytest
+from plgs.engine.errors import PlgsError
+from plgs.engine.job import LiftFolder, LiftRequest
+from plgs.engine.job.made_frames import MadeFrames
+from plgs.plgs_blender.errors import field_of_option, with_field_names
+from plgs.plgs_blender.running import lifting
+from plgs.plgs_blender.settings import (
+    adopt,
+    chosen_scene,
+    request_of,
+    shown_preset,
+    why_no_options,
+)
+from plgs.plgs_blender.tasks import registry
+
+
+@pytest.fixture(autouse=True)
+def extension() -> Iterator[None]:
+    plgs.register()
+    yield
+    registry.forget_all()
+    plgs.unregister()
+
+
+def test_what_to_do_about_a_lift_that_is_running(tmp_path: Path) -> None:
+    lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "room"))
+    scene = bpy.context.scene
+    with lift.lock():
+        with pytest.raises(PlgsError, match="it is running") as refused:
+            lifting.resume_lift(scene.plgs, str(lift.path))
+        assert refused.value.fix == "Watch it, or cancel it first."
+        with pytest.raises(PlgsError, match="still running"):
+            lifting.show_lift(scene, str(lift.path))
+    with pytest.raises(PlgsError, match="not finished") as refused:
+        lifting.show_lift(scene, str(lift.path))
+    assert "Resume" in refused.value.fix
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (
+            "Lift with --frames 40 (--fit finds such a number), or with --size 320x240, or with --preset preview.",
+            "Lift with Frames 40 (Fit memory finds such a number), or with Width and Height 320x240, "
+            "or with Preset preview.",
+        ),
+        ("Say which one it is, such as --mask-format coco.", "Say which one it is, such as Mask format coco."),
+        ("lift with --up -y", "lift with Up -y"),
+        ("read it with --up z, or --fix OUT turns it upright", "read it with Up z, or Fix turns it upright"),
+        ("/rooms/a--size 3/x--up", "/rooms/a--size 3/x--up"),
+        ("--fits and --unheard-of", "--fits and --unheard-of"),
+        (PlgsError("is none", "/a/ --up b", "Give --classes."), "is none: /a/ --up b. Give Classes."),
+    ],
+)
+def test_advice_names_the_panels_fields(said: str | PlgsError, told: str) -> None:
+    assert with_field_names(said) == told
+
+
+def test_every_option_that_an_error_means_is_a_field_or_has_a_name(root: Path) -> None:
+    """The options that the engine's errors declare, as far as the panel can start such a task."""
+    files = [path for part in ("scene", "lift", "segment") for path in (root / "engine" / part).rglob("*.py")]
+    texts = [path.read_text() for path in files]
+    declared = {option for text in texts for option in re.findall(r'option="(--[a-z-]+)"', text)}
+    assert {option for option in declared if field_of_option(option) is None} <= {"--download", "--resume"}
+
+
+def test_the_panel_chooses_the_device(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder, settings.device = str(tmp_path), "cuda"
+    request = request_of(settings)
+    assert request.device == "cuda"
+    settings.device = "cpu"
+    adopt(settings, request, tmp_path / "lift")
+    assert settings.device == "cuda"
+
+
+def test_all_options_of_the_preset() -> None:
+    settings = bpy.context.scene.plgs
+    settings.preset_options = "weights.depth=0  objects=boxes"
+    assert why_no_options(settings) is None
+    changed = [(name, value) for name, value, is_changed in shown_preset(settings) if is_changed]
+    assert changed == [("objects", "boxes"), ("weights.depth", "0.0")]
+    settings.preset_options = "weights.dept=0"
+    assert "Did you mean weights.depth" in str(lifting.why_no_lift(settings))
+    assert not any(is_changed for _, _, is_changed in shown_preset(settings))
+
+
+def test_options_with_a_place_of_their_own_are_taken(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder = str(tmp_path)
+    settings.preset_options = "steps=600 size=100,80 frames=9 weights.depth=0"
+    asked = request_of(settings)
+    assert asked.options == {"steps": 600, "size": [100, 80], "frames": 9, "weights.depth": 0.0}
+    settings.steps, settings.frames = 7, -1
+    options = request_of(settings).options
+    assert (options["steps"], options["frames"]) == (7, 0), "fields win"
+
+
+def test_a_lift_is_asked_for_again_as_it_was(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    for frames in ({}, {"frames": 0}, {"frames": 12}):
+        options = {"steps": 600, "steps_a_view": 5.0, **frames}
+        asked = LiftRequest(tmp_path, options=options, fit=True, mask_format="sam2", classes="coco")
+        adopt(settings, asked, tmp_path / "lift")
+        assert request_of(settings) == asked
+
+
+def test_masks_are_read_alike_by_the_survey_and_the_lift(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder, settings.mask_format = str(tmp_path), "coco"
+    settings.classes_table = str(tmp_path / "mine.toml")
+    place, asked = chosen_scene(settings), request_of(settings)
+    table = str(tmp_path / "mine.toml")
+    assert (place.mask_format, place.classes) == (asked.mask_format, asked.classes) == ("coco", table)
+    told = [str(each) for each in place.arguments()]
+    assert told[-4:] == ["--mask-format", "coco", "--classes", table]
+    made = MadeFrames(tmp_path, place.resolved)
+    made.write()
+    assert MadeFrames.read(tmp_path).source == place.resolved

@@ -1,0 +1,115 @@
+"""Followed tasks: started, told apart by their keys, cancelled, and ended with Blender."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+import pytest
+from plgs.engine.errors import PlgsError
+from plgs.engine.job.follower import TaskFollower
+from plgs.engine.job.process import EngineProcess
+from plgs.engine.job.task import TaskPlace
+from plgs.plgs_blender.tasks import registry, timer
+from plgs.plgs_blender.tasks.registry import Task
+
+ANSWERING = """
+import json, sys
+events = [{"event": "stage", "name": "s", "index": 1, "count": 2, "label": "Half"},
+          {"event": "answer", "answer": {"number": 7}}, {"event": "done", "state": "finished"}]
+with open(sys.argv[1], "w") as file:
+    for seq, event in enumerate(events, start=1):
+        print(json.dumps({"seq": seq, "time": 0.0, **event}), file=file)
+"""
+SLEEPING = "import time; time.sleep(600)"
+
+
+class Pretended(Task):
+    """It keeps the answer, or raises what it is told."""
+
+    kind, label = "pretended", "Pretending"
+    taken: Any = None
+    raises: Exception | None = None
+
+    def done(self, scene: Any) -> None:
+        self.taken = (scene, self.answer)
+        if self.raises is not None:
+            raise self.raises
+
+
+@pytest.fixture(autouse=True)
+def nothing_followed() -> Iterator[None]:
+    yield
+    registry.forget_all()
+
+
+def begin(program: str) -> Pretended:
+    place = TaskPlace.temporary()
+    process = EngineProcess([sys.executable, "-c", program, place.events])
+    return registry.follow(Pretended(TaskFollower(place, process, kind=Pretended.kind)))
+
+
+def test_an_answer_is_taken_once() -> None:
+    task, told = begin(ANSWERING), list[str]()
+    assert registry.running(Pretended) == [task] and registry.latest(Pretended) is task
+    with pytest.raises(PlgsError, match="at work already: Pretending"):
+        registry.refuse_second(Pretended)
+    registry.wait_for(task, "scene", told.append)
+    assert task.taken == ("scene", {"number": 7}) and task.has_finished and told == ["1/2 Half"]
+    task.taken = None
+    registry.wait_for(task, "scene")
+    assert registry.poll_all("scene") == [] and task.taken is None
+    assert registry.running(Task) == [] and registry.latest(Pretended) is task
+    assert task.follower.place.folder is not None and not task.follower.place.folder.exists()
+
+
+@pytest.mark.parametrize("error", [PlgsError("is gone", "here", "Again."), OSError("the disk is gone")])
+def test_an_answer_that_cannot_be_taken_is_an_error(error: Exception) -> None:
+    task = begin(ANSWERING)
+    task.raises = error
+    registry.wait_for(task, None)
+    assert not task.has_finished and "is gone" in str(task.error)
+
+
+def test_a_cancelled_task_is_no_error() -> None:
+    task = begin(SLEEPING)
+    task.cancel()
+    registry.wait_for(task, None)
+    assert task.was_cancelled and task.error is None and task.taken == (None, None)
+
+
+def test_a_new_task_ends_the_one_with_its_key() -> None:
+    first = begin(SLEEPING)
+    second = begin(SLEEPING)
+    assert registry.running(Pretended) == [second] and first.follower.poll() is True and not first.is_running
+
+
+def test_the_timer_polls_until_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    task, steps = begin(ANSWERING), list[str]()
+    task.undo_step = "Pretended"
+    monkeypatch.setattr(timer, "_push_undo", steps.append)
+    wait_until(lambda: timer.tick() is None)
+    assert task.taken == (bpy.context.scene, {"number": 7}) and steps == ["Pretended"]
+
+
+def test_a_defect_stops_no_other_task(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    task = begin(ANSWERING)
+    task.raises = ZeroDivisionError("a defect")
+    wait_until(lambda: timer.tick() is None)
+    assert "ZeroDivisionError: a defect" in capfd.readouterr().err
+
+
+def wait_until(condition: Callable[[], bool], patience_s: float = 20.0) -> None:
+    give_up = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+
+
+def test_a_program_that_cannot_be_run_is_told(tmp_path: Path) -> None:
+    with pytest.raises(PlgsError, match="cannot be run"):
+        registry.start_engine("inspect", tmp_path / "no python")

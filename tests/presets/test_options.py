@@ -1,0 +1,125 @@
+"""Options of a preset by name: what is read, what is refused, and with which advice."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from engine.errors import PlgsError
+from engine.job import LiftRequest
+from engine.job.options import add_lift_options, chosen_options, request_from
+from engine.presets.options import changed_options, parsed_options, shown_options
+from engine.presets.preset import PRESETS
+from engine.presets.toml_file import preset_text, read_preset_file
+
+
+def request_of(*arguments: str) -> LiftRequest:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scene", type=Path)
+    add_lift_options(parser)
+    return request_from(parser.parse_args(["/room", *arguments]))
+
+
+def test_texts_become_values() -> None:
+    texts = ["objects=boxes", "weights.depth=0", "growth.least_visits=none", "size=64x48", "fill_holes=no"]
+    assert parsed_options([*texts, "neighbours=3", "neighbours=4"]) == {
+        "objects": "boxes",
+        "weights.depth": 0.0,
+        "growth.least_visits": None,
+        "size": [64, 48],
+        "fill_holes": False,
+        "neighbours": 4,
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("neighbors=4", "Did you mean neighbours?"),
+        ("depth=0", "Did you mean weights.depth?"),
+        ("objects=bokses", "Did you mean boxes?"),
+        ("neighbours=2.5", "a whole number from 0 to 64"),
+        ("neighbours=-1", "a whole number from 0 to 64"),
+        ("matching.tau_new=nan", "a number from -2 to 0"),
+        ("fill_holes=2", "true or false"),
+        ("voxel_size=none", "a number from 0.001"),
+        ("size=320x", "2 whole numbers"),
+        ("size=8,48", "whole numbers from 16"),
+        ("size_within=320x240", "Did you mean size?"),
+        ("rates.feature=1,1", "there is none any more"),
+        ("steps=" + "9" * 400, "a whole number from 1"),
+        ("weights.depth=1e999", "a number from 0"),
+        ("weights.depth", "name=value"),
+        ("", "name=value"),
+    ],
+)
+def test_what_is_none_is_refused_with_the_nearest(text: str, told: str) -> None:
+    with pytest.raises(PlgsError) as caught:
+        parsed_options([text])
+    assert told in str(caught.value)
+
+
+@pytest.mark.parametrize("base", PRESETS)
+def test_a_printed_preset_is_read_back(base: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(preset_text(base, {"weights.depth": 0.25}))
+    read, options = read_preset_file(path)
+    assert read == base and changed_options(PRESETS[base], options) == {"weights.depth": 0.25}
+    assert parsed_options(shown_options(options)) == options
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("steps = ", "TOML"),
+        ("steps = 3", "preview, standard, paper"),
+        ('preset = "preview"\n[weights]\ndept = 1', "weights.depth"),
+        ('preset = "preview"\nobjects = "box"', "boxes"),
+        ('preset = "preview"\nsteps = 2026-11-22', "whole number"),
+    ],
+)
+def test_a_bad_file_is_named(content: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(content)
+    with pytest.raises(PlgsError) as caught:
+        read_preset_file(path)
+    assert told in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_a_request_of_a_file_and_of_options(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('preset = "standard"\nsteps = 9\nsize = [64, 48]\nobjects = "boxes"\nneighbours = 2')
+    request = request_of("--preset", str(path), "--set", "neighbours=4", "--set", "fill_holes=true")
+    own = {"steps": 9, "size": [64, 48], "neighbours": 4, "objects": "boxes"}
+    assert (request.preset, request.options) == ("standard", own), "what is as in the preset is left out"
+    assert request_of("--preset", str(path), "--steps", "7", "--frames", "all").options == own | {
+        "steps": 7, "neighbours": 2, "frames": 0,
+    }  # fmt: skip
+    assert request_of("--set", "weights.depth=0").options == {"weights.depth": 0.0}
+    assert request_of("--set", "steps=7", "--size", "64x48").options == {"steps": 7, "size": [64, 48]}
+
+
+def test_steps_for_each_view_are_kept_beside_steps(tmp_path: Path) -> None:
+    both = request_of("--set", "steps=600", "--set", "steps_a_view=5")
+    assert both.options == {"steps": 600, "steps_a_view": 5.0}
+    path = tmp_path / "mine.toml"
+    path.write_text(preset_text("preview", both.options))
+    assert request_of("--preset", str(path)) == both
+    exactly = request_of("--preset", str(path), "--steps", "700")
+    assert exactly.options == {"steps": 700}, "what a command line says wins over a file"
+    path.write_text(preset_text("preview", {}))
+    assert request_of("--preset", str(path)) == request_of()
+
+
+def test_steps_are_the_same_wherever_they_are_given() -> None:
+    assert request_of("--set", "steps=500") == request_of("--steps", "500")
+    assert request_of("--set", "steps=500").options == {"steps": 500}, "the preset's steps, whatever the views"
+
+
+def test_a_value_of_the_preset_undoes_an_earlier_one() -> None:
+    earlier = LiftRequest(Path("/scene"), options={"steps": 600, "size": [100, 100], "frames": 7, "voxel_size": 0.1})
+    texts = ["steps=500", "steps_a_view=5", "size=200,200", "frames=400", "voxel_size=0.06"]
+    preset, options = chosen_options(None, parsed_options(texts), earlier)
+    assert preset == "preview" and changed_options(PRESETS[preset], options) == {}

@@ -1,0 +1,85 @@
+"""Each tile's list, by one worker or by several: the same Gaussians, front to back, each with a place of its own."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from engine.raster import isect_tiles as listing
+from engine.raster.arrays import Intersections
+from engine.raster.chunks import chunk_range
+from engine.raster.isect_tiles import blending_workers, isect_tiles
+from engine.raster.records import TILE
+
+WIDTH, HEIGHT = 90, 50
+COLUMNS, ROWS = -(-WIDTH // TILE), -(-HEIGHT // TILE)
+
+
+class Boxes(NamedTuple):
+    """What projection tells of boxes: as the arguments of ``isect_tiles``."""
+
+    boxes: NDArray[np.int32]
+    depths: NDArray[np.float32]
+    counts: NDArray[np.int64]
+
+
+def projected(count: int, chunks: int, seed: int) -> Boxes:
+    """Boxes of tiles anywhere in the image, some of them empty; depths of which many are equal."""
+    random = np.random.default_rng(seed)
+    ends = np.sort(random.integers(0, [[COLUMNS + 1], [ROWS + 1]], (count, 2, 2)), axis=2)
+    boxes = ends.reshape(count, 4).astype(np.int32)
+    depths = random.choice(np.geomspace(0.02, 300.0, 40).astype(np.float32), count)
+    pairs = (ends[:, 0, 1] - ends[:, 0, 0]) * (ends[:, 1, 1] - ends[:, 1, 0])
+    own = [slice(*chunk_range(chunk, chunks, count)) for chunk in range(chunks)]
+    counts = [(np.count_nonzero(pairs[places]), pairs[places].sum()) for places in own]
+    return Boxes(boxes, depths, np.array(counts, np.int64))
+
+
+def assert_lists_of_a_stable_sort(listed: tuple[Intersections, int], given: Boxes) -> None:
+    lists, longest = listed
+    left, right, top, bottom = given.boxes.T
+    order = np.argsort(given.depths, kind="stable")
+    lengths = []
+    for tile in range(COLUMNS * ROWS):
+        column, row = tile % COLUMNS, tile // COLUMNS
+        inside = (left <= column) & (column < right) & (top <= row) & (row < bottom)
+        own = slice(lists.isect_offsets[tile], lists.isect_offsets[tile + 1])
+        assert np.array_equal(lists.flatten_ids[own], order[inside[order]])
+        owners = np.searchsorted(lists.gaussian_offsets, lists.isect_ids[own], side="right") - 1
+        assert np.array_equal(owners, lists.flatten_ids[own])
+        lengths.append(int(inside.sum()))
+    assert longest == max(lengths)
+    assert np.array_equal(np.sort(lists.isect_ids), np.arange(sum(lengths)))
+    assert blending_workers(10**6, lists, longest) == max(1, math.ceil(sum(lengths) / max(1, max(lengths))))
+
+
+@pytest.fixture(params=[0, 10**9])
+def worth_sharing(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scattering is shared, or not."""
+    monkeypatch.setattr(listing, "WORTH_SHARING", request.param)
+
+
+@pytest.mark.usefixtures("worth_sharing")
+@pytest.mark.parametrize("workers", [1, 2, 5])
+@pytest.mark.parametrize(("count", "chunks"), [(0, 1), (1, 1), (1, 3), (700, 1), (700, 3), (700, 40)])
+def test_lists_are_those_of_a_stable_sort(count: int, chunks: int, workers: int) -> None:
+    given = projected(count, chunks, seed=count)
+    assert_lists_of_a_stable_sort(isect_tiles(workers, *given, WIDTH, HEIGHT), given)
+
+
+@pytest.mark.parametrize(("count", "pairs", "sharing"), [(10, 10, 1), (10, 1000, 2), (1000, 0, 1)])
+def test_few_intersections_are_scattered_by_one_worker(
+    count: int, pairs: int, sharing: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boxes = np.zeros((count, 4), np.int32)
+    boxes[: count if pairs else 0] = [0, 10, 0, pairs // count // 10] if pairs > count else [0, 1, 0, 1]
+    counts = np.array([[count // 2 * (pairs > 0), pairs // 2]] * 2, np.int64)
+    given = Boxes(boxes, np.ones(count, np.float32), counts)
+    shares: list[int] = []
+    own = listing.parallel_for
+    monkeypatch.setattr(listing, "parallel_for", lambda workers, *rest: (shares.append(workers), own(workers, *rest)))
+    assert len(isect_tiles(2, *given, 10 * TILE, 10 * TILE)[0].flatten_ids) == pairs and shares == [1, sharing, sharing]

@@ -1,0 +1,111 @@
+"""Plain 3D Gaussians: what is drawn of them, how they grow, and that they are stored as others are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from engine.model.gaussians import decode
+from engine.model.growing import GrowthStatistics
+from engine.model.render import render_view
+from engine.model.structured import LabelChannels, StructuredScene, from_tensors, to_tensors
+from engine.scene import Camera
+from research.baselines.gaussian_splatting import (
+    HARMONIC,
+    SCALE,
+    SCALE_RATE,
+    PlainDecoders,
+    PlainRules,
+    clone_split_prune,
+    plain_gaussians,
+    reset_opacities,
+)
+
+CAMERA = Camera(40, 30, 40.0, 40.0, 20.0, 15.0, np.eye(4))
+CHANNELS = LabelChannels((2, 5, 7), (1, 2, 0))
+SHAPE = PlainDecoders.of_labels(3, 3).shape
+RULES = PlainRules(gradient=0.5, dense_share=0.01)
+
+
+def some_gaussians(count: int = 30) -> StructuredScene:
+    random = np.random.default_rng(0)
+    positions = random.uniform([-1, -1, 2], [1, 1, 3], (count, 3)).astype(np.float32)
+    rgb = random.integers(0, 256, (count, 3)).astype(np.uint8)
+    anchors = plain_gaussians(positions, np.full(count, 5), rgb, SHAPE)
+    return StructuredScene(anchors, PlainDecoders(SHAPE), CHANNELS, 0.1)
+
+
+def test_they_begin_in_the_clouds_colours_and_without_labels() -> None:
+    positions, rgb = np.array([[0, 0, 2], [0.3, 0, 2]], np.float32), np.array([[255, 0, 51], [0, 0, 0]], np.uint8)
+    anchors = plain_gaussians(positions, np.array([5, 0]), rgb, SHAPE)
+    drawn = decode(anchors, PlainDecoders(SHAPE), CAMERA, channels=torch.tensor([1, -1]))
+    torch.testing.assert_close(drawn.means, torch.from_numpy(positions))
+    torch.testing.assert_close(drawn.colours, torch.from_numpy(rgb) / 255.0, atol=1e-6, rtol=0)
+    torch.testing.assert_close(drawn.scales, torch.full((2, 3), 0.3))
+    torch.testing.assert_close(drawn.opacities, torch.tensor([0.1, 0.1]))
+    torch.testing.assert_close(drawn.labels, torch.full((2, 6), 1 / 3))
+    assert drawn.cluster_loss.item() == pytest.approx(np.log(3))
+
+
+def test_each_is_learnt_by_itself() -> None:
+    scene = some_gaussians(3)
+    scene.anchors.feature.requires_grad_()
+    scene.anchors.offset.requires_grad_()
+    drawn = decode(scene.anchors, scene.decoders, CAMERA)
+    (drawn.means[1].sum() + drawn.colours[1].sum() + drawn.labels[1, 0]).backward()
+    assert scene.anchors.feature.grad is not None and scene.anchors.offset.grad is not None
+    assert scene.anchors.feature.grad[[0, 2]].abs().sum() == 0
+    assert (scene.anchors.offset.grad[1] == 1).all()
+    assert (scene.anchors.feature.grad[1, 8:11] - HARMONIC).abs().max() < 1e-6
+    assert scene.anchors.feature.grad[1, 11:14].abs().min() > 0
+
+
+def statistics_of(scene: StructuredScene, moved: list[int]) -> GrowthStatistics:
+    statistics = GrowthStatistics.empty(scene.anchors)
+    statistics.drawn += 2
+    statistics.gradient[moved] = 2.0
+    return statistics
+
+
+def test_small_ones_are_cloned_large_ones_split_and_faint_ones_go() -> None:
+    scene = some_gaussians(5)
+    scene.anchors.feature[:, SCALE] = np.log(0.01) / SCALE_RATE
+    scene.anchors.feature[1, SCALE] = np.log(0.5) / SCALE_RATE
+    scene.anchors.feature[[2, 3], 0] = -1.0
+    statistics = statistics_of(scene, [0, 1, 2])
+    random = np.random.default_rng(0)
+    round_ = clone_split_prune(scene.anchors, statistics, RULES, extent=3.0, random=random, most=100)
+    assert round_.keep.tolist() == [True, False, False, False, True]
+    assert len(round_.grown) == 3, "a clone of 0, two halves of 1"
+    torch.testing.assert_close(round_.grown.feature[0], scene.anchors.feature[0])
+    halves = torch.exp(SCALE_RATE * round_.grown.feature[1:, SCALE])
+    torch.testing.assert_close(halves, torch.full((2, 3), 0.5 / 1.6))
+    assert not torch.equal(round_.grown.offset[1], round_.grown.offset[2])
+    assert (round_.grown.initial_class == 0).all() and (round_.grown.level == 1).all()
+    assert all(float(sums.sum()) == 0 for sums in statistics.tensors().values())
+
+
+def test_no_more_than_there_is_room_for() -> None:
+    scene = some_gaussians(6)
+    statistics = statistics_of(scene, list(range(6)))
+    rules = PlainRules(gradient=0.5, dense_share=10.0)
+    round_ = clone_split_prune(scene.anchors, statistics, rules, extent=3.0, random=np.random.default_rng(0), most=8)
+    assert bool(round_.keep.all()) and len(round_.grown) == 2
+
+
+def test_opacities_are_set_back() -> None:
+    scene = some_gaussians(3)
+    scene.anchors.feature[1, 0] = -5.0
+    reset_opacities(scene.anchors, PlainRules(reset_to=0.01))
+    opacity = decode(scene.anchors, scene.decoders, CAMERA).opacities
+    assert opacity[[0, 2]].tolist() == pytest.approx([0.01, 0.01]) and opacity[1] < 1e-10
+
+
+def test_they_are_stored_and_drawn_again() -> None:
+    scene = some_gaussians()
+    again = from_tensors(*to_tensors(scene))
+    assert isinstance(again.decoders, PlainDecoders)
+    one, two = render_view(scene, CAMERA), render_view(again, CAMERA)
+    assert one.alpha.max() > 0.1 and np.array_equal(one.image, two.image)
+    assert np.array_equal(one.class_coverage, two.class_coverage)

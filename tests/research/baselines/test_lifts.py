@@ -1,0 +1,159 @@
+"""Baselines and ablations train: each by its options, on the tiny room."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from engine.instances.consensus import ConsensusOptions
+from engine.model.structured import NO_OBJECT
+from engine.scene import ClassTable, View
+from engine.train.state import restore, trainer_state
+from research.baselines.gaussian_splatting import PlainRules
+from research.baselines.options import BaselinePreset
+from research.baselines.trainer import SplattingTrainer
+from tests.research.tiny_baseline import TINY_BASELINE as TINY
+from tests.research.tiny_baseline import prepared_for, trainer_of
+from tests.train.tiny_lift import STEPS, TinyTrainer, colour_error, views_of
+
+Input = tuple[list[View], ClassTable]
+ALONE = replace(
+    TINY,
+    objects="none",
+    one_class_an_object=False,
+    linear_assignment=True,
+    semantic_targets="masks",
+    label_every=1,
+    weights=replace(TINY.weights, cluster=0.0, depth=0.0),
+)
+PLAIN = replace(ALONE, representation="plain")
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Input:
+    return views_of(tmp_path_factory.mktemp("tiny") / "scene", noise=0.1)
+
+
+@pytest.fixture
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """3DGS grows as soon as the tiny lift does, and whatever moves."""
+    monkeypatch.setattr(SplattingTrainer, "growth_schedule", TinyTrainer.growth_schedule)
+    monkeypatch.setattr(SplattingTrainer, "rules", PlainRules(gradient=1e-6))
+
+
+@pytest.mark.usefixtures("often")
+def test_plain_gaussians_learn_and_grow(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, replace(PLAIN, steps=30), tmp_path)
+    before, began_with = colour_error(tiny[0], trainer), len(trainer.scene.anchors)
+    reports = []
+    while not trainer.finished:
+        reports.append(trainer.step())
+    assert colour_error(tiny[0], trainer) < before and len(trainer.scene.anchors) > began_with
+    epoch = len(tiny[0])
+    assert sum(one.semantic for one in reports[-epoch:]) < 0.8 * sum(one.semantic for one in reports[:epoch])
+
+
+@pytest.mark.usefixtures("often")
+def test_a_restored_trainer_of_plain_gaussians_goes_on_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
+    whole, resumed = (trainer_of(*tiny, PLAIN, tmp_path) for _ in range(2))
+    for _ in range(5):
+        whole.step()
+    tensors, facts = trainer_state(whole)
+    restore(resumed, {name: tensor.clone() for name, tensor in tensors.items()}, facts)
+    assert [resumed.step().loss for _ in range(5, STEPS)] == [whole.step().loss for _ in range(5, STEPS)]
+
+
+def test_slots_that_mean_what_the_assignment_makes_of_them(tiny: Input, tmp_path: Path) -> None:
+    trainer = trainer_of(*tiny, ALONE, tmp_path)
+    assert trainer.scene.channels.slot_ids == (1, 2, 3, 4, 0) and not trainer.scene.channels.class_of_slot
+    report = trainer.step()
+    assert report.instance > 0
+
+
+def targets_with(tiny: Input, folder: Path, **changed: object) -> list[np.ndarray]:
+    trainer = trainer_of(*tiny, replace(ALONE, **changed), folder)  # type: ignore[arg-type]
+    return [target.projected.numpy() for target in trainer.targets]
+
+
+def test_where_semantic_targets_come_from(tiny: Input, tmp_path: Path) -> None:
+    views, _ = tiny
+    masks = targets_with(tiny, tmp_path)
+    assert all(np.array_equal(shown >= 0, view.mask.class_map() > 0) for shown, view in zip(masks, views, strict=True))
+    assert all((shown == -1).all() for shown in targets_with(tiny, tmp_path, semantic_targets="none"))
+    projected = targets_with(tiny, tmp_path, semantic_targets="projected", objects="boxes")
+    assert any(not np.array_equal(one, other) for one, other in zip(projected, masks, strict=True))
+
+
+def test_where_nothing_is_matched_no_thing_is_taught_to_be_no_object(tiny: Input, tmp_path: Path) -> None:
+    views, _ = tiny
+    for labelled in (True, False):
+        trainer = trainer_of(*tiny, replace(ALONE, labelled_start=labelled, semantic_targets="projected"), tmp_path)
+        no_object = trainer.scene.channels.slot_ids.index(NO_OBJECT)
+        for view, target in zip(views, trainer.targets, strict=True):
+            things = [one.id for one in view.mask.segments if one.is_thing]
+            assert things and not (target.slot.numpy()[np.isin(view.mask.ids, things)] == no_object).any()
+
+
+def test_the_warm_start_leaves_unmatched_things_their_slots(tiny: Input, tmp_path: Path) -> None:
+    scene = prepared_for(*tiny, ALONE, tmp_path).scene
+    no_object = scene.channels.slot_ids.index(NO_OBJECT)
+    seen = scene.decoders.view_input(scene.anchors.feature, scene.anchors.position, torch.zeros(1, 3))
+    _, slots = scene.decoders.label_logits(scene.anchors.feature, seen)
+    share = torch.softmax(slots.reshape(-1, len(scene.channels.slot_ids)), 1)[:, no_object].mean()
+    assert share < 0.5, "of five slots"
+
+
+def test_semantic_targets_do_not_change_what_is_no_object(tiny: Input, tmp_path: Path) -> None:
+    boxes = replace(ALONE, objects="boxes")
+    slots = [
+        [one.matched.numpy() for one in trainer_of(*tiny, replace(boxes, semantic_targets=source), tmp_path).targets]
+        for source in ("projected", "masks", "none")  # type: ignore[arg-type]
+    ]
+    assert any((one >= 0).any() for one in slots[0])
+    for view in zip(*slots, strict=True):
+        assert np.array_equal(view[0], view[1]) and np.array_equal(view[0], view[2])
+
+
+def loss_of(tiny: Input, folder: Path, preset: BaselinePreset) -> tuple[float, float]:
+    report = trainer_of(*tiny, preset, folder).step()
+    return report.semantic, report.instance
+
+
+def test_the_parts_of_the_label_losses(tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    boxes = replace(TINY, objects="boxes", one_class_an_object=False, linear_assignment=True, label_every=1)
+    semantic, instance = loss_of(tiny, tmp_path, boxes)
+    without = replace(boxes, weights=replace(boxes.weights, cluster=0.0))
+    assert loss_of(tiny, tmp_path, without)[0] < semantic
+    consistent = replace(boxes, segment_consistency=True)
+    assert loss_of(tiny, tmp_path, consistent)[0] == semantic, "classes are learned first"
+    monkeypatch.setattr("research.baselines.segment_loss.FROM", 0.0)
+    assert loss_of(tiny, tmp_path, consistent)[0] > semantic
+    assert loss_of(tiny, tmp_path, replace(boxes, linear_assignment=False))[1] < instance
+
+
+def test_labels_straight_from_the_masks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    views, classes = views_of(tmp_path / "scene", noise=0.3)
+    monkeypatch.setattr("engine.lift.objects.CONSENSUS", ConsensusOptions(support=2.0))  # no mask is another's object
+    voted, masks = (
+        prepared_for(views, classes, replace(TINY, vote_from=source), tmp_path).label_maps  # type: ignore[arg-type]
+        for source in ("objects", "masks")
+    )
+    assert voted is not None and masks is not None
+    for view, shown in zip(views, masks, strict=True):
+        assert ((shown >= 0) == (view.mask.class_map() > 0)).all()
+        for segment in np.unique(view.mask.ids[view.mask.ids > 0]):
+            assert len(np.unique(shown[view.mask.ids == segment])) == 1
+    assert any(not np.array_equal(one, other) for one, other in zip(voted, masks, strict=True))
+
+
+def test_a_start_without_labels(tiny: Input, tmp_path: Path) -> None:
+    labelled, bare = (
+        prepared_for(*tiny, replace(TINY, labelled_start=known), tmp_path).scene for known in (True, False)
+    )
+    assert (labelled.anchors.initial_class > 0).any() and not (bare.anchors.initial_class > 0).any()
+    assert bare.anchors.feature[:, :3].any() and not bare.anchors.feature[:, 3:].any(), "colours, no labels"
+    assert labelled.anchors.feature[:, 3:].any()

@@ -1,0 +1,58 @@
+"""The benchmark of a training step: what it measures adds up, and it leaves nothing behind."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from research.bench import step
+from research.bench.step import DECODE, LOSSES, OPTIMISE, RASTERISE, SAMPLE, StepProfile, profile_lift, typical
+from tests.train.tiny_lift import TINY, views_of
+
+WITHOUT_GROWTH = replace(TINY, steps=1000)
+
+
+def test_every_part_of_a_step_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    views, classes = views_of(tmp_path / "scene")
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    profile = profile_lift(views, classes, WITHOUT_GROWTH, epochs=1)
+    assert not list(folder.glob("tmp*"))  # torch keeps a folder of its own there
+    assert set(profile.parts) == {*DECODE, *RASTERISE, *LOSSES, *OPTIMISE, "growth statistics", "the rest"}
+    assert all(milliseconds > 0 for milliseconds in profile.parts.values())
+    assert profile.draw > 0 and profile.decide > 0 and 0 < profile.visible <= profile.anchors and profile.gaussians > 0
+    facts = json.loads(json.dumps(profile.facts()))
+    assert facts["step_ms"] == pytest.approx(sum(facts["parts_ms"].values()))
+
+
+def test_a_disturbed_step_is_left_out_and_parts_add_up() -> None:
+    steps = [{"one": 1.0 + k, "two": 2.0} for k in range(7)] + [{"one": 500.0, "two": 2.0}]
+    parts = typical(steps)
+    assert parts == pytest.approx({"one": 4500.0, "two": 2000.0})
+    with pytest.raises(ValueError, match="no step"):
+        typical([])
+
+
+def test_ratios_are_over_the_rasteriser() -> None:
+    parts = dict.fromkeys((*DECODE, *RASTERISE), 10.0)
+    profile = StepProfile("any", 2, 5, 4, 3, parts | {"optimiser": 5.0}, 40.0, 10.0)
+    assert profile.ratio(DECODE) == 1.0 and profile.ratio((*LOSSES, *OPTIMISE)) == 0.25 and profile.step == 45.0
+    assert profile.frame == 50.0
+
+
+def test_the_figures_are_printed_and_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    views, classes = views_of(tmp_path / "scene")
+    tiny = profile_lift(views, classes, WITHOUT_GROWTH, epochs=1)
+    monkeypatch.setattr(step, "load_view", lambda frame, size: frame)
+    monkeypatch.setattr(step, "profile_lift", lambda views, classes, preset: tiny)
+    assert step.bench_step() == tiny.facts()
+    said = capsys.readouterr().out
+    assert tiny.processor in said and "whole step" in said and "at most 0.5" in said and "a second" in said
+    assert SAMPLE.is_dir()

@@ -1,0 +1,55 @@
+"""The plots and the sheet of an experiment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.passes.contact_sheet import BACKGROUND, GAP, HEADING, MARGIN, TILE_WIDTH
+from research.experiments.report import SHEET, bars_of, write_plots, write_sheet
+from research.experiments.table import Tables
+from tests.research.experiments.made_up import OFFICE, ROWS
+
+TABLES = Tables(ROWS, ROWS.rows, OFFICE)
+
+
+def test_bars_are_the_tables_figures() -> None:
+    rows = [row for row in ROWS.rows if TABLES.measured("office", row) and row.table == "systems"]
+    bars = bars_of("Systems", "office", rows, TABLES)
+    assert bars.names == ["ours", "input masks", "theirs"]
+    assert bars.values == [pytest.approx([80.0, 50.0, 60.0]), pytest.approx([70.0, 25.0, 50.0])]
+
+
+def test_plots_of_the_tables_with_more_than_one_row(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    assert write_plots(tmp_path / "plots", TABLES)
+    assert [path.name for path in (tmp_path / "plots").iterdir()] == ["office-systems.png"]
+    picture = cv2.imread(str(tmp_path / "plots" / "office-systems.png"))
+    assert picture is not None and picture.std() > 10
+
+
+def test_without_matplotlib_there_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("research.experiments.report.find_spec", lambda name: None)
+    assert not write_plots(tmp_path / "plots", TABLES) and not (tmp_path / "plots").exists()
+
+
+def test_a_sheet_has_the_first_row_of_each_lift(tmp_path: Path) -> None:
+    height, width = 240, 2 * MARGIN + 2 * TILE_WIDTH + GAP
+    for number, colour in enumerate(((0, 0, 250), (0, 250, 0))):
+        own = np.full((MARGIN + HEADING + 2 * (height + GAP), width, 3), BACKGROUND[::-1], np.uint8)
+        own[MARGIN + HEADING : MARGIN + HEADING + height, MARGIN : MARGIN + TILE_WIDTH] = colour
+        own[MARGIN + HEADING + height + GAP :, MARGIN : MARGIN + TILE_WIDTH] = (250, 0, 0)
+        path = tmp_path / f"lift{number}" / SHEET
+        path.parent.mkdir(parents=True)
+        cv2.imwrite(str(path), own)
+    lifts = {"one": tmp_path / "lift0", "two": tmp_path / "lift1", "three": tmp_path / "none"}
+    write_sheet(tmp_path / "sheet.png", lifts)
+    sheet = cv2.imread(str(tmp_path / "sheet.png"))
+    assert sheet.shape == (2 * (HEADING + height), width, 3)
+    middle = [sheet[HEADING + height // 2 + row * (HEADING + height), MARGIN + 9].tolist() for row in (0, 1)]
+    assert middle == [[0, 0, 250], [0, 250, 0]]
+    write_sheet(tmp_path / "none.png", {})
+    assert not (tmp_path / "none.png").exists()

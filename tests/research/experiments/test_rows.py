@@ -1,0 +1,77 @@
+"""The rows as data: those there are can be run, and what is asked for is found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from engine.errors import PlgsError
+from engine.job import LiftRequest
+from engine.metrics.report import INPUT_MASKS
+from research.experiments.rows import read_rows
+from tests.research.experiments.made_up import ROWS
+from tests.research.tiny_baseline import registered
+
+with registered():
+    FOUND = read_rows()
+LETTER = "PLGS from zero features and random decoders"
+
+
+@pytest.mark.parametrize("row", [row for row in FOUND.rows if row.is_lift], ids=lambda row: row.slug)
+def test_each_row_is_a_lift(row) -> None:
+    request = LiftRequest(scene=Path("/room"), options=row.options)
+    is_as_the_preset = request.chosen_preset == LiftRequest(scene=Path("/room")).chosen_preset
+    assert is_as_the_preset == (not row.options)
+    assert row.options or row.name == "ours" or row.masks or row.depth_from
+
+
+def test_no_two_rows_are_one_lift() -> None:
+    lifts = [(tuple(row.options.items()), row.masks, row.depth_from) for row in FOUND.rows if row.is_lift]
+    assert len(set(map(repr, lifts))) == len(lifts), "the later one is same_as the other"
+
+
+def test_methods_are_measured() -> None:
+    from research.baselines.voxel_vote import VOXEL_VOTE
+    from research.baselines.without_a_lift import WITHOUT_A_LIFT
+
+    assert {INPUT_MASKS, VOXEL_VOTE} < set(WITHOUT_A_LIFT)
+    assert {row.method for row in FOUND.rows if row.method} <= set(WITHOUT_A_LIFT)
+
+
+def test_the_papers_ablations_are_there() -> None:
+    assert {"designs", "cost", "semantics", "instances", "tau", "neighbours", "departures"} <= set(FOUND.tables)
+    plgs = FOUND.named("PLGS").options
+    paper = LiftRequest(scene=Path("/room"), preset="paper").chosen_preset
+    mine = LiftRequest(scene=Path("/room"), options=plgs).chosen_preset
+    letter = LiftRequest(scene=Path("/room"), options=FOUND.named(LETTER).options).chosen_preset
+    assert letter.warm_start is paper.warm_start is False and letter.seeded_features is paper.seeded_features
+    for name in ("objects", "linear_assignment", "weights", "neighbours", "growth", "labels", "matching"):
+        assert getattr(mine, name) == getattr(paper, name), name
+
+
+def test_rows_and_tables_by_name() -> None:
+    assert [row.name for row in ROWS.chosen(["parts"])] == ["all of it", "without depth", "other masks"]
+    assert [row.name for row in ROWS.chosen(["Ours", "without depth"])] == ["ours", "without depth"]
+    assert ROWS.chosen([]) == ROWS.rows
+    assert ROWS.lift_of(ROWS.named("all of it")).name == "theirs"
+    with pytest.raises(PlgsError, match="Did you mean 'without depth'"):
+        ROWS.chosen(["without deph"])
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("", "tables"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "b"', "x"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nsame_as = "y"', "no rows"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nway = "y"', "ways"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\n[[row]]\nname = "X"\ntable = "a"', "one name"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nset = { neighbors = 3 }', "Did you mean neighbours"),
+    ],
+)
+def test_rows_that_are_none(content: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "rows.toml"
+    path.write_text(content)
+    with pytest.raises(PlgsError, match=told):
+        read_rows(path)

@@ -1,0 +1,331 @@
+"""A whole experiment: around an engine that pretends, and, slowly, around the real one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.errors import PlgsError
+from engine.job import EventReader, ExitCode, LiftFolder, LiftRequest
+from engine.job.terminal import Interrupts
+from engine.metrics.report import INPUT_MASKS, Report
+from engine.scene import Scene
+from engine.scene_source import SceneSource
+from research.baselines import without_a_lift
+from research.baselines.voxel_vote import VOXEL_VOTE
+from research.baselines.without_a_lift import VOXELS_ALONE, WITHOUT_A_LIFT
+from research.command_line import main
+from research.experiments.rows import Rows
+from research.experiments.run import Experiment, run_experiment
+from research.experiments.scenes import SceneToLift
+from research.results import read_results
+from tests.research.experiments.made_up import KITCHEN, ROWS
+from tests.tiny_scene import write_tiny_scene
+
+FAKE_ENGINE = Path(__file__).parents[2] / "job" / "fake_engine.py"
+
+Behave = Callable[[str, str], None]
+"""Sets what the engine does with the lift of a name (see fake_engine.py); "short" otherwise."""
+
+
+@pytest.fixture
+def behave(monkeypatch: pytest.MonkeyPatch) -> Behave:
+    behaviours: dict[str, str] = {}
+
+    def fake_command(python: Path, lift: Path, *, resume: bool, program: str) -> list[str | Path]:
+        command: list[str | Path] = [sys.executable, FAKE_ENGINE, behaviours.get(lift.name, "short"), lift]
+        return [*command, "--resume"] if resume else command
+
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
+    monkeypatch.setattr("engine.job.session.engine_command", fake_command)
+    return behaviours.__setitem__
+
+
+@pytest.fixture
+def experiment(tmp_path: Path) -> Experiment:
+    scenes = [
+        SceneToLift(name, write_tiny_scene(tmp_path / "scenes" / name, frames=6), "z") for name in ("office", "kitchen")
+    ]
+    return Experiment(tuple(scenes), tmp_path / "out", ROWS, only=("ours",))
+
+
+def run(experiment: Experiment) -> ExitCode:
+    with Interrupts() as interrupts:
+        return run_experiment(experiment, interrupts)
+
+
+def runs_of(experiment: Experiment, lift: str) -> list[bool]:
+    """Whether each run of the engine resumed an earlier one."""
+    events = EventReader(experiment.folder / lift / "events.jsonl").poll()
+    return [bool(event.data["resumed"]) for event in events if event.kind == "hello"]
+
+
+def measured(experiment: Experiment) -> list[tuple[str, str]]:
+    return [(one.scene, one.row) for one in read_results(experiment.folder / "results.json")]
+
+
+def test_every_scene_is_lifted_once(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(experiment) is ExitCode.FINISHED
+    text = capsys.readouterr().out
+    assert "### office" in text and "### kitchen" in text
+    report = (experiment.folder / "results.md").read_text()
+    assert "| ours" in report and "elsewhere (cited)" in report and "elsewhere" not in text
+    assert measured(experiment) == [("office", "ours"), ("kitchen", "ours")]
+    first = read_results(experiment.folder / "results.json")
+    assert run(experiment) is ExitCode.FINISHED
+    assert runs_of(experiment, "office-preview") == runs_of(experiment, "kitchen-preview") == [False]
+    assert read_results(experiment.folder / "results.json") == first
+
+
+def test_rows_one_after_the_other(experiment: Experiment, behave: Behave) -> None:
+    some = replace(experiment, scenes=experiment.scenes[:1], only=("ours", "parts", "input masks"), seeds=(0, 2))
+    assert run(some) is ExitCode.FINISHED
+    assert measured(some) == [
+        *[("office", method) for method in WITHOUT_A_LIFT],
+        *[("office", "ours")] * 2, *[("office", "theirs")] * 2, *[("office", "without depth")] * 2,
+    ], "one row is another's lift, one needs files that the scene has not"  # fmt: skip
+    requests = {path.parent.name: LiftRequest.read(path) for path in some.folder.glob("*/request.json")}
+    assert requests["office-preview"].options == {} and requests["office-preview-seed2"].seed == 2
+    assert requests["office-preview-theirs"].options == {"objects": "boxes"}
+    assert requests["office-preview-without-depth-seed2"].options == {"weights.depth": 0.0}
+    assert sorted(requests) == sorted(
+        lift + seed
+        for lift in ("office-preview", "office-preview-theirs", "office-preview-without-depth")
+        for seed in ("", "-seed2")
+    )
+
+
+def test_tables_of_what_is_finished_lift_nothing(experiment: Experiment, behave: Behave) -> None:
+    assert run(replace(experiment, scenes=experiment.scenes[:1])) is ExitCode.FINISHED
+    whole = replace(experiment, only=("ours", "parts"), only_finished=True)
+    assert run(whole) is ExitCode.FINISHED
+    assert measured(whole) == [("office", "ours")] and runs_of(whole, "office-preview") == [False]
+    (whole.folder / "office-preview" / "result" / "metrics.json").write_text("{")
+    with pytest.raises(PlgsError, match="metrics.json"):
+        run(whole)
+    assert runs_of(whole, "office-preview") == [False], "what is damaged is told, not lifted"
+    assert sorted(path.parent.name for path in whole.folder.glob("*/request.json")) == ["office-preview"]
+
+
+def test_baselines_without_a_lift_are_measured_anew_when_the_scene_or_the_engine_is_another(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured: list[Path] = []
+    real = without_a_lift.add_voxel_vote
+
+    def counted(report: Report, scene: Scene) -> None:
+        measured.append(scene.folder)
+        real(report, scene)
+
+    monkeypatch.setattr(without_a_lift, "add_voxel_vote", counted)
+    place = experiment.scenes[0].folder
+    cache = place / "lifts" / "office.json"
+    first = without_a_lift.scores_without_a_lift(SceneSource(place), cache)
+    assert set(first) == set(WITHOUT_A_LIFT)
+    (cache.parent / "another.txt").touch()
+    assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 1
+    os.utime(place / "panoptic.json", (1, 1))
+    assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 2
+    monkeypatch.setattr(without_a_lift, "__version__", "another")
+    for _ in range(2):
+        assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 3
+
+
+def test_other_masks_are_lifted_where_there_are_some(experiment: Experiment, behave: Behave) -> None:
+    office = experiment.scenes[0]
+    shutil.copyfile(office.folder / "panoptic.json", office.folder / "other.json")
+    shutil.copytree(office.folder / "panoptic", office.folder / "other")
+    assert run(replace(experiment, only=("other masks",))) is ExitCode.FINISHED
+    assert measured(experiment) == [("office", "other masks")]
+    request = LiftRequest.read(experiment.folder / "office-preview-other-masks" / "request.json")
+    assert request.masks == office.folder / "other.json"
+
+
+def test_scenes_are_read_as_the_options_say(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+    classes = tmp_path / "mine.toml"
+    classes.write_text('[[class]]\nname = "cabinet"\ninto = "wall"\n')
+    arguments = [str(experiment.scenes[0].folder), "-o", str(experiment.folder), "--only", "ours", "input masks"]
+    reading = ["--format", "scannet", "--mask-format", "coco", "--classes"]
+    assert main(["experiments", *arguments, *reading, str(classes)]) == 0
+    request = LiftRequest.read(experiment.folder / "office-preview" / "request.json")
+    assert (request.scene_format, request.mask_format, request.classes) == ("scannet", "coco", str(classes))
+    scores = experiment.folder / "office-own-masks.json"
+    assert "cabinet" not in scores.read_text() and "chair" in scores.read_text()
+    classes.write_text('[[class]]\nname = "chair"\ninto = "wall"\n')
+    assert main(["experiments", *arguments, *reading, str(classes)]) == 0
+    assert "cabinet" in scores.read_text() and "chair" not in scores.read_text(), "measured anew"
+    with pytest.raises(PlgsError, match="mask_format"):
+        run(experiment)
+
+
+def test_depth_that_another_row_renders(
+    experiment: Experiment, behave: Behave, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exported: list[tuple[Path, str, list[str]]] = []
+
+    def export(lift: LiftFolder, kind: str, output: Path, frames: list[str]) -> None:
+        exported.append((lift.path, kind, frames))
+        output.mkdir()
+        for frame in range(6):
+            np.save(output / f"{frame:04d}.npy", np.full((48, 64), 2.0, np.float32))
+
+    monkeypatch.setattr("engine.export.run.export", export)
+    some = replace(experiment, scenes=experiment.scenes[:1], only=("depths",))
+    for _ in range(2):
+        assert run(some) is ExitCode.FINISHED
+    assert measured(some) == [("office", "without depth"), ("office", "no sensor")]
+    assert exported == [(some.folder / "office-preview-without-depth", "depth", ["all"])]
+    request = LiftRequest.read(some.folder / "office-preview-no-sensor" / "request.json")
+    assert request.depth == some.folder / "office-preview-no-sensor-maps"
+
+
+def test_a_lift_that_failed_is_resumed_and_keeps_nobody_waiting(
+    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
+) -> None:
+    behave("office-preview", "exits")
+    assert run(experiment) is ExitCode.INTERNAL_ERROR
+    assert measured(experiment) == [("kitchen", "ours")]
+    assert "Not lifted: office: ours." in capsys.readouterr().err
+    behave("office-preview", "short")
+    assert run(experiment) is ExitCode.FINISHED
+    assert runs_of(experiment, "office-preview") == [False, True]
+    assert measured(experiment) == [("office", "ours"), ("kitchen", "ours")]
+
+
+def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+    missing = SceneToLift("none", experiment.folder / "none")
+    with pytest.raises(PlgsError, match="none"):
+        run(replace(experiment, scenes=(*experiment.scenes, missing)))
+    with pytest.raises(PlgsError, match="steps"):
+        run(replace(experiment, steps=0))
+    with pytest.raises(PlgsError, match="none of these scenes"):
+        run(replace(experiment, earlier=(replace(KITCHEN, scene="cellar"),)))
+    with pytest.raises(PlgsError, match="no such row"):
+        run(replace(experiment, only=("hours",)))
+    with pytest.raises(PlgsError, match="weights.depth"):
+        run(replace(experiment, sets=("weights.dept=0",)))
+    (file := tmp_path / "file").write_bytes(b"\xff")
+    for page, told in ((tmp_path, "no text"), (file, "no text"), (file / "page.md", "cannot be written")):
+        with pytest.raises(PlgsError, match=told):
+            run(replace(experiment, only=(), page=page))
+    assert not experiment.folder.exists()
+
+
+def test_a_foreign_folder_is_told_before_any_lift(experiment: Experiment, behave: Behave) -> None:
+    foreign = experiment.folder / "kitchen-preview"
+    foreign.mkdir(parents=True)
+    (foreign / "notes.txt").touch()
+    with pytest.raises(PlgsError, match=r"notes\.txt"):
+        run(experiment)
+    (foreign / "notes.txt").unlink()
+    foreign.rmdir()
+    foreign.touch()
+    with pytest.raises(PlgsError, match="in the way"):
+        run(experiment)
+    assert not (experiment.folder / "office-preview").exists()
+
+
+def test_figures_that_cannot_be_read_are_made_anew(experiment: Experiment, behave: Behave) -> None:
+    assert run(experiment) is ExitCode.FINISHED
+    figures = experiment.folder / "kitchen-preview" / "result" / "metrics.json"
+    figures.write_bytes(b"x" * figures.stat().st_size)
+    assert run(experiment) is ExitCode.FINISHED
+    assert runs_of(experiment, "kitchen-preview") == [False, True]
+    assert measured(experiment) == [("office", "ours"), ("kitchen", "ours")]
+
+
+def test_a_finished_lift_with_other_settings_is_not_taken(experiment: Experiment, behave: Behave) -> None:
+    with_steps = replace(experiment, steps=7)
+    assert run(with_steps) is ExitCode.FINISHED
+    with pytest.raises(PlgsError, match="another steps"):
+        run(experiment)
+    with pytest.raises(PlgsError, match="another weights.depth"):
+        run(replace(with_steps, sets=("weights.depth=0",)))
+
+
+def test_a_row_is_what_its_name_says(experiment: Experiment, behave: Behave) -> None:
+    some = replace(
+        experiment, scenes=experiment.scenes[:1], only=("ours", "theirs"), sets=("objects=none", "neighbours=2")
+    )
+    assert run(some) is ExitCode.FINISHED
+    ours, theirs = (
+        LiftRequest.read(some.folder / lift / "request.json") for lift in ("office-preview", "office-preview-theirs")
+    )
+    assert ours.options == {"objects": "none", "neighbours": 2}
+    assert theirs.options == {"objects": "boxes", "neighbours": 2}
+
+
+def test_what_was_finished_before_stays_in_the_report(
+    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = experiment.folder / "page.md"
+    assert run(replace(experiment, only=("ours", "input masks"), page=page)) is ExitCode.FINISHED
+    capsys.readouterr()
+    assert run(replace(experiment, scenes=experiment.scenes[:1], only=("theirs",), page=page)) is ExitCode.FINISHED
+    assert "| ours" not in capsys.readouterr().out, "what is asked for is shown"
+    rows = [row for scene, row in measured(experiment) if scene == "office"]
+    assert rows == [*WITHOUT_A_LIFT, "ours", "theirs"]
+    office, kitchen = page.read_text().split("### kitchen")
+    assert "| theirs" in office and "| ours" in office and "| ours" in kitchen, "other scenes' tables stay"
+    others = replace(experiment, scenes=experiment.scenes[:1], only=("without depth",), steps=7)
+    assert run(others) is ExitCode.FINISHED
+    assert measured(others) == [*[("office", method) for method in WITHOUT_A_LIFT], ("office", "without depth")], (
+        "lifts by other options are none of these"
+    )
+
+
+def test_another_rows_damage_is_told_and_stops_nothing(
+    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
+) -> None:
+    some = replace(experiment, scenes=experiment.scenes[:1], only=("ours", "theirs"))
+    assert run(some) is ExitCode.FINISHED
+    (some.folder / "office-preview-theirs" / "result" / "metrics.json").write_text("{")
+    assert run(replace(some, only=("ours",))) is ExitCode.FINISHED
+    assert "Not in the report: office: theirs: " in capsys.readouterr().err
+    assert measured(some) == [("office", "ours")]
+
+
+def test_a_comparison(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(replace(experiment, earlier=(KITCHEN,))) is ExitCode.FINISHED
+    office, kitchen = capsys.readouterr().out.split("### kitchen")
+    assert "17.00 -> -" in kitchen and "->" not in office
+
+
+def test_a_page_keeps_its_words(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    rows = Rows(tuple(row for row in ROWS.rows if row.name == "ours"), ROWS.tables)
+    with_page = replace(experiment, rows=rows, only=(), page=page)
+    assert run(with_page) is ExitCode.FINISHED
+    text = page.read_text()
+    assert text.count("### office") == 1 and "LPIPS" in text
+    mine = text.replace("# Experiments", "# Mine") + "\nIt holds.\n"
+    page.write_text(mine.replace("| ours", "| hers"))
+    assert run(with_page) is ExitCode.FINISHED
+    assert page.read_text() == mine
+
+
+def test_the_real_engine(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two rows, few steps: so that the command does not rot."""
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
+    room, out = write_tiny_scene(tmp_path / "room", frames=6, noise=0.1), tmp_path / "out"
+    arguments = ["--scenes", str(room), "--steps", "3", "-o", str(out), "--only", "ours", "3DGS", "input masks"]
+    assert main(["experiments", *arguments]) == 0
+    results = {result.row: result for result in read_results(out / "results.json")}
+    assert set(results) == {"ours", "3DGS", *WITHOUT_A_LIFT}
+    ours, masks = results["ours"], results[INPUT_MASKS]
+    lacking = {name for name, value in ours.figures._asdict().items() if value is None}
+    assert lacking <= {"id_changes", "peak_bytes"}, "one frame is held out; Windows tells no memory"
+    assert (ours.steps, masks.figures.psnr) == (3, None) and results["3DGS"].figures.psnr is not None
+    assert results[VOXEL_VOTE].figures.miou == results[VOXELS_ALONE].figures.miou
+    assert cv2.imread(str(out / "sheet.png")).shape[1] > 1000
+    capsys.readouterr()
+    assert main(["experiments", *arguments, "--against", str(out / "results.json")]) == 0
+    assert capsys.readouterr().out.count(" -> ") > 20

@@ -1,0 +1,48 @@
+"""The scenes that a command line names."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from engine.errors import PlgsError
+from research.experiments.scenes import SceneToLift, scenes_from
+
+
+def test_a_scene_and_its_axis() -> None:
+    rooms = Path("rooms").resolve()
+    assert scenes_from(["rooms/office", "rooms/kitchen:up=-y"]) == (
+        SceneToLift("office", rooms / "office", "z"),
+        SceneToLift("kitchen", rooms / "kitchen", "-y"),
+    )
+
+
+def test_a_colon_may_be_part_of_a_path() -> None:
+    (scene,) = scenes_from(["C:rooms:up=y"], ["rooms"])
+    assert (scene.folder.name, scene.up) == ("C:rooms", "y")
+
+
+def test_names_of_their_own() -> None:
+    scenes = scenes_from(["one/room", "two/room:up=y"], ["first", "second"])
+    assert [(scene.name, scene.up) for scene in scenes] == [("first", "z"), ("second", "y")]
+
+
+@pytest.mark.parametrize(
+    ("texts", "names", "told"),
+    [
+        (["room:up=x"], None, "'x' is no axis"),
+        (["room:up="], None, "'' is no axis"),
+        (["one/room", "two/Room"], None, "two scenes are called Room"),
+        (["one", "two"], ["a"], "1 names for 2 scenes"),
+        (["one"], ["a/b"], "'a/b' cannot be"),
+        (["one"], [".."], "'..' cannot be"),
+        (["one"], ["a|b"], "'a|b' cannot be"),
+        (["/"], None, "'' cannot be"),
+        ([""], None, "is no scene"),
+    ],
+)
+def test_what_is_refused(texts: list[str], names: list[str] | None, told: str) -> None:
+    with pytest.raises(PlgsError, match=re.escape(told)):
+        scenes_from(texts, names)

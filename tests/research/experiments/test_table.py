@@ -1,0 +1,102 @@
+"""The tables in Markdown: rows beside the paper's figures, over seeds, and against earlier results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from engine import __version__
+from research.experiments.table import Tables
+from research.results import Result
+from tests.research.experiments.made_up import KITCHEN, OFFICE, ROWS
+
+
+def cells(table: str) -> list[list[str]]:
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:1] == "|"]
+
+
+def of_table(name: str, results: Sequence[Result], earlier: Sequence[Result] = ()) -> list[list[str]]:
+    rows = [row for row in ROWS.rows if row.table == name]
+    return cells("\n".join(Tables(ROWS, ROWS.rows, tuple(results), tuple(earlier)).lines(results[0].scene, rows)))
+
+
+def test_a_table_beside_the_papers_figures() -> None:
+    heading, rule, *rows = of_table("systems", OFFICE)
+    assert heading == [
+        "", "mIoU %", "PQ-scene %", "mIoU % `pl_compat`", "PQ-scene % `pl_compat`", "per-frame PQ %",
+        "id changes per object", "PSNR dB", "PSNR dB, colours fitted", "SSIM", "depth error cm", "steps", "lift s",
+        "peak GB", "panoptic frames/s", "in the paper",
+    ]  # fmt: skip
+    assert all(set(cell) <= set("-:") for cell in rule)
+    nothing = [""] * 8
+    assert rows == [
+        ["ours", "80.0", "70.0", "81.0", "71.0", "75.0", "0.12", "27.00", "28.50", "0.875", "2.3", "500", "162",
+         "1.3", "3.2", ""],
+        ["input masks", "50.0", "25.0", "51.0", "26.0", "40.0", "3.50", *nothing, ""],
+        ["theirs", "60.0", "50.0", *[""] * 8, "500", *[""] * 3, "71.2 / 57.8 / 36.6 dB (Replica)"],
+        ["elsewhere (cited)", *[""] * 14, "- / 62.3 (ScanNet)"],
+    ]  # fmt: skip
+
+
+def test_a_row_may_be_the_lift_of_another() -> None:
+    heading, _, *rows = of_table("parts", OFFICE)
+    assert heading == ["", "mIoU %", "PQ-scene %", "steps", "in the paper"], "columns without a figure are left out"
+    assert rows == [["all of it", "60.0", "50.0", "500", "failed (Replica)"]], "and so are rows that are not measured"
+
+
+def test_several_seeds_have_a_spread() -> None:
+    seeds = ((0, 0.5), (1, 0.6))
+    results = [replace(OFFICE[2], seed=seed, figures=OFFICE[2].figures._replace(pq=pq)) for seed, pq in seeds]
+    assert of_table("parts", results)[2][:3] == ["all of it", "60.0 ± 0.0", "55.0 ± 7.1"]
+
+
+def test_times_are_the_best_of_several_seeds() -> None:
+    times = ((0, 90.0, 3.0), (1, 80.0, 2.0))
+    results = [
+        replace(OFFICE[2], seed=seed, figures=OFFICE[2].figures._replace(seconds=seconds, fps=fps))
+        for seed, seconds, fps in times
+    ]
+    assert of_table("parts", results)[2][3:6] == ["500", "80", "3.0"]
+
+
+def test_before_and_after() -> None:
+    before = replace(OFFICE[0], figures=OFFICE[0].figures._replace(miou=0.6, ssim=None))
+    _, _, ours, masks, theirs, _ = of_table("systems", OFFICE, [before])
+    assert ours[1] == "60.0 -> 80.0" and ours[9] == "- -> 0.875"
+    assert masks[1] == "50.0" and theirs[1] == "60.0"
+
+
+@pytest.mark.parametrize("earlier", [(), OFFICE])
+def test_a_section_a_scene(earlier: Sequence[Result]) -> None:
+    text = Tables(ROWS, ROWS.rows, (*OFFICE, KITCHEN), tuple(earlier)).markdown()
+    assert [line for line in text.splitlines() if line[:1] in ("#", "*")] == [
+        "### office", "**Systems**", "### kitchen", "**Systems**",
+    ]  # fmt: skip
+    _, office, kitchen = text.split("###")
+    assert "elsewhere (cited)" in office and "elsewhere" not in kitchen, "once is enough"
+    assert len({len(line) for line in office.splitlines() if line[:1] == "|"}) == 1
+
+
+def test_a_table_whose_rows_all_stand_in_another_is_left_out() -> None:
+    parts = replace(OFFICE[2], row="without depth")
+    assert "**Its parts**" in Tables(ROWS, ROWS.rows, (*OFFICE, parts)).markdown()
+    assert "**Its parts**" not in Tables(ROWS, ROWS.rows, OFFICE).markdown()
+
+
+def test_a_row_that_another_engine_lifted_is_marked() -> None:
+    own = replace(OFFICE[0], row="without depth")
+    results = (OFFICE[0], OFFICE[1], replace(OFFICE[2], engine_version="0.0.9"), own)
+    text = Tables(ROWS, ROWS.rows, results).markdown()
+    systems, parts = text.split("**Its parts**")
+    assert [row[0] for row in cells(systems)[2:]] == ["ours", "input masks", "theirs †", "elsewhere (cited)"]
+    assert [row[0] for row in cells(parts)[2:]] == ["all of it †", "without depth"]
+    for table in (systems, parts):
+        assert table.rstrip().splitlines()[-1] == f"† Lifted by the engine 0.0.9, not by this one, {__version__}."
+    assert "†" not in Tables(ROWS, ROWS.rows, OFFICE, earlier=results).markdown()
+
+
+def test_some_rows_alone() -> None:
+    text = Tables(ROWS, ROWS.chosen(["theirs"]), OFFICE).markdown()
+    assert [row[0] for row in cells(text)[2:]] == ["theirs"]

@@ -1,0 +1,68 @@
+"""``python -m research``: what it answers, and with which exit code."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from research.command_line import main
+from tests.commands import exit_code, refuse_heavy_help
+
+
+def code_of(*arguments: str | Path) -> int:
+    return exit_code(main, *arguments)
+
+
+@pytest.mark.parametrize("command", [[], ["experiments"], ["bench"]])
+def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
+    refuse_heavy_help(root, "research.command_line", command)
+
+
+def test_runs_as_a_module(root: Path) -> None:
+    said = subprocess.run(
+        [sys.executable, "-m", "research", "experiments", "--list"],
+        cwd=root, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert said.returncode == 0 and "    3DGS\n" in said.stdout
+
+
+def test_wrong_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert code_of("experiments", "--seeds", "0,one") == 2
+    assert "'0,one' are no whole numbers with commas between, such as 0,1,2" in capsys.readouterr().err
+    for text in ("-5", "0", "many"):
+        assert code_of("bench", "long", "--frames", text) == 2
+        *_, told = capsys.readouterr().err.strip().splitlines()
+        assert "argument --frames" in told and "number" in told
+
+
+def test_the_last_words_of_ctrl_c(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where pytest runs in the background
+    try:
+        monkeypatch.setattr("research.experiments.run.run_experiment", stopped)
+        assert code_of("experiments", "SCENE") == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err.splitlines() == ["Stopped. The same command goes on."]
+
+
+@pytest.mark.parametrize("what", ["raster", "step"])
+def test_bench_measures_and_refuses_a_file_that_it_cannot_write_before_it_does(
+    what: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured: list[str] = []
+    monkeypatch.setattr(f"research.bench.{what}.bench_{what}", lambda: measured.append(what) or {"ms": 1})
+    for file in (tmp_path / "missing" / "figures.json", tmp_path):
+        assert code_of("bench", what, "--json", file) == 2
+        captured = capsys.readouterr()
+        assert captured.err.startswith("error: ") and captured.err.count("\n") == 1
+        assert str(tmp_path) in captured.err and not captured.out
+    assert main(["bench", what]) == main(["bench", what, "--json", str(tmp_path / "figures.json")]) == 0
+    assert measured == [what, what] and json.loads((tmp_path / "figures.json").read_text()) == {"ms": 1}

@@ -1,0 +1,44 @@
+"""results.json, written and read again, and results.csv."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from engine.errors import PlgsError
+from research.results import csv_text, read_results, results_text
+from tests.research.experiments.made_up import KITCHEN, OFFICE
+
+
+def test_what_was_written_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "results.json"
+    file.write_text(results_text([*OFFICE, KITCHEN]))
+    assert read_results(file) == (*OFFICE, KITCHEN)
+
+
+def test_other_programs_read_the_csv() -> None:
+    rows = list(csv.DictReader(csv_text(OFFICE).splitlines()))
+    assert [row["row"] for row in rows] == ["ours", "input masks", "theirs"]
+    assert (rows[0]["miou"], rows[0]["steps"], rows[1]["psnr"]) == ("0.8", "500", "")
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (None, "cannot be read"),
+        ("not JSON", "JSON is cut off or broken"),
+        ('{"format": 1, "results": []}', "has format 1"),
+        ('{"format": 2, "tables": []}', "is damaged"),
+        ('{"format": 2, "results": [5]}', "is damaged"),
+        ('{"format": 2, "results": [{"scene": "a"}]}', "is damaged"),
+        (results_text([]), "holds no results"),
+    ],
+)
+def test_another_file_is_refused(tmp_path: Path, content: str | None, told: str) -> None:
+    file = tmp_path / "results.json"
+    if content is not None:
+        file.write_text(content)
+    with pytest.raises(PlgsError, match=told):
+        read_results(file)

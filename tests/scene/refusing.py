@@ -1,0 +1,21 @@
+"""A scene that cannot be lifted is refused with one line and a fix."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from engine.errors import PlgsError
+from engine.scene import check_scene, open_scene
+
+
+def refuses(told: str, place: Path, look_into_pixels: bool = False, **reading: Any) -> PlgsError:
+    """Assert that opening the scene at ``place`` raises a PlgsError with ``told``, in one line and with a fix."""
+    with pytest.raises(PlgsError, match=told) as caught:
+        scene = open_scene(place, **reading)
+        if look_into_pixels:
+            check_scene(scene)
+    assert "\n" not in str(caught.value) and caught.value.fix
+    return caught.value

@@ -1,0 +1,87 @@
+"""Whatever call of the file system fails while the engine is set up: it says so, and the next set-up goes on."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from engine.errors import PlgsError
+from engine.job import EventWriter, StopSignal
+from engine.job.environment import is_complete, python_in
+from engine.job.handshake import EngineAnswer
+from engine.set_up import SetUp, SetUpRequest
+from engine.set_up.base_python import PROBE
+from tests.job.faults import Faults, every_fault
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="descriptors are looked up as Linux has them")
+PACKAGES = 3
+"""Calls of pip, each of which leaves a file."""
+
+
+class PretendedSetUp(SetUp):
+    """Programs do at once what they are for, and never meet the faults: those are this process's."""
+
+    faults: Faults
+
+    def _run(self, command: Sequence[str | Path], **options: Any) -> tuple[str, int]:
+        with self.faults.asleep():
+            if PROBE in command:
+                return json.dumps([sys.version_info[:2], sys.executable, []]), 0
+            if "venv" in command:
+                python = python_in(Path(command[-1]))
+                python.parent.mkdir(parents=True)
+                python.symlink_to(sys.executable)
+            if "pip" in command:
+                lib = Path(command[0]).parents[1] / "lib"
+                lib.mkdir(exist_ok=True)
+                (lib / str(len(list(lib.iterdir())))).touch()
+        return "", 0
+
+    def _ask(self, python: Path) -> EngineAnswer:
+        return EngineAnswer("0.1.0", "3.11.0", python, {}, {}, 1, None)
+
+
+def set_up_in(folder: Path, root: Path, faults: Faults) -> PlgsError | None:
+    """Its error; None when it made an environment."""
+    events = EventWriter(folder.with_name("events.jsonl"))
+    set_up = PretendedSetUp(SetUpRequest(Path(sys.executable)), events, StopSignal(), root, folder)
+    set_up.faults = faults
+    try:
+        set_up.run()
+        return None
+    except PlgsError as error:
+        return error
+    finally:
+        events.close()
+
+
+def environment_in(folder: Path) -> Path | None:
+    return next(folder.glob("engine-*"), None)
+
+
+@pytest.mark.parametrize("thoroughly", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["in turn", "all"])
+def test_the_next_set_up_goes_on(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thoroughly: bool) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: shutil._ntuple_diskusage(1 << 40, 0, 1 << 40))
+    folder = tmp_path / "cache"
+    faults, refused = Faults(folder, monkeypatch), 0
+    for at, error, for_good in every_fault(faults, thoroughly):
+        print(f"call {at}, error {error}")  # for a test that fails
+        with faults.failing(at, error, for_good):
+            refusal = set_up_in(folder, code, faults)
+        made = environment_in(folder)
+        if made is not None and is_complete(made):
+            assert len(list((made / "lib").iterdir())) >= PACKAGES
+        if refusal is not None:
+            refused += 1
+            assert "\n" not in str(refusal) and refusal.fix
+        assert set_up_in(folder, code, faults) is None
+        made = environment_in(folder)
+        assert made is not None and is_complete(made) and len(list((made / "lib").iterdir())) >= PACKAGES
+        shutil.rmtree(folder)
+    assert refused > 10

@@ -1,0 +1,170 @@
+"""Every panel draws in every state: nothing chosen, a task that runs, one that failed, a finished lift.
+
+Blender draws panels only in a window: here a layout notes what it is told.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import bpy
+import pytest
+from plgs.engine.errors import ErrorCode, PlgsError
+from plgs.engine.job.task import TaskProgress, TaskState
+from plgs.plgs_blender.chosen_scene import ChosenScene
+from plgs.plgs_blender.engine_environment.tasks import SetUp
+from plgs.plgs_blender.lift_scene import place_lift
+from plgs.plgs_blender.running import lifts
+from plgs.plgs_blender.running.exports import Export
+from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder
+from plgs.plgs_blender.running.masks import MaskMaking
+from plgs.plgs_blender.settings import chosen_scene
+from plgs.plgs_blender.tasks import registry
+from plgs.plgs_blender.tasks.registry import Task
+from plgs.ui import (
+    export_panel,
+    lift_panel,
+    passes_panel,
+    preferences,
+    result_panel,
+    scene_panel,
+    sidebar,
+)
+
+for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
+    if str(each) not in sys.path:
+        sys.path.insert(0, str(each))
+
+import tiny_lift  # noqa: E402
+
+PANELS = (sidebar, scene_panel, lift_panel, result_panel, passes_panel, export_panel)
+
+
+class Layout:
+    """In the place of Blender's: it notes texts and operators, and refuses names that Blender does not know."""
+
+    def __init__(self, seen: list[str]) -> None:
+        self.__dict__["seen"] = seen
+
+    def __setattr__(self, name: str, value: object) -> None:
+        assert name in bpy.types.UILayout.bl_rna.properties, name
+
+    def __getattr__(self, name: str) -> Any:
+        assert name in bpy.types.UILayout.bl_rna.functions or name == "context_pointer_set", name
+
+        def call(*given: object, **options: object) -> Any:
+            if name in ("operator", "operator_menu_enum"):
+                self.seen.append(str(given[0]))
+                getattr(bpy.ops.plgs, str(given[0]).partition(".")[2]).get_rna_type()
+                return SimpleNamespace()
+            if name == "prop":
+                getattr(given[0], str(given[1]))
+            self.seen.append(str(options.get("text", "")))
+            return (self, self) if name == "panel" else self
+
+        return call
+
+
+@pytest.fixture(autouse=True)
+def extension(plgs: ModuleType) -> Iterator[None]:
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    plgs.register()
+    yield
+    plgs.unregister()
+
+
+def drawn() -> str:
+    """What all panels and the preferences show now."""
+    scene = bpy.context.scene
+    context = SimpleNamespace(
+        scene=scene,
+        region=SimpleNamespace(width=10_000),
+        preferences=SimpleNamespace(system=SimpleNamespace(ui_scale=1.0)),
+        active_object=None,
+        space_data=None,
+    )
+    seen: list[str] = []
+    for module in PANELS:
+        for panel in module.CLASSES:
+            if issubclass(panel, bpy.types.Panel) and getattr(panel, "poll", lambda _: True)(context):
+                panel.draw(SimpleNamespace(layout=Layout(seen)), context)
+    chosen = SimpleNamespace(
+        layout=Layout(seen), engine_python="", base_python="", torch_build="cpu", index_url="",
+        _draw_choices=lambda layout: preferences.PLGS_AP_preferences._draw_choices(chosen, layout),
+    )  # fmt: skip
+    preferences.PLGS_AP_preferences.draw(chosen, context)
+    return "\n".join(seen)
+
+
+class Pretended:
+    """A follower in any state."""
+
+    def __init__(self, state: TaskState, error: PlgsError | None = None) -> None:
+        self.state, self.error, self.answer, self.log_lines = state, error, None, ("a line of the log",)
+        self.progress = TaskProgress("s", "Half of it", 2, 3, 5, 10, 0.5, 90.0, warnings=["odd"])
+        self.is_running = state is TaskState.RUNNING
+
+    def kill(self) -> None: ...
+    def close(self) -> None: ...
+    def poll(self) -> bool:
+        return False
+
+
+def tasks_with(follower: Any, folder: Path) -> list[Task]:
+    chosen = chosen_scene(bpy.context.scene.plgs)
+    order = FrameOrder(chosen, "", ("cloud",))
+    return [
+        MaskMaking(chosen, follower),
+        FrameMaking(order, folder, follower),
+        Export(folder, "coco", folder, "", follower),
+        SetUp(follower),
+    ]
+
+
+def test_nothing_is_chosen_yet() -> None:
+    shown = drawn()
+    assert "Choose a capture's folder" in shown and "plgs.lift_scene" in shown and "plgs.set_up_engine" in shown
+
+
+@pytest.mark.parametrize("code", ErrorCode)
+def test_a_scene_that_is_bad_shows_what_mends_it(code: ErrorCode, tmp_path: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    for task in tasks_with(
+        Pretended(TaskState.FAILED, PlgsError("is bad", "here", "Give --masks.", code=code, option="--masks")), tmp_path
+    ):
+        task.is_taken = True
+        registry.follow(task)
+    shown = drawn()
+    assert "no scene of a known format" in shown and shown.count("is bad: here. Give Masks.") == 4
+    assert "set-up.log" in shown and ("plgs.show_preferences" in shown) >= (code is ErrorCode.NO_ENGINE)
+
+
+def test_running_tasks_show_how_far_they_are(tmp_path: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    for task in tasks_with(Pretended(TaskState.RUNNING), tmp_path):
+        registry.follow(task)
+    shown = drawn()
+    assert shown.count("2/3  Half of it") == 4 and "5 of 10" in shown and "50 %" in shown
+    assert shown.count("Loss 0.5000, 1 min 30 s left") == 4
+    for name in ("masks", "frames", "export", "engine_set_up"):
+        assert f"plgs.cancel_{name}" in shown
+
+
+def test_a_finished_lift_is_shown(tmp_path: Path) -> None:
+    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
+    settings = bpy.context.scene.plgs
+    settings.lift_folder = str(lift)
+    shown = drawn()
+    assert "The lift is finished" in shown and "plgs.place_lift" in shown
+    place_lift(lift, bpy.context.scene)
+    settings.scene_folder = str(ChosenScene(tmp_path / "tiny room").scene)
+    shown = drawn()
+    assert "plgs.isolate_instance" in shown and "plgs.bake_camera" in shown
+    followed = lifts.lift_of(lift)
+    assert followed is not None
+    followed.follower = Pretended(TaskState.RUNNING)
+    assert "plgs.cancel_lift" in drawn() and "To see it grow" in drawn()
