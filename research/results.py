@@ -22,14 +22,17 @@ _TEXTS = ("scene", "row", "preset", "engine_version")
 class Figures(NamedTuple):
     """What was measured of a row: shares in [0, 1], decibels, metres, seconds; None where something was not.
 
-    ``miou`` and ``pq`` are of the mode ``strict``; ``pq_frame`` is PQ frame by frame, ``id_changes`` how often an
-    object changes its id over the held-out frames; ``psnr_fitted`` is PSNR after a fit of the colours; ``fps`` panoptic
-    frames a second, drawn and decided at the frames' own size.
+    ``miou``, ``miou_true`` (over the classes that the ground truth has) and ``pq`` are of the mode ``strict``;
+    ``pq_frame`` is PQ frame by frame, ``id_changes`` how often an object changes its id over the held-out frames;
+    ``psnr_fitted`` is PSNR after a fit of the colours; ``fps`` panoptic frames a second, drawn and decided at the
+    frames' own size.
     """
 
     miou: float | None = None
+    miou_true: float | None = None
     pq: float | None = None
     miou_pl_compat: float | None = None
+    miou_true_pl_compat: float | None = None
     pq_pl_compat: float | None = None
     pq_frame: float | None = None
     id_changes: float | None = None
@@ -79,12 +82,12 @@ def scores_by_method(tables: Sequence[Mapping[str, Json]]) -> dict[str, Figures]
         method = str(table.get("name"))
         figures = rows.get(method, Figures())
         rendered = {key: number(table.get(key)) for key in ("psnr", "psnr_fitted", "ssim", "depth_error_m")}
-        labels = number(table.get("miou")), number(table.get("pq"))
+        labels = {key: number(table.get(key)) for key in ("miou", "miou_true", "pq")}
         if table.get("mode") == "pl_compat":
-            figures = figures._replace(miou_pl_compat=labels[0], pq_pl_compat=labels[1])
+            figures = figures._replace(**{f"{key}_pl_compat": value for key, value in labels.items()})
         else:
             followed = {key: number(table.get(key)) for key in ("pq_frame", "id_changes")}
-            figures = figures._replace(miou=labels[0], pq=labels[1], **followed)
+            figures = figures._replace(**labels, **followed)
         rows[method] = figures._replace(**rendered)
     return rows
 

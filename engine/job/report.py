@@ -10,7 +10,7 @@ from ..json_file import Json, read_object
 from .folder import LiftFolder
 from .manifest import MAKE_ANEW
 
-_SHARES = (("miou", "mIoU %"), ("pq", "PQ %"), ("sq", "SQ %"), ("rq", "RQ %"))
+_SHARES = (("miou", "mIoU %"), ("miou_true", "true %"), ("pq", "PQ %"), ("sq", "SQ %"), ("rq", "RQ %"))
 _OTHERS = (
     ("pq_frame", "frame PQ %", 100.0, 1),
     ("id_changes", "id changes", 1.0, 2),
@@ -21,7 +21,7 @@ _OTHERS = (
     ("depth_error_m", "depth cm", 100.0, 1),
     ("depth_within_5cm", "in 5 cm %", 100.0, 1),
 )
-_CLASS_SHARES = (("iou", "IoU %"), *_SHARES[1:])
+_CLASS_SHARES = (("iou", "IoU %"), *_SHARES[2:])
 _COUNTS = ("tp", "fp", "fn")
 _LARGEST = 1e15
 _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.json", "previews", "passes")
@@ -30,8 +30,9 @@ _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.jso
 def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str:
     """The tables of a metrics.json, a line for each method and mode, and with ``per_class`` also class by class.
 
-    Shares are in per cent, "id changes" says how often an object changes its id, PSNR is in dB, the median error of
-    depth in cm; "fitted" figures come after a fit of the colours.
+    Shares are in per cent, "true %" is mIoU over the classes that the ground truth has, "id changes" says how often an
+    object changes its id, PSNR is in dB, the median error of depth in cm; "fitted" figures come after a fit of the
+    colours.
     """
     tables = [table for table in _list(metrics.get("tables")) if isinstance(table, dict)]
     rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _OTHERS)]]

@@ -51,10 +51,15 @@ class ClassScore:
 
 @dataclass(frozen=True)
 class PanopticScores:
-    """Means over the classes, each in [0, 1], and the classes they were made of, in ascending order of id."""
+    """Means over the classes, each in [0, 1], and the classes they were made of, in ascending order of id.
+
+    ``miou_true`` is the mean IoU over those classes alone that the ground truth has, as the field often counts it: a
+    class that is predicted and not there costs the pixels of true classes that it takes, and no place in the mean.
+    """
 
     mode: Mode
     miou: float
+    miou_true: float
     pq: float
     sq: float
     rq: float
@@ -131,6 +136,7 @@ class PanopticEvaluation:
         return PanopticScores(
             mode=self.mode,
             miou=_mean(row.iou for row in rows),
+            miou_true=_mean(row.iou for row in rows if areas.true[row.class_id]),
             pq=_mean(row.pq for row in rows),
             sq=_mean(row.sq for row in rows),
             rq=_mean(row.rq for row in rows),

@@ -23,7 +23,7 @@ METHODS = (INPUT_MASKS, LIFTED)
 _FOLLOWED = ("pq_frame", "id_changes")
 _NO_LABEL_SCORES: dict[str, object] = {
     "per_class": [],
-    **dict.fromkeys(("mode", "miou", "pq", "sq", "rq", *_FOLLOWED)),
+    **dict.fromkeys(("mode", "miou", "miou_true", "pq", "sq", "rq", *_FOLLOWED)),
 }
 
 

@@ -23,7 +23,7 @@ from .voxel_vote import VOXEL_VOTE, add_voxel_vote
 
 VOXELS_ALONE = "voxel vote without objects"
 WITHOUT_A_LIFT = (INPUT_MASKS, VOXEL_VOTE, VOXELS_ALONE)
-FORMAT = 2
+FORMAT = 3
 
 
 class _WithoutObjects(Report):

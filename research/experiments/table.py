@@ -32,8 +32,10 @@ class Column:
 
 COLUMNS = (
     Column("miou", "mIoU %", 100.0, 1),
+    Column("miou_true", "mIoU % true classes", 100.0, 1),
     Column("pq", "PQ-scene %", 100.0, 1),
     Column("miou_pl_compat", "mIoU % `pl_compat`", 100.0, 1),
+    Column("miou_true_pl_compat", "mIoU % `pl_compat`, true classes", 100.0, 1),
     Column("pq_pl_compat", "PQ-scene % `pl_compat`", 100.0, 1),
     Column("pq_frame", "per-frame PQ %", 100.0, 1),
     Column("id_changes", "id changes per object", 1.0, 2),

@@ -56,7 +56,7 @@ def test_two_methods_in_two_modes() -> None:
     assert list(tables) == [(n, m) for n in (INPUT_MASKS, LIFTED) for m in ("strict", "pl_compat")]
     assert metrics["test_frames"] == ["0003", "0004"]
     lifted, masks = tables[LIFTED, "strict"], tables[INPUT_MASKS, "strict"]
-    assert (lifted["miou"], lifted["pq"], lifted["psnr"]) == (1.0, 1.0, 100.0)
+    assert (lifted["miou"], lifted["miou_true"], lifted["pq"], lifted["psnr"]) == (1.0, 1.0, 1.0, 100.0)
     # Ids are new in every view: each true chair spans two views, so no segment covers more than half of it.
     assert masks["per_class"][1]["pq"] == 0.0
     assert {masks[key] for key in ("psnr", "ssim_fitted", "depth_error_m", "depth_within_5cm")} == {None}

@@ -12,17 +12,18 @@ RENDERED = {"psnr": 20.0, "psnr_fitted": 22.0, "ssim": 0.5, "ssim_fitted": 0.6, 
 
 
 def test_both_modes_make_one_row() -> None:
+    followed = {"pq_frame": 0.25, "id_changes": 3}
     rows = scores_by_method(
         [
-            {"name": INPUT_MASKS, "mode": "strict", "miou": 0.1, "pq": 0.2, "pq_frame": 0.25, "id_changes": 3},
-            {"name": INPUT_MASKS, "mode": "pl_compat", "miou": 0.3, "pq": 0.4, "psnr": None},
+            {"name": INPUT_MASKS, "mode": "strict", "miou": 0.1, "miou_true": 0.15, "pq": 0.2, **followed},
+            {"name": INPUT_MASKS, "mode": "pl_compat", "miou": 0.3, "miou_true": 0.35, "pq": 0.4, "psnr": None},
             {"name": LIFTED, "mode": "strict", "miou": 0.5, "pq": 0.6, **RENDERED},
             {"name": LIFTED, "mode": "pl_compat", "miou": 0.7, "pq": 0.8, **RENDERED},
         ]
     )
     assert rows == {
-        INPUT_MASKS: Figures(0.1, 0.2, 0.3, 0.4, 0.25, 3.0),
-        LIFTED: Figures(0.5, 0.6, 0.7, 0.8, None, None, 20.0, 22.0, 0.5, 0.02),
+        INPUT_MASKS: Figures(0.1, 0.15, 0.2, 0.3, 0.35, 0.4, 0.25, 3.0),
+        LIFTED: Figures(0.5, None, 0.6, 0.7, None, 0.8, None, None, 20.0, 22.0, 0.5, 0.02),
     }
 
 
