@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..engine.corrections import read_corrected
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder, ResultFile, check_sizes
 from ..engine.job.manifest import MAKE_ANEW, verify_files
@@ -16,8 +17,6 @@ from ..engine.result_files import (
     Anchors,
     Instance,
     SemanticPoints,
-    read_arrays,
-    read_instances,
 )
 from ..engine.scene import ClassTable, Scene, open_asked
 
@@ -28,8 +27,8 @@ _MOST_HASHED = 1 << 30
 
 @dataclass(frozen=True, eq=False)
 class LiftResult:
-    """A finished lift: the frames it was made from and what came out. `passes` are the EXR files of frames, by frame
-    name; `shots` are those of other cameras, by camera name."""
+    """A finished lift as it is corrected: the frames it was made from and what came out. `passes` are the EXR files of
+    frames, by frame name; `shots` are those of other cameras, by camera name."""
 
     folder: Path
     scene: Scene
@@ -59,16 +58,16 @@ def read_result(folder: Path) -> LiftResult:
     scene = open_asked(asked)
     exrs = _listed_passes(lift, listed)
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
-    classes, instances = read_instances(lift.result_path / INSTANCES)
+    corrected = read_corrected(lift.path)
     by_name = {path.stem: path for path in exrs}
     passes = {frame.name: by_name[frame.name] for frame in scene.frames if frame.name in by_name}
     return LiftResult(
         folder=lift.path,
         scene=scene,
-        classes=classes,
-        instances=instances,
-        points=read_arrays(lift.result_path / SEMANTIC_POINTS, SemanticPoints),
-        anchors=read_arrays(lift.result_path / ANCHORS, Anchors),
+        classes=corrected.classes,
+        instances=corrected.instances,
+        points=corrected.points,
+        anchors=corrected.anchors(),
         passes=passes,
         shots={path.stem: path for path in exrs if path.stem not in passes},
     )

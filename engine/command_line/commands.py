@@ -93,7 +93,7 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
     if options.lift is not None:
         lift = LiftFolder.open(options.lift)
         verify(lift.result_path)
-        metrics: Mapping[str, Any] = read_metrics(lift)
+        metrics: Mapping[str, Any] = _corrected_metrics(lift, events, stop) or read_metrics(lift)
     else:
         from ..metrics.folders import score_folders, unscored
         from ..scene.label_folders import open_label_folder
@@ -104,6 +104,21 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
         if left := unscored(predicted, true):
             events.warning(f"{left} frames with ground truth are not predicted: they are not scored.")
     events.answer(metrics, metrics_text(metrics, per_class=options.classes))
+
+
+def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) -> dict[str, object] | None:
+    """The figures of a lift that was corrected: its held-out frames are rendered anew. None where it was not."""
+    from ..corrections import read_corrected
+
+    corrected = read_corrected(lift.path)
+    for line in corrected.warnings:
+        events.warning(line)
+    if not corrected.fingerprint:
+        return None
+    from ..lift.baking import score_corrected
+
+    events.stage("evaluate", 1, 1, "Evaluating the corrected lift")
+    return score_corrected(lift, _progress("evaluate", events, stop))
 
 
 def inspect(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:

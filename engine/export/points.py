@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import write_atomically
-from ..passes.ply import columns_of, write_ply_table
-from ..result_files import SEMANTIC_POINTS, SemanticPoints, read_arrays
+from ..passes.ply import columns_of, relabelled_splats, write_ply_table
 from .source import FinishedLift
 
 NEIGHBOURS = 30
@@ -18,9 +17,8 @@ NEIGHBOURS = 30
 
 def export_points(lift: FinishedLift, output: Path) -> None:
     """points.ply: the semantic points with colours, normals, class_id, instance_id and confidence; gaussians.ply: the
-    Gaussians as the lift has them, class_id and instance_id included. Raises PlgsError, OSError."""
-    result = lift.folder.result_path
-    points = read_arrays(result / SEMANTIC_POINTS, SemanticPoints)
+    Gaussians, class_id and instance_id included. Raises PlgsError, OSError."""
+    points = lift.corrected.points
     centres = np.array([frame.camera.centre for frame in lift.scene.frames])
     columns = {
         **columns_of("x y z", points.xyz),
@@ -29,7 +27,10 @@ def export_points(lift: FinishedLift, output: Path) -> None:
         **{name: getattr(points, name) for name in ("class_id", "instance_id", "confidence")},
     }
     write_ply_table(output / "points.ply", columns)
-    write_atomically(output / "gaussians.ply", (result / "gaussians.ply").read_bytes())
+    content = (lift.folder.result_path / "gaussians.ply").read_bytes()
+    if lift.corrected.changes_labels:
+        content = relabelled_splats(content, lift.corrected.ids)
+    write_atomically(output / "gaussians.ply", content)
 
 
 def point_normals(xyz: NDArray[np.float32], centres: NDArray[np.float64]) -> NDArray[np.float32]:

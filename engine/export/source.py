@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from ..corrections import CorrectedResult, read_corrected
 from ..job import LiftFolder, read_manifest, verify_files
 from ..job.manifest import damaged
 from ..lift.bake_more import frames_named
-from ..lift.baking import FrameBaker, baked_files, read_baker
+from ..lift.baking import CORRECTIONS_NOTE, FrameBaker, baked_files, read_baker
 from ..passes.baked_view import ShownInstances
-from ..passes.exr import read_exr
+from ..passes.exr import read_exr, read_note
 from ..passes.layers import PanopticLayers
-from ..result_files import INSTANCES, Instance, read_instances
+from ..result_files import Instance
 from ..scene import ClassTable, Frame, Scene, open_asked
 
 Progress = Callable[[int, int], object]
@@ -49,8 +50,12 @@ class FinishedLift:
 
     @cached_property
     def listed(self) -> tuple[Instance, ...]:
-        """The instances as instances.json lists them."""
-        return read_instances(self.folder.result_path / INSTANCES)[1]
+        """The instances as they are corrected."""
+        return self.corrected.instances
+
+    @cached_property
+    def corrected(self) -> CorrectedResult:
+        return read_corrected(self.folder.path)
 
     @cached_property
     def _baker(self) -> FrameBaker:
@@ -62,13 +67,21 @@ class FinishedLift:
         listed = {result / file.path: file for file in read_manifest(result).files}
         for number, frame in enumerate(self.frames, start=1):
             baked = baked_files(self.folder, frame.name)[0]
-            if baked in listed:
+            if baked in listed and is_corrected(baked, self.corrected.fingerprint):
                 verify_files(result, [listed[baked]])
                 yield frame, _read(baked)
             else:
                 yield frame, self._baker.render(frame.camera).layers
             if self.progress is not None:
                 self.progress(number, len(self.frames))
+
+
+def is_corrected(baked: Path, corrections: str) -> bool:
+    """Whether baked passes show these corrections. A damaged file is for its reader to tell."""
+    try:
+        return (read_note(baked, CORRECTIONS_NOTE) or "") == corrections
+    except ValueError:
+        return True
 
 
 def _read(baked: Path) -> PanopticLayers:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..corrections import read_corrected
 from ..errors import PlgsError
 from ..job import (
     BakeCamera,
@@ -28,7 +29,7 @@ from ..model.rendering import ClipRange
 from ..passes.exr import read_note
 from ..scene import Camera, Frame, Scene, open_asked
 from ..train.progress import StageReporter
-from .baking import baked_files, read_baker
+from .baking import CORRECTIONS_NOTE, baked_files, read_baker
 
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
 KEEP_EVERY_S = 20.0
@@ -96,14 +97,15 @@ def _bake(
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
         scene = open_asked(folder.request)
-        wanted = [view for view in views_in(scene) if not is_baked(folder, view)]
+        corrections = read_corrected(folder.path).fingerprint
+        wanted = [view for view in views_in(scene) if not is_baked(folder, view, corrections)]
         baker = read_baker(folder, scene.classes)
     new = _NewViews(folder, locks)
     with stages.stage("bake") as progress:
         try:
             for done, view in enumerate(wanted, start=1):
                 with locks.claim(view.name) as is_ours:
-                    if is_ours and not is_baked(folder, view):
+                    if is_ours and not is_baked(folder, view, baker.corrections):
                         new.make_room(view)
                         notes = {CAMERA_NOTE: view.fingerprint} if view.fingerprint else {}
                         baker.write(folder, view.name, baker.render(view.camera, view.clip), events, notes)
@@ -113,14 +115,15 @@ def _bake(
             new.keep()
 
 
-def is_baked(folder: LiftFolder, view: WantedView) -> bool:
-    """Whether the result has this view, from this camera. Raises PlgsError, OSError."""
+def is_baked(folder: LiftFolder, view: WantedView, corrections: str) -> bool:
+    """Whether the result has this view, from this camera and with these corrections. Raises PlgsError, OSError."""
     files = baked_files(folder, view.name)
     listed = {folder.result_path / file.path for file in read_manifest(folder.result_path).files}
     if not listed.issuperset(files):
         return False
     try:
-        return not view.fingerprint or read_note(files[0], CAMERA_NOTE) == view.fingerprint
+        same_camera = not view.fingerprint or read_note(files[0], CAMERA_NOTE) == view.fingerprint
+        return same_camera and (read_note(files[0], CORRECTIONS_NOTE) or "") == corrections
     except ValueError:  # damaged: it is baked anew
         return False
 

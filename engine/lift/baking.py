@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
+import torch
+
+from ..corrections import read_corrected
 from ..job import EventWriter, LiftFolder, write_atomically
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
 from ..model.render import render_bands
@@ -20,15 +23,23 @@ from ..passes.contact_sheet import SheetRow, chosen, write_contact_sheet
 from ..passes.exr import write_exr
 from ..passes.layers import PanopticLayers
 from ..passes.previews import colour_picture, preview_paths, write_previews
-from ..scene import Camera, ClassTable, Frame, Scene
+from ..scene import Camera, ClassTable, Frame, Scene, open_asked
 from ..train.progress import StageReporter
+from .corrected_scene import corrected_scene
 from .scene_files import read_model, read_shown_instances
+
+CORRECTIONS_NOTE = "plgs/corrections"
+"""Attribute in the header of a view that shows corrections: their fingerprint."""
 
 
 class FrameBaker:
     """Renders views of a lifted scene and turns them into layers."""
 
-    def __init__(self, classes: ClassTable, lifted: StructuredScene, instances: ShownInstances) -> None:
+    def __init__(
+        self, classes: ClassTable, lifted: StructuredScene, instances: ShownInstances, corrections: str = ""
+    ) -> None:
+        """``corrections``: the fingerprint of those that ``lifted`` and ``instances`` show."""
+        self.corrections = corrections
         self.classes, self.lifted, self.labels = classes, lifted, shown_labels(lifted)
         self.instances, self.colours = instances, instances.colours
 
@@ -36,6 +47,11 @@ class FrameBaker:
         """The model seen from a camera, at the camera's own size. Nothing of a frame's mask goes into it."""
         bands = render_bands(self.lifted, camera, self.labels, clip)
         return bake_view(bands, camera, self.classes, self.instances)
+
+    @property
+    def notes(self) -> dict[str, str]:
+        """What a header says of the corrections; nothing where there are none."""
+        return {CORRECTIONS_NOTE: self.corrections} if self.corrections else {}
 
     def write(
         self,
@@ -48,16 +64,18 @@ class FrameBaker:
         """Write passes/<name>.exr, with ``notes`` in its header, and the three previews (`baked_files`), and report
         them."""
         passes, _, semantic, _ = baked_files(folder, name)
-        write_exr(passes, view, notes)
+        write_exr(passes, view, {**(notes or {}), **self.notes})
         write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
         events.artifact(passes, "pass")
         events.preview(semantic)
 
 
 def read_baker(folder: LiftFolder, classes: ClassTable) -> FrameBaker:
-    """The baker of a finished lift. Raises PlgsError when its files cannot be read, OSError."""
-    lifted = read_model(folder)
-    return FrameBaker(classes, lifted, read_shown_instances(folder, lifted))
+    """The baker of a finished lift as it is corrected. Raises PlgsError when its files cannot be read, OSError."""
+    corrected = read_corrected(folder.path)
+    lifted = corrected_scene(read_model(folder), corrected)
+    shown = read_shown_instances(folder, lifted, corrected)
+    return FrameBaker(classes, lifted, shown, corrected.fingerprint)
 
 
 def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:
@@ -111,6 +129,18 @@ def bake_and_evaluate(
         write_atomically(folder.result_path / "metrics.json", json.dumps(report.to_json(), indent=1) + "\n")
         fps = 1 / median(seconds) if seconds and median(seconds) > 0 else None
         events.metric("run", {"fps": fps, "peak_bytes": peak_bytes()})
+
+
+def score_corrected(folder: LiftFolder, progress: Callable[[int, int], object]) -> dict[str, object]:
+    """The figures of a finished lift as it is corrected, in the form of metrics.json. Raises PlgsError, OSError."""
+    torch.use_deterministic_algorithms(True)
+    scene = open_asked(folder.request)
+    baker, report = read_baker(folder, scene.classes), Report(scene.classes)
+    for done, frame in enumerate(scene.test_frames, start=1):
+        report.add(LIFTED, frame, predicted(baker.render(frame.camera).layers))
+        progress(done, len(scene.test_frames))
+    add_input_masks(report, scene)
+    return report.to_json()
 
 
 def peak_bytes() -> int | None:

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from safetensors.torch import save
 
+from ..corrections import CorrectedResult
 from ..errors import PlgsError
 from ..instances.matching import GlobalInstance
 from ..instances.segments import mask_extents
@@ -25,7 +26,6 @@ from ..result_files import (
     Instance,
     MatchedSegment,
     SemanticPoints,
-    read_instances,
     write_arrays,
     write_instances,
 )
@@ -89,15 +89,16 @@ def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int
     return {**names, **{one: f"object {one}" for one in lifted.channels.shown_ids if one not in names}}
 
 
-def read_shown_instances(folder: LiftFolder, lifted: StructuredScene) -> ShownInstances:
-    """The instances of a finished lift, whose model is ``lifted``. Raises PlgsError when they or the manifest cannot be
-    read, OSError."""
-    _, listed = read_instances(folder.result_path / INSTANCES)
+def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected: CorrectedResult) -> ShownInstances:
+    """The instances of a finished lift, whose model is ``lifted``. Raises PlgsError when the manifest cannot be read,
+    OSError."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
         raise PlgsError("does not say whether an object has one class", folder.manifest_path, LIFT_ANEW)
-    names, class_of = {one.id: one.name for one in listed}, {one.id: one.class_id for one in listed}
+    names, class_of = {one.id: one.name for one in corrected.instances}, corrected.class_of
     one_class = settings["one_class_an_object"] and settings.get("objects") != "none"
+    if corrected.changes_labels:
+        one_class, class_of = True, lifted.channels.class_of_shown | class_of
     return ShownInstances(_with_numbers(names, lifted), class_of if one_class else None)
 
 

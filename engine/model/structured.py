@@ -40,6 +40,11 @@ class LabelChannels:
         """The instance ids of ``instance_slots``."""
         return tuple(self.slot_ids[slot] for slot in self.instance_slots)
 
+    @property
+    def class_of_shown(self) -> dict[int, int]:
+        """The class of each of the ``shown_ids``, where an object is of one class throughout."""
+        return {self.slot_ids[slot]: self.class_of_slot[slot] for slot in self.instance_slots if self.class_of_slot}
+
 
 @dataclass(frozen=True, eq=False)
 class GaussianLabels:

@@ -15,7 +15,9 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
+from engine.command_line.main import main
 from engine.command_line.run_engine import run_bake
+from engine.corrections import read_corrected
 from engine.errors import Cancelled, PlgsError
 from engine.job import BakeLocks, EventWriter, ExitCode, LiftFolder, LiftRequest, LiftState, StopSignal, verify
 from engine.lift import bake_frames, bake_more, run_lift
@@ -23,6 +25,7 @@ from engine.lift.baking import FrameBaker
 from engine.passes.exr import read_exr
 from engine.presets.preset import PRESETS
 from tests.lift.test_lift import files_of
+from tests.passes.read_ply import read_ply
 from tests.tiny_scene import tiny_pose, write_tiny_scene
 from tests.train.tiny_lift import TINY
 
@@ -230,3 +233,50 @@ def matte_names_of(path: Path) -> list[str]:
         header = dict(file.header())
     layers = {key.split("/")[1] for key, value in header.items() if key.endswith("/name") and "Instance" in str(value)}
     return sorted(json.loads(header[f"cryptomatte/{layers.pop()}/manifest"]))
+
+
+def test_a_corrected_lift_is_baked_exported_and_scored_as_corrected(
+    lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    passes, before = lift.passes_path / "0004.exr", read_exr(lift.passes_path / "0004.exr")
+    bytes_before = passes.read_bytes()
+    one = next(each for each in read_corrected(lift.path).instances if (before.instance == each.id).any())
+    classes = read_corrected(lift.path).classes
+    other = next(kind for kind in classes.categories if kind.is_thing and kind.id != one.class_id)
+    commands: list[list[object]] = [["rename", one.id, "The one"], ["reclass", one.id, other.name]]
+    for command in commands:
+        assert main(["correct", str(lift.path), *map(str, command)]) == 0
+    bake(lift, "test")
+    verify(lift.result_path)
+    after = read_exr(passes)
+    shown = after.instance == one.id
+    assert shown.any() and (after.semantic[shown] == other.id).all()
+    assert ((after.instance == one.id) == (before.instance == one.id)).mean() > 0.99
+    with OpenEXR.File(str(passes), header_only=True) as file:
+        manifests = [value for name, value in file.header().items() if name.endswith("/manifest")]
+    assert any("The one" in str(manifest) for manifest in manifests)
+    for form in ("boxes", "points"):
+        assert main(["export", str(lift.path), "--to", form, "-o", str(tmp_path / form)]) == 0
+    boxes = json.loads((tmp_path / "boxes" / "boxes.json").read_text())["boxes"]
+    assert [box["class_name"] for box in boxes if box["name"] == "The one"] == [other.name]
+    splats = read_ply(tmp_path / "points" / "gaussians.ply")
+    assert (splats.class_id[splats.instance_id == one.id] == other.id).all()
+    capsys.readouterr()
+    assert main(["evaluate", str(lift.path), "--json"]) == 0
+    scored = json.loads(capsys.readouterr().out)
+    assert scored != json.loads((lift.result_path / "metrics.json").read_text())
+    for _ in commands:
+        assert main(["correct", str(lift.path), "undo"]) == 0
+    bake(lift, "test")
+    assert passes.read_bytes() == bytes_before
+
+
+def test_what_is_deleted_is_shown_nowhere(lift: LiftFolder) -> None:
+    before = read_exr(lift.passes_path / "0004.exr")
+    one = next(each for each in read_corrected(lift.path).instances if (before.instance == each.id).any())
+    assert main(["correct", str(lift.path), "delete", str(one.id), "--no-object"]) == 0
+    bake(lift, "test")
+    after = read_exr(lift.passes_path / "0004.exr")
+    assert not (after.instance == one.id).any()
+    gone = before.instance == one.id
+    assert (after.semantic[gone] == one.class_id).mean() > 0.9

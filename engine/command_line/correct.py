@@ -1,0 +1,137 @@
+"""`correct`: edits of a finished lift, for scripts and farms."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import PlgsError
+from ..job import EventWriter, LiftFolder, StopSignal, read_manifest
+
+if TYPE_CHECKING:
+    from ..corrections import CorrectedResult, Edit
+    from ..corrections.replay import Replay
+
+AddTask = Callable[[argparse.ArgumentParser, Callable[[argparse.Namespace, EventWriter, StopSignal], object]], None]
+
+
+def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
+    """The edits and their arguments."""
+    parser.description = (
+        "Mend what a lift got wrong, without training. Edits are kept in LIFT/corrections.json; result/ stays as the "
+        "engine made it. bake, export, evaluate and Blender show the lift with its corrections."
+    )
+    parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
+    known = parser.add_subparsers(dest="edit", required=True, metavar="EDIT")
+    one = "id of the object, as list shows it"
+    rename = known.add_parser("rename", help="another name for an object")
+    rename.add_argument("id", type=int, metavar="ID", help=one)
+    rename.add_argument("name", metavar="NAME", help="the name")
+    reclass = known.add_parser("reclass", help="another class for objects; with stuff they become points of it")
+    reclass.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
+    reclass.add_argument("class_name", metavar="CLASS", help="name or id of one of the lift's classes")
+    merge = known.add_parser("merge", help="let objects be one, with the name and the class of the first")
+    merge.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
+    delete = known.add_parser("delete", help="an object that is none: its points become what lies around")
+    delete.add_argument("id", type=int, metavar="ID", help=one)
+    delete.add_argument("--no-object", action="store_true", help="its points keep their class, without an object")
+    split = known.add_parser("split", help="let an object be several")
+    split.add_argument("id", type=int, metavar="ID", help=one)
+    how = split.add_mutually_exclusive_group(required=True)
+    how.add_argument("--parts", action="store_true", help="its connected parts, the largest keeps the id")
+    how.add_argument(
+        "--plane", type=float, nargs=6, metavar=("X", "Y", "Z", "NX", "NY", "NZ"),
+        help="by the plane through a point, metres; what lies in the direction of the normal is the new object",
+    )  # fmt: skip
+    accept = known.add_parser("accept", help="objects that are right: no proposal speaks of them again")
+    accept.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
+    undo = known.add_parser("undo", help="undo the last edit")
+    listed = known.add_parser("list", help="the objects as they are corrected, and all edits")
+    for each in (rename, reclass, merge, delete, split, accept, undo, listed):
+        make_task(each, correct)
+
+
+def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    """Make the edit, and answer with it; or list what there is."""
+    from ..corrections import correct, read_corrected, undo
+
+    folder = LiftFolder.open(options.lift)
+    read_manifest(folder.result_path)
+    if options.edit == "list":
+        corrected = read_corrected(folder.path)
+        events.answer(_content(corrected), _listing(corrected))
+        return
+    edit = undo(folder.path) if options.edit == "undo" else correct(folder.path, partial(_edit, options))
+    corrected = read_corrected(folder.path)
+    for line in corrected.warnings:
+        events.warning(line)
+    answer = {"uid": edit.uid, "kind": edit.kind, "undone": edit.undone, "made": [one.id for one in edit.made]}
+    events.answer(answer, _told(edit, corrected))
+
+
+def _edit(options: argparse.Namespace, state: Replay, first_id: int) -> Edit:
+    """The edit that the options name. Raises PlgsError."""
+    from ..corrections import making
+
+    match options.edit:
+        case "rename":
+            return making.rename(state, options.id, options.name)
+        case "reclass":
+            return making.reclass(state, options.id, _class(state, options.class_name))
+        case "merge":
+            return making.merge(state, options.id)
+        case "delete":
+            return making.delete(state, options.id, around=not options.no_object)
+        case "accept":
+            return making.accept(state, options.id)
+    xyz = state.points_of(options.id)
+    part = making.parts_of(xyz) if options.parts else making.sides_of(xyz, options.plane[:3], options.plane[3:])
+    return making.split(state, options.id, part, first_id)
+
+
+def _class(state: Replay, text: str) -> int:
+    """The class that has this name or id. Raises PlgsError."""
+    for one in state.classes.categories:
+        if one.id and (text == str(one.id) or text.casefold() == one.name.casefold()):
+            return one.id
+    known = ", ".join(one.name for one in state.classes.categories if one.id)
+    raise PlgsError(f"there is no class {text}", "reclass", f"The classes are {known}.")
+
+
+def _told(edit: Edit, corrected: CorrectedResult) -> str:
+    names = {one.id: one.name for one in (*corrected.made, *corrected.instances)}
+    objects = ", ".join(f"{mark.id} {names.get(mark.id, '')}".strip() for mark in edit.objects)
+    made = "".join(f"; new: {one.id} {one.name}" for one in edit.made)
+    to = edit.name or (corrected.classes[edit.class_id].name if edit.class_id in corrected.classes else "")
+    return f"{'undone: ' if edit.undone else ''}{edit.kind} {objects}{f' to {to}' if to else ''}{made}"
+
+
+def _content(corrected: CorrectedResult) -> dict[str, object]:
+    objects = [
+        {
+            "id": one.id,
+            "name": one.name,
+            "class": one.class_name,
+            "points": one.points,
+            "accepted": one.id in corrected.accepted,
+        }
+        for one in corrected.instances
+    ]
+    edits = [
+        {"uid": edit.uid, "time": edit.time, "kind": edit.kind, "objects": [mark.id for mark in edit.objects],
+         "made": [one.id for one in edit.made], "undone": edit.undone, "not_applied": corrected.told.get(edit.uid)}
+        for edit in corrected.edits
+    ]  # fmt: skip
+    return {"objects": objects, "edits": edits}
+
+
+def _listing(corrected: CorrectedResult) -> str:
+    lines = [f"{one.id:5}  {one.name}  ({one.class_name}, {one.points} points)" for one in corrected.instances]
+    lines += ["", f"{len(corrected.edits)} edits"]
+    for edit in corrected.edits:
+        why = corrected.told.get(edit.uid)
+        lines.append(f"{edit.time}  {_told(edit, corrected)}" + (f"  NOT APPLIED: {why}" if why else ""))
+    return "\n".join(lines)

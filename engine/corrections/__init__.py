@@ -1,0 +1,24 @@
+"""What people mend of a lift: typed edits beside its result, and the result as they correct it.
+
+`file` keeps the edits in corrections.json. `making` makes them. `replay` applies them to the objects and points of a
+result, and says what becomes of every label. `result` reads result and edits together. The engine and Blender both
+import this, so it needs numpy alone.
+"""
+
+from __future__ import annotations
+
+from .edits import CORRECTIONS, Edit
+from .file import editing, read_edits
+from .result import CorrectedResult, correct, read_corrected, set_undone, undo
+
+__all__ = [
+    "CORRECTIONS",
+    "CorrectedResult",
+    "Edit",
+    "correct",
+    "editing",
+    "read_corrected",
+    "read_edits",
+    "set_undone",
+    "undo",
+]

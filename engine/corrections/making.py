@@ -1,0 +1,187 @@
+"""Edits of the objects that are there now. Each is checked before it is made.
+
+All take the replayed state, and raise PlgsError for what makes no sense.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PlgsError
+from .edits import CORRECTIONS, Edit, MovedPoints, NewObject, ObjectMark, no_object
+from .nearest import nearest
+from .relabelling import Labels
+from .replay import Replay, in_millimetres
+
+PART_GAP = 0.15
+"""Metres between neighbouring points of one part, at most."""
+LEAST_PART = 0.02
+"""Share of an object's points below which a part is a crumb, which stays with the nearest larger part."""
+AROUND = 0.5
+"""Metres around a deleted object in which its points find what they become."""
+_LONGEST_NAME = 60
+"""Characters: Blender's own names have no more bytes than that, in Latin letters."""
+
+
+def rename(state: Replay, number: int, name: str) -> Edit:
+    name = name.strip()
+    if not name or len(name) > _LONGEST_NAME or not name.isprintable():
+        what = f"{name[:80]!r} is no name for an object"
+        raise PlgsError(what, CORRECTIONS, f"Give 1 to {_LONGEST_NAME} characters that can be printed.")
+    return Edit("rename", (_mark(state, number),), name=name)
+
+
+def reclass(state: Replay, numbers: Sequence[int], class_id: int) -> Edit:
+    """Another class for objects. Stuff has no objects, so with a class of stuff their points become the stuff."""
+    if class_id not in state.classes or class_id == 0:
+        known = ", ".join(f"{one.id} {one.name}" for one in state.classes.categories if one.id)
+        raise PlgsError(f"there is no class {class_id}", CORRECTIONS, f"The classes are {known}.")
+    marks = tuple(_mark(state, number) for number in _some(numbers))
+    if not state.classes[class_id].is_thing:
+        return Edit("assign", marks, rest=-class_id)
+    return Edit("reclass", marks, class_id=class_id)
+
+
+def merge(state: Replay, numbers: Sequence[int]) -> Edit:
+    """All become the first, with its name and its class."""
+    numbers = list(dict.fromkeys(numbers))
+    if len(numbers) < 2:
+        raise PlgsError("one object cannot be merged with itself", CORRECTIONS, "Name two objects or more.")
+    return Edit("merge", tuple(_mark(state, number) for number in numbers))
+
+
+def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
+    """The points become what lies around, or else points of the class without an object."""
+    mark = _mark(state, number)
+    xyz, other = state.points_of(number), (state.label != number) & (state.label != 0)
+    moved: tuple[MovedPoints, ...] = ()
+    if around and len(xyz):
+        near = ((state.xyz >= xyz.min(axis=0) - AROUND) & (state.xyz <= xyz.max(axis=0) + AROUND)).all(axis=1)
+        rows = np.flatnonzero(near & other)
+        if len(rows):
+            moved = _groups(xyz, state.label[rows[nearest(xyz, state.xyz[rows])[0]]])
+    return Edit("delete", (mark,), moved=moved, rest=-state.class_of(number))
+
+
+def split(state: Replay, number: int, part: NDArray[np.integer], first_id: int) -> Edit:
+    """Split an object: ``part`` int [n] is the part of each of its points in their order, 0 for what stays. The others
+    are new objects from the id ``first_id`` on.
+
+    Raises PlgsError where it would leave one part alone.
+    """
+    mark, one = _mark(state, number), state.objects[number]
+    parts = [int(each) for each in np.unique(part)]
+    if len(parts) < 2:
+        fix = "Split it by a plane, or by points that you choose."
+        raise PlgsError(f"object {number} ({one.name}) does not fall into parts", CORRECTIONS, fix)
+    if 0 not in parts:
+        parts = parts[1:]
+        part = np.where(np.isin(part, parts), part, 0)
+    else:
+        parts.remove(0)
+    made = tuple(
+        NewObject(first_id + place, _new_name(state, one.class_id, place), one.class_id) for place in range(len(parts))
+    )
+    label = np.full(len(part), number, np.int32)
+    for new, each in zip(made, parts, strict=True):
+        label[part == each] = new.id
+    moves = label != number
+    return Edit("split", (mark,), made=made, moved=_groups(state.points_of(number)[moves], label[moves]))
+
+
+def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int64]:
+    """The connected part of each point [n, 3], int64 [n], the largest 0. Points in cells of half the side ``gap`` that
+    touch are connected; crumbs belong to the nearest part."""
+    if not len(xyz):
+        return np.zeros(0, np.int64)
+    cells, cell = np.unique(np.floor(xyz / (gap / 2)).astype(np.int64), axis=0, return_inverse=True)
+    cell = cell.ravel()
+    place = {tuple(each): index for index, each in enumerate(cells.tolist())}
+    around = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
+    component = np.full(len(cells), -1, np.int64)
+    count = 0
+    for start in range(len(cells)):
+        if component[start] >= 0:
+            continue
+        component[start], waiting = count, [start]
+        while waiting:
+            x, y, z = cells[waiting.pop()].tolist()
+            for dx, dy, dz in around:
+                other = place.get((x + dx, y + dy, z + dz))
+                if other is not None and component[other] < 0:
+                    component[other] = count
+                    waiting.append(other)
+        count += 1
+    sizes = np.bincount(component[cell], minlength=count)
+    rank = np.empty(count, np.int64)
+    rank[np.argsort(-sizes, kind="stable")] = np.arange(count)
+    part = rank[component[cell]]
+    large = np.sort(sizes)[::-1] >= LEAST_PART * len(xyz)
+    crumbs = ~large[part]
+    if crumbs.any():
+        part[crumbs] = part[~crumbs][nearest(xyz[crumbs], xyz[~crumbs])[0]]
+    return part
+
+
+def sides_of(xyz: NDArray[np.floating], point: Sequence[float], normal: Sequence[float]) -> NDArray[np.int64]:
+    """1 for each point [n, 3] beyond the plane through ``point``, in the direction of ``normal``; else 0. int64 [n]."""
+    return ((xyz - np.asarray(point)) @ np.asarray(normal, np.float64) > 0).astype(np.int64)
+
+
+def assign(
+    state: Replay, chosen: NDArray[np.bool_], target: int, *, class_id: int = 0, name: str = "", new_id: int = 0
+) -> Edit:
+    """Give the ``chosen`` points, bool [N], to the object ``target``; to a new object ``new_id`` of ``class_id`` where
+    ``target`` is 0; to the class alone where ``new_id`` is 0, too."""
+    made: tuple[NewObject, ...] = ()
+    if not chosen.any():
+        raise PlgsError("no points are chosen", CORRECTIONS, "Select points, or enlarge the region.")
+    if target:
+        _mark(state, target)
+        label = target
+    elif class_id not in state.classes or class_id == 0:
+        raise PlgsError(f"there is no class {class_id}", CORRECTIONS, "Choose one of the lift's classes.")
+    elif new_id:
+        made = (NewObject(new_id, name or _new_name(state, class_id), class_id),)
+        label = new_id
+    else:
+        label = -class_id
+    before = np.unique(state.label[chosen])
+    marks = tuple(state.mark(one) for one in before.tolist() if one > 0 and one != label)
+    classes = tuple(-one for one in before.tolist() if one <= 0 and one != label)
+    rows = chosen & (state.label != label)
+    if not rows.any():
+        raise PlgsError("the chosen points are its own already", CORRECTIONS, "Choose others.")
+    moved = _groups(state.xyz[rows], np.full(int(rows.sum()), label, np.int32))
+    return Edit("assign", marks, classes=classes, moved=moved, made=made)
+
+
+def accept(state: Replay, numbers: Sequence[int]) -> Edit:
+    return Edit("accept", tuple(_mark(state, number) for number in _some(numbers)))
+
+
+def _mark(state: Replay, number: int) -> ObjectMark:
+    if number not in state.objects:
+        raise no_object(f"there is no object {number}", CORRECTIONS, sorted(state.objects))
+    return state.mark(number)
+
+
+def _some(numbers: Sequence[int]) -> list[int]:
+    if not numbers:
+        raise PlgsError("no object is named", CORRECTIONS, "Name one or more.")
+    return list(dict.fromkeys(numbers))
+
+
+def _new_name(state: Replay, class_id: int, more: int = 0) -> str:
+    """ "chair 7", with a number after those of its class."""
+    kind = state.classes[class_id].name
+    names = [one.name.removeprefix(f"{kind} ") for one in state.objects.values()]
+    return f"{kind} {max((int(name) for name in names if name.isdecimal()), default=0) + 1 + more}"
+
+
+def _groups(xyz: NDArray[np.float32], label: Labels) -> tuple[MovedPoints, ...]:
+    kept = in_millimetres(xyz)
+    return tuple(MovedPoints(one, tuple(kept[label == one].ravel().tolist())) for one in np.unique(label).tolist())

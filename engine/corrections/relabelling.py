@@ -1,0 +1,76 @@
+"""What becomes of the label of anything that has a place: a point, an anchor, a Gaussian.
+
+An edit of whole objects maps labels to labels. An edit of points is known by the points alone; all else follows the
+nearest point that had the same label before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .nearest import nearest
+
+Labels = NDArray[np.int32]
+
+
+def labels_of(class_id: NDArray[np.integer], instance_id: NDArray[np.integer]) -> Labels:
+    """The labels of classes and instances, int32 [N] each."""
+    return np.where(instance_id > 0, instance_id, -class_id.astype(np.int64)).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Some labels change. ``table``: those that all change alike. ``points``: by source label, the points that had it,
+    float32 [N, 3], and their labels after, int32 [N]."""
+
+    table: Mapping[int, int] = field(default_factory=dict)
+    points: Mapping[int, tuple[NDArray[np.float32], Labels]] = field(default_factory=dict)
+
+    def apply(self, xyz: NDArray[np.floating], label: Labels) -> None:
+        """Change ``label`` [N] of what stands at ``xyz`` [N, 3] in place."""
+        rows_of = {source: np.flatnonzero(label == source) for source in (*self.table, *self.points)}
+        for source, target in self.table.items():
+            label[rows_of[source]] = target
+        for source, (points, after) in self.points.items():
+            rows = rows_of[source]
+            if len(rows):
+                label[rows] = after[nearest(xyz[rows], points)[0]]
+
+
+def step_of(xyz: NDArray[np.float32], before: Labels, after: Labels) -> Step:
+    """The step that changes points ``xyz`` [N, 3] with labels ``before`` to ``after``."""
+    table, points = {}, {}
+    for source in np.unique(before[before != after]).tolist():
+        rows = before == source
+        targets = np.unique(after[rows])
+        if len(targets) == 1:
+            table[source] = int(targets[0])
+        else:
+            points[source] = xyz[rows], after[rows]
+    return Step(table, points)
+
+
+@dataclass(frozen=True, eq=False)
+class Relabelling:
+    """All steps, one after the other."""
+
+    steps: tuple[Step, ...] = ()
+
+    @property
+    def sources(self) -> frozenset[int]:
+        """The labels that some step changes."""
+        return frozenset(source for step in self.steps for source in (*step.table, *step.points))
+
+    def of(self, xyz: NDArray[np.floating], label: Labels) -> Labels:
+        """The labels after all edits of what stands at ``xyz`` [N, 3] and had ``label`` [N]; int32 [N]."""
+        after = label.copy()
+        rows = np.flatnonzero(np.isin(label, sorted(self.sources)))
+        some, changed = xyz[rows], after[rows]
+        for step in self.steps:
+            step.apply(some, changed)
+        after[rows] = changed
+        return after

@@ -1,0 +1,234 @@
+"""The objects and points of a result, as the edits leave them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..result_files import Instance, SemanticPoints
+from ..scene import ClassTable, distinct_colour
+from .edits import KINDS, MOVES, PER_METRE, Edit, MovedPoints, ObjectMark
+from .nearest import nearest
+from .relabelling import Labels, Relabelling, Step, labels_of, step_of
+
+LEAST_OVERLAP = 0.2
+"""Intersection over union of the boxes above which an object is the one that an edit means."""
+PADDING = 0.05
+"""Metres around these boxes: pictures on a wall have no thickness, and lifts differ by some centimetres."""
+REACH = 0.04
+"""Metres within which a point of another lift follows a point that was moved."""
+MOST_LOST = 0.1
+"""Share of an edit's points that may be missing where the points are those of the same lift."""
+INNER = (2.0, 98.0)
+"""Percentiles of the points that make a mark's box: single points stray."""
+OUTER = (0.5, 99.5)
+"""Those that make an object's box anew."""
+
+
+@dataclass(eq=False)
+class Replay:
+    """The state between two edits. ``label`` int32 [N]: that of each point. ``told``: what was not applied, by edit."""
+
+    classes: ClassTable
+    xyz: NDArray[np.float32]
+    label: Labels
+    objects: dict[int, Instance]
+    accepted: set[int] = field(default_factory=set)
+    steps: list[Step] = field(default_factory=list)
+    told: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, classes: ClassTable, instances: Iterable[Instance], points: SemanticPoints) -> Replay:
+        """The result as the engine made it."""
+        label = labels_of(points.class_id, points.instance_id)
+        return cls(classes, points.xyz, label, {one.id: one for one in instances})
+
+    def apply_all(self, edits: Iterable[Edit]) -> None:
+        for edit in edits:
+            if not edit.undone:
+                reason = self.apply(edit)
+                if reason:
+                    self.told[edit.uid] = reason
+
+    @property
+    def relabelling(self) -> Relabelling:
+        return Relabelling(tuple(self.steps))
+
+    def class_of(self, label: int) -> int:
+        """The class that a label is shown with."""
+        return self.objects[label].class_id if label > 0 and label in self.objects else max(-label, 0)
+
+    def points_of(self, number: int) -> NDArray[np.float32]:
+        return self.xyz[self.label == number]
+
+    def mark(self, number: int) -> ObjectMark:
+        """The fingerprint of an object's points."""
+        points = self.points_of(number)
+        low, high = np.percentile(points, INNER, axis=0) if len(points) else np.zeros((2, 3))
+        corners = (tuple(round(float(value), 3) for value in corner) for corner in (low, high))
+        return ObjectMark(number, len(points), *corners)  # type: ignore[arg-type]
+
+    def apply(self, edit: Edit) -> str:
+        """Apply an edit. Returns why not, if so."""
+        if edit.kind not in KINDS:
+            return f"this version does not know the edit {edit.kind!r}"
+        reasons = [reason for mark in edit.objects if (reason := self._missing(mark))]
+        if reasons and (edit.kind != "assign" or len(reasons) == len(edit.objects)):
+            return reasons[0]
+        ids = [mark.id for mark in edit.objects if mark.id in self.objects]
+        match edit.kind:
+            case "rename":
+                self.objects[ids[0]] = replace(self.objects[ids[0]], name=edit.name)
+            case "reclass":
+                return self._reclass(ids, edit.class_id)
+            case "merge":
+                self._merge(ids)
+            case "accept":
+                self.accepted.update(ids)
+            case kind if kind in MOVES:
+                return self._move(edit, ids)
+        return ""
+
+    def _missing(self, mark: ObjectMark) -> str:
+        """Why the object that a mark means is not there; empty when it is."""
+        if mark.id not in self.objects:
+            return f"there is no object {mark.id}"
+        now = self.mark(mark.id)
+        if mark.points and now.points and _overlap(mark, now) < LEAST_OVERLAP:
+            return f"object {mark.id} ({self.objects[mark.id].name}) is another one here"
+        return ""
+
+    def _reclass(self, ids: Sequence[int], class_id: int) -> str:
+        if class_id not in self.classes:
+            return f"there is no class {class_id}"
+        for number in ids:
+            name = self.classes[class_id].name
+            self.objects[number] = replace(self.objects[number], class_id=class_id, class_name=name)
+        return ""
+
+    def _merge(self, ids: Sequence[int]) -> None:
+        kept, others = ids[0], [self.objects.pop(number) for number in ids[1:]]
+        one = self.objects[kept]
+        every = (one, *others)
+        frames = {segment.frame for each in every for segment in each.segments}
+        score = sum(each.score * max(each.points, 1) for each in every) / sum(max(each.points, 1) for each in every)
+        segments = tuple(segment for each in every for segment in each.segments)
+        views = len(frames) or max(each.views for each in every)
+        self.objects[kept] = replace(one, views=views, score=score, segments=segments)
+        self._do(Step({each.id: kept for each in others}))
+        self._fit([kept])
+
+    def _move(self, edit: Edit, ids: Sequence[int]) -> str:
+        known = {one.id for one in edit.made} | self.objects.keys()
+        groups = [group for group in edit.moved if group.label <= 0 or group.label in known]
+        lost = [group.label for group in edit.moved if group not in groups]
+        if lost and not groups:
+            return f"there is no object {lost[0]}"
+        sources = np.array([*ids, *(-one for one in edit.classes)], np.int64)
+        rows = np.flatnonzero(np.isin(self.label, sources))
+        before = self.label[rows]
+        after = before.copy()
+        if edit.rest is not None:
+            after[np.isin(before, ids)] = edit.rest
+        _take_moved(self.xyz[rows], after, groups)
+        if edit.kind != "delete" and (after == before).all():
+            return "none of its points is here"
+        base = self.objects[ids[0]] if ids else None
+        self.steps.append(step_of(self.xyz[rows], before, after))
+        self.label[rows] = after
+        for made in edit.made:
+            if (after == made.id).any():
+                self.objects[made.id] = self._made(made.id, made.name, made.class_id, base)
+        for number in ids:
+            if (before == number).any():
+                if not (after == number).any():
+                    del self.objects[number]
+            elif edit.rest is not None:  # no point was its own, but perhaps a Gaussian
+                del self.objects[number]
+                self.steps.append(Step({number: edit.rest}))
+        self._fit([number for number in {*ids, *np.unique(after).tolist()} if number in self.objects])
+        return ""
+
+    def _made(self, number: int, name: str, class_id: int, base: Instance | None) -> Instance:
+        """A new object of some points, with the evidence and the axes of the one that they were of."""
+        yaw, rotation = (base.yaw, base.rotation) if base else (0.0, (1.0, 0.0, 0.0, 0.0))
+        views, score, segments = (base.views, base.score, base.segments) if base else (0, 0.0, ())
+        colour, kind = distinct_colour(number), self.classes[class_id].name
+        none = (0.0, 0.0, 0.0)
+        return Instance(number, name, class_id, kind, colour, none, none, yaw, rotation, views, score, 0, segments)
+
+    def _do(self, step: Step) -> None:
+        step.apply(self.xyz, self.label)
+        self.steps.append(step)
+
+    def _fit(self, ids: Iterable[int]) -> None:
+        """Fit the boxes of objects to their points, with the axes that they have."""
+        for number in ids:
+            points, one = self.points_of(number), self.objects[number]
+            if len(points):
+                centre, size = _fitted(points, one.rotation)
+                self.objects[number] = replace(one, centre=centre, size=size, points=len(points))
+            else:
+                self.objects[number] = replace(one, points=0)
+
+
+def _take_moved(xyz: NDArray[np.float32], after: Labels, groups: Sequence[MovedPoints]) -> None:
+    """Give the points [N, 3] that were moved their labels: the very points, or in another lift those close by."""
+    if not groups or not len(xyz):
+        return
+    wanted = np.concatenate([np.array(group.millimetres, np.int64).reshape(-1, 3) for group in groups])
+    target = np.concatenate([np.full(len(group.millimetres) // 3, group.label, np.int32) for group in groups])
+    if not len(wanted):
+        return
+    keys, own = _keys(wanted), _keys(in_millimetres(xyz))
+    order = np.argsort(keys, kind="stable")
+    place = order[np.minimum(np.searchsorted(keys, own, sorter=order), len(keys) - 1)]
+    found = keys[place] == own
+    if np.isin(keys, own).mean() >= 1.0 - MOST_LOST:
+        after[found] = target[place[found]]
+        return
+    place, distance = nearest(xyz, wanted / PER_METRE)
+    after[distance <= REACH] = target[place[distance <= REACH]]
+
+
+def in_millimetres(xyz: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Points [N, 3] in metres as edits keep them, int64 [N, 3]."""
+    return np.rint(xyz.astype(np.float64) * PER_METRE).astype(np.int64)
+
+
+def _keys(millimetres: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number a point: 21 bits an axis, which wrap beyond a kilometre."""
+    x, y, z = (millimetres & ((1 << 21) - 1)).T
+    return x << 42 | y << 21 | z
+
+
+def _overlap(one: ObjectMark, other: ObjectMark) -> float:
+    """Intersection over union of the padded boxes."""
+    low, high = (np.array([mark.low, mark.high]) + [[-PADDING], [PADDING]] for mark in (one, other))
+    common = np.prod(np.maximum(np.minimum(low[1], high[1]) - np.maximum(low[0], high[0]), 0.0))
+    return float(common / (np.prod(low[1] - low[0]) + np.prod(high[1] - high[0]) - common))
+
+
+def _fitted(
+    xyz: NDArray[np.float32], rotation: tuple[float, float, float, float]
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Centre and size in metres of the box with these axes (wxyz) around points [N, 3]."""
+    axes = _matrix(rotation)
+    low, high = np.percentile(xyz.astype(np.float64) @ axes, OUTER, axis=0)
+    x, y, z = (axes @ ((low + high) / 2)).tolist()
+    length, width, height = np.maximum(high - low, 0.01).tolist()
+    return (x, y, z), (length, width, height)
+
+
+def _matrix(rotation: tuple[float, float, float, float]) -> NDArray[np.float64]:
+    w, x, y, z = np.array(rotation) / max(float(np.linalg.norm(rotation)), 1e-9)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

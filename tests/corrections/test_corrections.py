@@ -1,0 +1,239 @@
+"""Edits of a result: what they change, what survives, and what is told."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.corrections import CORRECTIONS, CorrectedResult, correct, editing, read_corrected, read_edits, undo
+from engine.corrections import making as m
+from engine.corrections.nearest import nearest
+from engine.corrections.replay import Replay
+from engine.errors import PlgsError
+from engine.result_files import Instance
+from tests.corrections.two_rooms import CHAIR, CHAIRS, CRUMB, DESK, FLOOR, SOFA, TABLE, write_result
+
+
+@pytest.fixture
+def lift(tmp_path: Path) -> Path:
+    return write_result(tmp_path / "lift")
+
+
+def split_chairs(state: Replay, first_id: int) -> object:
+    return m.split(state, CHAIRS, m.parts_of(state.points_of(CHAIRS)), first_id)
+
+
+def merge(*ids: int) -> object:
+    return lambda state, first_id: m.merge(state, ids)
+
+
+def objects(lift: Path) -> dict[int, Instance]:
+    return {one.id: one for one in read_corrected(lift).instances}
+
+
+def counts(result: CorrectedResult) -> dict[tuple[int, int], int]:
+    pairs = zip(result.points.class_id.tolist(), result.points.instance_id.tolist(), strict=True)
+    found: dict[tuple[int, int], int] = {}
+    for pair in pairs:
+        found[pair] = found.get(pair, 0) + 1
+    return found
+
+
+def test_nothing_changes_without_corrections(lift: Path) -> None:
+    result = read_corrected(lift)
+    assert result.instances == result.made and not result.changes_labels and result.fingerprint == ""
+    with editing(lift):
+        pass
+    assert not (lift / CORRECTIONS).exists()
+
+
+def test_a_name_and_a_class(lift: Path) -> None:
+    before = {path: path.read_bytes() for path in (lift / "result").iterdir()}
+    correct(lift, lambda state, _: m.rename(state, DESK, " Anna's desk "))
+    correct(lift, lambda state, _: m.reclass(state, [CHAIRS], SOFA))
+    result = read_corrected(lift)
+    found = objects(lift)
+    assert found[DESK].name == "Anna's desk" and found[CHAIRS].class_name == "sofa"
+    assert {one: found[one].centre for one in found} == {one.id: one.centre for one in result.made}  # no box moved
+    own = result.points.instance_id == CHAIRS
+    assert (result.points.class_id[own] == SOFA).all() and (result.points.class_id == CHAIR).sum() == 0
+    anchors = result.anchors()
+    assert (anchors.class_id[anchors.instance_id == CHAIRS] == SOFA).all()
+    assert {path: path.read_bytes() for path in (lift / "result").iterdir()} == before  # as the engine made it
+
+
+def test_two_chairs_in_one_box_fall_apart(lift: Path) -> None:
+    edit = correct(lift, split_chairs)
+    found = objects(lift)
+    assert edit.made[0].id == 4 and found[4].name == "chair 2" and found[4].points == found[CHAIRS].points
+    assert sorted(round(found[one].centre[0], 2) for one in (CHAIRS, 4)) == [0.2, 1.2]
+    assert all(abs(found[one].size[0] - 0.4) < 0.03 for one in (CHAIRS, 4))
+    result = read_corrected(lift)
+    anchors = result.anchors()
+    for one in (CHAIRS, 4):  # an anchor follows the nearest point
+        assert np.ptp(anchors.xyz[anchors.instance_id == one], axis=0)[0] < 0.5
+    assert found[DESK] == result.made[1]  # an untouched box never moves
+
+
+def test_together_again_is_one_object_with_all_points(lift: Path) -> None:
+    points = objects(lift)[CHAIRS].points
+    correct(lift, split_chairs)
+    correct(lift, merge(CHAIRS, 4))
+    found = objects(lift)
+    assert 4 not in found and found[CHAIRS].points == points
+
+
+def test_merging_across_classes_takes_the_class_of_the_first(lift: Path) -> None:
+    correct(lift, merge(DESK, CHAIRS))
+    result = read_corrected(lift)
+    assert [one.class_id for one in result.instances] == [TABLE, TABLE]
+    assert (result.points.class_id == CHAIR).sum() == 0
+
+
+def test_a_crumb_becomes_what_lies_around(lift: Path) -> None:
+    crumb, desk = objects(lift)[CRUMB].points, objects(lift)[DESK].points
+    correct(lift, lambda state, _: m.delete(state, CRUMB))
+    found = objects(lift)
+    assert CRUMB not in found and found[DESK].points == crumb + desk
+    undo(lift)
+    correct(lift, lambda state, _: m.delete(state, CRUMB, around=False))
+    result = read_corrected(lift)
+    assert counts(result)[TABLE, 0] == crumb and counts(result)[TABLE, DESK] == desk
+
+
+def test_stuff_takes_the_points_of_an_object(lift: Path) -> None:
+    correct(lift, lambda state, _: m.reclass(state, [DESK], FLOOR))
+    result = read_corrected(lift)
+    assert DESK not in {one.id for one in result.instances} and (result.points.instance_id == DESK).sum() == 0
+
+
+def test_points_get_an_object_or_a_class(lift: Path) -> None:
+    at = read_corrected(lift).points.xyz
+    right = (at[:, 0] > 0.9) & (at[:, 0] < 1.5) & (at[:, 2] > 0.05)
+    edit = correct(lift, lambda state, free: m.assign(state, right, 0, class_id=SOFA, name="armchair", new_id=free))
+    assert objects(lift)[edit.made[0].id].points == right.sum()
+    correct(lift, lambda state, _: m.assign(state, right, DESK))
+    assert edit.made[0].id not in objects(lift)  # none of its points is left
+    ground = (at[:, 2] < 0.05) & (at[:, 0] < 0)
+    correct(lift, lambda state, _: m.assign(state, ground, 0, class_id=CHAIR))
+    result = read_corrected(lift)
+    assert counts(result)[CHAIR, 0] == ground.sum() and not result.warnings
+
+
+def test_a_plane_and_views_of_labels_elsewhere(lift: Path) -> None:
+    correct(
+        lift,
+        lambda state, free: m.split(state, DESK, m.sides_of(state.points_of(DESK), (2.6, 0, 0), (1, 0, 0)), free),
+    )
+    result = read_corrected(lift)
+    places = np.array([[2.1, 0.5, 0.9], [3.1, 0.5, 0.5], [0.0, 0.0, 0.0]])
+    class_id, instance_id = result.ids(places, np.array([TABLE, TABLE, FLOOR]), np.array([DESK, DESK, 0]))
+    assert instance_id.tolist() == [DESK, 4, 0] and class_id.tolist() == [TABLE, TABLE, FLOOR]
+
+
+def test_undo_after_all_was_read_again(lift: Path) -> None:
+    correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
+    first = read_corrected(lift).fingerprint
+    correct(lift, merge(DESK, CRUMB))
+    assert undo(lift).kind == "merge" and read_corrected(lift).fingerprint == first
+    assert undo(lift).kind == "rename" and objects(lift)[DESK].name == "table 1"
+    assert [edit.undone for edit in read_edits(lift)] == [True, True]  # kept, and told as undone
+    with pytest.raises(PlgsError, match="no edit to undo"):
+        undo(lift)
+
+
+@pytest.mark.parametrize(
+    ("make", "line"),
+    [
+        (lambda s, _: m.rename(s, 77, "x"), "there is no object 77.*objects are 1, 2, 3"),
+        (lambda s, _: m.rename(s, DESK, "\n"), "is no name"),
+        (lambda s, _: m.reclass(s, [DESK], 99), "there is no class 99"),
+        (lambda s, _: m.merge(s, [DESK, DESK]), "merged with itself"),
+        (lambda s, free: m.split(s, DESK, m.parts_of(s.points_of(DESK)), free), "does not fall into parts"),
+        (lambda s, _: m.assign(s, np.zeros(len(s.xyz), bool), DESK), "no points are chosen"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_a_line_and_no_edit(lift: Path, make: object, line: str) -> None:
+    with pytest.raises(PlgsError, match=line):
+        correct(lift, make)  # type: ignore[arg-type]
+    assert not (lift / CORRECTIONS).exists()
+
+
+def test_another_lift_of_the_scene_takes_what_it_knows(tmp_path: Path, lift: Path) -> None:
+    correct(lift, split_chairs)
+    correct(lift, lambda state, _: m.delete(state, CRUMB))
+    correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
+    again = write_result(tmp_path / "again", shift=0.013, without=CRUMB)
+    shutil.copy(lift / CORRECTIONS, again)
+    result = read_corrected(again)
+    assert result.warnings == [f"delete of {result.edits[1].time} is not applied: there is no object {CRUMB}"]
+    found = objects(again)
+    assert found[DESK].name == "desk"
+    assert sorted(round(found[one].centre[0], 1) for one in (CHAIRS, 4)) == [0.2, 1.2]
+
+
+def test_corrections_of_another_scene(tmp_path: Path, lift: Path) -> None:
+    correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
+    other = write_result(tmp_path / "other", shift=7.0)
+    shutil.copy(lift / CORRECTIONS, other)
+    result = read_corrected(other)
+    assert "object 2 (table 1) is another one here" in result.warnings[0] and not result.fingerprint
+
+
+def test_a_thousand_edits(lift: Path) -> None:
+    with editing(lift) as edits:
+        state = Replay.of(read_corrected(lift).classes, read_corrected(lift).made, read_corrected(lift).points)
+        edits += [m.rename(state, DESK, f"desk {number}") for number in range(1000)]
+    assert objects(lift)[DESK].name == "desk 999"
+
+
+def test_later_versions_are_refused_or_kept(lift: Path) -> None:
+    correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
+    path = lift / CORRECTIONS
+    content = json.loads(path.read_text())
+    content["edits"].append({"uid": "a", "time": "2030", "kind": "paint", "brush": 3})
+    path.write_text(json.dumps(content))
+    assert "does not know the edit 'paint'" in read_corrected(lift).warnings[0] and objects(lift)[DESK].name == "desk"
+    correct(lift, merge(DESK, CRUMB))
+    assert json.loads(path.read_text())["edits"][1]["brush"] == 3  # nothing of it is lost
+    content["format"] = 2
+    path.write_text(json.dumps(content))
+    with pytest.raises(PlgsError, match="has format 2"):
+        correct(lift, merge(DESK, CRUMB))
+    assert json.loads(path.read_text()) == content
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1, "edits": [{"kind": "rename"}]}', '{"format": 1}'])
+def test_a_damaged_file_is_a_line_and_stays(lift: Path, text: str) -> None:
+    (lift / CORRECTIONS).write_text(text)
+    for act in (read_corrected, undo, lambda folder: correct(folder, merge(DESK, CRUMB))):
+        with pytest.raises(PlgsError, match=r"corrections\.json"):
+            act(lift)
+    assert (lift / CORRECTIONS).read_text() == text
+
+
+def test_two_programs_lose_no_edit(root: Path, lift: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from engine.corrections import correct, making as m\n"
+        "for n in range(5): correct(Path(sys.argv[1]), lambda s, _: m.rename(s, 2, f'{sys.argv[2]} {n}'))"
+    )
+    run = partial(subprocess.Popen, cwd=root)
+    for process in [run([sys.executable, "-c", code, str(lift), name]) for name in ("one", "other")]:
+        assert process.wait(timeout=60) == 0
+    names = [edit.name for edit in read_edits(lift)]
+    assert sorted(names) == sorted(f"{name} {n}" for name in ("one", "other") for n in range(5))
+
+
+def test_nearest_is_the_nearest() -> None:
+    rng = np.random.default_rng(3)
+    points, queries = rng.random((300, 3)).astype(np.float32) + 50, rng.random((200, 3)).astype(np.float32) + 50
+    index, distance = nearest(queries, points)
+    every = np.linalg.norm(queries[:, None].astype(float) - points[None], axis=2)
+    assert (index == every.argmin(axis=1)).all() and np.allclose(distance, every.min(axis=1), atol=1e-6)
