@@ -108,8 +108,10 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
 
 def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) -> dict[str, object] | None:
     """The figures of a lift that was corrected: its held-out frames are rendered anew. None where it was not."""
-    from ..corrections import read_corrected
+    from ..corrections import read_corrected, read_edits
 
+    if not read_edits(lift.path):
+        return None
     corrected = read_corrected(lift.path)
     for line in corrected.warnings:
         events.warning(line)
