@@ -42,7 +42,22 @@ def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str
         rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *rendered])
     if not tables:
         return "No metrics: they need held-out frames that have ground truth."
-    return "\n\n".join([_aligned(rows, left=2), *(_classes_text(tables) if per_class else ())])
+    missed = [f"Not shown: {text} (see frame {printable(frame)})" for text, frame in not_shown(metrics)]
+    parts = [_aligned(rows, left=2), "\n".join(missed), *(_classes_text(tables) if per_class else ())]
+    return "\n\n".join(part for part in parts if part)
+
+
+def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
+    """What the masks show well from near and the lift does not, each in words and with the frame that shows it best."""
+    judges = metrics.get("masks_as_judges")
+    entries = _list(judges.get("not_shown")) if isinstance(judges, dict) else []
+    return [(_missed(entry), str(entry.get("frame"))) for entry in entries if isinstance(entry, dict)]
+
+
+def _missed(entry: Mapping[str, Json]) -> str:
+    what = f"{'' if entry.get('whole_class') else 'one '}{entry.get('name')}"
+    instead = f", shown as {entry['shown_as']}" if entry.get("shown_as") else ""
+    return printable(f"{what}: {_number(entry.get('views'), 1, 0)} near views{instead}")
 
 
 def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:

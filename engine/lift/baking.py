@@ -9,7 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ..corrections import read_corrected
 from ..job import EventWriter, LiftFolder, write_atomically
@@ -21,11 +23,12 @@ from ..model.structured import StructuredScene
 from ..passes.baked_view import BakedView, ShownInstances, bake_view
 from ..passes.contact_sheet import SheetRow, chosen, write_contact_sheet
 from ..passes.exr import write_exr
-from ..passes.layers import PanopticLayers
+from ..passes.layers import PanopticLayers, decide
 from ..passes.previews import colour_picture, preview_paths, write_previews
-from ..scene import Camera, ClassTable, Frame, Scene, open_asked
+from ..scene import Camera, ClassTable, Frame, Scene, Size, View, open_asked
 from ..train.progress import StageReporter
 from .corrected_scene import corrected_scene
+from .judging import judge
 from .scene_files import read_model, read_shown_instances
 
 CORRECTIONS_NOTE = "plgs/corrections"
@@ -52,6 +55,11 @@ class FrameBaker:
     def notes(self) -> dict[str, str]:
         """What a header says of the corrections; nothing where there are none."""
         return {CORRECTIONS_NOTE: self.corrections} if self.corrections else {}
+
+    def classes_seen(self, camera: Camera) -> NDArray[np.int32]:
+        """The classes int32 [H, W] that a camera sees (0 = nothing there)."""
+        bands = render_bands(self.lifted, camera, self.labels)
+        return np.concatenate([decide(band, self.classes, self.instances.class_of).semantic for band in bands])
 
     def write(
         self,
@@ -96,10 +104,13 @@ def bake_and_evaluate(
     scene: Scene,
     baker: FrameBaker,
     wanted: Sequence[Frame],
+    views: Sequence[View],
+    size: Size,
     events: EventWriter,
     stages: StageReporter,
 ) -> None:
-    """Bake ``wanted``, score the held-out frames, and write contact sheet and metrics.json.
+    """Bake ``wanted``, score the held-out frames, let the masks of these and of the training ``views`` (both at most
+    of ``size``) judge the lift, and write contact sheet and metrics.json.
 
     Ground truth goes into metrics.json alone. Raises Cancelled, PlgsError, OSError.
     """
@@ -124,9 +135,12 @@ def bake_and_evaluate(
         if rows:
             write_contact_sheet(folder.previews_path / "contact_sheet.png", rows, scene.classes, baker.colours)
             events.preview(folder.previews_path / "contact_sheet.png")
-    with stages.stage("evaluate"):
+    with stages.stage("evaluate") as progress:
         add_input_masks(report, scene)
-        write_atomically(folder.result_path / "metrics.json", json.dumps(report.to_json(), indent=1) + "\n")
+        judgement = judge(baker.classes_seen, scene, views, size, progress, folder.path)
+        judgement.tell(events)
+        metrics = {**report.to_json(), "masks_as_judges": judgement.to_json()}
+        write_atomically(folder.result_path / "metrics.json", json.dumps(metrics, indent=1) + "\n")
         fps = 1 / median(seconds) if seconds and median(seconds) > 0 else None
         events.metric("run", {"fps": fps, "peak_bytes": peak_bytes()})
 

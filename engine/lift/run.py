@@ -131,7 +131,8 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method:
             write_names(folder, lasting, events)
         write_scene_files(folder, scene, views, prepared, trainer.scene, events, names)
     baker = FrameBaker(scene.classes, trainer.scene, shown_instances(prepared, names))
-    bake_and_evaluate(folder, scene, baker, frames_to_bake(whole, request.bake), events, stages)
+    wanted = frames_to_bake(whole, request.bake)
+    bake_and_evaluate(folder, scene, baker, wanted, views, preset.size, events, stages)
     previews.clear_away()
     write_manifest(
         folder.result_path,

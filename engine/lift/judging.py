@@ -1,0 +1,114 @@
+"""The masks judge the finished lift, as there may be no ground truth: how far it agrees with them, and what they show
+well from near that it shows nowhere."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..job import EventWriter
+from ..job.report import not_shown
+from ..json_file import Json
+from ..metrics.panoptic import PanopticEvaluation
+from ..metrics.unshown import JudgedView, Unshown, find_unshown
+from ..scene import (
+    Camera,
+    ClassTable,
+    OnDemand,
+    Scene,
+    Size,
+    StoredViews,
+    View,
+    chained,
+    load_view,
+    read_ahead,
+    size_within,
+    stored,
+)
+
+log = logging.getLogger("plgs.lift")
+
+MOST_VIEWS = 100
+"""Training views that judge at most, evenly chosen. Each is drawn once, at the size of training."""
+MOST_NAMED = 5
+"""How many of what is not shown the warning names. metrics.json and the log have all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What the masks say of a lift. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
+    classes, of views trained on and of those held out; None without such views."""
+
+    trained: float | None
+    held_back: float | None
+    not_shown: tuple[Unshown, ...]
+
+    def to_json(self) -> dict[str, Json]:
+        """As metrics.json has it, under "masks_as_judges"."""
+        agreement: dict[str, Json] = {"trained": self.trained, "held_back": self.held_back}
+        return {"agreement": agreement, "not_shown": [asdict(one) for one in self.not_shown]}
+
+    def tell(self, events: EventWriter) -> None:
+        """Write what is not shown into the log, and the first of it as a warning."""
+        lines = [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": self.to_json()})]
+        for line in lines:
+            log.info("not shown: %s", line)
+        if lines:
+            more = f"; and {len(lines) - MOST_NAMED} more" if len(lines) > MOST_NAMED else ""
+            events.warning(f"the masks show what the lift does not: {'; '.join(lines[:MOST_NAMED])}{more}")
+
+
+def judge(
+    draw: Callable[[Camera], NDArray[np.int32]],
+    scene: Scene,
+    views: Sequence[View],
+    size: Size,
+    progress: Callable[[int, int], object],
+    scratch: Path | None = None,
+) -> Judgement:
+    """Ask the training ``views`` and the held-out frames, read within ``size``, about the finished lift.
+
+    ``draw`` gives the classes int32 [H, W] that a camera sees of it. Raises PlgsError, OSError, and what ``progress``
+    raises.
+    """
+    trained = views[:: -(-len(views) // MOST_VIEWS) or 1]
+    masked = [frame for frame in scene.test_frames if frame.read_mask is not None and frame.read_depth is not None]
+    read = read_ahead(masked, lambda frame: load_view(frame, size_within(frame.size, size)))
+    held_back = StoredViews(read, scratch)
+    every = chained(trained, held_back)
+    drawn = _drawn(draw, every, progress)
+    classes = stored(drawn, scratch)
+    width = {frame.name: frame.size[0] for frame in scene.frames}
+
+    def judged(number: int) -> JudgedView:
+        view = every[number]
+        return JudgedView(view, classes[number], width[view.name] / view.camera.width)
+
+    judges = OnDemand(len(every), judged)
+    return Judgement(
+        trained=_agreement(judges[: len(trained)], scene.classes),
+        held_back=_agreement(judges[len(trained) :], scene.classes),
+        not_shown=tuple(find_unshown(judges, scene.classes)),
+    )
+
+
+def _drawn(
+    draw: Callable[[Camera], NDArray[np.int32]], views: Sequence[View], progress: Callable[[int, int], object]
+) -> Iterator[NDArray[np.int32]]:
+    for number in range(len(views)):
+        yield draw(views[number].camera)
+        progress(number + 1, len(views))
+
+
+def _agreement(judges: Sequence[JudgedView], classes: ClassTable) -> float | None:
+    """The mean IoU over the classes of the masks; None without a labelled pixel."""
+    evaluation = PanopticEvaluation(classes, "strict")
+    for judged in judges:
+        nothing = np.zeros_like(judged.shown)
+        evaluation.add(judged.shown, nothing, judged.view.mask.class_map(), nothing)
+    return None if evaluation.is_empty else evaluation.result().miou_true

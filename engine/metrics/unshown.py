@@ -1,0 +1,218 @@
+"""What the masks show well from near and the lift shows nowhere. No ground truth is asked: the masks are the judges.
+
+A view resolves a segment when it has enough pixels of it at the frame's own size, and is near when it sees the place
+in at least half as many pixels a metre as the best view does. Far views do not judge: a network knows a sink from 1 m
+and calls it countertop from 4 m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene import VOID, ClassTable, View
+
+LEAST_PIXELS = 100
+"""Pixels of a segment, at its frame's own size, from which a view resolves it."""
+LEAST_SEEN = 8
+"""The same at the size of the judged views. Fewer are edges."""
+NEAR = 0.5
+"""Share of the best view's resolution from which a view is near."""
+LEAST_VIEWS_OF_OBJECT, LEAST_VIEWS_OF_CLASS = 3, 2
+"""Near views that must show an object of a class which is shown elsewhere, or a class that is shown nowhere."""
+NAMES = 0.5
+"""Share of a place's points that a mask calls by a class from which it names the place so."""
+AGREED = 2 / 3
+"""Share of the near views that must name the place so. Networks confuse some classes in half of their masks."""
+SHOWN = 0.1
+"""Share of a place's points below which the lift does not show its class there."""
+POINTS = 64
+"""Points that stand for a segment."""
+MOST_CANDIDATES = 500
+"""Segments that are asked about at most, the best resolved first."""
+BEHIND = 0.05
+"""A point is hidden when it lies farther behind the measured depth than this share of it, at least 5 cm."""
+MARGIN = 0.1
+"""Metres around an object within which another segment of its class shows the same object."""
+
+
+class JudgedView(NamedTuple):
+    """A view, the classes int32 [H, W] that the lift shows there (0 = none), and how many pixels of the frame's own
+    width one of its pixels has."""
+
+    view: View
+    shown: NDArray[np.int32]
+    enlarged: float
+
+
+@dataclass(frozen=True)
+class Unshown:
+    """A class, or one object of it (``whole_class`` false), that the masks show and the lift does not.
+
+    ``views`` near views name it, of ``near`` that see the place. ``frame`` shows it best: there it is ``segment``,
+    with ``pixels`` pixels of the frame's own size, at ``resolution`` pixels a metre. ``shown_as``: the class that the
+    lift shows there most, 0 = none. ``centre``: world metres.
+    """
+
+    class_id: int
+    name: str
+    whole_class: bool
+    views: int
+    near: int
+    frame: str
+    segment: int
+    pixels: int
+    resolution: float
+    shown_as: str
+    centre: tuple[float, float, float]
+
+
+class _Candidate(NamedTuple):
+    """A resolved segment whose class the lift does not show in its own view. ``xyz`` float64 [POINTS or fewer, 3]."""
+
+    resolution: float
+    class_id: int
+    frame: str
+    segment: int
+    pixels: int
+    shown_as: int
+    xyz: NDArray[np.float64]
+
+
+def find_unshown(views: Sequence[JudgedView], classes: ClassTable) -> list[Unshown]:
+    """The classes and objects that the lift lacks, whole classes first, then the best resolved. Each view is read
+    twice."""
+    found: list[_Candidate] = []
+    shown: set[int] = set()
+    for judged in views:
+        candidates, kept = _segments(judged)
+        found += candidates
+        shown |= kept
+    found = sorted(found, key=lambda each: (-each.resolution, each.frame, each.segment))[:MOST_CANDIDATES]
+    answers = _Answers(found)
+    for judged in views:
+        answers.add(judged)
+    return sorted(_told(found, answers, shown, classes), key=lambda one: (not one.whole_class, -one.resolution))
+
+
+def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: ClassTable) -> list[Unshown]:
+    told: list[Unshown] = []
+    places: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
+    for number, one in enumerate(found):
+        centre = np.median(one.xyz, axis=0)
+        if any(c == one.class_id and (low <= centre).all() and (centre <= high).all() for c, low, high in places):
+            continue
+        whole = one.class_id not in shown
+        judgement = answers.of(number)
+        least = LEAST_VIEWS_OF_CLASS if whole else LEAST_VIEWS_OF_OBJECT
+        if judgement.named < least or judgement.named < AGREED * judgement.near or judgement.kept >= SHOWN:
+            continue
+        if whole and any(other.class_id == one.class_id for other in told):
+            continue  # a class is told once, by its best view
+        places.append((one.class_id, one.xyz.min(axis=0) - MARGIN, one.xyz.max(axis=0) + MARGIN))
+        x, y, z = (round(float(value), 3) for value in centre)
+        told.append(
+            Unshown(
+                class_id=one.class_id,
+                name=classes[one.class_id].name,
+                whole_class=whole,
+                views=judgement.named,
+                near=judgement.near,
+                frame=one.frame,
+                segment=one.segment,
+                pixels=one.pixels,
+                resolution=round(one.resolution, 1),
+                shown_as="" if one.shown_as == VOID else classes[one.shown_as].name,
+                centre=(x, y, z),
+            )
+        )
+    return told
+
+
+def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
+    """The resolved segments that the lift does not show in their own view, and the classes that it does show on a
+    segment of theirs."""
+    view, shown, enlarged = judged
+    seen = view.depth > 0
+    candidates, kept = [], set()
+    for segment in view.mask.segments:
+        where = (view.mask.ids == segment.id) & seen
+        count = int(np.count_nonzero(where))
+        pixels = round(count * enlarged**2)
+        if segment.class_id == VOID or count < LEAST_SEEN or pixels < LEAST_PIXELS:
+            continue
+        here = shown[where]
+        if np.mean(here == segment.class_id) >= SHOWN:
+            kept.add(segment.class_id)
+            continue
+        rows, columns = np.nonzero(where)
+        chosen = np.linspace(0, count - 1, min(count, POINTS)).astype(np.int64)
+        rows, columns = rows[chosen], columns[chosen]
+        resolution = view.camera.fx * enlarged / float(np.median(view.depth[where]))
+        xyz = _unproject(view, rows, columns)
+        most = int(np.bincount(here).argmax())
+        candidates.append(_Candidate(resolution, segment.class_id, view.name, segment.id, pixels, most, xyz))
+    return candidates, kept
+
+
+def _unproject(view: View, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
+    camera, depth = view.camera, view.depth[rows, columns].astype(np.float64)
+    x, y = (columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy
+    local = np.stack([x * depth, y * depth, depth], axis=-1)
+    return local @ camera.camera_to_world[:3, :3].T + camera.centre
+
+
+class _Judgement(NamedTuple):
+    """Of the views ``near`` a place, those that have ``named`` it, and the largest share of it that the lift shows as
+    its class in one of these."""
+
+    named: int
+    near: int
+    kept: float
+
+
+class _Answers:
+    """What each view says of each candidate."""
+
+    def __init__(self, found: Sequence[_Candidate]) -> None:
+        self.found = found
+        self._xyz = np.concatenate([one.xyz for one in found]) if found else np.zeros((0, 3))
+        self._owner = np.repeat(np.arange(len(found)), [len(one.xyz) for one in found])
+        self._class = np.array([one.class_id for one in found], np.int32)[self._owner]
+        self._sizes = np.bincount(self._owner, minlength=len(found))
+        self._rows: list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = []
+
+    def add(self, judged: JudgedView) -> None:
+        """Ask a view. Kept of it are the resolution (0 where it sees less than half of the points), the share of
+        the seen points that its mask calls by the candidate's class, and the share that the lift does."""
+        if not self.found:
+            return
+        view, shown, enlarged = judged
+        uv, z = view.camera.project(self._xyz)
+        x, y = np.floor(uv[:, 0]), np.floor(uv[:, 1])
+        inside = (z > 0) & (x >= 0) & (y >= 0) & (x < view.camera.width) & (y < view.camera.height)
+        column, row = np.where(inside, x, 0).astype(np.int64), np.where(inside, y, 0).astype(np.int64)
+        depth = view.depth[row, column]
+        seen = inside & (depth > 0) & (np.abs(depth - z) <= np.maximum(BEHIND, BEHIND * z))
+        count, of = len(self.found), self._owner
+        number = np.bincount(of[seen], minlength=count)
+        safe = np.maximum(number, 1)
+        mean_z = np.bincount(of[seen], z[seen], count) / safe
+        resolution = np.where(2 * number >= self._sizes, view.camera.fx * enlarged / np.maximum(mean_z, 1e-9), 0.0)
+        named = seen & (view.mask.class_map()[row, column] == self._class)
+        kept = seen & (shown[row, column] == self._class)
+        self._rows.append(
+            (resolution, np.bincount(of[named], minlength=count) / safe, np.bincount(of[kept], minlength=count) / safe)
+        )
+
+    def of(self, number: int) -> _Judgement:
+        """What the near views say of a candidate."""
+        answers = np.array([[part[number] for part in row] for row in self._rows])
+        resolution, named, kept = answers.T
+        near = resolution >= NEAR * self.found[number].resolution
+        naming = near & (named >= NAMES)
+        return _Judgement(int(naming.sum()), int(near.sum()), float(kept[naming].max(initial=0.0)))

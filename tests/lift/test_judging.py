@@ -1,0 +1,61 @@
+"""The masks as judges of a finished lift."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.job import EventReader, EventWriter
+from engine.lift.judging import Judgement, judge
+from engine.scene import Camera, load_view, open_scene
+from tests.tiny_scene import CHAIR_ID, WALL_ID, trace_view, write_tiny_scene
+
+SIZE = (64, 48)
+
+
+@pytest.fixture(scope="module")
+def scene_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_tiny_scene(tmp_path_factory.mktemp("judging") / "scene", frames=8, size=SIZE)
+
+
+def seen_by(camera: Camera) -> np.ndarray:
+    """The true classes that a camera sees."""
+    return trace_view(camera.camera_to_world, camera.K, camera.size).semantic
+
+
+def without_chair(camera: Camera) -> np.ndarray:
+    """The same with the chair shown as wall."""
+    seen = seen_by(camera)
+    return np.where(seen == CHAIR_ID, WALL_ID, seen).astype(np.int32)
+
+
+def judged(path: Path, draw: object) -> Judgement:
+    scene = open_scene(path, None, "z")
+    views = [load_view(frame) for frame in scene.train_frames]
+    done: list[tuple[int, int]] = []
+    found = judge(draw, scene, views, SIZE, lambda *each: done.append(each))  # type: ignore[arg-type]
+    assert done[-1] == (8, 8), "training views and held-out frames"
+    return found
+
+
+def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
+    found = judged(scene_path, seen_by)
+    assert found.not_shown == ()
+    assert found.trained is not None and found.trained > 0.99
+    assert found.held_back is not None and found.held_back > 0.99
+
+
+def test_what_is_lost_is_told_with_its_frame(scene_path: Path, tmp_path: Path) -> None:
+    found = judged(scene_path, without_chair)
+    (chair,) = found.not_shown
+    assert (chair.name, chair.whole_class, chair.shown_as) == ("chair", True, "wall")
+    assert found.trained is not None and found.trained < 0.85
+    events = EventWriter(tmp_path / "events.jsonl")
+    found.tell(events)
+    events.close()
+    (warning,) = [event for event in EventReader(tmp_path / "events.jsonl").poll() if event.kind == "warning"]
+    assert f"chair: {chair.views} near views, shown as wall (see frame {chair.frame})" in str(warning.data["message"])
+    assert json.loads(json.dumps(found.to_json()))["not_shown"][0]["name"] == "chair"
