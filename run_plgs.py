@@ -194,7 +194,7 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
     code = bake_shot_in_terminal(lift, options.blend or blend, options.camera, options.camera_frames, interrupts)
     if code != ExitCode.FINISHED:
         return code
-    return build_blend(lift, blend) if options.blend is None or blend.exists() else code
+    return build_blend(lift, blend) if options.blend is None else code
 
 
 def check_scene_folder(request: LiftRequest) -> None:

@@ -10,12 +10,14 @@ from mathutils import Matrix, Quaternion, Vector
 
 from ..engine.result_files import Instance
 from .materials import box_material, object_colour
-from .owned import OwnedDataBlocks
+from .owned import OwnedDataBlocks, text_of
 
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 INSTANCE = "instance:"
 """Start of the key of an instance's box. The instance's id follows."""
+NAME, PLACED = "plgs_name", "plgs_placed"
+"""Properties of a box: the name, and the centre, size and rotation, that it was placed with."""
 _BAR = 0.018
 """Thickness of a rendered bar, metres."""
 
@@ -23,20 +25,25 @@ _BAR = 0.018
 def place_boxes(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Iterable[Instance]
 ) -> list[bpy.types.Object]:
-    """One mesh object an instance, named as the engine named it, of its true size (object scale 1)."""
+    """One mesh object an instance, named as the engine named it, of its true size (object scale 1). Where an object is
+    as it was, its box stays where the user moved it, under the name that the user gave it."""
     return [_place(owned, parent, instance) for instance in instances]
 
 
 def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance) -> bpy.types.Object:
-    key = f"{INSTANCE}{instance.id}"
+    key, placed = f"{INSTANCE}{instance.id}", [*instance.centre, *instance.size, *instance.rotation]
+    before, name, where = owned.known(key), instance.name, None
+    if before is not None and text_of(before, NAME) == instance.name and _numbers(before, PLACED) == placed:
+        name, where = before.name, before.matrix_world.copy()
     mesh = owned.data(key, lambda: bpy.data.meshes.new(instance.name))
     mesh.clear_geometry()
     mesh.from_pydata((_CORNERS * instance.size).tolist(), [], _FACES)
     mesh.update()
     mesh.materials.clear()
     mesh.materials.append(box_material(owned))
-    ob = owned.object(key, instance.name, mesh, parent)
-    ob.matrix_world = Matrix.LocRotScale(Vector(instance.centre), Quaternion(instance.rotation), None)
+    ob = owned.object(key, name, mesh, parent)
+    ob[NAME], ob[PLACED] = instance.name, placed
+    ob.matrix_world = where or _where_placed(ob)
     ob.color = object_colour(instance.colour)
     # Only meshes with faces have lines in the object's colour. Renders ignore the display type, so they show bars.
     ob.display_type, ob.show_name = "WIRE", True
@@ -46,6 +53,17 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     bars.thickness, bars.offset, bars.show_viewport, bars.show_render = _BAR, 1.0, False, True
     _describe(ob, instance)
     return ob
+
+
+def _numbers(ob: bpy.types.Object, name: str) -> list[float]:
+    """A custom property; empty when there is none, or when it is no list of numbers."""
+    value = ob.get(name)
+    return [*value] if getattr(value, "typecode", "") == "d" else []
+
+
+def _where_placed(ob: bpy.types.Object) -> Matrix:
+    centre, rotation = ob[PLACED][:3], ob[PLACED][6:]
+    return Matrix.LocRotScale(Vector(centre), Quaternion(rotation), None)
 
 
 def _describe(ob: bpy.types.Object, instance: Instance) -> None:

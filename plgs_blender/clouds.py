@@ -90,7 +90,7 @@ def place_points(
         ob.color = object_colour(np.rint(rgb[chosen].mean(axis=0)).astype(int).tolist())
         ob["points"] = len(chosen)
         placed.append(ob)
-    owned.sweep_clouds(f"{key}:")
+    owned.sweep_only(f"{key}:")
     return placed
 
 

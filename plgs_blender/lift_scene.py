@@ -17,6 +17,7 @@ from . import compat
 from .boxes import place_boxes
 from .cameras import overview_camera
 from .clouds import place_anchors, place_semantic_points
+from .corrections import remember
 from .frames import mark_timeline, place_camera, place_camera_path, place_frames
 from .inspecting.lists import fill_lists
 from .lift_collection import (
@@ -75,6 +76,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     place_passes(owned, result)
     place_shots(owned, result, scene)
     fill_lists(root, result)
+    remember(root, result.edits)
     owned.sweep()
     if bpy.data.filepath:
         relate_paths(root, Path(bpy.data.filepath).parent)

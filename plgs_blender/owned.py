@@ -106,6 +106,10 @@ class OwnedDataBlocks:
         self._kept.add(ob)
         return ob
 
+    def known(self, key: str) -> bpy.types.Object | None:
+        """Our object `key`, None when there is none yet."""
+        return self._objects.get(key)
+
     def data(self, key: str, create: Callable[[], Any]) -> Any:
         """The data of our object `key`, to be filled anew; made by `create` when there is none, or when the user uses
         it too.
@@ -147,15 +151,16 @@ class OwnedDataBlocks:
                 if block.users - block.use_fake_user == 0:
                     blocks.remove(block)
 
-    def sweep_clouds(self, prefix: str) -> None:
-        """Remove the lift's objects whose key begins so and that this placement did not use, then clouds without users:
-        `sweep` for a placement that leaves all else as it is.
+    def sweep_only(self, *prefixes: str) -> None:
+        """Remove the lift's objects whose key begins so and that this placement did not use, then clouds and meshes
+        without users: `sweep` for a placement that leaves all else as it is.
         """
         for ob in self._own_objects():
-            if ob[KEY].startswith(prefix) and ob not in self._kept:
+            if ob[KEY].startswith(prefixes) and ob not in self._kept:
                 bpy.data.objects.remove(ob)
-        for cloud in [each for each in bpy.data.pointclouds if key_of(each, self.lift) is not None and not each.users]:
-            bpy.data.pointclouds.remove(cloud)
+        for blocks in (bpy.data.pointclouds, bpy.data.meshes):
+            for block in [each for each in blocks if key_of(each, self.lift) is not None and not each.users]:
+                blocks.remove(block)
 
     def _blocks_of(self, kind: str) -> dict[str, Any]:
         """Our blocks of `bpy.data.<kind>` by key, looked up once."""

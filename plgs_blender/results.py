@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..engine.corrections import read_corrected
+from ..engine.corrections import Edit, read_corrected
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder, ResultFile, check_sizes
 from ..engine.job.manifest import MAKE_ANEW, verify_files
@@ -38,6 +38,7 @@ class LiftResult:
     anchors: Anchors
     passes: dict[str, Path]
     shots: dict[str, Path] = field(default_factory=dict)
+    edits: tuple[Edit, ...] = ()
 
     @property
     def name(self) -> str:
@@ -69,6 +70,7 @@ def read_result(folder: Path) -> LiftResult:
         points=corrected.points,
         anchors=corrected.anchors(),
         passes=passes,
+        edits=corrected.edits,
         shots={path.stem: path for path in exrs if path.stem not in passes},
     )
 

@@ -6,7 +6,18 @@ Nothing here looks at the disk while it draws.
 from __future__ import annotations
 
 from ..plgs_blender.registration import register_modules, unregister_modules
-from . import export_panel, lift_panel, lists, overlay, passes_panel, preferences, result_panel, scene_panel, sidebar
+from . import (
+    corrections_panel,
+    export_panel,
+    lift_panel,
+    lists,
+    overlay,
+    passes_panel,
+    preferences,
+    result_panel,
+    scene_panel,
+    sidebar,
+)
 
 _MODULES = (
     preferences,
@@ -17,6 +28,7 @@ _MODULES = (
     export_panel,
     scene_panel,
     result_panel,
+    corrections_panel,
     overlay,
 )
 

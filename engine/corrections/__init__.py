@@ -7,6 +7,7 @@ import this, so it needs numpy alone.
 
 from __future__ import annotations
 
+from . import making
 from .edits import CORRECTIONS, Edit
 from .file import editing, read_edits
 from .result import CorrectedResult, correct, read_corrected, set_undone, undo
@@ -17,6 +18,7 @@ __all__ = [
     "Edit",
     "correct",
     "editing",
+    "making",
     "read_corrected",
     "read_edits",
     "set_undone",

@@ -159,6 +159,21 @@ def assign(
     return Edit("assign", marks, classes=classes, moved=moved, made=made)
 
 
+def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
+    """Give an object the points ``within``, bool [N], that are its own or its class's without an object. What it has
+    elsewhere becomes its class's without an object. Raises PlgsError where nothing changes."""
+    mark, kind = _mark(state, number), state.class_of(number)
+    own = state.label == number
+    inner, outer = within & (state.label == -kind), own & ~within
+    if not (own & within).any() and not inner.any():
+        raise PlgsError(f"none of its points is there: {state.objects[number].name}", CORRECTIONS, "Move its box back.")
+    if not inner.any() and not outer.any():
+        raise PlgsError("its points are those of the box already", CORRECTIONS, "Move or scale its box.")
+    rows = inner | outer
+    label = np.where(inner, number, -kind).astype(np.int32)
+    return Edit("assign", (mark,), classes=(kind,), moved=_groups(state.xyz[rows], label[rows]))
+
+
 def accept(state: Replay, numbers: Sequence[int]) -> Edit:
     return Edit("accept", tuple(_mark(state, number) for number in _some(numbers)))
 

@@ -24,6 +24,7 @@ from bpy.props import (
     StringProperty,
 )
 
+from ...engine.corrections import CorrectedResult
 from ...engine.result_files import Instance, MatchedSegment
 from ...engine.scene import VOID, ClassTable
 from ..materials import UNKNOWN
@@ -178,7 +179,7 @@ def registered() -> Iterator[None]:
         unregister_modules([sys.modules[__name__]])
 
 
-def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
+def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
     """Let the lift's collection list the instances, with their masks, and the classes. All of them are shown then."""
     with registered(), apply_colours.at_once(root), apply_visibility.at_once(root):
         lists = root.plgs

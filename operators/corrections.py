@@ -1,0 +1,285 @@
+"""Mending what a lift got wrong: names, classes, and which points belong to which object."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty, FloatVectorProperty, IntProperty, StringProperty
+
+from ..plgs_blender import corrections
+from ..plgs_blender.errors import EXPECTED, PlgsError
+from ..plgs_blender.inspecting.lookup import chosen_row, find_lift, row_of
+from ..plgs_blender.painting import painted
+from .base import CANCELLED, FINISHED, PASSED_ON, RUNNING, reporting, reporting_events
+from .inspect import OnInstance, OnLift
+
+_UNDOABLE = {"REGISTER", "UNDO"}
+_RADIUS = 24
+"""Pixels of the brush, at first."""
+_STEP = 1.2
+"""Factor by which the wheel changes the brush."""
+
+
+class OnInstances(OnLift):
+    """An operator on several instances."""
+
+    instances: StringProperty(  # type: ignore[valid-type]
+        name="Instances", options={"SKIP_SAVE"},
+        description="Their ids, such as 3 5; empty: the selected boxes, the active one first, else the row of the list",
+    )  # fmt: skip
+
+
+def _class_choices(self: Any, context: bpy.types.Context, _text: str) -> list[str]:
+    """The classes for a field of a dialog."""
+    try:
+        root = find_lift(context.scene, self.lift, context.active_object)
+        row = chosen_row(context.scene, context.active_object)
+        return corrections.class_choices(root, 0 if row is None else row.instance_id)
+    except EXPECTED:  # while it is typed: the operator itself tells what is wrong
+        return []
+
+
+def _class_field() -> Any:
+    return StringProperty(
+        name="Class", search=_class_choices, options={"SKIP_SAVE"},
+        description="Name of the class; those that the object's masks voted for come first",
+    )  # fmt: skip
+
+
+class PLGS_OT_rename_instance(OnInstance, bpy.types.Operator):
+    """Give the object another name"""
+
+    bl_idname, bl_label, bl_options = "plgs.rename_instance", "Rename Object", _UNDOABLE
+
+    name: StringProperty(name="Name", options={"SKIP_SAVE"}, description="The name, up to 60 characters")  # type: ignore[valid-type]
+
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.name = row_of(self.root(context), self.instance).name
+        return set(context.window_manager.invoke_props_dialog(self))
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        corrections.rename(root, row_of(root, self.instance).instance_id, self.name)
+        return FINISHED
+
+
+class PLGS_OT_reclass_instances(OnInstances, bpy.types.Operator):
+    """Give objects another class. With a class of stuff, which has no objects, their points become that stuff"""
+
+    bl_idname, bl_label, bl_options = "plgs.reclass_instances", "Change Class", _UNDOABLE
+
+    class_name: _class_field()  # type: ignore[valid-type]
+
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return set(context.window_manager.invoke_props_dialog(self))
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        numbers = corrections.chosen_instances(root, self.instances, context)
+        corrections.reclass(root, numbers, self.class_name)
+        return FINISHED
+
+
+class PLGS_OT_merge_instances(OnInstances, bpy.types.Operator):
+    """Let the selected objects be one, with the name and the class of the active one"""
+
+    bl_idname, bl_label, bl_options = "plgs.merge_instances", "Merge Selected", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        corrections.merge(root, corrections.chosen_instances(root, self.instances, context))
+        return FINISHED
+
+
+class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
+    """Delete an object that is none"""
+
+    bl_idname, bl_label, bl_options = "plgs.delete_instance", "Delete Object", _UNDOABLE
+
+    becomes: EnumProperty(  # type: ignore[valid-type]
+        name="Points become",
+        items=[
+            ("AROUND", "What Lies Around", "Each point takes the label of the nearest one of something else"),
+            ("NO_OBJECT", "No Object", "They keep their class, without an object"),
+        ],
+    )
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        corrections.delete(root, row_of(root, self.instance).instance_id, around=self.becomes == "AROUND")
+        return FINISHED
+
+
+class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
+    """Let an object be several"""
+
+    bl_idname, bl_label, bl_options = "plgs.split_instance", "Split", _UNDOABLE
+
+    by: EnumProperty(  # type: ignore[valid-type]
+        name="By",
+        options={"SKIP_SAVE"},
+        items=[
+            ("PARTS", "Connected Parts", "What does not touch; the largest part keeps the name"),
+            ("CUT", "Cutting Plane", "The plane that Add Cutting Plane placed, where it was dragged to"),
+            ("PLANE", "Plane", "The plane through a point, across a normal"),
+        ],
+    )
+    point: FloatVectorProperty(name="Point", subtype="XYZ", options={"SKIP_SAVE"}, description="In the plane, metres")  # type: ignore[valid-type]
+    normal: FloatVectorProperty(  # type: ignore[valid-type]
+        name="Normal", subtype="XYZ", default=(1, 0, 0), options={"SKIP_SAVE"},
+        description="Points to the side that becomes a new object",
+    )  # fmt: skip
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        number = row_of(root, self.instance).instance_id
+        if self.by == "CUT":
+            edit = corrections.split_by_cut(root, number)
+        elif self.by == "PLANE":
+            edit = corrections.split_plane(root, number, (*self.point,), (*self.normal,))
+        else:
+            edit = corrections.split_parts(root, number)
+        self.report({"INFO"}, f"New: {', '.join(one.name for one in edit.made)}")
+        return FINISHED
+
+
+class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
+    """Add a plane through the object, to be moved and turned to where it shall be split"""
+
+    bl_idname, bl_label, bl_options = "plgs.place_cut", "Add Cutting Plane", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        corrections.place_cut(root, row_of(root, self.instance).instance_id)
+        return FINISHED
+
+
+class PLGS_OT_crop_instance(OnInstance, bpy.types.Operator):
+    """Take the object's points anew from where its box was moved or scaled to: those of its class that the box holds"""
+
+    bl_idname, bl_label, bl_options = "plgs.crop_instance", "Crop to Its Box", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        corrections.crop(root, row_of(root, self.instance).instance_id)
+        return FINISHED
+
+
+class PLGS_OT_accept_instances(OnInstances, bpy.types.Operator):
+    """These objects are right: nothing proposes to change them again"""
+
+    bl_idname, bl_label, bl_options = "plgs.accept_instances", "Accept", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        corrections.accept(root, corrections.chosen_instances(root, self.instances, context))
+        return FINISHED
+
+
+class PLGS_OT_undo_correction(OnLift, bpy.types.Operator):
+    """Undo the last correction of this lift, also one from an earlier session or of another program"""
+
+    bl_idname, bl_label, bl_options = "plgs.undo_correction", "Undo Last Correction", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        edit = corrections.undo_last(self.root(context))
+        self.report({"INFO"}, f"Undone: {edit.kind}")
+        return FINISHED
+
+
+class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
+    """Paint points, or name an object whose box holds them, and give them to an object, a new object or a class"""
+
+    bl_idname, bl_label, bl_options = "plgs.assign_points", "Paint Points", _UNDOABLE
+
+    to: EnumProperty(  # type: ignore[valid-type]
+        name="To",
+        items=[
+            ("INSTANCE", "Object", "The object that is selected in the list"),
+            ("NEW", "New Object", "A new object of a class"),
+            ("CLASS", "Class", "A class, without an object"),
+        ],
+    )
+    instance: IntProperty(name="Instance", min=0, options={"SKIP_SAVE"}, description="Id; 0: the selected one")  # type: ignore[valid-type]
+    class_name: _class_field()  # type: ignore[valid-type]
+    region: StringProperty(  # type: ignore[valid-type]
+        name="Region", options={"SKIP_SAVE"}, description="Name of an object whose box holds the points; empty: paint"
+    )
+
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self.region:
+            return self.execute(context)
+        if context.region_data is None:
+            raise PlgsError("points are painted in a 3D view", "", "Press the button in a 3D view's sidebar.")
+        if self.to != "INSTANCE":  # what is missing is told before anything is painted
+            corrections.class_named(self.root(context), self.class_name)
+        self._stroke: list[tuple[float, float]] = []
+        self._radius, self._is_down = float(_RADIUS), False
+        context.window_manager.modal_handler_add(self)
+        self._say(context)
+        return RUNNING
+
+    @reporting_events
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        place = (float(event.mouse_region_x), float(event.mouse_region_y))
+        if event.type == "LEFTMOUSE":
+            self._is_down = event.value == "PRESS"
+        if event.type in ("LEFTMOUSE", "MOUSEMOVE") and self._is_down:
+            self._stroke.append(place)
+        elif event.type in ("WHEELUPMOUSE", "WHEELDOWNMOUSE") and event.ctrl:
+            self._radius *= _STEP if event.type == "WHEELUPMOUSE" else 1.0 / _STEP
+            self._say(context)
+        elif event.type in ("RET", "NUMPAD_ENTER") and event.value == "PRESS":
+            context.area.header_text_set(None)
+            matrix = np.array(context.region_data.perspective_matrix)
+            size = (context.region.width, context.region.height)
+            self._assign(context, lambda xyz: painted(xyz, matrix, size, self._stroke, self._radius))
+            return FINISHED
+        elif event.type in ("ESC", "RIGHTMOUSE"):
+            context.area.header_text_set(None)
+            return CANCELLED
+        elif event.type not in ("LEFTMOUSE", "MOUSEMOVE"):
+            return PASSED_ON  # the view may be turned meanwhile
+        return RUNNING
+
+    def _say(self, context: bpy.types.Context) -> None:
+        line = f"Brush of {self._radius:.0f} pixels. Drag over points; Ctrl wheel: size; Enter: assign; Esc: leave"
+        context.area.header_text_set(line)
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        self._assign(context, corrections.in_region(self.region))
+        return FINISHED
+
+    def _assign(self, context: bpy.types.Context, choose: corrections.Choose) -> None:
+        root = self.root(context)
+        number = row_of(root, self.instance).instance_id if self.to == "INSTANCE" else 0
+        corrections.assign(root, choose, number, self.class_name, is_new=self.to == "NEW")
+
+
+CLASSES = (
+    PLGS_OT_rename_instance,
+    PLGS_OT_reclass_instances,
+    PLGS_OT_merge_instances,
+    PLGS_OT_delete_instance,
+    PLGS_OT_split_instance,
+    PLGS_OT_place_cut,
+    PLGS_OT_crop_instance,
+    PLGS_OT_accept_instances,
+    PLGS_OT_undo_correction,
+    PLGS_OT_assign_points,
+)

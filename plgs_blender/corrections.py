@@ -1,0 +1,285 @@
+"""Corrections of a lift that is placed: made on disk, seen at once in the scene, and undone with Blender's own undo.
+
+The lift's collection carries which edits the scene shows. Undo and redo take that back and forth with all else, and the
+handlers here tell the file. Edits of other programs are never touched by that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from numpy.typing import NDArray
+
+from ..engine.corrections import CorrectedResult, Edit, correct, making, read_corrected, read_edits, set_undone, undo
+from ..engine.corrections.replay import Replay
+from ..engine.errors import PlgsError
+from .boxes import INSTANCE, place_boxes
+from .clouds import place_anchors, place_semantic_points
+from .errors import EXPECTED
+from .inspecting.lists import fill_lists
+from .inspecting.lookup import boxes_of, objects_by_key, row_of
+from .inspecting.selection import select_instance
+from .lift_collection import FOLDER, child_collection, lifts_in
+from .owned import LIFT, OwnedDataBlocks, text_of
+from .paths import absolute
+from .surfaces import SurfaceGrid
+
+EDITS = "plgs_edits"
+"""Property of a lift's collection: the uids of the edits that the scene shows, in one text."""
+CUT = "cut"
+"""Key of the plane that splits an object."""
+_CUT_LARGER = 1.2
+"""The plane is that much larger than the object."""
+
+_mine: dict[str, set[str]] = {}
+"""By lift folder: the uids of the edits that this Blender made since it was started."""
+failed: list[str] = []
+"""Why the file could not follow the last undo, for the panel; empty when it could."""
+
+Make = Callable[[Replay, int], Edit]
+Choose = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
+"""From points [N, 3] to which are chosen, bool [N]."""
+
+
+def folder_of(root: bpy.types.Collection) -> Path:
+    """The folder of a lift that is placed."""
+    return absolute(text_of(root, FOLDER))
+
+
+def edit(root: bpy.types.Collection, make: Make) -> Edit:
+    """Make an edit of a placed lift, and show it. Raises PlgsError, OSError."""
+    lift = folder_of(root)
+    made = correct(lift, make)
+    _mine.setdefault(str(lift), set()).add(made.uid)
+    show_corrections(root)
+    return made
+
+
+def undo_last(root: bpy.types.Collection) -> Edit:
+    """Undo the last edit in the file, whoever made it and whenever, and show that. Raises PlgsError, OSError."""
+    undone = undo(folder_of(root))
+    show_corrections(root)
+    return undone
+
+
+def show_corrections(root: bpy.types.Collection) -> CorrectedResult:
+    """Bring points, anchors, boxes and lists of a placed lift in line with its corrections; what the user moved or
+    renamed stays. Raises PlgsError."""
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    result = read_corrected(folder_of(root))
+    owned = OwnedDataBlocks(root[LIFT], scene)
+    cameras = [ob for key, ob in objects_by_key(root).items() if key.startswith("frame:") and ob.type == "CAMERA"]
+    grid = SurfaceGrid.of(result.points.xyz)
+    centres = np.array([ob.matrix_world.translation[:] for ob in cameras] or [[0.0, 0.0, 0.0]])
+    clouds = child_collection(root, "Semantic points")
+    place_semantic_points(owned, clouds, result.points, grid, grid.normals(centres), result.classes)
+    place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors())
+    place_boxes(owned, child_collection(root, "Instances"), result.instances)
+    owned.sweep_only("class:", INSTANCE, "anchors")
+    lists = root.plgs
+    active = (
+        lists.instances[lists.instance_index].instance_id if 0 <= lists.instance_index < len(lists.instances) else 0
+    )
+    hidden = {row.instance_id for row in lists.instances if not row.visible}
+    fill_lists(root, result)
+    for row in lists.instances:
+        row.visible = row.instance_id not in hidden
+    if active in {row.instance_id for row in lists.instances}:
+        select_instance(root, active, layer)
+    remember(root, result.edits)
+    return result
+
+
+def remember(root: bpy.types.Collection, edits: tuple[Edit, ...]) -> None:
+    """Let the collection say which edits the scene shows."""
+    root[EDITS] = " ".join(each.uid for each in edits if not each.undone)
+
+
+def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
+    """The ids in a text such as "3 5"; without one those of the selected boxes, the active one first; else that of the
+    list's active row. Raises PlgsError."""
+    if named.strip():
+        try:
+            return [int(each) for each in named.replace(",", " ").split()]
+        except ValueError as error:
+            raise PlgsError(f"{named!r} names no objects", root.name, "Give their ids, such as 3 5.") from error
+    selected = [number for number, box in boxes_of(root).items() if box.select_get(view_layer=context.view_layer)]
+    active = context.view_layer.objects.active
+    selected.sort(key=lambda number: boxes_of(root)[number] != active)
+    return selected or [row_of(root, 0).instance_id]
+
+
+def class_named(root: bpy.types.Collection, name: str) -> int:
+    """The id of the class of this name among those of the lift. Raises PlgsError."""
+    classes = read_corrected(folder_of(root)).classes
+    for one in classes.categories:
+        if one.id and one.name.casefold() == name.strip().casefold():
+            return one.id
+    known = ", ".join(one.name for one in classes.categories if one.id)
+    raise PlgsError(f"there is no class {name!r}", root.name, f"The classes are {known}.")
+
+
+def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
+    """All classes of the lift by name. Those that the object's masks give it come first, the most frequent at the
+    top. Raises PlgsError."""
+    votes: dict[str, float] = {}
+    for row in root.plgs.instances:
+        if row.instance_id == instance:
+            for mask in row.masks:
+                votes[mask.class_name] = votes.get(mask.class_name, 0.0) + mask.score
+    names = [one.name for one in read_corrected(folder_of(root)).classes.categories if one.id]
+    return sorted(names, key=lambda name: (-votes.get(name, 0.0), name))
+
+
+def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
+    """Put an upright plane through the middle of an object's box, across its longest side, to be dragged. Raises
+    PlgsError."""
+    box = boxes_of(root).get(row_of(root, instance).instance_id)
+    if box is None:
+        raise PlgsError("its box is gone", root.name, "Show the lift's result again.")
+    owned = OwnedDataBlocks(root[LIFT], bpy.context.scene)
+    mesh = owned.data(CUT, lambda: bpy.data.meshes.new("Cut"))
+    size = [side * _CUT_LARGER / 2.0 for side in box["size"]]
+    axis = int(np.argmax(size[:2]))
+    across, up = size[1 - axis], size[2]
+    mesh.clear_geometry()
+    mesh.from_pydata([(-across, -up, 0), (across, -up, 0), (across, up, 0), (-across, up, 0)], [], [(0, 1, 2, 3)])
+    plane = owned.object(CUT, "Cut", mesh, root)
+    normal, upward = Vector((1.0 - axis, float(axis), 0.0)), Vector((0.0, 0.0, 1.0))
+    axes = Matrix((upward.cross(normal), upward, normal)).transposed().to_4x4()
+    turned = box.matrix_world.to_3x3().normalized().to_4x4()
+    plane.matrix_world = Matrix.Translation(box.matrix_world.translation) @ turned @ axes
+    plane.display_type, plane.hide_render = "WIRE", True
+    plane.show_in_front = True
+    return plane
+
+
+def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
+    """Split an object by the plane that `place_cut` placed, which is then taken away. Raises PlgsError."""
+    plane = objects_by_key(root).get(CUT)
+    if plane is None:
+        raise PlgsError("there is no cutting plane", root.name, "Press Add Cutting Plane, and drag it.")
+    normal = (plane.matrix_world.to_3x3() @ Vector((0.0, 0.0, 1.0))).normalized()
+    made = split_plane(root, instance, plane.matrix_world.translation[:], normal[:])
+    bpy.data.objects.remove(objects_by_key(root)[CUT])
+    return made
+
+
+def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
+    """Another name for an object. Raises PlgsError, OSError, as all edits here do."""
+    return edit(root, lambda state, _: making.rename(state, instance, name))
+
+
+def reclass(root: bpy.types.Collection, instances: Sequence[int], class_name: str) -> Edit:
+    """Another class for objects."""
+    class_id = class_named(root, class_name)
+    return edit(root, lambda state, _: making.reclass(state, instances, class_id))
+
+
+def merge(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
+    """Let all be the first."""
+    return edit(root, lambda state, _: making.merge(state, instances))
+
+
+def delete(root: bpy.types.Collection, instance: int, *, around: bool) -> Edit:
+    """Let an object's points be what lies around, or no object's."""
+    return edit(root, lambda state, _: making.delete(state, instance, around=around))
+
+
+def accept(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
+    """Let objects be right."""
+    return edit(root, lambda state, _: making.accept(state, instances))
+
+
+def split_parts(root: bpy.types.Collection, instance: int) -> Edit:
+    """Split an object into what is connected."""
+
+    def make(state: Replay, first_id: int) -> Edit:
+        return making.split(state, instance, making.parts_of(state.points_of(instance)), first_id)
+
+    return edit(root, make)
+
+
+def split_plane(root: bpy.types.Collection, instance: int, point: Sequence[float], normal: Sequence[float]) -> Edit:
+    """Split an object by the plane through ``point`` across ``normal``, world metres."""
+
+    def make(state: Replay, first_id: int) -> Edit:
+        return making.split(state, instance, making.sides_of(state.points_of(instance), point, normal), first_id)
+
+    return edit(root, make)
+
+
+def crop(root: bpy.types.Collection, instance: int) -> Edit:
+    """Give an object the points of its class that its box holds as it stands now."""
+    box = boxes_of(root).get(instance)
+    if box is None:
+        raise PlgsError("its box is gone", root.name, "Show the lift's result again.")
+    return edit(root, lambda state, _: making.crop(state, instance, inside_box(box, state.xyz)))
+
+
+def assign(
+    root: bpy.types.Collection, choose: Choose, instance: int, class_name: str = "", *, is_new: bool = False
+) -> Edit:
+    """Give the points that ``choose`` chooses to an object; where ``instance`` is 0 to a class, or a new object of
+    it."""
+    class_id = 0 if instance else class_named(root, class_name)
+
+    def make(state: Replay, first_id: int) -> Edit:
+        new_id = first_id if is_new else 0
+        return making.assign(state, choose(state.xyz), instance, class_id=class_id, new_id=new_id)
+
+    return edit(root, make)
+
+
+def in_region(name: str) -> Choose:
+    """Chooses the points in the box of the object of this name. Raises PlgsError."""
+    region = bpy.data.objects.get(name)
+    if region is None:
+        raise PlgsError("there is no such object", name, "Name an object whose box holds the points.")
+    return partial(inside_box, region)
+
+
+def inside_box(box: bpy.types.Object, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which points [N, 3] lie within an object's bounding box as it stands, bool [N]."""
+    corners = np.array([corner[:] for corner in box.bound_box])
+    local = np.c_[xyz, np.ones(len(xyz))] @ np.array(box.matrix_world.inverted_safe()).T
+    return ((local[:, :3] >= corners.min(axis=0)) & (local[:, :3] <= corners.max(axis=0))).all(axis=1)
+
+
+def _follow_undo(*_arguments: object) -> None:
+    """Undo and redo in the file what Blender undid or redid."""
+    failed.clear()
+    for scene in bpy.data.scenes if _mine else ():
+        for root in lifts_in(scene):
+            mine = _mine.get(str(folder_of(root)), set()) if text_of(root, FOLDER) else set()
+            if not mine:
+                continue
+            shown = set(text_of(root, EDITS).split())
+            try:
+                known = {each.uid: each.undone for each in read_edits(folder_of(root)) if each.uid in mine}
+                changed = {uid: uid not in shown for uid, undone in known.items() if undone == (uid in shown)}
+                if changed:
+                    set_undone(folder_of(root), changed)
+            except EXPECTED as error:
+                failed.append(f"The corrections could not follow: {error}")
+
+
+_after_undo = bpy.app.handlers.persistent(_follow_undo)
+
+
+def register() -> None:
+    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
+        handlers.append(_after_undo)
+
+
+def unregister() -> None:
+    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
+        if _after_undo in handlers:
+            handlers.remove(_after_undo)
+    _mine.clear()
+    failed.clear()

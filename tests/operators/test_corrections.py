@@ -1,0 +1,168 @@
+"""Correcting a lift in Blender: each edit is seen at once, undone with Blender's own undo, and kept on disk."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from plgs.engine.corrections import CORRECTIONS, read_corrected, read_edits
+from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
+from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.painting import painted
+
+CHAIR, CABINET = 1, 2
+
+
+@pytest.fixture
+def mine(lift: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(lift, tmp_path / "mine"))
+
+
+@pytest.fixture
+def root(mine: Path) -> bpy.types.Collection:
+    placed = lift_scene.place_lift(mine, bpy.context.scene)
+    bpy.context.view_layer.update()
+    return placed
+
+
+def again() -> bpy.types.Collection:
+    """The lift's collection: undo makes every reference stale."""
+    return lifts_in(bpy.context.scene)[0]
+
+
+def names(root: bpy.types.Collection) -> dict[int, str]:
+    return {row.instance_id: row.name for row in root.plgs.instances}
+
+
+def points_of(root: bpy.types.Collection, instance: int) -> int:
+    clouds = [cloud for cloud in clouds_of(root) if "class_id" in cloud]
+    return sum(int((ids_of(cloud.data, "instance_id") == instance).sum()) for cloud in clouds)
+
+
+def test_a_name_is_seen_at_once_and_kept(root: bpy.types.Collection, mine: Path) -> None:
+    assert bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne") == {"FINISHED"}
+    assert names(root)[CHAIR] == "Throne" and boxes_of(root)[CHAIR].name == "Throne"
+    lift_scene.place_lift(mine, bpy.context.scene)
+    assert names(root)[CHAIR] == "Throne" and boxes_of(root)[CHAIR].name == "Throne"
+
+
+def test_a_class_moves_points_to_its_cloud(root: bpy.types.Collection, mine: Path) -> None:
+    count = points_of(root, CHAIR)
+    other = next(row.class_name for row in root.plgs.instances if row.instance_id == CABINET)
+    bpy.ops.plgs.reclass_instances(instances=str(CHAIR), class_name=other)
+    row = next(row for row in root.plgs.instances if row.instance_id == CHAIR)
+    assert row.class_name == other and points_of(root, CHAIR) == count
+    (cloud,) = [one for one in clouds_of(root) if one.get("class") == other]
+    assert int((ids_of(cloud.data, "instance_id") == CHAIR).sum()) == count
+    assert not [one for one in clouds_of(root) if one.get("class") == "chair"]
+
+
+def test_selected_boxes_become_the_active_one(root: bpy.types.Collection) -> None:
+    total = points_of(root, CHAIR) + points_of(root, CABINET)
+    for box in boxes_of(root).values():
+        box.select_set(True)
+    bpy.context.view_layer.objects.active = boxes_of(root)[CABINET]
+    assert bpy.ops.plgs.merge_instances() == {"FINISHED"}
+    assert [*names(root)] == [CABINET] == [*boxes_of(root)] and points_of(root, CABINET) == total
+
+
+def test_deleted_and_undone_by_blenders_own_undo(root: bpy.types.Collection, mine: Path) -> None:
+    count = points_of(root, CHAIR)
+    bpy.ops.ed.undo_push(message="placed")
+    bpy.ops.plgs.delete_instance(instance=CHAIR, becomes="NO_OBJECT")
+    bpy.ops.ed.undo_push(message="deleted")
+    assert CHAIR not in boxes_of(root) and points_of(root, CHAIR) == 0
+    bpy.ops.ed.undo()
+    assert boxes_of(again())[CHAIR].name == "chair 1" and points_of(again(), CHAIR) == count
+    assert [edit.undone for edit in read_edits(mine)] == [True] and not read_corrected(mine).fingerprint
+    bpy.ops.ed.redo()
+    assert CHAIR not in boxes_of(again()) and [edit.undone for edit in read_edits(mine)] == [False]
+
+
+def test_what_others_made_is_not_undone_by_it(root: bpy.types.Collection, mine: Path) -> None:
+    bpy.ops.ed.undo_push(message="placed")
+    bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne")
+    bpy.ops.ed.undo_push(message="renamed")
+    from plgs.engine.corrections import correct, making
+
+    correct(mine, lambda state, _: making.rename(state, CABINET, "theirs"))
+    bpy.ops.ed.undo()
+    assert [(edit.name, edit.undone) for edit in read_edits(mine)] == [("Throne", True), ("theirs", False)]
+
+
+def test_undo_after_the_file_was_saved_and_opened(root: bpy.types.Collection, tmp_path: Path) -> None:
+    bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne")
+    blend = tmp_path / "file.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    assert names(again())[CHAIR] == "Throne"
+    assert bpy.ops.plgs.undo_correction() == {"FINISHED"}
+    assert names(again())[CHAIR] == "chair 1"
+    with pytest.raises(RuntimeError, match="no edit to undo"):
+        bpy.ops.plgs.undo_correction()
+
+
+def test_a_dragged_plane_splits(root: bpy.types.Collection) -> None:
+    bpy.ops.plgs.place_cut(instance=CABINET)
+    count = points_of(root, CABINET)
+    bpy.ops.plgs.split_instance(instance=CABINET, by="CUT")
+    parts = [number for number in names(root) if number not in (CHAIR, CABINET)]
+    assert len(parts) == 1 and points_of(root, CABINET) + points_of(root, parts[0]) == count
+    assert 0.2 < points_of(root, parts[0]) / count < 0.8 and "Cut" not in bpy.data.objects
+    with pytest.raises(RuntimeError, match="no cutting plane"):
+        bpy.ops.plgs.split_instance(instance=CABINET, by="CUT")
+
+
+def test_a_box_is_cropped_on_request_and_others_never_move(root: bpy.types.Collection, mine: Path) -> None:
+    box, other = boxes_of(root)[CHAIR], boxes_of(root)[CABINET]
+    other.location.x += 0.7
+    other.name = "my box"
+    box.scale.z = 0.5
+    bpy.context.view_layer.update()
+    moved = other.matrix_world.copy()
+    count = points_of(root, CHAIR)
+    assert bpy.ops.plgs.crop_instance(instance=CHAIR) == {"FINISHED"}
+    assert 0 < points_of(root, CHAIR) < count and boxes_of(root)[CHAIR].scale.z == pytest.approx(1.0)
+    lift_scene.place_lift(mine, bpy.context.scene)
+    bpy.context.view_layer.update()
+    kept = boxes_of(root)[CABINET]
+    assert kept.name == "my box" and np.allclose(kept.matrix_world, moved)
+
+
+def test_points_in_a_region_become_a_new_object(root: bpy.types.Collection) -> None:
+    region = bpy.data.objects.new("region", boxes_of(root)[CHAIR].data)
+    region.matrix_world = boxes_of(root)[CHAIR].matrix_world
+    bpy.context.collection.objects.link(region)
+    bpy.context.view_layer.update()
+    bpy.ops.plgs.assign_points(to="NEW", class_name="cabinet", region="region")
+    (new,) = [row for row in root.plgs.instances if row.instance_id not in (CHAIR, CABINET)]
+    assert new.class_name == "cabinet" and points_of(root, new.instance_id) > 0
+
+
+def test_what_cannot_be_done_is_a_line(root: bpy.types.Collection, mine: Path) -> None:
+    calls = [
+        (lambda: bpy.ops.plgs.rename_instance(instance=77, name="x"), "no instance 77"),
+        (lambda: bpy.ops.plgs.reclass_instances(instances="1", class_name="ghost"), "no class 'ghost'"),
+        (lambda: bpy.ops.plgs.merge_instances(instances="1"), "merged with itself"),
+        (lambda: bpy.ops.plgs.merge_instances(instances="a b"), "names no objects"),
+        (lambda: bpy.ops.plgs.assign_points(to="CLASS", class_name="chair", region="none"), "no such object"),
+    ]
+    for call, line in calls:
+        with pytest.raises(RuntimeError, match=line):
+            call()
+    assert not (mine / CORRECTIONS).exists()
+    (mine / CORRECTIONS).write_text(json.dumps({"format": 9, "edits": []}))
+    with pytest.raises(RuntimeError, match="has format 9"):
+        bpy.ops.plgs.rename_instance(instance=CHAIR, name="x")
+
+
+def test_the_brush_takes_what_is_in_front() -> None:
+    near, far = np.array([[0.0, 0.0, -1.0], [0.02, 0.0, -1.0], [0.9, 0.0, -1.0]]), np.array([[0.0, 0.0, -3.0]])
+    to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
+    chosen = painted(np.concatenate([near, far]).astype(np.float32), to_view, (200, 100), [(100.0, 50.0)], 10.0)
+    assert chosen.tolist() == [True, True, False, False]

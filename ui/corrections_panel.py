@@ -1,0 +1,43 @@
+"""Correct: what mends the objects of a lift, under its list."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..plgs_blender import corrections
+from ..plgs_blender.inspecting.lookup import active_lift
+from .result_panel import OfResult
+from .sidebar import from_panel, tell
+
+
+class PLGS_PT_corrections(OfResult, bpy.types.Panel):
+    bl_idname, bl_label = "PLGS_PT_corrections", "Correct"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = from_panel(self.layout.column(), context)
+        for line in corrections.failed:
+            tell(layout, context, line, "ERROR")
+        column = layout.column(align=True)
+        row = column.row(align=True)
+        row.operator("plgs.rename_instance", text="Rename", icon="GREASEPENCIL")
+        row.operator("plgs.reclass_instances", icon="TAG")
+        row = column.row(align=True)
+        row.operator("plgs.merge_instances", icon="AUTOMERGE_ON")
+        row.operator("plgs.delete_instance", text="Delete", icon="TRASH").becomes = "AROUND"
+        row = layout.row(align=True)
+        row.operator("plgs.split_instance", text="Split Parts", icon="MOD_EXPLODE").by = "PARTS"
+        row.operator("plgs.place_cut", text="Add Plane", icon="MESH_PLANE")
+        row.operator("plgs.split_instance", text="Split", icon="MOD_BOOLEAN").by = "CUT"
+        row = layout.row(align=True)
+        row.operator("plgs.assign_points", icon="BRUSH_DATA").to = "INSTANCE"
+        row.operator("plgs.crop_instance", icon="CUBE")
+        row = layout.row(align=True)
+        row.operator("plgs.accept_instances", icon="CHECKMARK")
+        row.operator("plgs.undo_correction", text="Undo Last", icon="LOOP_BACK")
+        root = active_lift(context.scene, context.active_object)
+        if root is not None:
+            shown = len(str(root.get(corrections.EDITS, "")).split())
+            layout.label(text=f"{shown} corrections; bake again to see them in passes" if shown else "No corrections")
+
+
+CLASSES = (PLGS_PT_corrections,)
