@@ -6,12 +6,14 @@ from typing import Any
 
 import bpy
 import numpy as np
-from bpy.props import EnumProperty, FloatVectorProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProperty, StringProperty
 
 from ..plgs_blender import corrections
 from ..plgs_blender.errors import EXPECTED, PlgsError
+from ..plgs_blender.inspecting import selection, views
 from ..plgs_blender.inspecting.lookup import chosen_row, find_lift, row_of
 from ..plgs_blender.painting import painted
+from ..plgs_blender.viewport import view_of
 from .base import CANCELLED, FINISHED, PASSED_ON, RUNNING, reporting, reporting_events
 from .inspect import OnInstance, OnLift
 
@@ -271,7 +273,59 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         corrections.assign(root, choose, number, self.class_name, is_new=self.to == "NEW")
 
 
+class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
+    """Look for objects that are perhaps wrong: views disagree on the class, parts do not touch, few frames saw it"""
+
+    bl_idname, bl_label, bl_options = "plgs.propose_corrections", "What May Be Wrong?", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        found = corrections.propose(self.root(context))
+        self.report({"INFO"}, f"{len(found.open)} proposals, {found.progress}")
+        return FINISHED
+
+
+class OnProposal(OnLift):
+    """An operator on what is proposed for an instance."""
+
+    instance: IntProperty(  # type: ignore[valid-type]
+        name="Instance", min=0, options={"SKIP_SAVE"}, description="Id of the instance; 0: the most doubtful"
+    )
+
+
+class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
+    """Select the object, and look at it from the frame that sees it best"""
+
+    bl_idname, bl_label, bl_options = "plgs.go_to_proposal", "Look at It", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        one = corrections.proposal_of(root, self.instance)
+        selection.select_instance(root, one.instance, context.view_layer)
+        if one.frame:
+            views.look_from_frame(root, one.frame, context.scene, view_of(context)[0])
+        self.report({"INFO"}, f"{one.name}: {one.reason}")
+        return FINISHED
+
+
+class PLGS_OT_answer_proposal(OnProposal, bpy.types.Operator):
+    """Do what is proposed, or keep the object as it is"""
+
+    bl_idname, bl_label, bl_options = "plgs.answer_proposal", "Answer", _UNDOABLE
+
+    keep: BoolProperty(name="Keep", options={"SKIP_SAVE"}, description="It is right as it is")  # type: ignore[valid-type]
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        corrections.answer(self.root(context), self.instance, keep=self.keep)
+        return FINISHED
+
+
 CLASSES = (
+    PLGS_OT_propose_corrections,
+    PLGS_OT_go_to_proposal,
+    PLGS_OT_answer_proposal,
     PLGS_OT_rename_instance,
     PLGS_OT_reclass_instances,
     PLGS_OT_merge_instances,

@@ -6,7 +6,9 @@ handlers here tell the file. Edits of other programs are never touched by that.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +17,19 @@ import numpy as np
 from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
-from ..engine.corrections import CorrectedResult, Edit, correct, making, read_corrected, read_edits, set_undone, undo
+from ..engine.corrections import (
+    CorrectedResult,
+    Edit,
+    Proposal,
+    Proposals,
+    correct,
+    making,
+    proposals_of,
+    read_corrected,
+    read_edits,
+    set_undone,
+    undo,
+)
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
 from .boxes import INSTANCE, place_boxes
@@ -31,6 +45,8 @@ from .surfaces import SurfaceGrid
 
 EDITS = "plgs_edits"
 """Property of a lift's collection: the uids of the edits that the scene shows, in one text."""
+PROPOSALS = "plgs_proposals"
+"""Property of a lift's collection: what may be wrong with it, JSON."""
 CUT = "cut"
 """Key of the plane that splits an object."""
 _CUT_LARGER = 1.2
@@ -92,7 +108,52 @@ def show_corrections(root: bpy.types.Collection) -> CorrectedResult:
     if active in {row.instance_id for row in lists.instances}:
         select_instance(root, active, layer)
     remember(root, result.edits)
+    if text_of(root, PROPOSALS):
+        _keep_proposals(root, result)
     return result
+
+
+def propose(root: bpy.types.Collection) -> Proposals:
+    """Look for what may be wrong with a placed lift, and keep it for the panel. Raises PlgsError."""
+    return _keep_proposals(root, read_corrected(folder_of(root)))
+
+
+def _keep_proposals(root: bpy.types.Collection, result: CorrectedResult) -> Proposals:
+    found = proposals_of(result)
+    root[PROPOSALS] = json.dumps({"open": [asdict(one) for one in found.open], "progress": found.progress})
+    return found
+
+
+def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
+    """What `propose` found, less what was answered since, and how far the user is; without it, an empty text."""
+    try:
+        content = json.loads(text_of(root, PROPOSALS) or "{}")
+        return [Proposal(**one) for one in content.get("open", ())], str(content.get("progress", ""))
+    except (ValueError, TypeError, AttributeError):  # a file may come from somebody else
+        return [], ""
+
+
+def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
+    """The proposal for an object, the most doubtful one where ``instance`` is 0. Raises PlgsError."""
+    for one in kept_proposals(root)[0]:
+        if instance in (0, one.instance):
+            return one
+    raise PlgsError("nothing is proposed", root.name, "Press What May Be Wrong?, or look at another object.")
+
+
+def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
+    """Do what is proposed for an object, or accept the object as it is. Raises PlgsError, OSError."""
+    one = proposal_of(root, instance)
+    if keep:
+        return accept(root, [one.instance])
+    match one.answer:
+        case "reclass":
+            return edit(root, lambda state, _: making.reclass(state, [one.instance], one.class_id))
+        case "merge":
+            return merge(root, [one.other, one.instance])
+        case "split":
+            return split_parts(root, one.instance)
+    return delete(root, one.instance, around=True)
 
 
 def remember(root: bpy.types.Collection, edits: tuple[Edit, ...]) -> None:

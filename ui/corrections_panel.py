@@ -9,12 +9,19 @@ from ..plgs_blender.inspecting.lookup import active_lift
 from .result_panel import OfResult
 from .sidebar import from_panel, tell
 
+_SHOWN = 4
+"""Proposals that the panel shows at a time."""
+
 
 class PLGS_PT_corrections(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_corrections", "Correct"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = from_panel(self.layout.column(), context)
+        layout = self.layout.column()
+        root = active_lift(context.scene, context.active_object)
+        if root is not None:
+            _draw_proposals(layout, root)
+        layout = from_panel(layout.column(), context)
         for line in corrections.failed:
             tell(layout, context, line, "ERROR")
         column = layout.column(align=True)
@@ -34,10 +41,23 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("plgs.accept_instances", icon="CHECKMARK")
         row.operator("plgs.undo_correction", text="Undo Last", icon="LOOP_BACK")
-        root = active_lift(context.scene, context.active_object)
         if root is not None:
             shown = len(str(root.get(corrections.EDITS, "")).split())
             layout.label(text=f"{shown} corrections; bake again to see them in passes" if shown else "No corrections")
+
+
+def _draw_proposals(layout: bpy.types.UILayout, root: bpy.types.Collection) -> None:
+    """The most doubtful objects, each with its reason and its one-press answers."""
+    proposals, progress = corrections.kept_proposals(root)
+    layout.operator("plgs.propose_corrections", text=progress or "What May Be Wrong?", icon="VIEWZOOM")
+    for one in proposals[:_SHOWN]:
+        box = layout.box().column(align=True)
+        look = box.operator("plgs.go_to_proposal", text=f"{one.name}: {one.reason}", emboss=False)
+        row = box.row(align=True)
+        do = row.operator("plgs.answer_proposal", text=one.answer.capitalize())
+        keep = row.operator("plgs.answer_proposal", text="Keep")
+        look.instance = do.instance = keep.instance = one.instance
+        keep.keep = True
 
 
 CLASSES = (PLGS_PT_corrections,)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,19 +51,26 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
     accept.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
     undo = known.add_parser("undo", help="undo the last edit")
     listed = known.add_parser("list", help="the objects as they are corrected, and all edits")
-    for each in (rename, reclass, merge, delete, split, accept, undo, listed):
+    proposed = known.add_parser("propose", help="what may be wrong, the most doubtful first, and how far you are")
+    for each in (rename, reclass, merge, delete, split, accept, undo, listed, proposed):
         make_task(each, correct)
 
 
 def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make the edit, and answer with it; or list what there is."""
-    from ..corrections import correct, read_corrected, undo
+    from ..corrections import correct, proposals_of, read_corrected, undo
 
     folder = LiftFolder.open(options.lift)
     read_manifest(folder.result_path)
     if options.edit == "list":
         corrected = read_corrected(folder.path)
         events.answer(_content(corrected), _listing(corrected))
+        return
+    if options.edit == "propose":
+        found = proposals_of(read_corrected(folder.path))
+        lines = [f"{one.instance:5}  {one.name}: {one.reason}; {one.answer}? ({one.frame})" for one in found.open]
+        answer = {"looked_at": found.looked_at, "all": found.all, "open": [asdict(one) for one in found.open]}
+        events.answer(answer, "\n".join([*lines, found.progress]))
         return
     edit = undo(folder.path) if options.edit == "undo" else correct(folder.path, partial(_edit, options))
     corrected = read_corrected(folder.path)

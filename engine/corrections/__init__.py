@@ -10,15 +10,19 @@ from __future__ import annotations
 from . import making
 from .edits import CORRECTIONS, Edit
 from .file import editing, read_edits
+from .proposals import Proposal, Proposals, proposals_of
 from .result import CorrectedResult, correct, read_corrected, set_undone, undo
 
 __all__ = [
     "CORRECTIONS",
     "CorrectedResult",
     "Edit",
+    "Proposal",
+    "Proposals",
     "correct",
     "editing",
     "making",
+    "proposals_of",
     "read_corrected",
     "read_edits",
     "set_undone",

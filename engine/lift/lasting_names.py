@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..corrections import Edit, editing, read_corrected, read_edits
 from ..errors import PlgsError
 from ..instances.lasting_objects import LastingObjects, lasting_objects, object_overlap
 from ..instances.matching import GlobalInstance
@@ -36,7 +37,8 @@ _FIX = "Name another finished lift with --names-from, or none."
 @dataclass(frozen=True, eq=False)
 class EarlierLift:
     """``names`` and ``class_names`` by instance id; points ``xyz`` float32 [N, 3] in metres with ``instance_id`` int32
-    [N] (0 = none). ``largest_id`` and ``last_numbers`` (by class name) count the lifts before it, too."""
+    [N] (0 = none). ``largest_id`` and ``last_numbers`` (by class name) count the lifts before it, too. ``edits``
+    are its corrections."""
 
     folder: Path
     names: Mapping[int, str]
@@ -45,6 +47,7 @@ class EarlierLift:
     instance_id: NDArray[np.int32]
     largest_id: int
     last_numbers: Mapping[str, int]
+    edits: tuple[Edit, ...] = ()
 
 
 def read_earlier(folder: Path) -> EarlierLift:
@@ -57,14 +60,16 @@ def read_earlier(folder: Path) -> EarlierLift:
         points = read_arrays(result / SEMANTIC_POINTS, SemanticPoints)
         history: Any = read_object(result / NAMES, _FIX) if (result / NAMES).exists() else {}
         numbers = {str(kind): int(number) for kind, number in history.get("last_numbers", {}).items()}
-        largest = max([int(history.get("largest_id", 0)), *(one.id for one in listed)])
+        edits = read_edits(lift.path)
+        ids = [*(one.id for one in listed), *(edit.largest_id for edit in edits)]
+        largest = max([int(history.get("largest_id", 0)), *ids])
     except (PlgsError, OSError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         what = f"the names of the earlier lift cannot be read ({error})"
         raise PlgsError(what, result, _FIX, option="--names-from") from error
     for one in listed:
         numbers[one.class_name] = max(numbers.get(one.class_name, 0), _number(one.name, one.class_name))
     names, class_names = {one.id: one.name for one in listed}, {one.id: one.class_name for one in listed}
-    return EarlierLift(lift.path, names, class_names, points.xyz, points.instance_id, largest, numbers)
+    return EarlierLift(lift.path, names, class_names, points.xyz, points.instance_id, largest, numbers, edits)
 
 
 @dataclass(frozen=True)
@@ -163,6 +168,19 @@ def write_names(folder: LiftFolder, lasting: LastingNames, events: EventWriter) 
             log.info("%s: %s", kind, ", ".join(f"{key} {value}" for key, value in one.items()))
     if not counts["kept"] and lasting.changes["gone"]:
         events.warning("no object is where one of the earlier lift was: was it lifted from the same scene?")
+
+
+def take_over_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:
+    """Add the earlier lift's corrections to this one's, whose objects have the ids of the earlier ones now. Those that
+    cannot be applied are kept, and told. Raises PlgsError for corrections that cannot be read, OSError."""
+    with editing(folder.path) as edits:
+        known = {edit.uid for edit in edits}
+        edits += [edit for edit in earlier.edits if not edit.undone and edit.uid not in known]
+    corrected = read_corrected(folder.path)
+    applied = sum(not edit.undone and edit.uid not in corrected.told for edit in corrected.edits)
+    told = f"{applied} corrections of the earlier lift hold here; passes show them when they are baked again"
+    for line in (*corrected.warnings, told):
+        events.warning(line)
 
 
 def _number(name: str, kind: str) -> int:

@@ -41,7 +41,7 @@ from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .device import be_repeatable, refuse_missing_device
-from .lasting_names import keep_names, read_earlier, write_names
+from .lasting_names import keep_names, read_earlier, take_over_edits, write_names
 from .live_previews import LivePreviews
 from .method import Method, method_in_use
 from .scene_files import instance_names, shown_instances, write_scene_files
@@ -130,6 +130,8 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method:
             names = lasting.names
             write_names(folder, lasting, events)
         write_scene_files(folder, scene, views, prepared, trainer.scene, events, names)
+        if earlier is not None and earlier.edits:
+            take_over_edits(folder, earlier, events)
     baker = FrameBaker(scene.classes, trainer.scene, shown_instances(prepared, names))
     wanted = frames_to_bake(whole, request.bake)
     bake_and_evaluate(folder, scene, baker, wanted, views, preset.size, events, stages)

@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.corrections import correct, making, read_corrected, read_edits, undo
 from engine.errors import PlgsError
 from engine.instances.matching import GlobalInstance
 from engine.instances.oriented_box import fit_box
-from engine.job import LiftFolder, LiftRequest, read_manifest, write_manifest
-from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier
+from engine.job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_manifest
+from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier, take_over_edits
 from engine.passes.exr import read_exr
 from engine.scene import Category, ClassTable, open_scene
+from tests.corrections.two_rooms import CRUMB, DESK, write_result
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
 
@@ -118,3 +120,26 @@ def test_what_is_no_finished_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFo
     other = LiftFolder.create(tmp_path / "begun", LiftRequest(scene=lifts[0].request.scene))
     with pytest.raises(PlgsError, match="not finished"):
         read_earlier(other.path)
+
+
+def test_corrections_are_taken_over_and_what_is_gone_is_told(tmp_path: Path) -> None:
+    folders = [LiftFolder.create(tmp_path / name, LiftRequest(scene=tmp_path)) for name in ("old", "new")]
+    for folder, (shift, without) in zip(folders, [(0.0, 0), (0.011, CRUMB)], strict=True):
+        write_result(folder.path, shift, without)
+        write_manifest(folder.result_path, versions={}, seed=0, settings={}, timings={})
+    old, new = folders
+    correct(old.path, lambda state, _: making.rename(state, DESK, "desk"))
+    correct(old.path, lambda state, free: making.split(state, 1, making.parts_of(state.points_of(1)), free))
+    correct(old.path, lambda state, _: making.delete(state, CRUMB))
+    correct(old.path, lambda state, _: making.rename(state, 1, "undone"))
+    undo(old.path)
+    earlier = read_earlier(old.path)
+    assert earlier.largest_id == 4  # no object of the next lift gets the id of a part
+    events = EventWriter(new.events_path)
+    for _ in range(2):  # a lift that is resumed does it again
+        take_over_edits(new, earlier, events)
+    events.close()
+    assert [edit.kind for edit in read_edits(new.path)] == ["rename", "split", "delete"]
+    assert {one.id: one.name for one in read_corrected(new.path).instances} == {1: "chair 1", 2: "desk", 4: "chair 2"}
+    warned = [json.loads(line)["message"] for line in new.events_path.read_text().splitlines()]
+    assert "there is no object 3" in warned[0] and "2 corrections" in warned[1]

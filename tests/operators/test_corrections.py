@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 from plgs.engine.corrections import CORRECTIONS, read_corrected, read_edits
-from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender import corrections, lift_scene
 from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.painting import painted
@@ -166,3 +166,24 @@ def test_the_brush_takes_what_is_in_front() -> None:
     to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
     chosen = painted(np.concatenate([near, far]).astype(np.float32), to_view, (200, 100), [(100.0, 50.0)], 10.0)
     assert chosen.tolist() == [True, True, False, False]
+
+
+def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Path) -> None:
+    content = json.loads((mine / "result" / "instances.json").read_text())
+    for segment in content["instances"][1]["segments"]:
+        segment["class_id"] = content["instances"][0]["class_id"]
+    (mine / "result" / "instances.json").write_text(json.dumps(content))
+    with pytest.raises(RuntimeError, match="nothing is proposed"):
+        bpy.ops.plgs.answer_proposal()
+    assert bpy.ops.plgs.propose_corrections() == {"FINISHED"}
+    (one,), progress = corrections.kept_proposals(root)
+    assert (one.instance, one.answer, progress) == (CABINET, "reclass", "0 of 2 looked at")
+    assert bpy.ops.plgs.go_to_proposal() == {"FINISHED"}
+    assert bpy.context.view_layer.objects.active == boxes_of(root)[CABINET]
+    bpy.ops.plgs.answer_proposal(instance=CABINET)
+    assert {row.class_name for row in root.plgs.instances} == {"chair"}
+    assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
+    bpy.ops.plgs.undo_correction()
+    bpy.ops.plgs.answer_proposal(keep=True)
+    assert [row.class_name for row in root.plgs.instances] == ["chair", "cabinet"]
+    assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")

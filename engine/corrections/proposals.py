@@ -1,0 +1,99 @@
+"""What may be wrong with a lift: its objects, the most doubtful first, each with a reason and an answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..result_files import Instance
+from .making import parts_of
+from .result import CorrectedResult
+
+LEAST_DOUBT = 0.15
+"""Doubt below which nothing is proposed."""
+FEW_VIEWS = 3
+"""Frames: an object that fewer saw is perhaps none."""
+CRUMB = 60
+"""Points below which an object is perhaps a crumb."""
+TOUCHING = 0.1
+"""Metres between two objects of a class that may be one."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """``doubt`` in (0, 1]. ``answer`` is the edit that would mend it: reclass (to ``class_id``), split,
+    delete, or merge (with ``other``). ``frame`` shows it best, empty where no mask does."""
+
+    instance: int
+    name: str
+    doubt: float
+    reason: str
+    answer: str
+    class_id: int = 0
+    other: int = 0
+    frame: str = ""
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """The ``open`` ones, worst first, and how many of all objects were ``looked_at``: corrected or accepted."""
+
+    open: tuple[Proposal, ...]
+    looked_at: int
+    all: int
+
+    @property
+    def progress(self) -> str:
+        return f"{self.looked_at} of {self.all} looked at"
+
+
+def proposals_of(corrected: CorrectedResult) -> Proposals:
+    """At most one proposal an object, the most doubtful; none for those that an edit speaks of."""
+    known = {one.id for one in corrected.instances}
+    edits = [edit for edit in corrected.edits if not edit.undone and edit.uid not in corrected.told]
+    looked_at = {one.id for edit in edits for one in (*edit.objects, *edit.made)}
+    doubts = [_doubts(corrected, one) for one in corrected.instances if one.id not in looked_at]
+    found = [max(each, key=lambda proposal: proposal.doubt) for each in doubts if each]
+    worst = sorted(found, key=lambda each: (-each.doubt, each.instance))
+    total = len({one.id for one in corrected.made} | looked_at)
+    left = len(known - looked_at)
+    return Proposals(tuple(worst), total - left, total)
+
+
+def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
+    """All that may be wrong with an object."""
+    best = max(one.segments, key=lambda segment: segment.share, default=None)
+    frame, found = best.frame if best else "", []
+
+    def propose(doubt: float, reason: str, answer: str, class_id: int = 0, other: int = 0) -> None:
+        if doubt >= LEAST_DOUBT:
+            found.append(Proposal(one.id, one.name, min(doubt, 1.0), reason, answer, class_id, other, frame))
+
+    votes: dict[int, float] = {}
+    for segment in one.segments:
+        votes[segment.class_id] = votes.get(segment.class_id, 0.0) + segment.score
+    rivals = {kind: vote for kind, vote in votes.items() if kind != one.class_id and kind in corrected.classes}
+    if rivals:
+        kind = max(rivals, key=lambda each: rivals[each])
+        share = rivals[kind] / max(sum(votes.values()), 1e-9)
+        reason = f"{100 * share:.0f} % of its masks say {corrected.classes[kind].name}"
+        propose(2.0 * share, reason, "reclass", class_id=kind)
+    xyz = corrected.points.xyz[corrected.points.instance_id == one.id]
+    sizes = np.bincount(parts_of(xyz))
+    if len(sizes) > 1:
+        propose(2.0 * float(1 - sizes[0] / len(xyz)), f"it is {len(sizes)} parts that do not touch", "split")
+    if one.views < FEW_VIEWS:
+        propose(0.6 / max(one.views, 1), f"only {one.views} frames saw it", "delete")
+    if len(xyz) < CRUMB:
+        propose(0.7 * (1 - len(xyz) / CRUMB), f"it has only {len(xyz)} points", "delete")
+    for other in corrected.instances:
+        if other.class_id == one.class_id and other.id < one.id and (gap := _gap(one, other)) < TOUCHING:
+            propose(0.5 * (1 - gap / TOUCHING), f"it touches {other.name}", "merge", other=other.id)
+    return found
+
+
+def _gap(one: Instance, other: Instance) -> float:
+    """Metres between two boxes along the axis on which they are farthest apart, as if they stood upright."""
+    apart = np.abs(np.subtract(one.centre, other.centre)) - (np.array(one.size) + np.array(other.size)) / 2
+    return float(apart.max())
