@@ -52,7 +52,7 @@ def proposals_of(corrected: CorrectedResult) -> Proposals:
     """At most one proposal an object, the most doubtful; none for those that an edit speaks of."""
     known = {one.id for one in corrected.instances}
     edits = [edit for edit in corrected.edits if not edit.undone and edit.uid not in corrected.told]
-    looked_at = {one.id for edit in edits for one in (*edit.objects, *edit.made)}
+    looked_at = {mark.id for edit in edits for mark in edit.objects} | {new.id for edit in edits for new in edit.made}
     doubts = [_doubts(corrected, one) for one in corrected.instances if one.id not in looked_at]
     found = [max(each, key=lambda proposal: proposal.doubt) for each in doubts if each]
     worst = sorted(found, key=lambda each: (-each.doubt, each.instance))
