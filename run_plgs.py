@@ -52,7 +52,7 @@ load_package()
 # ruff: noqa: E402 - what follows is found only now
 from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
-from plgs.engine.job import LiftFolder, LiftRequest, read_manifest
+from plgs.engine.job import FURTHER_LAYERS, LiftFolder, LiftRequest, read_manifest
 from plgs.engine.job.options import add_lift_options, given_lift_options, readable
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
 from plgs.engine.job.report import made_files, metrics_text, read_metrics
@@ -111,6 +111,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--range", dest="camera_frames", type=frame_range, default=(None, None, None), metavar="FIRST-LAST[xSTEP]",
         help="such as 1-250 or 1-250x2 (default: the file's range)",
     )  # fmt: skip
+    shot.add_argument(
+        "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
+        help=f"layers beside those that are always there: {', '.join(FURTHER_LAYERS)}",
+    )  # fmt: skip
     parser.add_argument("--save", type=Path, metavar="FILE.blend", help="the .blend (default: OUT/lift.blend)")
     parser.add_argument(
         "--resume",
@@ -126,8 +130,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             parser.error(f"without SCENE nothing is lifted: leave out {', '.join(given)}, or name SCENE")
     elif options.scene is None:
         parser.error("SCENE is needed, unless --bake camera bakes from a lift that is finished")
-    elif options.blend or options.camera or options.camera_frames != (None, None, None):
-        parser.error("--blend, --camera and --range belong to --bake camera")
+    elif options.blend or options.camera or options.layers or options.camera_frames != (None, None, None):
+        parser.error("--blend, --camera, --range and --layers belong to --bake camera")
     return options
 
 
@@ -191,7 +195,8 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
 
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)
-    code = bake_shot_in_terminal(lift, options.blend or blend, options.camera, options.camera_frames, interrupts)
+    shot = options.camera, options.camera_frames, options.layers
+    code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts)
     if code != ExitCode.FINISHED:
         return code
     return build_blend(lift, blend) if options.blend is None else code

@@ -9,7 +9,7 @@ import difflib
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -182,10 +182,11 @@ def bake_shot_in_terminal(
     blend: Path,
     camera: str,
     frames: tuple[int | None, int | None, int | None],
+    layers: Sequence[str],
     interrupts: Interrupts,
 ) -> ExitCode:
     """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (first, last, step; None: the file's),
-    with progress on stderr. The file is only read.
+    with these of FURTHER_LAYERS and progress on stderr. The file is only read.
 
     Raises PlgsError, and Interrupted after Ctrl-C, when the engine has ended.
     """
@@ -193,7 +194,7 @@ def bake_shot_in_terminal(
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
     cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames))
     with interrupts.deferred():
-        follower = start_bake(lift, python, cameras=cameras)
+        follower = start_bake(lift, python, cameras=cameras, layers=layers)
         follow(follower, interrupts, LiveLine(sys.stderr))
     if follower.error is not None:
         print(f"error: {follower.error}", file=sys.stderr)

@@ -63,7 +63,10 @@ def bake(options: argparse.Namespace) -> ExitCode:
         read_cameras(options.cameras)  # what is wrong is said at once, not after the model was read
     place = None if options.events is None else TaskPlace.at(options.events)
     pipe = _parent_pipe(options, folder)
-    return run_bake(folder, frames, cameras=options.cameras, parent_pipe=pipe, place=place)
+    return run_bake(
+        folder, frames, cameras=options.cameras, layers=options.layers, output=options.output, parent_pipe=pipe,
+        place=place,
+    )  # fmt: skip
 
 
 def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:

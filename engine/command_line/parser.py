@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .. import __version__
-from ..job import EventWriter, StopSignal
+from ..job import FURTHER_LAYERS, EventWriter, StopSignal
 from ..job.options import (
     add_capture_options,
     add_lift_options,
@@ -70,7 +70,8 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         '"K": [[1500, 0, 960], [0, 1500, 540], [0, 0, 1]], "camera_to_world": [[..], [..], [..], [0, 0, 0, 1]], '
         '"clip": [0.1, 100]}: OpenCV axes (x right, y down, z forward) in the lift\'s world in metres, z up, pixels '
         "with their centres at +0.5. In place of K there may be fx, fy, cx and cy; clip may be left out. The passes go "
-        "to result/passes/NAME.exr. A view is baked anew where its camera has changed."
+        "to result/passes/NAME.exr, or to FOLDER/NAME.exr. A view is baked anew where its camera has changed, or where "
+        "it lacks a chosen layer."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument(
@@ -78,6 +79,14 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         help="names of frames, test (those held out), or all (default, without --cameras)",
     )  # fmt: skip
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")
+    parser.add_argument(
+        "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
+        help=f"layers beside those that are always there: {', '.join(FURTHER_LAYERS)}",
+    )  # fmt: skip
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER",
+        help="write FOLDER/NAME.exr, and leave the lift's result as it is (default: into the result)",
+    )  # fmt: skip
     _add_place_options(parser)
     parser.set_defaults(run=commands.bake)
 

@@ -67,11 +67,13 @@ def run_bake(
     frames: Sequence[str] | None,
     *,
     cameras: Path | None = None,
+    layers: Sequence[str] = (),
+    output: Path | None = None,
     parent_pipe: int | None = None,
     place: TaskPlace | None = None,
 ) -> ExitCode:
     """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras of a file, and return how it
-    ended.
+    ended. ``layers`` and ``output`` are those of ``BakeOptions``.
 
     Whatever happens, the lift stays finished and earlier passes stay. Where another process bakes already, this one
     bakes beside it: with events in ``place`` or, when nobody follows it (no ``parent_pipe``), in a folder of its own
@@ -79,12 +81,13 @@ def run_bake(
     """
 
     def work(events: EventWriter, stop: StopSignal) -> None:
-        from ..lift import bake_cameras, bake_frames  # late, as in `_run_lift`
+        from ..lift import BakeOptions, bake_cameras, bake_frames  # late, as in `_run_lift`
 
+        options = BakeOptions(tuple(layers), output)
         if cameras is not None:
-            bake_cameras(folder, cameras, events, stop)
+            bake_cameras(folder, cameras, events, stop, options)
         if frames is not None:
-            bake_frames(folder, frames, events, stop)
+            bake_frames(folder, frames, events, stop, options)
 
     task = Task(
         BAKE,

@@ -53,7 +53,7 @@ def write_coco(
         write_atomically(folder / "panoptic" / f"{name}.png", png_bytes(colours))
         height, width = ids.shape
         images.append({"id": number, "file_name": f"{name}.png", "width": width, "height": height})
-        segments = _segments(ids)
+        segments = _segments(ids, classes.thing_ids)
         annotations.append({"image_id": number, "file_name": f"{name}.png", "segments_info": segments})
     categories = [
         {"id": c.id, "name": c.name, "isthing": int(c.is_thing), "color": list(c.colour)} for c in classes.categories
@@ -62,15 +62,17 @@ def write_coco(
     write_atomically(folder / "panoptic.json", json.dumps(content, ensure_ascii=False) + "\n")
 
 
-def _segments(ids: NDArray[np.int32]) -> list[dict[str, object]]:
-    """The segments of one view in ascending order of id, with area and bounding box (x, y, width, height)."""
+def _segments(ids: NDArray[np.int32], thing_ids: frozenset[int]) -> list[dict[str, object]]:
+    """The segments of one view in ascending order of id, with area and bounding box (x, y, width, height). Things that
+    no object owns are a crowd."""
     segments: list[dict[str, object]] = []
     for segment in np.unique(ids[ids > 0]).tolist():
         rows, columns = np.nonzero(ids == segment)
         left, top = int(columns.min()), int(rows.min())
         box = [left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1]
         category = segment // MOST_COCO_IDS
-        segments.append({"id": segment, "category_id": category, "area": len(rows), "bbox": box, "iscrowd": 0})
+        crowd = int(category in thing_ids and not segment % MOST_COCO_IDS)
+        segments.append({"id": segment, "category_id": category, "area": len(rows), "bbox": box, "iscrowd": crowd})
     return segments
 
 

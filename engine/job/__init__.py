@@ -22,11 +22,12 @@ from .manifest import (
     verify_lifted,
     write_manifest,
 )
-from .request import BAKES, LiftRequest
+from .request import BAKES, FURTHER_LAYERS, LiftRequest
 from .stop import StopSignal, Watchdog
 
 __all__ = [
     "BAKES",
+    "FURTHER_LAYERS",
     "UPS",
     "BakeCamera",
     "BakeLocks",

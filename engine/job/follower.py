@@ -254,14 +254,17 @@ def start_bake(
     frames: Sequence[str] = (),
     *,
     cameras: Path | None = None,
+    layers: Sequence[str] = (),
     stays_with_parent: bool = True,
 ) -> TaskFollower:
     """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` of a
-    file. Where another process bakes already it does so beside it, with events of its own. Raises PlgsError, OSError.
+    file, with these of FURTHER_LAYERS. Where another process bakes already it does so beside it, with events of its
+    own. Raises PlgsError, OSError.
     """
     command = [*engine_call(python), "bake", lift.path]
     command += [] if cameras is None else ["--cameras", cameras]
     command += ["--frames", *frames] if frames else []
+    command += ["--layers", *layers] if layers else []
     place = lift.place
     if lift.is_running:
         (lift.path / "bake").mkdir(exist_ok=True)

@@ -18,6 +18,9 @@ FORMAT = 1
 PresetName = Literal["preview", "standard", "paper"]
 Bake = Literal["test", "all", "none"]
 Device = Literal["cpu", "cuda"]
+FURTHER_LAYERS = ("normal", "position")
+"""Layers of the passes that are written where they are chosen. Both follow from the depth, and take as much as the
+colour, or more."""
 BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
 _KEYS = {

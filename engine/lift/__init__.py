@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .bake_more import bake_cameras, bake_frames
+from .bake_more import BakeOptions, bake_cameras, bake_frames
 from .run import run_lift
 from .warm_up import warm_up
 
-__all__ = ["bake_cameras", "bake_frames", "run_lift", "warm_up"]
+__all__ = ["BakeOptions", "bake_cameras", "bake_frames", "run_lift", "warm_up"]

@@ -1,10 +1,13 @@
 """Passes of more views of a finished lift: of its frames, bit for bit as a lift that bakes them writes them, and of any
-camera. Several processes may bake one lift at once; each view is baked by one of them."""
+camera. Several processes may bake one lift at once; each view is baked by one of them.
+
+They become part of the result, or go into a folder of their own, where they belong to nobody's manifest.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,16 +29,29 @@ from ..job import (
 )
 from ..job.cameras import refuse_equal_names
 from ..model.rendering import ClipRange
-from ..passes.exr import read_note
+from ..passes.exr import further_layers, read_note, write_exr
 from ..scene import Camera, Frame, Scene, open_asked
 from ..train.progress import StageReporter
-from .baking import CORRECTIONS_NOTE, baked_files, read_baker
+from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, read_baker
+from .scene_files import MODEL
 
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
 KEEP_EVERY_S = 20.0
 """Seconds between two times that baked views are taken into the manifest: the most work that a kill loses."""
 CAMERA_NOTE = "plgs/camera"
 """Attribute in the header of a view that is no frame's: the fingerprint of its camera."""
+
+
+MODEL_NOTE = "plgs/model"
+"""Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model."""
+
+
+@dataclass(frozen=True)
+class BakeOptions:
+    """``layers`` are the wanted ones of FURTHER_LAYERS; ``output`` is the folder for the passes, None: the result."""
+
+    layers: tuple[str, ...] = ()
+    output: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,17 +64,25 @@ class WantedView:
     fingerprint: str = ""
 
 
-def bake_frames(folder: LiftFolder, frames: Sequence[str], events: EventWriter, stop: StopSignal) -> None:
+def bake_frames(
+    folder: LiftFolder,
+    frames: Sequence[str],
+    events: EventWriter,
+    stop: StopSignal,
+    options: BakeOptions = BakeOptions(),
+) -> None:
     """Bake frames that are not baked yet: "test", "all", or names. The result is whole at every moment.
 
     Raises PlgsError when the scene cannot be read any more, or does not have a frame; Cancelled when stopped. What was
     baked until then stays.
     """
     with BakeLocks(folder.path) as locks:
-        _bake(folder, locks, lambda scene: _views_of(frames_named(scene, frames)), events, stop)
+        _bake(folder, locks, lambda scene: _views_of(frames_named(scene, frames)), events, stop, options)
 
 
-def bake_cameras(folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal) -> None:
+def bake_cameras(
+    folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal, options: BakeOptions = BakeOptions()
+) -> None:
     """Bake the views of a file of cameras (see `job.cameras`) that are not baked yet, as `bake_frames` does. A view
     that was baked from another camera of the same name is baked anew.
 
@@ -71,7 +95,7 @@ def bake_cameras(folder: LiftFolder, cameras: Path, events: EventWriter, stop: S
         return [view_from(camera) for camera in wanted]
 
     with BakeLocks(folder.path) as locks:
-        _bake(folder, locks, views_in, events, stop)
+        _bake(folder, locks, views_in, events, stop, options)
 
 
 def view_from(camera: BakeCamera) -> WantedView:
@@ -92,39 +116,34 @@ def _bake(
     views_in: Callable[[Scene], list[WantedView]],
     events: EventWriter,
     stop: StopSignal,
+    options: BakeOptions,
 ) -> None:
     torch.use_deterministic_algorithms(True)
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
         scene = open_asked(folder.request)
-        corrections = read_corrected(folder.path).fingerprint
-        wanted = [view for view in views_in(scene) if not is_baked(folder, view, corrections)]
+        notes = {CORRECTIONS_NOTE: read_corrected(folder.path).fingerprint}
+        place = _Result(folder, locks, options) if options.output is None else _OwnFolder(folder, options)
+        wanted = [view for view in views_in(scene) if not place.has(view, notes)]
         baker = read_baker(folder, scene.classes)
-    new = _NewViews(folder, locks)
     with stages.stage("bake") as progress:
         try:
             for done, view in enumerate(wanted, start=1):
-                with locks.claim(view.name) as is_ours:
-                    if is_ours and not is_baked(folder, view, baker.corrections):
-                        new.make_room(view)
-                        notes = {CAMERA_NOTE: view.fingerprint} if view.fingerprint else {}
-                        baker.write(folder, view.name, baker.render(view.camera, view.clip), events, notes)
-                        new.add(view, at_once=locks.others_at_work())
+                with locks.claim(place.claim_of(view)) as is_ours:
+                    if is_ours and not place.has(view, {CORRECTIONS_NOTE: baker.corrections}):
+                        place.write(view, baker, events)
                 progress(done, len(wanted))
         finally:
-            new.keep()
+            place.keep()
 
 
-def is_baked(folder: LiftFolder, view: WantedView, corrections: str) -> bool:
-    """Whether the result has this view, from this camera and with these corrections. Raises PlgsError, OSError."""
-    files = baked_files(folder, view.name)
-    listed = {folder.result_path / file.path for file in read_manifest(folder.result_path).files}
-    if not listed.issuperset(files):
-        return False
+def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) -> bool:
+    """Whether a file of passes has these notes in its header (a note that is missing is empty), and at least these of
+    FURTHER_LAYERS. One that is damaged has not. Raises OSError."""
     try:
-        same_camera = not view.fingerprint or read_note(files[0], CAMERA_NOTE) == view.fingerprint
-        return same_camera and (read_note(files[0], CORRECTIONS_NOTE) or "") == corrections
-    except ValueError:  # damaged: it is baked anew
+        same = all((read_note(passes, name) or "") == text for name, text in notes.items())
+        return same and further_layers(passes).issuperset(layers)
+    except (ValueError, PlgsError):
         return False
 
 
@@ -140,14 +159,67 @@ def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
     return [frame for frame in scene.frames if frame.name in wanted]
 
 
-class _NewViews:
-    """Takes baked views into the manifest, every KEEP_EVERY_S seconds."""
+def _notes_of(view: WantedView) -> dict[str, str]:
+    return {CAMERA_NOTE: view.fingerprint} if view.fingerprint else {}
 
-    def __init__(self, folder: LiftFolder, locks: BakeLocks) -> None:
-        self._folder, self._locks = folder, locks
+
+class _OwnFolder:
+    """Passes in a folder beside the lift."""
+
+    def __init__(self, folder: LiftFolder, options: BakeOptions) -> None:
+        assert options.output is not None
+        self._output, self._layers = options.output, options.layers
+        if self._output.resolve().is_relative_to(folder.result_path.resolve()):
+            raise PlgsError("is within the lift's result", self._output, "Name another folder.", option="-o")
+        files = {str(file.path): file for file in read_manifest(folder.result_path).files}
+        self._model = {MODEL_NOTE: files[MODEL].sha256}
+
+    def claim_of(self, view: WantedView) -> str:
+        """What no other process may write at the same time."""
+        return str(self._path_of(view).resolve())
+
+    def _path_of(self, view: WantedView) -> Path:
+        return self._output / f"{view.name}.exr"
+
+    def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
+        """Whether the view is there, from this camera and this model, with these notes."""
+        path = self._path_of(view)
+        return path.exists() and is_whole(path, {**notes, **_notes_of(view), **self._model}, self._layers)
+
+    def write(self, view: WantedView, baker: FrameBaker, events: EventWriter) -> None:
+        """Bake a view. Raises OSError."""
+        self._output.mkdir(parents=True, exist_ok=True)
+        notes = {**_notes_of(view), **self._model, **baker.notes}
+        write_exr(self._path_of(view), baker.render(view.camera, view.clip), notes, self._layers)
+
+    def keep(self) -> None:
+        """There is no manifest."""
+
+
+class _Result:
+    """Passes in the lift's result. Baked views are taken into the manifest every KEEP_EVERY_S seconds."""
+
+    def __init__(self, folder: LiftFolder, locks: BakeLocks, options: BakeOptions) -> None:
+        self._folder, self._locks, self._layers = folder, locks, options.layers
         self._views, self._kept_at = list[WantedView](), time.monotonic()
 
-    def make_room(self, view: WantedView) -> None:
+    def claim_of(self, view: WantedView) -> str:
+        return view.name
+
+    def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
+        """Whether the result has this view, from this camera, with these notes. Raises PlgsError, OSError."""
+        files = baked_files(self._folder, view.name)
+        listed = {self._folder.result_path / file.path for file in read_manifest(self._folder.result_path).files}
+        return listed.issuperset(files) and is_whole(files[0], {**notes, **_notes_of(view)}, self._layers)
+
+    def write(self, view: WantedView, baker: FrameBaker, events: EventWriter) -> None:
+        """Bake a view, in place of one from another camera. Raises OSError."""
+        self._make_room(view)
+        rendered = baker.render(view.camera, view.clip)
+        baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers)
+        self._add(view, at_once=self._locks.others_at_work())
+
+    def _make_room(self, view: WantedView) -> None:
         """Take a view that is baked anew out of the manifest, so that the result is whole without it. Raises
         OSError."""
         listed = {self._folder.result_path / file.path for file in read_manifest(self._folder.result_path).files}
@@ -156,7 +228,7 @@ class _NewViews:
             with self._locks.manifest():
                 drop_files(self._folder.result_path, sorted(old))
 
-    def add(self, view: WantedView, *, at_once: bool) -> None:
+    def _add(self, view: WantedView, *, at_once: bool) -> None:
         """``at_once``: keep the view before another process looks for views that are left to bake."""
         self._views.append(view)
         if at_once or time.monotonic() - self._kept_at > KEEP_EVERY_S:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
@@ -68,11 +68,12 @@ class FrameBaker:
         view: BakedView,
         events: EventWriter,
         notes: Mapping[str, str] | None = None,
+        layers: Collection[str] = (),
     ) -> None:
-        """Write passes/<name>.exr, with ``notes`` in its header, and the three previews (`baked_files`), and report
-        them."""
+        """Write passes/<name>.exr, with ``notes`` in its header and these of FURTHER_LAYERS, and the three previews
+        (`baked_files`), and report them."""
         passes, _, semantic, _ = baked_files(folder, name)
-        write_exr(passes, view, {**(notes or {}), **self.notes})
+        write_exr(passes, view, {**(notes or {}), **self.notes}, layers)
         write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
         events.artifact(passes, "pass")
         events.preview(semantic)

@@ -20,6 +20,7 @@ from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, LiftRequest, StopSignal, write_manifest
 from ..job.prediction import learn_slowness
 from ..machine.log_compilation import log_compilation
+from ..model.settling import OwnedPoints
 from ..model.structured import StructuredScene
 from ..model.tensor_file import read_tensors
 from ..presets.preset import Preset
@@ -124,7 +125,8 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method:
         if preset.shows_votes:
             maps = prepared.label_maps
             assert maps is not None  # objects by agreement come with them
-            trainer.scene.voted = vote_labels(trainer.scene, frames, maps, preset, progress, folder.path)
+            points = OwnedPoints(prepared.cloud.xyz, prepared.instance_of_point)
+            trainer.scene.voted = vote_labels(trainer.scene, frames, maps, preset, progress, points, folder.path)
         if earlier is not None:
             prepared, lasting = keep_names(earlier, prepared, trainer.scene, scene.classes)
             names = lasting.names

@@ -32,6 +32,7 @@ from ..result_files import (
 from ..scene import ClassTable, Scene, View, distinct_colour
 from .preparation import PreparedLift
 
+MODEL = "model.safetensors"
 LIFT_ANEW = "Lift the scene anew, into another folder."
 
 
@@ -57,7 +58,7 @@ def write_scene_files(
     write_arrays(result / ANCHORS, anchors)
     write_splats(result / "gaussians.ply", gaussians)
     write_model(folder, lifted)
-    for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", "model.safetensors"):
+    for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", MODEL):
         events.artifact(result / name, name.partition(".")[0])
 
 
@@ -66,12 +67,12 @@ def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
     tensors, facts = to_tensors(lifted)
     contiguous: dict[str, torch.Tensor] = {name: tensor.contiguous() for name, tensor in tensors.items()}
     content = save(contiguous, metadata={"plgs": json.dumps(facts, sort_keys=True)})
-    write_atomically(folder.result_path / "model.safetensors", content)
+    write_atomically(folder.result_path / MODEL, content)
 
 
 def read_model(folder: LiftFolder) -> StructuredScene:
     """What `write_model` wrote, bit for bit. Raises PlgsError for a damaged file, and for an unknown format."""
-    path = folder.result_path / "model.safetensors"
+    path = folder.result_path / MODEL
     try:
         tensors, notes = read_tensors(path)
         return from_tensors(tensors, json.loads(notes["plgs"]))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..instances.segment_votes import segment_labels
 from ..model.label_voting import Contributors, LabelVotes, contributors, pixel_labels
+from ..model.settling import NamedGaussians, OwnedPoints, settled
 from ..model.structured import GaussianLabels, StructuredScene
 from ..presets.preset import Preset
 from ..scene import Frame, PanopticMask, Segment, Size, StoredArrays, size_within
@@ -27,9 +28,10 @@ def vote_labels(
     label_maps: Sequence[NDArray[np.int16]],
     preset: Preset,
     progress: Callable[[int, int], None],
+    points: OwnedPoints,
     scratch: Path | None = None,
 ) -> GaussianLabels:
-    """The labels of every Gaussian, by a vote of the training frames.
+    """The labels of every Gaussian, by a vote of the training frames. ``points`` are the cloud's, with their objects.
 
     ``label_maps`` int16 [H, W] are the labels that the frames' pixels got before training, at the size of training. In
     the first round, the segments of the mask at its own size take these labels. In every further round they take what
@@ -40,17 +42,20 @@ def vote_labels(
     count = len(channels.class_ids) + len(channels.instance_slots)
     voted: GaussianLabels | None = None
     voting_frames = _VotingFrames(scene, frames, preset, scratch)
+    named = NamedGaussians(len(scene.anchors) * scene.anchors.gaussians_per_anchor)
     for number in range(preset.vote_rounds):
         votes = LabelVotes(scene, preset.voting)
         for place, label_map in enumerate(label_maps):
             frame = voting_frames.at(place)
             shown = pixel_labels(scene, voted, frame.seen) if voted else resize_nearest(label_map, frame.size)
             agreed = segment_labels(frame.mask, shown, count)
+            if number == 0:
+                named.add(frame.seen, frame.mask.ids > 0)
             votes.add(frame.seen, agreed, frame.depth)
             progress(number * len(frames) + place + 1, preset.vote_rounds * len(frames))
         voted = votes.result()
     assert voted is not None  # there is at least one round
-    return voted
+    return settled(scene, voted, named.are_named, points)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""A baked view: its layers, its surface and its mattes, from a rendering in bands of rows."""
+"""A baked view: its layers and its mattes, from a rendering in bands of rows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..model.rendering import PanopticRendering
 from ..scene import Camera, ClassTable, distinct_colour
 from .cryptomatte import MatteLayer, class_layer, instance_layer
-from .layers import PanopticLayers, decide
+from .layers import PanopticLayers, decide, tell_in_coverage
 from .ranking import RANKS, rank_coverage
 from .surface import Surface, surface_of
 
@@ -26,11 +26,16 @@ class Matte:
 
 @dataclass(frozen=True, eq=False)
 class BakedView:
-    """All that is written of a view."""
+    """All that is written of a view, as ``camera`` sees it."""
 
+    camera: Camera
     layers: PanopticLayers
-    surface: Surface
     mattes: tuple[Matte, ...]
+
+    @property
+    def surface(self) -> Surface:
+        """Made when asked for."""
+        return surface_of(self.layers.depth, self.camera)
 
 
 @dataclass(frozen=True)
@@ -50,13 +55,14 @@ def bake_view(
     bands: Iterable[PanopticRendering], camera: Camera, classes: ClassTable, instances: ShownInstances
 ) -> BakedView:
     """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after the other, so that the
-    coverage of only one is held. Raises ValueError when there is none."""
+    coverage of only one is held. It is changed (see ``tell_in_coverage``). Raises ValueError when there is none."""
     shape = (2 * RANKS, camera.height, camera.width)
     of_instances, of_classes = np.empty(shape, np.float32), np.empty(shape, np.float32)
     layers: list[PanopticLayers] = []
     row = 0
     for band in bands:
         layers.append(decide(band, classes, instances.class_of))
+        tell_in_coverage(band, classes, instances.class_of, layers[-1])
         by_class = class_layer(band.class_ids, classes)
         rank_coverage(band.class_coverage, by_class.columns, by_class.ids, band.alpha, None, of_classes, row)
         by_instance = instance_layer(band.instance_ids, instances.names, classes, instances.class_of)
@@ -67,9 +73,8 @@ def bake_view(
         del band  # before the next is made
     if not layers:
         raise ValueError("there is no band to bake")
-    whole = joined(layers)
     mattes = Matte(by_instance, of_instances), Matte(by_class, of_classes)
-    return BakedView(whole, surface_of(whole.depth, camera), mattes)
+    return BakedView(camera, joined(layers), mattes)
 
 
 def things_coverage(rendering: PanopticRendering, classes: ClassTable) -> NDArray[np.float32]:

@@ -19,6 +19,10 @@ LEAST_SHARE_OF_CLASS = np.float32(LEAST_OF_CLASS)
 
 FAINT, LEAST_TOTAL, LEAST_SHARE = np.float32(NOTHING), np.float32(1e-8), np.float32(1e-12)
 ZERO, ONE = np.float32(0), np.float32(1)
+STEPS, STEPS_OF_DEPTH = np.float32(1024), np.float32(4096)
+"""Shares and metres are whole multiples of 1 / this. Finer digits would be noise, which no file compresses."""
+OVER_HALF = np.float32(0.5 + 1 / 256)
+"""What the decided class and object cover of a pixel at least, so that their mattes are there."""
 
 
 class Columns(NamedTuple):
@@ -89,9 +93,9 @@ def decide_labels(pixels: Any, columns: Any, pixel: int, decided: Any) -> None:
     # the sum of -p log p for p = value / total
     entropy = (np.log(total) - weighted / total) / np.float32(np.log(max(classes, 2)))
     decided.semantic[pixel] = columns.class_ids[place]
-    decided.confidence[pixel] = most / total
-    decided.entropy[pixel] = max(entropy, ZERO)
-    decided.depth[pixel] = pixels.depth[pixel]
+    decided.confidence[pixel] = np.rint(STEPS * most / total) / STEPS
+    decided.entropy[pixel] = np.rint(STEPS * max(entropy, ZERO)) / STEPS
+    decided.depth[pixel] = np.rint(STEPS_OF_DEPTH * pixels.depth[pixel]) / STEPS_OF_DEPTH
     if columns.is_thing[place]:
         slot = best_slot(pixels, columns, pixel, place)
         if slot >= 0:
@@ -115,6 +119,55 @@ def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
         if weight > most:
             best, most = slot, weight
     return best if most > pixels.alpha[pixel] - instances else -1
+
+
+@parallel_kernel
+def tell_decision(
+    worker: int, workers: int, pixels: Any, columns: Any, decided: Any, best: Array, owned: Array
+) -> None:
+    """Every ``workers``-th chunk of pixels: let ``pixels.classes`` and ``pixels.slots`` tell what was ``decided``.
+    ``best`` int64 and ``owned`` float32 [workers, C] are scratch."""
+    for start in range(worker * CHUNK, len(pixels.alpha), workers * CHUNK):
+        for pixel in range(start, min(start + CHUNK, len(pixels.alpha))):
+            if columns.one_class:
+                give_to_owners(pixels, columns, pixel, best[worker], owned[worker])
+            for place in range(len(columns.of_class)):
+                if columns.class_ids[place] == decided.semantic[pixel]:
+                    raise_over_half(pixels.classes[pixel], columns.of_class, place, pixels.alpha[pixel])
+            for slot in range(len(columns.of_slot)):
+                if columns.slot_ids[slot] == decided.instance[pixel]:
+                    raise_over_half(pixels.slots[pixel], columns.of_slot, slot, pixels.alpha[pixel])
+
+
+@compiled
+def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total: Array) -> None:
+    """Give what no object has of a class to the pixel's largest object of it. Scratch, [C] each: ``largest`` is a
+    class's largest slot, ``total`` what its slots have together."""
+    coverage, by_class = pixels.slots[pixel], pixels.classes[pixel]
+    for place in range(len(columns.of_class)):
+        largest[place], total[place] = -1, ZERO
+    for slot in range(len(columns.of_slot)):
+        place, value = columns.class_of_slot[slot], coverage[columns.of_slot[slot]]
+        if place >= 0:
+            total[place] += value
+            if value > ZERO and (largest[place] < 0 or value > coverage[columns.of_slot[largest[place]]]):
+                largest[place] = slot
+    for place in range(len(columns.of_class)):
+        if largest[place] >= 0:
+            column, shown = columns.of_slot[largest[place]], by_class[columns.of_class[place]]
+            if coverage[column] > LEAST_SHARE_OF_CLASS * shown:
+                coverage[column] += max(shown - total[place], ZERO)
+
+
+@compiled
+def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: float) -> None:
+    """Let the winner cover more than half of a pixel, at the cost of the other columns together."""
+    own = coverage[columns[winner]]
+    wanted = min(OVER_HALF, alpha)
+    if own < wanted:
+        for place in range(len(columns)):
+            coverage[columns[place]] *= (alpha - wanted) / (alpha - own)
+        coverage[columns[winner]] = wanted
 
 
 @compiled

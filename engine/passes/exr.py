@@ -1,8 +1,11 @@
-"""One multilayer EXR a view: single part, ZIP, 32-bit float, names as Blender's compositor reads them."""
+"""One multilayer EXR a view: single part, ZIP, names as Blender's compositor reads them.
+
+Ids, depth and Cryptomatte are 32-bit floats and exact. Colour, confidence, entropy and normals are half floats.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..gates import refuse_special
-from ..job import write_atomically
+from ..job import FURTHER_LAYERS, write_atomically
 from ..job.main_memory import main_memory
 from ..machine.threads import worker_count
 from ..scene.exr_file import read_exr_header
@@ -24,16 +27,18 @@ EXACT_IDS = 1 << 24
 """Ids below this are exact in 32-bit floats."""
 
 
-def write_exr(path: Path, view: BakedView, notes: Mapping[str, str] | None = None) -> None:
+def write_exr(
+    path: Path, view: BakedView, notes: Mapping[str, str] | None = None, layers: Collection[str] = ()
+) -> None:
     """Write a baked view, whole or not at all. The same input gives the same bytes. ``notes``: more attributes of the
-    header.
+    header; ``layers``: those of FURTHER_LAYERS that are wanted.
 
     Raises ValueError for ids that a 32-bit float cannot hold, OSError when the file cannot be written.
     """
-    layers = view.layers
-    if max(int(layers.semantic.max(initial=0)), int(layers.instance.max(initial=0))) >= EXACT_IDS:
+    largest = max(int(ids.max(initial=0)) for ids in (view.layers.semantic, view.layers.instance))
+    if largest >= EXACT_IDS:
         raise ValueError(f"class and instance ids must be below {EXACT_IDS} to be exact in an EXR")
-    channels = _pass_channels(view)
+    channels = _pass_channels(view, layers)
     header = dict(notes or {})
     for matte in view.mattes:
         channels |= cryptomatte.channels(matte.layer.name, matte.ranks)
@@ -53,13 +58,19 @@ def read_exr(path: Path) -> PanopticLayers:
         raise ValueError(f"{path} has no channel {missing[0]}: it is no pass of a lift")
     combined, (depth, semantic, instance, confidence, entropy) = names[:4], (found[name] for name in names[4:])
     return PanopticLayers(
-        combined=np.stack([found[name] for name in combined], axis=-1),
+        combined=np.stack([found[name] for name in combined], axis=-1).astype(np.float32),
         depth=depth,
         semantic=np.rint(semantic).astype(np.int32),
         instance=np.rint(instance).astype(np.int32),
-        confidence=confidence,
-        entropy=entropy,
+        confidence=confidence.astype(np.float32),
+        entropy=entropy.astype(np.float32),
     )
+
+
+def further_layers(path: Path) -> set[str]:
+    """The FURTHER_LAYERS that a baked view has. Raises PlgsError when it is damaged."""
+    channels = read_exr_header(path).channels
+    return {layer for layer in FURTHER_LAYERS if f"{LAYER}.{layer.title()}.X" in channels}
 
 
 def read_note(path: Path, name: str) -> str | None:
@@ -107,20 +118,21 @@ def _refuse_vast(path: Path) -> None:
         raise ValueError(f"{path} takes {4e-9 * header.numbers:.1f} GB, and {memory.free / 1e9:.1f} GB are free")
 
 
-def _pass_channels(view: BakedView) -> dict[str, NDArray[np.float32]]:
+def _pass_channels(view: BakedView, further: Collection[str]) -> dict[str, NDArray[np.floating]]:
     layers = view.layers
-    channels = {f"{LAYER}.Combined.{c}": layers.combined[..., k] for k, c in enumerate("RGBA")}
-    channels[f"{LAYER}.Depth.V"] = layers.depth
-    channels[f"{LAYER}.Semantic.V"] = layers.semantic.astype(np.float32)
-    channels[f"{LAYER}.Instance.V"] = layers.instance.astype(np.float32)
-    channels[f"{LAYER}.Confidence.V"] = layers.confidence
-    channels[f"{LAYER}.Entropy.V"] = layers.entropy
-    for name, planes in (("Normal", view.surface.normal), ("Position", view.surface.position)):
-        channels |= {f"{LAYER}.{name}.{c}": planes[k] for k, c in enumerate("XYZ")}
-    return {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
+    half = {f"Combined.{c}": layers.combined[..., k] for k, c in enumerate("RGBA")}
+    half |= {"Confidence.V": layers.confidence, "Entropy.V": layers.entropy}
+    exact = {"Depth.V": layers.depth, "Semantic.V": layers.semantic, "Instance.V": layers.instance}
+    surface = view.surface if further else None
+    if surface is not None and "normal" in further:
+        half |= {f"Normal.{c}": surface.normal[k] for k, c in enumerate("XYZ")}
+    if surface is not None and "position" in further:
+        exact |= {f"Position.{c}": surface.position[k] for k, c in enumerate("XYZ")}
+    channels = {f"{LAYER}.{name}": np.ascontiguousarray(values, np.float16) for name, values in half.items()}
+    return channels | {f"{LAYER}.{name}": np.ascontiguousarray(values, np.float32) for name, values in exact.items()}
 
 
-def _write(path: Path, text: Mapping[str, str], channels: dict[str, NDArray[np.float32]]) -> None:
+def _write(path: Path, text: Mapping[str, str], channels: dict[str, NDArray[np.floating]]) -> None:
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **text}

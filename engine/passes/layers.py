@@ -13,7 +13,7 @@ from ..machine import memory
 from ..machine.threads import parallel_for, worker_count
 from ..model.rendering import PanopticRendering
 from ..scene import VOID, ClassTable
-from .deciding import Columns, Decided, Pixels, decide_pixels
+from .deciding import Columns, Decided, Pixels, decide_pixels, tell_decision
 
 LINEAR_STEPS = 4096
 """Steps of the encoded values in the table of linear light. Interpolation between them is exact to 1e-7."""
@@ -60,7 +60,30 @@ def decide(
         confidence=memory.empty((height, width), np.float32),
         entropy=memory.empty((height, width), np.float32),
     )
-    decided = Decided(
+    parallel_for(worker_count(), decide_pixels, _pixels(rendering), columns, _linear_light(), _flat(layers))
+    return layers
+
+
+def tell_in_coverage(
+    rendering: PanopticRendering,
+    classes: ClassTable,
+    instance_classes: Mapping[int, int] | None,
+    decided: PanopticLayers,
+) -> None:
+    """Change the coverages of a rendering so that its mattes tell what was ``decided``.
+
+    A pixel of the class chair shows the chair that has LEAST_OF_CLASS of it. So where an object is of one class, that
+    chair gets all of the class's coverage that no other chair has. Where three or more share a pixel, the class and
+    the object that were decided may cover less than half of it. They get just over half. Edges stay soft.
+    """
+    columns, workers = _columns(rendering, classes, instance_classes or {}), worker_count()
+    best, owned = (np.empty((workers, len(columns.of_class)), dtype) for dtype in (np.int64, np.float32))
+    parallel_for(workers, tell_decision, _pixels(rendering), columns, _flat(decided), best, owned)
+
+
+def _flat(layers: PanopticLayers) -> Decided:
+    """The same memory, pixel by pixel."""
+    return Decided(
         combined=layers.combined.reshape(-1, 4),
         depth=layers.depth.reshape(-1),
         semantic=layers.semantic.reshape(-1),
@@ -68,11 +91,10 @@ def decide(
         confidence=layers.confidence.reshape(-1),
         entropy=layers.entropy.reshape(-1),
     )
-    parallel_for(worker_count(), decide_pixels, _pixels(rendering), columns, _linear_light(), decided)
-    return layers
 
 
 def _pixels(rendering: PanopticRendering) -> Pixels:
+    """The pixels; coverages are the rendering's own memory."""
     image, alpha, depth = (
         np.ascontiguousarray(each, np.float32) for each in (rendering.image, rendering.alpha, rendering.depth)
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..machine.compiled import Array, compiled, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
-from .deciding import FAINT, ONE, ZERO
+from .deciding import FAINT, ONE, STEPS, ZERO
 
 RANKS = 6
 """Pairs a pixel: three layers of channels with two pairs each."""
@@ -36,7 +36,8 @@ def rank_coverage(
 
     ``ids`` float32 [L]: the id of each of the L ``columns``. ``limit`` float32 [h, W] or None: what the pixel's pairs
     cover together at most, given to the largest first. ``out`` float32 [2 RANKS, H, W], in one piece: h rows from
-    ``first_row`` are written. (0, 0) follows the last pair; pixels where nothing was rendered have no pairs.
+    ``first_row`` are written. Coverages are whole multiples of 1 / STEPS,
+    and 1 together at most. (0, 0) follows the last pair; pixels where nothing was rendered have no pairs.
     """
     height, width, count = coverage.shape
     flat = coverage.reshape(height * width, count)
@@ -72,10 +73,12 @@ def rank_pixels(
                 total = min(total, limit[pixel])
                 fill(own_ids, own_shares, limit[pixel])
             is_shown = alpha[pixel] >= FAINT
-            scale = ONE / max(total, ONE)
+            scale, left = STEPS / max(total, ONE), STEPS
             for rank in range(RANKS):
-                out[2 * rank, first + pixel] = own_ids[rank] if is_shown else ZERO
-                out[2 * rank + 1, first + pixel] = own_shares[rank] * scale if is_shown else ZERO
+                steps = min(np.rint(own_shares[rank] * scale), left) if is_shown else ZERO
+                left -= steps
+                out[2 * rank, first + pixel] = own_ids[rank] if steps > ZERO else ZERO
+                out[2 * rank + 1, first + pixel] = steps / STEPS
 
 
 @compiled

@@ -22,7 +22,7 @@ from engine.errors import Cancelled, PlgsError
 from engine.job import BakeLocks, EventWriter, ExitCode, LiftFolder, LiftRequest, LiftState, StopSignal, verify
 from engine.lift import bake_frames, bake_more, run_lift
 from engine.lift.baking import FrameBaker
-from engine.passes.exr import read_exr
+from engine.passes.exr import further_layers, read_exr
 from engine.presets.preset import PRESETS
 from tests.lift.test_lift import files_of
 from tests.passes.read_ply import read_ply
@@ -162,6 +162,22 @@ def test_any_camera(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.Monkey
     assert exr.stat().st_mtime_ns == times  # what is done is kept
     assert run_bake(lift, None, cameras=write_cameras(cameras, ["shot.0001"], shift=0.2)) is ExitCode.FINISHED
     assert np.abs(read_exr(exr).depth - layers.depth).max() > 0.01  # the camera has moved
+    verify(lift.result_path)
+
+
+def test_into_a_folder_of_its_own(lift: LiftFolder, tmp_path: Path) -> None:
+    before, output = files_of(lift), tmp_path / "shot" / "passes"
+    assert run_bake(lift, ["0000"], layers=["normal"], output=output) is ExitCode.FINISHED
+    assert files_of(lift) == before and [path.name for path in output.iterdir()] == ["0000.exr"]
+    assert further_layers(output / "0000.exr") == {"normal"}
+    times = (output / "0000.exr").stat().st_mtime_ns
+    assert run_bake(lift, ["0000"], output=output) is ExitCode.FINISHED  # it has all that is wanted
+    assert (output / "0000.exr").stat().st_mtime_ns == times
+    assert run_bake(lift, ["0000"], output=lift.passes_path) is ExitCode.BAD_INPUT
+    assert run_bake(lift, ["0000"], layers=["normal"]) is ExitCode.FINISHED  # the same, but in the result
+    assert read_exr(lift.passes_path / "0000.exr").depth.tobytes() == read_exr(output / "0000.exr").depth.tobytes()
+    assert run_bake(lift, ["0000"], layers=["position"]) is ExitCode.FINISHED
+    assert further_layers(lift.passes_path / "0000.exr") == {"position"}
     verify(lift.result_path)
 
 

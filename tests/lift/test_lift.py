@@ -153,8 +153,7 @@ def test_passes_have_the_frames_own_size_and_whole_labels(lifts: Lifts) -> None:
             channels = {key: channel.pixels for key, channel in exr.channels().items()}
         plgs = {key for key in channels if key.startswith("PLGS.")}
         single = {f"PLGS.{kind}.V" for kind in ("Depth", "Semantic", "Instance", "Confidence", "Entropy")}
-        surface = {f"PLGS.{kind}.{axis}" for kind in ("Normal", "Position") for axis in "XYZ"}
-        assert plgs == {f"PLGS.Combined.{letter}" for letter in "RGBA"} | single | surface
+        assert plgs == {f"PLGS.Combined.{letter}" for letter in "RGBA"} | single
         assert {key.split(".")[0].rstrip("0123456789") for key in channels} == {"PLGS", "CryptoInstance", "CryptoClass"}
         assert {pixels.shape for pixels in channels.values()} == {(48, 64)}
         assert set(np.unique(channels["PLGS.Semantic.V"])) <= {1.0, 2.0, 3.0, 5.0}

@@ -14,6 +14,7 @@ from engine.errors import Cancelled
 from engine.lift.preparation import PreparedLift
 from engine.lift.voting import vote_labels
 from engine.model.render import render_view
+from engine.model.settling import OwnedPoints
 from engine.model.structured import NO_OBJECT
 from engine.passes.layers import decide
 from engine.presets.preset import Preset
@@ -61,7 +62,8 @@ def shares_right(scene: Scene, prepared: PreparedLift) -> Right:
 
 def voted(scene: Scene, prepared: PreparedLift, preset: Preset, progress: Callable[[int, int], None]) -> PreparedLift:
     assert prepared.label_maps is not None
-    labels = vote_labels(prepared.scene, scene.train_frames, prepared.label_maps, preset, progress)
+    points = OwnedPoints(prepared.cloud.xyz, prepared.instance_of_point)
+    labels = vote_labels(prepared.scene, scene.train_frames, prepared.label_maps, preset, progress, points)
     return replace(prepared, scene=replace(prepared.scene, voted=labels))
 
 

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from engine.job import FURTHER_LAYERS
 from engine.passes.baked_view import BakedView, ShownInstances, bake_view
-from engine.passes.exr import read_exr, read_note, write_exr
+from engine.passes.exr import further_layers, read_exr, read_note, write_exr
 from engine.passes.layers import decide
 from tests.fuzzing import damaged, examples
 from tests.passes.views import CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, made_rendering
@@ -20,7 +21,7 @@ OpenEXR = pytest.importorskip("OpenEXR")
 
 
 def _write(path: Path) -> Path:
-    write_exr(path, _baked())
+    write_exr(path, _baked(), layers=FURTHER_LAYERS)
     return path
 
 
@@ -32,7 +33,10 @@ def _baked() -> BakedView:
 def test_round_trip(tmp_path: Path) -> None:
     written, read = decide(made_rendering(), CLASSES), read_exr(_write(tmp_path / "a.exr"))
     for field in fields(written):
-        assert (getattr(written, field.name) == getattr(read, field.name)).all(), field.name
+        expected = getattr(written, field.name)
+        if field.name == "combined":
+            expected = expected.astype(np.float16)
+        assert (expected == getattr(read, field.name)).all(), field.name
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
@@ -41,11 +45,21 @@ def test_single_part_zip_float(tmp_path: Path) -> None:
         assert len(file.parts) == 1
         assert file.header()["compression"] == OpenEXR.ZIP_COMPRESSION
         names = set(file.channels())
-        assert {channel.pixels.dtype for channel in file.channels().values()} == {np.dtype(np.float32)}
+        half = {name for name, channel in file.channels().items() if channel.pixels.dtype == np.float16}
+        assert {channel.pixels.dtype for channel in file.channels().values()} == {np.dtype(t) for t in ("f2", "f4")}
+    assert {name.split(".")[1] for name in half} == {"Combined", "Confidence", "Entropy", "Normal"}
     assert {"PLGS.Combined.R", "PLGS.Combined.A", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.V"} < names
     assert {"PLGS.Confidence.V", "PLGS.Entropy.V", "CryptoInstance00.r", "CryptoClass02.a"} < names
     assert {f"PLGS.{layer}.{axis}" for layer in ("Normal", "Position") for axis in "XYZ"} < names
     assert len(names) == 9 + 6 + 12 + 12
+
+
+def test_layers_that_follow_from_the_depth_are_there_when_they_are_chosen(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    for chosen in ((), ("normal",), ("position",)):
+        write_exr(path, _baked(), layers=chosen)
+        assert further_layers(path) == set(chosen)
+    assert further_layers(_write(path)) == set(FURTHER_LAYERS)
 
 
 def test_the_surface_is_in_the_world(tmp_path: Path) -> None:
@@ -146,18 +160,19 @@ def test_blender_reads_ids_and_mattes(tmp_path: Path) -> None:
     layers = decide(made_rendering(), CLASSES)
     assert (seen["instance"][..., 0] == layers.instance).all()
     assert (seen["semantic"][..., 0] == layers.semantic).all()
-    assert seen["colour"][0, 0] == pytest.approx(layers.combined[0, 0], abs=1e-6)
+    assert seen["colour"][0, 0] == pytest.approx(layers.combined[0, 0], abs=1e-4)
     assert seen["depth"][..., 0] == pytest.approx(layers.depth)
     assert seen["confidence"][..., 0] == pytest.approx(layers.confidence)
     assert seen["entropy"][..., 0] == pytest.approx(layers.entropy)
     view = _baked()
     for name, planes in (("Normal", view.surface.normal), ("Position", view.surface.position)):
         for axis, plane in zip("XYZ", planes, strict=True):
-            assert np.array_equal(seen[f"{name} {axis}"][..., 0], plane), (name, axis)
-    assert np.array_equal(seen["colour"][..., 3], layers.combined[..., 3])  # the true coverage
+            stored = plane.astype(np.float16) if name == "Normal" else plane
+            assert np.array_equal(seen[f"{name} {axis}"][..., 0], stored), (name, axis)
+    assert np.array_equal(seen["colour"][..., 3], layers.combined[..., 3].astype(np.float16))  # the true coverage
     matte_1, matte_2, sofa = (seen[name][..., 0] for name in ("matte_1", "matte_2", "matte_sofa"))
     assert matte_1[LEFT] == pytest.approx(1.0, abs=1e-6)
-    assert matte_1[EDGE] == pytest.approx(0.6, abs=1e-6)
+    assert matte_1[EDGE] == pytest.approx(0.6, abs=6e-4)
     assert not matte_1[RIGHT].any() and not matte_1[NOTHING].any()
     assert matte_2[RIGHT] == pytest.approx(1.0, abs=1e-6)
     assert sofa[RIGHT] == pytest.approx(0.25, abs=1e-6)

@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from engine.passes.deciding import STEPS
 from engine.passes.ranking import RANKS, SMALLEST, rank_coverage
 
 
@@ -40,7 +41,7 @@ def test_as_a_sort_of_everything_has_it(seed: int) -> None:
         expected = np.zeros((RANKS, 2))
         if alpha[pixel]:
             expected[:] = sorted_pairs(coverage[pixel][columns], ids, None if limit is None else float(limit[pixel]))
-        np.testing.assert_allclose(out[(slice(None), *pixel)].reshape(RANKS, 2), expected, atol=1e-6)
+        np.testing.assert_allclose(out[(slice(None), *pixel)].reshape(RANKS, 2), expected, atol=RANKS / 2 / STEPS)
     below = np.full((2 * RANKS, height + 2, width), np.nan, np.float32)
     rank_coverage(coverage, columns, ids, alpha, limit, below, first_row=2)
     assert (below[:, 2:] == out).all() and np.isnan(below[:, :2]).all()
