@@ -160,7 +160,7 @@ def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total:
 
 
 @compiled
-def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: float) -> None:
+def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) -> None:
     """Let the winner cover more than half of a pixel, at the cost of the other columns together."""
     own = coverage[columns[winner]]
     wanted = min(OVER_HALF, alpha)
