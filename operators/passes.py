@@ -8,6 +8,7 @@ import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
 from ..plgs_blender import mattes
+from ..plgs_blender.compositing import show_compositor
 from ..plgs_blender.engine_environment import why_no_engine
 from ..plgs_blender.passes import open_passes, passes_scene_of
 from ..plgs_blender.running import lifting
@@ -143,7 +144,7 @@ def _show_progress(context: bpy.types.Context, text: str | None) -> None:
 
 
 class PLGS_OT_show_passes(Explained, bpy.types.Operator):
-    """Open the scene whose compositor holds the passes, at the view of the active camera"""
+    """Go to the workspace Compositing with the passes of the active camera, or else those of the lift's frames"""
 
     bl_idname, bl_label, bl_options = "plgs.show_passes", "Open in Compositor", {"UNDO"}
 
@@ -156,7 +157,7 @@ class PLGS_OT_show_passes(Explained, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         target = open_passes(context.scene)
         if context.window is not None:
-            context.window.scene = target
+            show_compositor(context.window, target)
         return FINISHED
 
 

@@ -12,7 +12,7 @@ from . import compat
 from .inspecting.lookup import class_row_of, row_of
 from .owned import KEY, LIFT, key_of
 from .pass_nodes import CLASSES, INSTANCES, PANOPTIC, PASSES, has_nodes, node_of, panoptic_node
-from .passes import SHOT
+from .passes import SHOT, passes_scene_of
 
 _SHOWING = ("Recolour", "Outline", "Isolate", "Hold out")
 """Controls of the group that make a matte visible."""
@@ -31,9 +31,12 @@ def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene
         yield scene, tree
 
 
-def panoptic_of(root: bpy.types.Collection) -> bpy.types.Node | None:
-    """The node of the group, with its controls, in the first of these scenes; None when there is none."""
-    return next((node for _, tree in compositors_of(root) for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
+def panoptic_of(scene: bpy.types.Scene) -> bpy.types.Node | None:
+    """The node of the group, with its controls, in the compositor that is opened from a scene; None when there is
+    none."""
+    passes = passes_scene_of(scene)
+    tree = None if passes is None else compat.compositor_tree(passes)
+    return None if tree is None else next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
 
 
 def matte_instance(root: bpy.types.Collection, instance: int) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from ..engine.job.cameras import LARGEST_SIDE
+from ..engine.job.cameras import LARGEST_SIDE, safe_name
 from ..engine.job.manifest import MAKE_ANEW
 from ..engine.scene.classes import matte_names
 from ..engine.scene.exr_file import read_exr_header
@@ -235,15 +235,34 @@ def open_passes(scene: bpy.types.Scene) -> bpy.types.Scene:
     frame = text_of(camera, "frame") if camera is not None else ""
     if frame in {marker.name for marker in passes.timeline_markers}:
         show_view(passes, frame)
+    elif is_shot(passes) and passes.frame_start <= scene.frame_current <= passes.frame_end:
+        passes.frame_set(scene.frame_current)
     return passes
 
 
+def is_shot(scene: bpy.types.Scene) -> bool:
+    """Whether a scene holds the passes of a camera of the user's."""
+    return bool(text_of(scene, LIFT)) and (key_of(scene, scene[LIFT]) or "").startswith(SHOT)
+
+
 def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """The passes scene of the first lift in the scene that has one; the scene itself when it is one."""
-    if text_of(scene, LIFT) and key_of(scene, scene[LIFT]) == PASSES:
+    """The scene itself when it holds passes; else that of the first lift in the scene that has passes. Of those that a
+    lift has, it is that of the active camera, or else that of its frames, or else any."""
+    if text_of(scene, LIFT) and (key_of(scene, scene[LIFT]) == PASSES or is_shot(scene)):
         return scene
-    scenes = ((root, other) for root in lifts_in(scene) for other in bpy.data.scenes)
-    return next((other for root, other in scenes if key_of(other, root[LIFT]) == PASSES), None)
+    for root in lifts_in(scene):
+        found = {key_of(other, root[LIFT]) or "": other for other in bpy.data.scenes}
+        shots = [key for key in found if key.startswith(SHOT)]
+        own = "" if scene.camera is None else SHOT + shot_name(scene.camera)
+        for key in (own, PASSES, *shots):
+            if key and key in found:
+                return found[key]
+    return None
+
+
+def shot_name(camera: bpy.types.Object) -> str:
+    """What the views of a camera are called, without their numbers."""
+    return next(iter(sequences([f"{safe_name(camera.name)}.0001"])))
 
 
 def show_view(scene: bpy.types.Scene, name: str) -> None:

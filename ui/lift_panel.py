@@ -28,6 +28,9 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
         for other in lifts.running():
             if other is not followed:
                 _draw_other(layout, other)
+        if followed is not None and followed.is_running and followed.is_baking:
+            layout.label(text="Passes are baked (see 4  Passes)", icon="RENDER_ANIMATION")
+            return
         if followed is not None and followed.is_running:
             draw_task(layout, context, followed)
             layout.prop(settings, "live_preview")

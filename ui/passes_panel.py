@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import bpy
 
-from ..plgs_blender.inspecting.lookup import active_lift
 from ..plgs_blender.mattes import panoptic_of
 from ..plgs_blender.panoptic_group import COLOURS, CONTROLS
-from .sidebar import Sidebar, Step, from_panel, tell
+from ..plgs_blender.running.estimate import bake_estimate
+from ..plgs_blender.running.lifting import followed_lift
+from .sidebar import Sidebar, Step, amount, draw_task, duration, from_panel, tell
 
 
 class PLGS_PT_passes(Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order = "PLGS_PT_passes", "4  Passes", 4
 
     def draw(self, context: bpy.types.Context) -> None:
+        followed = followed_lift(context.scene.plgs)
+        baking = followed if followed is not None and followed.is_baking else None
+        if baking is not None and baking.is_running:
+            draw_task(self.layout, context, baking)
+            return
         column = from_panel(self.layout.column(align=True), context)
         for frames, label in (
             ("all", "Bake All Frames"),
@@ -21,9 +27,13 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
             ("active", "Bake the Active Camera's Frame"),
         ):
             column.operator("plgs.bake_passes", text=label, icon="RENDERLAYERS").frames = frames
-        scene = context.scene
         column.operator("plgs.bake_camera", icon="CAMERA_DATA")
-        column.label(text=f"Frames {scene.frame_start} to {scene.frame_end}, {_size(scene.render)}")
+        _draw_cost(column, context.scene)
+        if baking is not None:
+            if baking.error is None:
+                tell(self.layout, context, baking.message, "INFO")
+            else:
+                draw_task(self.layout, context, baking)
         self.layout.operator("plgs.show_passes", icon="NODE_COMPOSITING")
 
 
@@ -33,8 +43,7 @@ class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        root = active_lift(context.scene, context.active_object)
-        node = panoptic_of(root) if root is not None else None
+        node = panoptic_of(context.scene)
         if node is None:
             tell(layout, context, "Bake passes first; a result's Matte button then chooses the matte.", "INFO")
             return
@@ -43,10 +52,15 @@ class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
             layout.prop(node.inputs[name], "default_value", text=name)
 
 
-def _size(render: bpy.types.RenderSettings) -> str:
-    """The size of the pictures in pixels, such as "1920 x 1080"."""
-    sides = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
-    return " x ".join(map(str, sides))
+def _draw_cost(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Say which camera would be baked, over which frames, at which size, and what that costs at most."""
+    render, camera = scene.render, scene.camera
+    width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
+    frames = len(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
+    cost = bake_estimate(frames, (width, height))
+    layout.label(text=f"{'No camera' if camera is None else camera.name}: {width} x {height}", icon="BLANK1")
+    layout.label(text=f"Frames {scene.frame_start} to {scene.frame_end}, {amount(cost.bytes)}", icon="BLANK1")
+    layout.label(text=f"About {duration(cost.seconds)}", icon="BLANK1")
 
 
 CLASSES = (PLGS_PT_passes, PLGS_PT_panoptic)

@@ -116,4 +116,9 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
+def amount(size: float) -> str:
+    """Bytes, such as "80 MB" or "2.1 GB"."""
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
+
+
 CLASSES = (PLGS_PT_lift_panoptic_masks,)

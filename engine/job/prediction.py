@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 from ..errors import PlgsError
 from ..json_file import read_object, to_text
@@ -34,6 +35,10 @@ CANDIDATES = 3
 """Pictures looked at for each that is chosen."""
 SEEN_SHARE = 0.3
 """Share of the Gaussians that one view sees."""
+WRITE_S = 2.0
+"""Seconds to write the passes and previews of a megapixel."""
+PIXEL = 12.0
+"""Bytes of a pixel in a file of passes: 10 at 1920x1080, 14 at 320x240."""
 REMEMBERED = 5
 MB = 1_000_000
 
@@ -49,6 +54,25 @@ class Prediction:
     @property
     def seconds(self) -> float:
         return sum(self.stages.values())
+
+
+class BakeCost(NamedTuple):
+    """Seconds, and bytes on the disk."""
+
+    seconds: float
+    bytes: float
+
+
+def predict_bake(frames: int, size: tuple[int, int], slowness: float = 1.0) -> BakeCost:
+    """What baking these frames of ``size`` (width, height) pixels takes, with the layers that are always there."""
+    megapixels = size[0] * size[1] / 1e6
+    return BakeCost(
+        slowness * frames * (_render_s(megapixels) + WRITE_S * megapixels), frames * megapixels * PIXEL * MB
+    )
+
+
+def _render_s(megapixels: float) -> float:
+    return 0.2 + 3.0 * megapixels
 
 
 def predict(
@@ -94,7 +118,7 @@ def predict(
         "prepare": 10.0 + 0.7 * seen,
         "train": steps * step + rounds * views * 0.42 * step,
         "result": 0.5 + (2.0 + 1.0 * vote_rounds) * voted + 0.12 * voting * own + 2.75 * gaussians,
-        "bake": rendered * (0.2 + 3.0 * own) + written * 2.0 * own,
+        "bake": rendered * _render_s(own) + written * WRITE_S * own,
         "evaluate": 0.5 + 1.6 * test_frames * own,
     }
     labels = classes + OBJECTS_A_MASK * masks_a_frame

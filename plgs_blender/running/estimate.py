@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...engine.job.prediction import USUAL_CLASSES, Prediction, machine_slowness, predict
+from ...engine.job.prediction import USUAL_CLASSES, BakeCost, Prediction, machine_slowness, predict, predict_bake
 from ...engine.presets.options import with_options
 from ...engine.presets.preset import PRESETS
 from ..settings import PLGS_PG_settings, asked_of_preset, chosen_scene, why_no_options
@@ -16,6 +16,11 @@ def learn_slowness() -> None:
     """Read from the disk how long earlier lifts took on this computer."""
     global _slowness
     _slowness = machine_slowness()
+
+
+def bake_estimate(frames: int, size: tuple[int, int]) -> BakeCost:
+    """What it costs to bake these frames, of ``size`` (width, height) pixels, on this computer."""
+    return predict_bake(frames, size, _slowness)
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:

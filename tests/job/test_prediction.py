@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.prediction import learn_slowness, machine_slowness, predict, step_seconds
+from engine.job.prediction import MB, learn_slowness, machine_slowness, predict, predict_bake, step_seconds
 from engine.presets.preset import PRESETS
 
 SAMPLE = {"train_frames": 63, "test_frames": 9, "frame_size": (320, 240)}
@@ -119,3 +119,9 @@ def test_frames_that_are_not_chosen_cost_a_look_and_a_vote_at_most() -> None:
     with_votes = predict(5000, 10, size, voting)
     assert many.seconds < with_votes.seconds < 0.1 * all_.seconds and with_votes.peak_bytes == many.peak_bytes
     assert predict(100, 10, size, voting) == few, "where all are trained on nobody else votes"
+
+
+def test_what_a_bake_costs_grows_with_its_pixels() -> None:
+    one, many = predict_bake(1, (1920, 1080)), predict_bake(2000, (1920, 1080), slowness=2.0)
+    assert 15 * MB < one.bytes < 25 * MB and many.bytes == pytest.approx(2000 * one.bytes)
+    assert 2.0 < one.seconds < 30.0 and many.seconds == pytest.approx(4000 * one.seconds)

@@ -159,4 +159,4 @@ def test_without_passes_there_is_nothing_to_matte(lift: Path, root: bpy.types.Co
     bpy.data.scenes.remove(scene)
     with pytest.raises(PlgsError, match="no passes in a compositor"):
         mattes.matte_instance(root, CHAIR)
-    assert mattes.panoptic_of(root) is None
+    assert mattes.panoptic_of(bpy.context.scene) is None

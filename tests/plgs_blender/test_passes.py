@@ -10,9 +10,9 @@ import OpenEXR
 import pytest
 from plgs.engine.job import LiftFolder, write_manifest
 from plgs.engine.scene import open_scene
-from plgs.plgs_blender import compat, lift_scene, passes
+from plgs.plgs_blender import compat, lift_scene, mattes, passes
 from plgs.plgs_blender.materials import linear_rgba
-from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, node_of, output_of
+from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, node_of, output_of, panoptic_node
 from plgs.plgs_blender.passes import numbered, sequences
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_passes, write_tiny_lift
 from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
@@ -172,6 +172,27 @@ def test_a_shot_has_a_scene_with_the_frames_of_its_own(tmp_path: Path) -> None:
     lift_scene.place_passes_anew(lift.path, mine)
     assert "PLGS tiny room still" not in bpy.data.scenes and "PLGS tiny room dolly" in bpy.data.scenes
     assert len([each for each in bpy.data.scenes if "passes" in each.name]) == 1
+
+
+def test_the_active_camera_decides_which_passes_are_opened(tmp_path: Path) -> None:
+    lift = write_tiny_lift(tmp_path / "lift")
+    bake_shot(lift, {"my dolly-2.0001": 3, "my dolly-2.0002": 5, "still.0001": 2})
+    mine = bpy.context.scene
+    lift_scene.place_lift(lift.path, mine)
+    frames, dolly, still = (bpy.data.scenes[f"PLGS tiny room {name}"] for name in ("passes", "my dolly-2", "still"))
+    cameras = {name: bpy.data.objects.new(name, bpy.data.cameras.new(name)) for name in ("my dolly-2", "still", "new")}
+    for camera in cameras.values():
+        mine.collection.objects.link(camera)
+    mine.frame_set(2)
+    for name, expected in {"my dolly-2": dolly, "still": still, "new": frames}.items():
+        mine.camera = cameras[name]
+        assert passes.passes_scene_of(mine) == expected, name
+        assert mattes.panoptic_of(mine) == panoptic_node(compat.compositor_tree(expected))
+    mine.camera = cameras["my dolly-2"]
+    assert passes.open_passes(mine) == dolly and dolly.frame_current == 2
+    assert passes.passes_scene_of(dolly) == dolly
+    mine.camera = next(ob for ob in mine.objects if ob.get("frame"))
+    assert passes.passes_scene_of(mine) == frames
 
 
 def test_what_the_user_built_on_stays(lift: Path) -> None:

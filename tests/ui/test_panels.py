@@ -14,7 +14,7 @@ from typing import Any
 import bpy
 import pytest
 from plgs.engine.errors import ErrorCode, PlgsError
-from plgs.engine.job.task import TaskProgress, TaskState
+from plgs.engine.job.task import BAKE, LIFT, TaskProgress, TaskState
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.engine_environment.tasks import SetUp
 from plgs.plgs_blender.lift_scene import place_lift
@@ -103,6 +103,8 @@ def drawn() -> str:
 class Pretended:
     """A follower in any state."""
 
+    kind = LIFT
+
     def __init__(self, state: TaskState, error: PlgsError | None = None) -> None:
         self.state, self.error, self.answer, self.log_lines = state, error, None, ("a line of the log",)
         self.progress = TaskProgress("s", "Half of it", 2, 3, 5, 10, 0.5, 90.0, warnings=["odd"])
@@ -168,3 +170,6 @@ def test_a_finished_lift_is_shown(tmp_path: Path) -> None:
     assert followed is not None
     followed.follower = Pretended(TaskState.RUNNING)
     assert "plgs.cancel_lift" in drawn() and "To see it grow" in drawn()
+    followed.follower.kind = BAKE
+    shown = drawn()
+    assert "plgs.cancel_lift" in shown and "To see it grow" not in shown and "plgs.bake_camera" not in shown

@@ -14,6 +14,12 @@ for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parent
 
 import tiny_lift  # noqa: E402  (beside the tests of plgs_blender)
 
+SHOWN = """
+editors = [each for each in bpy.context.window.screen.areas if each.ui_type == 'CompositorNodeTree']
+space = editors[0].spaces.active
+answer = [bpy.context.window.scene.name, bpy.context.window.workspace.name, space.show_backdrop,
+          space.edit_tree.nodes.active.get('plgs_key')]
+"""
 STATUS_BAR = 20
 """Its height in pixels."""
 READING = "'PLGS_OT_bake_camera' in [each.bl_idname for each in bpy.context.window_manager.windows[0].modal_operators]"
@@ -21,6 +27,19 @@ PRESS = """
 with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
     bpy.ops.plgs.bake_camera('INVOKE_DEFAULT', lift_folder={lift!r})
 """
+
+
+def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) -> None:
+    lift = tiny_lift.write_tiny_lift(work_folder / "compositor" / "lift")
+    window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift.path)!r})")
+    window.run(f"bpy.context.scene.plgs.lift_folder = {str(lift.path)!r}")
+    window.open_sidebar()
+    window.settle()
+    window.screenshot("panel-of-passes")
+    window.run("bpy.ops.plgs.show_passes()")
+    window.settle()
+    window.screenshot("compositor")
+    assert window.run(SHOWN) == ["PLGS tiny room passes", "Compositing", True, "panoptic"]
 
 
 def test_a_long_range_is_read_while_the_window_answers_and_esc_stops(window: Window, work_folder: Path) -> None:

@@ -1,0 +1,53 @@
+"""The window as one composites in it: the Compositing workspace, the passes behind the nodes, the group selected."""
+
+from __future__ import annotations
+
+import bpy
+
+from . import compat
+from .owned import KEY
+from .pass_nodes import PANOPTIC
+
+_TREE, _FILLED = "CompositorNodeTree", 0.8
+"""The kind of a compositor's tree, and the share of the window that the picture behind the nodes fills at most."""
+
+
+def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
+    """Let a window show a passes scene in a compositor: that of the Compositing workspace, or of another one that has a
+    compositor. Where there is none, the largest area of the window becomes one."""
+    workspace = compositing_workspace()
+    if workspace is not None:
+        window.workspace = workspace
+    window.scene = passes
+    screen = window.screen if workspace is None else workspace.screens[0]
+    editors = [area for area in screen.areas if area.ui_type == _TREE]
+    if not editors:
+        largest = max(screen.areas, key=lambda area: area.width * area.height)
+        largest.ui_type = _TREE
+        editors = [largest]
+    width, height = passes.render.resolution_x, passes.render.resolution_y
+    for area in editors:
+        space = area.spaces.active
+        space.pin, space.show_backdrop = False, True
+        space.backdrop_zoom = min(1.0, _FILLED * window.width / width, _FILLED * window.height / height)
+    select_group(passes)
+
+
+def compositing_workspace() -> bpy.types.WorkSpace | None:
+    """The workspace Compositing, or else the first with a compositor; None when the file has none."""
+    spaces = bpy.data.workspaces
+    with_compositor = (
+        each for each in spaces if any(area.ui_type == _TREE for screen in each.screens for area in screen.areas)
+    )
+    return spaces.get("Compositing") or next(with_compositor, None)
+
+
+def select_group(passes: bpy.types.Scene) -> None:
+    """Let the node with the group be the one that is selected, where the user has not removed it."""
+    tree = compat.compositor_tree(passes)
+    group = None if tree is None else next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
+    if tree is None or group is None:
+        return
+    for node in tree.nodes:
+        node.select = node == group
+    tree.nodes.active = group
