@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from engine.model.label_voting import Contributors
 from engine.model.settling import REACH, NamedGaussians, OwnedPoints, gaussian_centres, settled, within_reach
 from engine.model.structured import GaussianLabels, LabelChannels
 from tests.model.some_scene import GAUSSIANS, some_scene
@@ -29,14 +29,12 @@ def test_an_object_reaches_no_farther_than_its_points() -> None:
 
 def test_named_is_what_lies_within_masks() -> None:
     named = NamedGaussians(4)
-    seen = np.array([[[0, 1], [2, -1]]], np.int32), np.array([[[0.9, 0.05], [1.0, 0.0]]], np.float32)
-    view = Contributors(*seen, np.ones((1, 2), np.float32))
-    named.add(view, np.array([[True, False]]))
+    gaussian, weight = np.array([[[0, 1], [2, -1]]], np.int32), np.array([[[0.9, 0.05], [1.0, 0.0]]], np.float32)
+    in_mask = np.array([[True, False]])
+    named.add(SimpleNamespace(gaussian=gaussian, weight=weight), in_mask)
     assert named.are_named.tolist() == [True, True, False, False]
     for _ in range(20):
-        named.add(
-            replace(view, gaussian=view.gaussian[:, ::-1], weight=view.weight[:, ::-1]), np.array([[True, False]])
-        )
+        named.add(SimpleNamespace(gaussian=gaussian[:, ::-1], weight=weight[:, ::-1]), in_mask)
     assert named.are_named.tolist() == [False, False, True, False]
 
 
