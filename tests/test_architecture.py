@@ -320,6 +320,23 @@ def test_scene_needs_numpy_only_until_it_reads_pixels_or_a_format_of_its_own() -
     assert wrong == []
 
 
+def test_what_only_one_system_has_is_behind_one_module() -> None:
+    """The rights of folders and the memory of a Mac are asked in branches that Windows does not reach."""
+    alone = {"fcntl", "msvcrt", "resource", "pwd", "grp", "termios"}
+    calls = {"fork", "getpgid", "getuid", "killpg", "mkfifo", "sched_getaffinity", "setsid", "sysconf", "SIGKILL"}
+    branches = {"engine/machine/cache_folder.py", "engine/job/main_memory.py"}
+    wrong = []
+    for path in modules_under("engine", *EXTENSION, "run_plgs.py"):
+        if path.is_relative_to(ROOT / "engine/job/system"):
+            continue
+        wrong += [i.line for i in imports_of(path) if first(i.module) in alone]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            is_call = isinstance(node, ast.Attribute) and node.attr in calls
+            if is_call and path.relative_to(ROOT).as_posix() not in branches:
+                wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert wrong == []
+
+
 def test_research_imports_the_engine_and_nothing_imports_research() -> None:
     """It runs from the repository alone, so the engine has its own name there."""
     ours = {"plgs_blender", "operators", "ui", "plgs", "run_plgs"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import importlib.util
-import os
 import re
 import sys
 from pathlib import Path
@@ -13,6 +12,7 @@ from .. import __version__
 from ..job.handshake import EngineAnswer
 from ..job.process import ROOT
 from ..job.requirements import module_of, needed_packages
+from ..job.system import usable_cpus
 
 _CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)
 
@@ -26,7 +26,7 @@ def answer(root: Path = ROOT) -> EngineAnswer:
         executable=Path(sys.executable),
         packages={name: _version(name) for name in wanted},
         wanted=wanted,
-        cpus=_usable_cpus(),
+        cpus=usable_cpus(),
         cuda=_cuda_of_torch(),
     )
 
@@ -48,9 +48,3 @@ def _cuda_of_torch() -> str | None:
     text = Path(torch.origin).with_name("version.py")
     found = _CUDA.search(text.read_text(encoding="utf-8")) if text.is_file() else None
     return found.group(1) if found else None
-
-
-def _usable_cpus() -> int:
-    if sys.platform == "linux":
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -18,6 +18,7 @@ from typing import TextIO
 from ..errors import Cancelled, ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, StopSignal, Watchdog
 from ..job.lock import FileLock
+from ..job.system import usable_cpus
 from ..job.task import TaskPlace
 from ..job.terminal import Interrupted, Interrupts, ShownEvents
 from .log_output import output_to
@@ -163,4 +164,4 @@ def _threads() -> int:
     given = os.environ.get("OMP_NUM_THREADS", "")
     if given.isdecimal() and int(given) > 0:
         return int(given)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return usable_cpus()

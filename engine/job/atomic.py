@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ..gates import create_plain, open_plain
+from .system import flush_folder
 
 PART = ".part-"
 """Prefix of names that are still being written. A kill leaves them behind; `remove_parts` deletes them."""
@@ -42,11 +43,8 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
 def flush_to_disk(path: Path) -> None:
     """Wait until a file's content (or a folder's list of names) would survive a power cut. Raises OSError."""
     if path.is_dir():
-        if os.name == "nt":  # Windows cannot open folders; NTFS journals names by itself
-            return
-        descriptor = os.open(path, os.O_RDONLY)
-    else:
-        descriptor = os.open(path, os.O_RDWR)
+        return flush_folder(path)
+    descriptor = os.open(path, os.O_RDWR)
     try:
         os.fsync(descriptor)
     finally:

@@ -7,7 +7,6 @@ which view is whose, whose turn it is at the manifest.
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,16 +17,10 @@ from uuid import uuid4
 
 from ..errors import ErrorCode, PlgsError
 from ..gates import open_plain, open_to_append
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
+from .system import OPEN_FILES_KEEP_NAMES, try_lock
 
 MANIFEST_S = 60.0
 """Seconds that a process waits for its turn at the manifest while others hash what they baked."""
-_BYTE = 2**30
-"""Windows locks a byte range and forbids reading it, so the locked byte lies where no log ever grows to."""
 
 
 class FileLock:
@@ -59,7 +52,7 @@ class FileLock:
         try:
             if not _try_lock(self._descriptor, self._path):
                 return False
-            if os.name == "nt" or _is_same(self._descriptor, self._path):  # there no open file can be deleted
+            if OPEN_FILES_KEEP_NAMES or _is_same(self._descriptor, self._path):
                 return True
             os.close(self._descriptor)
         except BaseException:
@@ -104,17 +97,10 @@ def is_locked(path: Path) -> bool:
 
 def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
     try:
-        if sys.platform == "win32":
-            os.lseek(descriptor, _BYTE, os.SEEK_SET)
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        else:
-            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
-        return False
+        return try_lock(descriptor, shared)
     except OSError as error:
         fix = "Put the lift on a local disk."
         raise PlgsError(f"its file system cannot lock files ({error.strerror})", path, fix) from error
-    return True
 
 
 class BakeLocks:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -17,6 +16,7 @@ from typing import IO
 
 from ..errors import ErrorCode, PlgsError
 from .environment import made_environment, python_in
+from .system import kill_with_children, start_options
 
 ROOT = Path(__file__).resolve().parents[2]
 """The folder that holds ``engine``: the repository, or the installed extension."""
@@ -145,7 +145,6 @@ class ChildProcess:
         """Start ``command``; POSIX only: descriptors in ``keep_open`` stay open in it. Raises PlgsError when it cannot
         be started.
         """
-        flags: int = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0) | getattr(subprocess, "CREATE_NO_WINDOW", 0)
         try:
             self._process = subprocess.Popen(
                 [str(part) for part in command],
@@ -154,9 +153,7 @@ class ChildProcess:
                 stdin=stdin,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,  # Ctrl-C in the terminal is for the parent, which then asks politely
-                creationflags=flags,
-                pass_fds=() if os.name == "nt" else keep_open,
+                **start_options(keep_open),
             )
         except OSError as error:
             raise PlgsError(f"cannot be run ({error.strerror})", command[0], "It has to be a Python.") from error
@@ -177,10 +174,7 @@ class ChildProcess:
         waits for a disk that does not answer; it ends when the disk does.
         """
         if self._process.poll() is None:
-            if sys.platform == "win32":
-                self._process.kill()
-            else:
-                os.killpg(self._process.pid, signal.SIGKILL)
+            kill_with_children(self._process)
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_KILLED_S)
 

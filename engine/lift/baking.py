@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..corrections import read_corrected
 from ..job import EventWriter, LiftFolder, write_atomically
+from ..job.system import peak_bytes
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
 from ..model.render import render_bands
 from ..model.rendering import ClipRange
@@ -156,13 +156,3 @@ def score_corrected(folder: LiftFolder, progress: Callable[[int, int], object]) 
         progress(done, len(scene.test_frames))
     add_input_masks(report, scene)
     return report.to_json()
-
-
-def peak_bytes() -> int | None:
-    """Bytes of memory that this process has held at most, None where the system does not say (Windows)."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most if sys.platform == "darwin" else 1024 * most

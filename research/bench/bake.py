@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from engine.lift.baking import peak_bytes
+from engine.job.system import peak_bytes
 from engine.model.neural_gaussians import NeuralGaussians
 from engine.model.render import MOST_BYTES, draw_bands
 from engine.model.rendering import ClipRange, PanopticRendering
