@@ -1,6 +1,6 @@
-"""Build and validate the extension's zip with Blender's own tool. Standard library only.
+"""Build and validate the extension's zip and a static repository of it with Blender's own tool. Standard library only.
 
-    python set_up/extension.py FOLDER           # makes FOLDER/plgs-<version>.zip
+    python set_up/extension.py FOLDER           # makes FOLDER/plgs-<version>.zip, index.json and index.html
 
 The tool belongs to the `blender` on PATH or, without one, to the bpy module of the Python that runs this program.
 """
@@ -30,13 +30,17 @@ def tool() -> list[str]:
 
 
 def build(folder: Path) -> Path:
-    """Build the zip into `folder`, validate it, and return its path. SystemExit if the tool refuses it."""
+    """Build the zip into `folder`, validate it, and return its path; beside it the index that *Get Extensions* reads.
+
+    SystemExit if the tool refuses it.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("plgs-*.zip"):
         old.unlink()
     ask([*tool(), "build", "--source-dir", str(ROOT), "--output-dir", str(folder)])
     (path,) = folder.glob("plgs-*.zip")
     ask([*tool(), "validate", str(path)])
+    ask([*tool(), "server-generate", "--repo-dir", str(folder), "--html"])
     return path
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -43,6 +45,15 @@ def package(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert process.returncode == 0, process.stderr
     (path,) = folder.glob("*.zip")
     return path
+
+
+def test_the_folder_is_a_repository_that_get_extensions_can_read(package: Path) -> None:
+    index = json.loads((package.parent / "index.json").read_text(encoding="utf-8"))
+    (entry,) = index["data"]
+    assert entry["id"] == "plgs" and (package.parent / entry["archive_url"]).samefile(package)
+    assert entry["archive_size"] == package.stat().st_size
+    assert entry["archive_hash"] == f"sha256:{hashlib.sha256(package.read_bytes()).hexdigest()}"
+    assert "index.json" in (package.parent / "index.html").read_text(encoding="utf-8")
 
 
 def test_the_zip_holds_what_runs_and_what_the_engine_is_set_up_from(root: Path, package: Path) -> None:

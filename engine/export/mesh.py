@@ -1,15 +1,13 @@
 """The lifted scene as meshes: rendered depth fused into one surface, cut into a mesh an instance and one a stuff class.
 
-One truncated signed distance field takes all views (open3d's voxel blocks). Its surface's vertices are then labelled by
-the views that see them: each votes with what it shows there. So the meshes meet where the labels change, without gaps.
+One truncated signed distance field takes all views (`fusion`). Its surface's vertices are then labelled by the views
+that see them: each votes with what it shows there. So the meshes meet where the labels change, without gaps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +20,10 @@ from ..passes.previews import colour_picture
 from ..scene import Camera, ClassTable, Frame
 from ..scene.classes import matte_names
 from ..scene.labelled_surface import LEAST_TRIANGLES, triangles_by_label
+from .fusion import SmallView, Surface, fuse
 from .glb import glb_bytes
 from .source import FinishedLift
 
-VOXEL = 0.02
-"""Side of a voxel in metres."""
-TRUNCATION = 4.0
-"""Voxels on each side of the surface that a view changes."""
-FARTHEST = 8.0
-"""Metres beyond which rendered depth is not fused."""
 LEAST_ALPHA = 0.7
 """Alpha below which a pixel's depth is no surface."""
 WIDEST = 640
@@ -39,26 +32,6 @@ SEEN_WITHIN = 0.05
 """Metres between a vertex and a view's depth there within which the view votes."""
 MOST_INSTANCES = 1 << 16
 """Factor of the class in a label, which is class * this + instance."""
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """``xyz`` float32 [V, 3] m, ``rgb`` uint8 [V, 3], ``normal`` float32 [V, 3], ``triangles`` int64 [T, 3]."""
-
-    xyz: NDArray[np.float32]
-    rgb: NDArray[np.uint8]
-    normal: NDArray[np.float32]
-    triangles: NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class SmallView:
-    """A view as it is fused: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W]."""
-
-    camera: Camera
-    depth: NDArray[np.float32]
-    rgb: NDArray[np.uint8]
-    label: NDArray[np.int64]
 
 
 def export_mesh(lift: FinishedLift, output: Path) -> None:
@@ -98,40 +71,6 @@ def _small(frame: Frame, layers: PanopticLayers) -> SmallView:
     )
     rgb = colour_picture(layers)[pick]
     return SmallView(camera, np.ascontiguousarray(depth, np.float32), np.ascontiguousarray(rgb), label[pick])
-
-
-def fuse(views: list[SmallView]) -> Surface:
-    """The zero level of the truncated signed distance field of all views."""
-    import open3d
-
-    core: Any = open3d.core  # its stubs want a dtype and a device of what has them
-    new_grid: Any = open3d.t.geometry.VoxelBlockGrid  # and shapes in a type of their own
-    grid = new_grid(
-        attr_names=("tsdf", "weight", "color"),
-        attr_dtypes=(core.float32, core.float32, core.float32),
-        attr_channels=((1,), (1,), (3,)),
-        voxel_size=VOXEL,
-        block_resolution=16,
-        block_count=10_000,
-    )
-    for view in views:
-        depth = open3d.t.geometry.Image(core.Tensor(view.depth))
-        colour = open3d.t.geometry.Image(core.Tensor(view.rgb.astype(np.float32) / 255))
-        centred = view.camera.K
-        centred[:2, 2] -= 0.5  # open3d's pixels have their centres at whole numbers
-        lens, pose = core.Tensor(centred), core.Tensor(view.camera.world_to_camera)
-        blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, FARTHEST, TRUNCATION)
-        if len(blocks):
-            grid.integrate(blocks, depth, colour, lens, lens, pose, 1.0, FARTHEST, TRUNCATION)
-    mesh = grid.extract_triangle_mesh(2.0).to_legacy()
-    mesh.remove_degenerate_triangles()
-    mesh.compute_vertex_normals()
-    return Surface(
-        np.asarray(mesh.vertices, np.float32),
-        np.rint(np.clip(np.asarray(mesh.vertex_colors), 0, 1) * 255).astype(np.uint8),
-        np.asarray(mesh.vertex_normals, np.float32),
-        np.asarray(mesh.triangles, np.int64),
-    )
 
 
 def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView]) -> NDArray[np.int64]:

@@ -47,7 +47,7 @@ def make_room(folder: LiftFolder, output: Path, export: Mapping[str, object]) ->
 
 
 def _export_mesh(lift: FinishedLift, output: Path) -> None:
-    from .mesh import export_mesh  # open3d takes long to import
+    from .mesh import export_mesh
 
     export_mesh(lift, output)
 

@@ -11,7 +11,7 @@ from ..errors import PlgsError
 
 _FILES = ("torch.txt", "engine.txt")
 _SAMPLE_ONLY = {"open3d", "open3d-cpu"}
-"""Packages that drew the bundled sample. No lift needs them, and they take half a gigabyte."""
+"""Packages that the programs of the samples need. No engine does, and they take half a gigabyte."""
 _MODULES = {"opencv-contrib-python-headless": "cv2"}
 _MARKER = re.compile(r'(sys_platform|python_version) (==|!=|<|>=) "([^"]+)"')
 

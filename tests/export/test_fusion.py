@@ -1,0 +1,60 @@
+"""Surfaces fused of made-up depth: where they lie, how they are turned, and that they are whole."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.export.fusion import VOXEL, SmallView, fuse
+from engine.export.points import point_normals
+from engine.scene import Camera
+
+RADIUS = 0.3
+COLOUR = (200, 100, 50)
+
+
+def view_of_ball(number: int) -> SmallView:
+    """A ball in the origin, seen from one of the six sides at 1.2 m."""
+    axis, sign = number // 2, 1 - 2 * (number % 2)
+    pose = np.eye(4)
+    forward = -sign * np.eye(3)[axis]
+    right = np.eye(3)[(axis + 1) % 3]
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=-1)
+    pose[:3, 3] = -1.2 * forward
+    camera = Camera(160, 160, 180.0, 180.0, 80.0, 80.0, pose)
+    column, row = np.meshgrid(np.arange(160) + 0.5, np.arange(160) + 0.5)
+    ray = np.stack([(column - 80) / 180, (row - 80) / 180, np.ones_like(column)], axis=-1)
+    a, b, c = (ray**2).sum(-1), -2 * 1.2 * ray[..., 2], 1.2**2 - RADIUS**2
+    root = b**2 - 4 * a * c
+    depth = np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / (2 * a), 0).astype(np.float32)
+    rgb = np.broadcast_to(np.array(COLOUR, np.uint8), (160, 160, 3))
+    return SmallView(camera, depth, rgb, np.zeros((160, 160), np.int64))
+
+
+def test_a_ball_is_round_closed_and_turned_outwards() -> None:
+    surface = fuse([view_of_ball(number) for number in range(6)] * 2)
+    radius = np.linalg.norm(surface.xyz, axis=1)
+    assert abs(np.median(radius) - RADIUS) < 0.1 * VOXEL and abs(radius - RADIUS).max() < 0.6 * VOXEL
+    outwards = surface.xyz / radius[:, None]
+    assert np.median((surface.normal * outwards).sum(axis=1)) > 0.99
+    a, b, c = surface.xyz[surface.triangles].transpose(1, 0, 2).astype(np.float64)
+    turned = (np.cross(b - a, c - a) * a).sum(axis=1)
+    assert (turned >= 0).mean() > 0.99
+    volume = turned.sum() / 6
+    assert abs(volume / (4 / 3 * np.pi * RADIUS**3) - 1) < 0.03
+    edges = np.sort(surface.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    assert (count % 2 == 0).all(), "a hole"
+    assert (surface.rgb == COLOUR).all()
+
+
+def test_what_too_few_views_saw_is_no_surface() -> None:
+    assert len(fuse([view_of_ball(0)]).triangles) == 0
+    assert len(fuse([]).triangles) == 0
+
+
+def test_normals_of_points_are_the_planes() -> None:
+    random = np.random.default_rng(0)
+    xyz = np.c_[random.uniform(-1, 1, (500, 2)), random.normal(0, 1e-4, 500)].astype(np.float32)
+    normals = point_normals(xyz, np.array([[0.0, 0.0, 2.0]]))
+    assert normals.dtype == np.float32 and (normals[:, 2] > 0.999).all()
+    assert point_normals(xyz[:0], np.zeros((1, 3))).shape == (0, 3)
