@@ -142,9 +142,10 @@ def _images(
     for name, path in files.items():
         own_key = f"{key}:{name}" if name else key
         image = owned.block("images", own_key, partial(bpy.data.images.load, str(path), check_existing=False))
-        image.source = "FILE"
-        image.filepath = str(path)
-        image.reload()
+        if (image.source, image.filepath, image.has_data) != ("FILE", str(path), False):  # else it was only just made
+            image.source = "FILE"
+            image.filepath = str(path)
+            image.reload()
         # Blender must read a file before a node can name one of its layers.
         _ = image.size[:]
         images.append(image)
