@@ -88,7 +88,7 @@ class ViewEvidence:
     points: EvidenceKind = "density"
     objects: EvidenceKind = "pixels"
     segments: EvidenceKind = "density"
-    gaussians: EvidenceKind = "root"
+    gaussians: EvidenceKind = "pixels"
     masks: EvidenceKind = "density"
 
 
