@@ -5,10 +5,10 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
-from ..plgs_blender import splats
-from ..plgs_blender.inspecting import selection, views, visibility
+from ..plgs_blender.inspecting import looks, selection, views, visibility
 from ..plgs_blender.inspecting.lookup import chosen_row, class_row_of, find_lift, row_of
 from ..plgs_blender.lift_collection import lifts_in
+from ..plgs_blender.lift_scene import show_lift_as
 from ..plgs_blender.viewport import show_lift_colours, view_of
 from .base import CANCELLED, FINISHED, Explained, panel_of, reporting
 
@@ -108,7 +108,7 @@ class PLGS_OT_toggle_class_visibility(OnClass, bpy.types.Operator):
 class PLGS_OT_isolate_instance(OnInstance, bpy.types.Operator):
     """Show only this instance; again, show what was shown before"""
 
-    bl_idname, bl_label, bl_options = "plgs.isolate_instance", "Show Only It", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "plgs.isolate_instance", "Isolate", {"REGISTER", "UNDO"}
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -127,26 +127,44 @@ class PLGS_OT_show_all(OnLift, bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_colour_boxes(OnLift, bpy.types.Operator):
-    """Colour the boxes by instance or by class"""
+class PLGS_OT_colour_by(OnLift, bpy.types.Operator):
+    """Choose what the colours of the lift mean"""
 
-    bl_idname, bl_label, bl_options = "plgs.colour_boxes", "Colour Boxes", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "plgs.colour_by", "Colour By", {"REGISTER", "UNDO"}
 
-    by: EnumProperty(  # type: ignore[valid-type]
-        name="By",
+    look: EnumProperty(  # type: ignore[valid-type]
+        name="Colours",
         items=[
-            ("TOGGLE", "Other", "The one that it is not now"),
-            ("INSTANCE", "Instance", "Each box in a colour of its own"),
-            ("CLASS", "Class", "Boxes in the colours of their classes"),
+            (looks.PHOTO, "Photo", "The colours of the photos"),
+            (looks.CLASSES, "Classes", "The colours of the classes"),
+            (looks.INSTANCES, "Instances", "Each instance in a colour of its own"),
+            (looks.UNCERTAINTY, "Uncertainty", "Bright where the frames were not sure of the class"),
         ],
-        default="TOGGLE",
     )
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        lists = self.root(context).plgs
-        other = {"INSTANCE": "CLASS", "CLASS": "INSTANCE"}[lists.box_colours]
-        lists.box_colours = other if self.by == "TOGGLE" else self.by
+        self.root(context).plgs.look = self.look
+        return FINISHED
+
+
+class PLGS_OT_show_as(OnLift, bpy.types.Operator):
+    """Show the lift as points, splats or a surface; the other two are hidden"""
+
+    bl_idname, bl_label, bl_options = "plgs.show_as", "Show As", {"REGISTER", "UNDO"}
+
+    kind: EnumProperty(  # type: ignore[valid-type]
+        name="Kind",
+        items=[
+            (looks.POINTS, "Points", "The semantic points"),
+            (looks.SPLATS, "Splats", "The Gaussians of the lifted model"),
+            (looks.SURFACE, "Surface", "The meshes, once they were made"),
+        ],
+    )
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        show_lift_as(self.root(context), context.scene, self.kind)
         return FINISHED
 
 
@@ -165,25 +183,10 @@ class PLGS_OT_show_colours(Explained, bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_place_gaussians(OnLift, bpy.types.Operator):
-    """Import the lift's Gaussians as Blender's native splats"""
-
-    bl_idname, bl_label, bl_options = "plgs.place_gaussians", "Show Gaussians", {"REGISTER", "UNDO"}
-
-    @classmethod
-    def why_not(cls, context: bpy.types.Context) -> str | None:
-        return super().why_not(context) if splats.has_native_splats() else splats.WHY_NOT
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        splats.place_gaussians(self.root(context), context.scene)
-        return FINISHED
-
-
 class PLGS_OT_frame_instance(OnInstance, bpy.types.Operator):
     """Move the view so that the instance fills it"""
 
-    bl_idname, bl_label = "plgs.frame_instance", "Frame It"
+    bl_idname, bl_label = "plgs.frame_instance", "Frame Selected"
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -262,9 +265,9 @@ CLASSES = (
     PLGS_OT_toggle_class_visibility,
     PLGS_OT_isolate_instance,
     PLGS_OT_show_all,
-    PLGS_OT_colour_boxes,
+    PLGS_OT_colour_by,
+    PLGS_OT_show_as,
     PLGS_OT_show_colours,
-    PLGS_OT_place_gaussians,
     PLGS_OT_frame_instance,
     PLGS_OT_go_to_best_view,
     PLGS_OT_go_to_mask,

@@ -125,5 +125,10 @@ def child_collection(
     return child
 
 
+def is_child(child: bpy.types.Collection, root: bpy.types.Collection, name: str) -> bool:
+    """Whether a collection is the one that `child_collection` made of this name."""
+    return key_of(child, root[LIFT]) == f"collection:{name}"
+
+
 def _layer_collections(top: bpy.types.LayerCollection) -> list[bpy.types.LayerCollection]:
     return [top, *(found for child in top.children for found in _layer_collections(child))]

@@ -11,6 +11,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from mathutils import Vector
+from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from . import compat
@@ -19,7 +20,8 @@ from .cameras import overview_camera
 from .clouds import place_anchors, place_semantic_points
 from .corrections import remember
 from .frames import mark_timeline, place_camera, place_camera_path, place_frames
-from .inspecting.lists import fill_lists
+from .inspecting.lists import fill_lists, registered
+from .inspecting.looks import POINTS, SPLATS, SURFACE, apply_look, has, places
 from .lift_collection import (
     FOLDER,
     child_collection,
@@ -35,8 +37,9 @@ from .open_room import open_room
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import check_layers, place_passes, place_shots
 from .results import LiftResult, read_result
+from .splats import gaussians_of, has_native_splats, place_gaussians
 from .surfaces import SurfaceGrid
-from .viewport import look_from, start_file
+from .viewport import colour_views, look_from, show_room, start_file
 
 _VIEWPOINTS = 200
 """Cameras that decide which side of a surface was seen; of more, every n-th is taken."""
@@ -66,6 +69,8 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
     place_boxes(owned, child_collection(root, "Instances"), result.instances)
     place_meshes(owned, root, result)
+    if not has_native_splats() and gaussians_of(root).is_file():
+        place_gaussians(root, scene, owned)
     # A new lift moves the overview back, where a user moved it.
     seen = overview_camera(result.points.xyz, normals)
     overview = place_camera(owned, root, "overview", "Overview", seen, _OVERVIEW_SIZE)
@@ -75,6 +80,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
         scene.camera = overview
     place_passes(owned, result)
     place_shots(owned, result, scene)
+    _choose_what_is_shown(root)
     fill_lists(root, result)
     remember(root, result.edits)
     owned.sweep()
@@ -98,7 +104,13 @@ def place_meshes_anew(lift: Path, scene: bpy.types.Scene) -> list[bpy.types.Obje
     """After meshes were made: put them beside the lift that is placed in `scene`. Raises PlgsError."""
     result, scene = read_result(lift), scene_to_fill(scene)
     root = root_of_placed(result.folder, scene)
-    return place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
+    placed = place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
+    with registered():
+        if placed:
+            root.plgs.show_as = SURFACE
+        apply_look(root)
+    colour_views(scene, vertex=True)
+    return placed
 
 
 def _read(lift: Path) -> LiftResult:
@@ -185,13 +197,44 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
     scene.frame_set(0)
     scene.camera = overview
     scene.view_layers[0].update()
-    look_from(scene, overview, _middle_of_points(root))
+    corners = _corners(root)
+    with registered():
+        middle = Vector(((corners.min(axis=0) + corners.max(axis=0)) / 2.0).tolist())
+        look_from(scene, overview, middle, root.plgs.show_as != POINTS)
 
 
-def _middle_of_points(root: bpy.types.Collection) -> Vector:
-    """The middle of the clouds' bounding boxes, metres."""
-    clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD"]
-    corners = [ob.matrix_world @ Vector(corner) for ob in clouds for corner in ob.bound_box]
-    low = Vector(min(corner[axis] for corner in corners) for axis in range(3))
-    high = Vector(max(corner[axis] for corner in corners) for axis in range(3))
-    return (low + high) / 2.0
+def _choose_what_is_shown(root: bpy.types.Collection) -> None:
+    """What was chosen before; the surface, splats or points, of which the first is there, where nothing was."""
+    with registered():
+        lists = root.plgs
+        wanted = [lists.show_as] if lists.is_property_set("show_as") else []
+        lists.show_as = next((kind for kind in (*wanted, SURFACE, SPLATS) if has(root, kind)), POINTS)
+
+
+def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) -> None:
+    """Show a lift as POINTS, SPLATS or SURFACE, in the views too that a lift has coloured. Splats are placed when they
+    are not there. Raises PlgsError when they cannot be, or when no meshes were made.
+    """
+    if kind == SPLATS and not has(root, SPLATS):
+        place_gaussians(root, scene)
+        apply_look(root)
+    if kind == SURFACE and not has(root, SURFACE):
+        raise PlgsError("has no meshes yet", root.name, "Make them first: plgs.make_meshes.")
+    root.plgs.show_as = kind
+    colour_views(scene, kind != POINTS)
+
+
+def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+    """Let the 3D views that show the scene look at its lift, in the colours of what it is shown as."""
+    overview = overview_of(root)
+    if overview is not None and len(root.plgs.classes):
+        scene.view_layers[0].update()
+        show_room(scene, overview, _corners(root), root.plgs.show_as != POINTS)
+
+
+def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:
+    """The corners of the box [8, 3] that the semantic points fill but for a few stray ones, metres."""
+    # A hidden cloud has no bounding box.
+    clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD" and "class_id" in ob]
+    low, high = np.percentile(np.concatenate([places(ob.data) for ob in clouds]), (0.2, 99.8), axis=0)
+    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])

@@ -82,6 +82,46 @@ def surface_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     return material
 
 
+def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
+    """The splats' material: unlit Col, which fades from the middle of each square by the attributes corner (places in
+    standard deviations) and opacity.
+    """
+    material = owned.block("materials", "splats", lambda: bpy.data.materials.new("PLGS splats"))
+    tree = use_nodes(material)
+    if not any(node.bl_idname == "ShaderNodeAttribute" for node in tree.nodes):
+        tree.nodes.clear()
+        colour, corner, opacity = (_node(tree, "ShaderNodeAttribute", 0, row) for row in (0, -200, -400))
+        colour.attribute_name, corner.attribute_name, opacity.attribute_name = "Col", "corner", "opacity"
+        square = _node(tree, "ShaderNodeVectorMath", 1, -200)
+        square.operation = "DOT_PRODUCT"
+        half, power, alpha = (_node(tree, "ShaderNodeMath", column, -200) for column in (2, 3, 4))
+        half.operation, half.inputs[1].default_value = "MULTIPLY", -0.5
+        power.operation, alpha.operation = "EXPONENT", "MULTIPLY"
+        clear, light = _node(tree, "ShaderNodeBsdfTransparent", 4, 200), _node(tree, "ShaderNodeEmission", 4, 0)
+        mix, end = _node(tree, "ShaderNodeMixShader", 5, 0), _node(tree, "ShaderNodeOutputMaterial", 6, 0)
+        link = tree.links.new
+        link(corner.outputs["Vector"], square.inputs[0])
+        link(corner.outputs["Vector"], square.inputs[1])
+        link(square.outputs["Value"], half.inputs[0])
+        link(half.outputs[0], power.inputs[0])
+        link(power.outputs[0], alpha.inputs[0])
+        front, geometry = _node(tree, "ShaderNodeMath", 5, -200), _node(tree, "ShaderNodeNewGeometry", 0, 200)
+        front.operation = "SUBTRACT"
+        link(alpha.outputs[0], front.inputs[0])
+        link(geometry.outputs["Backfacing"], front.inputs[1])
+        front.use_clamp = True
+        link(opacity.outputs["Fac"], alpha.inputs[1])
+        link(colour.outputs["Color"], light.inputs["Color"])
+        for source, target in zip((front, clear, light), mix.inputs, strict=True):
+            link(source.outputs[0], target)
+        link(mix.outputs[0], end.inputs["Surface"])
+    material.surface_render_method = "DITHERED"  # needs no sorting
+    material.use_backface_culling = True
+    if hasattr(material, "cycles"):
+        material.cycles.emission_sampling = "NONE"
+    return material
+
+
 def value_node(material: bpy.types.Material, label: str) -> bpy.types.Node | None:
     """The node to set CLASS_COLOURS or RELIEF on: `.outputs[0].default_value`."""
     nodes = material.node_tree.nodes if material.node_tree else ()

@@ -1,4 +1,9 @@
-"""The lift's Gaussians as Blender's own splats, where the running Blender has them (from 5.3 on).
+"""The lift's Gaussians as splats: Blender's own from 5.3 on, and before that one square a Gaussian.
+
+A Gaussian of a lifted surface is flat, so a square across its two longest axes shows it from all sides but its edge.
+The squares are one mesh with the attributes Col, opacity and corner (places on the square in standard deviations). The
+material fades them from the middle and hides their backs, so a room lies open from outside. EEVEE and Cycles mix what
+overlaps; Solid shading draws opaque squares.
 
 Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT from any splat file, and its default axes (forward
 Y, up Z) are ours. This was read in Blender's source and in its API. It has not been run: there was no Blender 5.3.
@@ -9,13 +14,28 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
+from ..engine.scene.splat_file import read_gaussians
 from .lift_collection import FOLDER, child_collection
-from .owned import LIFT, key_of, tag, text_of
+from .materials import splat_material
+from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag, text_of
+from .surfaces import towards_nearest
 
-WHY_NOT = "Blender 5.3 or newer has native splats; result/gaussians.ply opens in any splat viewer"
 _KEY = "gaussians"
+_FAINTEST = 0.1
+"""Opacity below which a Gaussian is left out."""
+_EXTENT = 2.0
+"""Half the side of a square, in standard deviations."""
+_LARGEST = 0.2
+"""Largest standard deviation of a square in metres: stray Gaussians would hide the room."""
+MOST_SQUARES = 600_000
+"""Squares that are made; of more Gaussians, those that cover most."""
+_COLOUR_SCALE = 0.28209479177387814
+"""The constant spherical harmonic: colour = 0.5 + this * f_dc."""
+_CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
 
 
 def has_native_splats() -> bool:
@@ -24,16 +44,27 @@ def has_native_splats() -> bool:
     return kind is not None and "GAUSSIAN_SPLAT" in kind.enum_items
 
 
-def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> bpy.types.Object:
-    """Import result/gaussians.ply of a lift into its collection as native splats, in place of earlier ones.
+def gaussians_of(root: bpy.types.Collection) -> Path:
+    """The file with the Gaussians of a placed lift, which need not be there."""
+    return Path(bpy.path.abspath(text_of(root, FOLDER))) / "result" / "gaussians.ply"
 
-    Raises PlgsError when this Blender has none, when the file is missing, or when it was not read as splats.
+
+def place_gaussians(
+    root: bpy.types.Collection, scene: bpy.types.Scene, owned: OwnedDataBlocks | None = None
+) -> bpy.types.Object:
+    """Put the Gaussians of a lift into its collection as splats, in place of earlier ones.
+
+    Raises PlgsError when the file is missing, when it holds no splats, or when Blender did not read it as splats.
     """
-    path = Path(bpy.path.abspath(text_of(root, FOLDER))) / "result" / "gaussians.ply"
-    if not has_native_splats():
-        raise PlgsError("cannot be shown as splats", path, WHY_NOT + ".")
+    path = gaussians_of(root)
     if not path.is_file():
         raise PlgsError("is not there", path, "Lift the scene again, or load the lift from where it is now.")
+    parent = child_collection(root, "Gaussians", scene)
+    if not has_native_splats():
+        owned = owned or OwnedDataBlocks(root[LIFT], scene)
+        seen_from = [ob.matrix_world.translation for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")]
+        mesh = _fill(owned, read_gaussians(path), np.array(seen_from, np.float64).reshape(-1, 3))
+        return owned.object(_KEY, "Gaussians", mesh, parent)
     imported = _import(path)
     if imported.type != "POINTCLOUD" or imported.data.type != "GAUSSIAN_SPLAT":
         kind = imported.type.lower()
@@ -46,8 +77,74 @@ def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> bpy.t
         collection.objects.unlink(imported)
     tag(imported, root[LIFT], _KEY)
     tag(imported.data, root[LIFT], _KEY)
-    child_collection(root, "Gaussians", scene).objects.link(imported)
+    parent.objects.link(imported)
     return imported
+
+
+def squares(
+    rows: NDArray[np.void], viewpoints: NDArray[np.floating]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+    """Corners float32 [M, 4, 3] in metres and opacities float32 [M] of the Gaussians with the indices int64 [M]: of
+    those that can be seen, at most MOST_SQUARES that cover most. Each faces the nearest of the viewpoints [V, 3].
+    """
+    opacity = 1.0 / (1.0 + np.exp(-rows["opacity"]))
+    size = np.exp(np.stack([rows[f"scale_{axis}"] for axis in range(3)], axis=1))
+    order = np.argsort(-size, axis=1)[:, :2]
+    longest = np.minimum(np.take_along_axis(size, order, axis=1), _LARGEST)
+    chosen = np.flatnonzero((opacity >= _FAINTEST) & np.isfinite(size).all(axis=1))
+    if len(chosen) > MOST_SQUARES:
+        cover = (opacity * longest.prod(axis=1))[chosen]
+        chosen = np.sort(chosen[np.argpartition(-cover, MOST_SQUARES)[:MOST_SQUARES]])
+    w, x, y, z = np.stack([rows[f"rot_{part}"][chosen] for part in range(4)])
+    length = np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = (part / np.maximum(length, 1e-12) for part in (w, x, y, z))
+    axes = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    ).transpose(2, 0, 1)  # [M, axis, xyz]
+    own = np.take_along_axis(axes, order[chosen][:, :, None], axis=1) * (_EXTENT * longest[chosen])[:, :, None]
+    middle = np.stack([rows[axis][chosen] for axis in "xyz"], axis=1)
+    if len(viewpoints):
+        towards = towards_nearest(middle.astype(np.float64), viewpoints)
+        away = np.einsum("ij,ij->i", np.cross(own[:, 0], own[:, 1]), towards) < 0.0
+        own[away] = own[away][:, ::-1]
+    corners = middle[:, None] + np.einsum("ca,maj->mcj", _CORNERS, own)
+    return corners.astype(np.float32), opacity[chosen].astype(np.float32), chosen
+
+
+def _fill(owned: OwnedDataBlocks, rows: NDArray[np.void], viewpoints: NDArray[np.floating]) -> bpy.types.Mesh:
+    """Our mesh of squares, with Col, opacity, corner, class_id and instance_id at its vertices."""
+    corners, opacity, chosen = squares(rows, viewpoints)
+    count = len(chosen)
+    mesh: bpy.types.Mesh = owned.data(_KEY, lambda: bpy.data.meshes.new("Gaussians"))
+    mesh.clear_geometry()
+    mesh.vertices.add(4 * count)
+    mesh.vertices.foreach_set("co", corners.ravel())
+    mesh.loops.add(4 * count)
+    mesh.loops.foreach_set("vertex_index", np.arange(4 * count, dtype=np.int32))
+    mesh.polygons.add(count)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 4 * count, 4, dtype=np.int32))
+    srgb = np.clip(0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"][chosen] for axis in range(3)], axis=1), 0, 1)
+    rgba = np.ones((count, 4), np.float32)
+    rgba[:, :3] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    colours = mesh.color_attributes.new("Col", "FLOAT_COLOR", "POINT")
+    colours.data.foreach_set("color", np.repeat(rgba, 4, axis=0).ravel())
+    corner = np.zeros((count, 4, 3), np.float32)
+    corner[..., :2] = _EXTENT * _CORNERS
+    mesh.attributes.new("corner", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", corner.ravel())
+    mesh.attributes.new("opacity", "FLOAT", "POINT").data.foreach_set("value", np.repeat(opacity, 4))
+    for column in ("class_id", "instance_id"):
+        ids = rows[column][chosen] if column in (rows.dtype.names or ()) else np.zeros(count, np.int32)
+        layer = mesh.attributes.new(column, "INT", "POINT")
+        layer.data.foreach_set("value", np.repeat(ids, 4).astype(np.int32))
+    mesh.color_attributes.active_color = mesh.color_attributes["Col"]
+    mesh.materials.clear()
+    mesh.materials.append(splat_material(owned))
+    mesh.update()
+    return mesh
 
 
 def _import(path: Path) -> bpy.types.Object:

@@ -67,7 +67,7 @@ class SurfaceGrid:
         mean, spread = self._moments()
         lengths, axes = np.linalg.eigh(spread)
         normal = axes[:, :, 0]
-        towards = _towards_nearest(mean, viewpoints)
+        towards = towards_nearest(mean, viewpoints)
         normal *= np.where(np.einsum("ij,ij->i", normal, towards) < 0.0, -1.0, 1.0)[:, None]
         no_plane = (self.count < 4) | (lengths[:, 0] > _THICKNESS * lengths[:, 1])
         distance = np.linalg.norm(towards, axis=1, keepdims=True)
@@ -112,7 +112,7 @@ def _cell_numbers(xyz: NDArray[np.floating], side: float) -> NDArray[np.int64]:
     return numbers
 
 
-def _towards_nearest(points: NDArray[np.float64], viewpoints: NDArray[np.floating]) -> NDArray[np.float64]:
+def towards_nearest(points: NDArray[np.float64], viewpoints: NDArray[np.floating]) -> NDArray[np.float64]:
     """Vectors [N, 3] from each point to its nearest viewpoint."""
     middle = viewpoints.mean(axis=0)  # differences of squares lose digits far from the origin
     views = viewpoints - middle

@@ -10,10 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 from mathutils import Vector
+from numpy.typing import NDArray
 
 from .cameras import OVERVIEW_SIZE
 from .compat import composite_without_gpu, use_nodes
+
+_VIEW_SENSOR = 72.0
+"""Width of a 3D view's sensor in millimetres: twice that of a camera."""
+_FILLED = 0.92
+"""Share of the free part of a view that the room fills."""
 
 
 def start_file() -> bpy.types.Scene:
@@ -41,7 +48,7 @@ def set_ground(world: bpy.types.World) -> None:
 def show_object_colours(shading: Any) -> None:
     """Let Solid shading show clouds in the colour of their class and boxes in that of their instance."""
     # Flat: on a million little balls, light and shadow are nothing but noise.
-    shading.light, shading.color_type = "FLAT", "OBJECT"
+    shading.light, shading.color_type, shading.show_backface_culling = "FLAT", "OBJECT", False
     shading.show_cavity = shading.show_shadows = shading.show_object_outline = False
 
 
@@ -52,11 +59,87 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
     view.shading.wireframe_color_type = "OBJECT"
 
 
+def show_splats_colours(shading: Any) -> None:
+    """Let Solid shading show the attribute Col of splats and meshes, with their backs open."""
+    show_object_colours(shading)
+    shading.color_type, shading.show_backface_culling = "VERTEX", True
+
+
+def colour_views(scene: bpy.types.Scene, vertex: bool) -> None:
+    """Let 3D views of this scene that a lift has coloured, or that are as Blender starts them, show the colours of
+    vertices, or of objects.
+    """
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas if window.scene == scene else ():
+            if area.type == "VIEW_3D":
+                _colour_view(area.spaces.active, vertex)
+
+
+def _colour_view(space: bpy.types.SpaceView3D, vertex: bool) -> bool:
+    """The same for one 3D view. Returns whether it was as Blender starts it."""
+    is_new = _is_as_started(space)
+    if is_new or _is_ours(space):
+        show_lift_colours(space)
+        if vertex:
+            show_splats_colours(space.shading)
+    return is_new
+
+
+def show_room(scene: bpy.types.Scene, overview: bpy.types.Object, corners: NDArray[np.float64], vertex: bool) -> None:
+    """Let the 3D views of the windows with this scene look at the room with these corners [N, 3], in metres, as the
+    overview camera does, beside what the sidebar covers. Views through a camera stay.
+
+    Views that are still as Blender starts them get the lift's colours: those of vertices, or of objects.
+    """
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas if window.scene == scene else ():
+            if area.type != "VIEW_3D":
+                continue
+            space = area.spaces.active
+            if _colour_view(space, vertex):
+                space.clip_start = 0.01
+                space.overlay.show_relationship_lines = space.overlay.show_floor = False
+            if space.region_3d.view_perspective != "CAMERA":
+                _frame(area, overview, corners)
+
+
+def _frame(area: bpy.types.Area, overview: bpy.types.Object, corners: NDArray[np.float64]) -> None:
+    """Let a 3D view hold all corners in what the sidebar leaves free."""
+    space = area.spaces.active
+    window = next(region for region in area.regions if region.type == "WINDOW")
+    bar = next((region for region in area.regions if region.type == "UI"), None)
+    covered = bar.width / window.width if bar is not None and bar.width > 1 and bar.x >= window.x else 0.0
+    covered = covered if covered < 0.6 else 0.0
+    rotation = overview.matrix_world.to_quaternion()
+    axes = np.array(rotation.to_matrix())  # columns: right, up, towards the eye
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
+    local = (corners - middle) @ axes
+    longest = max(window.width, window.height)
+    half = np.array([window.width * (1.0 - covered), window.height]) / longest * (_VIEW_SENSOR / 2.0 / space.lens)
+    distance = float((np.abs(local[:, :2]) / (_FILLED * half) + local[:, 2:]).max())
+    aside = covered * window.width / longest * (_VIEW_SENSOR / 2.0 / space.lens) * distance
+    view = space.region_3d
+    view.view_perspective, view.view_rotation, view.view_distance = "PERSP", rotation, distance
+    view.view_location = Vector((middle + aside * axes[:, 0]).tolist())
+
+
+def _is_as_started(view: bpy.types.SpaceView3D) -> bool:
+    """Whether a 3D view is still as Blender starts it."""
+    shading = view.shading
+    return shading.type == "SOLID" and shading.color_type == "MATERIAL" and shading.light == "STUDIO"
+
+
+def _is_ours(view: bpy.types.SpaceView3D) -> bool:
+    """Whether a 3D view is in Solid shading as a lift left it."""
+    shading = view.shading
+    return shading.type == "SOLID" and shading.light == "FLAT" and shading.color_type in ("OBJECT", "VERTEX")
+
+
 def show_lift_colours_at_first(view: bpy.types.SpaceView3D) -> None:
     """`show_lift_colours` in a view that is still as Blender starts it, where a lift would be nothing but grey. Other
     views keep their looks.
     """
-    if view.shading.type == "SOLID" and view.shading.color_type == "MATERIAL" and view.shading.light == "STUDIO":
+    if _is_as_started(view):
         show_lift_colours(view)
 
 
@@ -81,8 +164,10 @@ def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, f
     return area.spaces.active, aspect
 
 
-def look_from(scene: bpy.types.Scene, camera: bpy.types.Object, target: Vector) -> None:
-    """Let every 3D view of the file look at `target` from where the camera stands, in object colours."""
+def look_from(scene: bpy.types.Scene, camera: bpy.types.Object, target: Vector, vertex: bool) -> None:
+    """Let every 3D view of the file look at `target` from where the camera stands, in the colours of vertices or of
+    objects.
+    """
     rotation = camera.matrix_world.to_quaternion()
     distance = (camera.matrix_world.translation - target).length
     for screen in bpy.data.screens:
@@ -91,7 +176,9 @@ def look_from(scene: bpy.types.Scene, camera: bpy.types.Object, target: Vector) 
                 if space.type != "VIEW_3D":
                     continue
                 show_lift_colours(space)
-                space.overlay.show_relationship_lines = False
+                if vertex:
+                    show_splats_colours(space.shading)
+                space.overlay.show_relationship_lines = space.overlay.show_floor = False
                 space.clip_start = 0.01
                 view = space.region_3d
                 view.view_perspective = "PERSP"

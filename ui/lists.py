@@ -7,6 +7,8 @@ from typing import Any
 import bpy
 from bpy.props import EnumProperty
 
+from ..plgs_blender.inspecting.looks import CLASSES as BY_CLASS
+
 _SORTS = [
     ("NAME", "Name", "In the order of the alphabet"),
     ("COUNT", "Points", "Those with most points first"),
@@ -52,19 +54,36 @@ def _by_name(row: Any) -> tuple[str, int]:
     return (head.casefold(), int(number)) if number.isdecimal() else (row.name.casefold(), 0)
 
 
-def _swatch_name_numbers(layout: Any, row: Any) -> Any:
-    """Draw the beginning of a row of instances or of classes; the layout for the rest."""
+def short_count(number: int) -> str:
+    """A count in at most four characters, up to ten million: 950, 9.5k, 27k, 1.2M."""
+    for unit, letter in ((1_000_000, "M"), (1_000, "k")):
+        if number >= unit:
+            return f"{number / unit:.1f}{letter}" if number < 9.95 * unit else f"{number / unit:.0f}{letter}"
+    return str(number)
+
+
+def _swatch_name_numbers(layout: Any, row: Any, coloured: Any) -> Any:
+    """Draw the beginning of a row of instances or of classes, with the colour of `coloured`, the row itself or its
+    class's; the layout for the rest.
+    """
     line = layout.row(align=True)
     swatch = line.row()
     swatch.ui_units_x = 0.9
-    swatch.prop(row, "colour", text="")
+    swatch.prop(coloured, "colour", text="")
     split = line.split(factor=0.5, align=True)
     split.label(text=row.name)
     numbers = split.row()
     numbers.alignment = "RIGHT"
-    numbers.label(text=f"{row.points}")
+    numbers.label(text=short_count(row.points))
     numbers.label(text=f"{row.score:.2f}")
     return line
+
+
+def swatch_of(lists: Any, row: Any) -> Any:
+    """The row whose colour an instance has in the view: its class's while classes are shown, else its own."""
+    if lists.look != BY_CLASS:
+        return row
+    return next((each for each in lists.classes if each.class_id == row.class_id), row)
 
 
 class PLGS_UL_instances(Searchable, bpy.types.UIList):
@@ -73,9 +92,9 @@ class PLGS_UL_instances(Searchable, bpy.types.UIList):
     order: EnumProperty(name="Order", items=_SORTS)  # type: ignore[valid-type]
 
     def draw_item(
-        self, _context: Any, layout: Any, _lists: Any, row: Any, _icon: int, _active: Any, _name: str
+        self, _context: Any, layout: Any, lists: Any, row: Any, _icon: int, _active: Any, _name: str
     ) -> None:
-        line = _swatch_name_numbers(layout, row)
+        line = _swatch_name_numbers(layout, row, swatch_of(lists, row))
         select = line.operator("plgs.select_instance", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
         select.instance = row.instance_id
         line.prop(row, "visible", text="", icon="HIDE_OFF" if row.visible else "HIDE_ON", emboss=False)
@@ -89,7 +108,7 @@ class PLGS_UL_classes(Searchable, bpy.types.UIList):
     def draw_item(
         self, _context: Any, layout: Any, _lists: Any, row: Any, _icon: int, _active: Any, _name: str
     ) -> None:
-        line = _swatch_name_numbers(layout, row)
+        line = _swatch_name_numbers(layout, row, row)
         if row.is_thing:
             select = line.operator("plgs.select_class", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
             select.class_id = row.class_id

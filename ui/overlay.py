@@ -18,6 +18,7 @@ from ..plgs_blender.inspecting.drawing import (
     draw_text_boxes,
     forget_picture,
 )
+from ..plgs_blender.inspecting.looks import POINTS
 from ..plgs_blender.inspecting.lookup import boxes_of, objects_by_key
 from ..plgs_blender.inspecting.selection import selected_instance
 from ..plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes, legend_text_boxes
@@ -47,7 +48,13 @@ def _draw_in_space() -> None:
         row = next((row for row in lists.instances if row.instance_id == number), None)
         if row is None or not lists.show_selected:
             continue
-        seen = highlight.highlight_of(root, number, lambda cloud: cloud.visible_in_viewport_get(context.space_data))
+        # The points lie on the surface and among the splats, so they mark these too.
+        seen = highlight.highlight_of(
+            root,
+            number,
+            lambda cloud, lists=lists: (lists.show_as != POINTS and "class_id" in cloud)
+            or cloud.visible_in_viewport_get(context.space_data),
+        )
         box = boxes_of(root).get(number)
         draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), lists.dim_others)
 

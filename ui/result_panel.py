@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ..plgs_blender.inspecting.looks import POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from .sidebar import Sidebar, Step, from_panel, tell
 
@@ -31,7 +32,13 @@ class PLGS_PT_result(Step, bpy.types.Panel):
             return
         lists, row = root.plgs, _chosen(context)
         layout.label(text=root.name, icon="OUTLINER_COLLECTION")
+        _draw_look(from_panel(layout.column(align=True), context), root)
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
+        heads = layout.row().split(factor=0.5)
+        heads.label(text="Name")
+        numbers = heads.row()
+        numbers.alignment = "CENTER"
+        numbers.label(text="Points, score")
         layout.template_list("PLGS_UL_instances", "", lists, "instances", lists, "instance_index", rows=6)
         if not len(lists.instances):
             layout.label(text="No instances were found", icon="INFO")
@@ -39,11 +46,23 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         column = from_panel(layout.column(align=True), context)
         column.operator("plgs.frame_instance", icon="ZOOM_SELECTED")
         is_alone = row is not None and lists.isolated == row.instance_id
-        text, icon = ("Show What Was Shown", "SOLO_ON") if is_alone else ("Show Only It", "SOLO_OFF")
+        text, icon = ("Exit Isolation", "SOLO_ON") if is_alone else ("Isolate", "SOLO_OFF")
         column.operator("plgs.isolate_instance", text=text, icon=icon, depress=is_alone)
         column.operator("plgs.go_to_best_view", icon="VIEW_CAMERA")
         column.operator("plgs.matte_instance", icon="IMAGE_ALPHA")
         layout.operator("plgs.show_all", icon="HIDE_OFF")
+
+
+def _draw_look(column: bpy.types.UILayout, root: bpy.types.Collection) -> None:
+    """What the colours mean, and as what the lift is shown: a button makes what is not there yet."""
+    column.row(align=True).prop(root.plgs, "look", expand=True)
+    row = column.row(align=True)
+    for kind, label in ((POINTS, "Points"), (SPLATS, "Splats"), (SURFACE, "Surface")):
+        if kind == SURFACE and not has(root, SURFACE):
+            row.operator("plgs.make_meshes", text=label)
+        else:
+            is_shown = root.plgs.show_as == kind
+            row.operator("plgs.show_as", text=label, depress=is_shown).kind = kind
 
 
 class OfResult(Sidebar):
@@ -57,7 +76,7 @@ class OfResult(Sidebar):
 
 
 class PLGS_PT_masks(OfResult, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_masks", "Which Masks Made It?"
+    bl_idname, bl_label = "PLGS_PT_masks", "Source Masks"
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, row = self.layout, _chosen(context)
@@ -102,14 +121,12 @@ class PLGS_PT_result_display(OfResult, bpy.types.Panel):
         layout, lists = self.layout, root.plgs
         layout.operator("plgs.show_colours", icon="SHADING_SOLID")
         layout.use_property_split, layout.use_property_decorate = True, False
-        layout.row().prop(lists, "box_colours", expand=True)
         column = layout.column(heading="Draw")
-        for name in ("show_labels", "show_legend", "show_selected"):
+        for name in ("show_labels", "show_legend", "show_cameras", "show_selected"):
             column.prop(lists, name)
         dim = column.column()
         dim.enabled = lists.show_selected
         dim.prop(lists, "dim_others")
-        layout.operator("plgs.place_gaussians", icon="POINTCLOUD_DATA")
 
 
 CLASSES = (PLGS_PT_result, PLGS_PT_masks, PLGS_PT_classes, PLGS_PT_result_display)

@@ -25,8 +25,7 @@ READERS = 2
 class View:
     """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
 
-    ``border`` bool [H, W] marks the pixels of a black border. It is None in pictures without one. ``mask_scale``: how
-    many pixels of the frame's own mask a pixel's side has.
+    ``border`` bool [H, W] marks the pixels of a black border. It is None in pictures without one.
     """
 
     name: str
@@ -35,7 +34,6 @@ class View:
     depth: NDArray[np.float32]
     mask: PanopticMask
     border: NDArray[np.bool_] | None = None
-    mask_scale: float = 1.0
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
@@ -52,7 +50,6 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
         depth=frame.depth((width, height)),
         mask=frame.mask((width, height)),
         border=resize_nearest(border, (width, height)) if border.any() else None,
-        mask_scale=frame.size[0] / width,
     )
 
 

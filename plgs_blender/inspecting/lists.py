@@ -30,8 +30,21 @@ from ...engine.scene import VOID, ClassTable
 from ..materials import UNKNOWN
 from ..registration import register_modules, unregister_modules
 from ..results import LiftResult
+from .looks import (
+    CLASSES as BY_CLASS,
+)
+from .looks import (
+    INSTANCES,
+    PHOTO,
+    POINTS,
+    SPLATS,
+    SURFACE,
+    UNCERTAINTY,
+    apply_look,
+    apply_show_as,
+)
 from .selection import select_row
-from .visibility import BY_CLASS, BY_INSTANCE, apply_colours, apply_visibility, let_boxes_show_names
+from .visibility import apply_colours, apply_visibility, let_boxes_show_names, size_cameras
 
 NO_COST, NO_AGREEMENT = 1.0, -1.0
 """Values of a mask's `cost` and `agreement` that say there is none."""
@@ -43,10 +56,25 @@ def _update_visibility(row: bpy.types.PropertyGroup, _context: bpy.types.Context
 
 def _update_colours(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     apply_colours(row.id_data)
+    if row.id_data.plgs.look in (BY_CLASS, INSTANCES):
+        apply_look(row.id_data)
 
 
 def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     select_row(lists.id_data, context.view_layer)
+
+
+def _update_look(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    apply_look(lists.id_data)
+    apply_colours(lists.id_data)
+
+
+def _update_show_as(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    apply_show_as(lists.id_data)
+
+
+def _update_cameras(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    size_cameras(lists.id_data, lists.show_cameras)
 
 
 def _update_names(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
@@ -134,15 +162,28 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         name="Shown alone", default=0, update=_update_visibility,
         description="Id of the only instance that is shown; 0 = all are",
     )  # fmt: skip
-    box_colours: EnumProperty(
-        name="Boxes", update=_update_colours, description="What the boxes' colours mean",
+    look: EnumProperty(
+        name="Colours", update=_update_look, description="What the colours in the view mean",
         items=[
-            (BY_INSTANCE, "Instance", "Each box in a colour of its own"),
-            (BY_CLASS, "Class", "Boxes in the colours of their classes"),
+            (PHOTO, "Photo", "The colours of the photos; boxes in the colours of their instances"),
+            (BY_CLASS, "Classes", "The colours of the classes, boxes too"),
+            (INSTANCES, "Instances", "Each instance in a colour of its own, all else grey"),
+            (UNCERTAINTY, "Uncertainty", "Bright where the frames were not sure of the class"),
         ],
     )  # fmt: skip
+    show_as: EnumProperty(
+        name="Show As", update=_update_show_as, description="As what the lift is shown",
+        items=[
+            (POINTS, "Points", "The semantic points"),
+            (SPLATS, "Splats", "The Gaussians of the lifted model"),
+            (SURFACE, "Surface", "Meshes, one for each instance and each stuff class"),
+        ],
+    )  # fmt: skip
+    show_cameras: BoolProperty(
+        name="Cameras", update=_update_cameras, description="Draw the frames' cameras large, not only their path"
+    )
     show_labels: BoolProperty(
-        name="Labels", update=_update_names, description="Draw the instances' names over the view"
+        name="Labels", default=True, update=_update_names, description="Draw the instances' names over the view"
     )
     show_legend: BoolProperty(name="Legend", description="Draw the classes and their colours over the view")
     show_selected: BoolProperty(
@@ -195,6 +236,10 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult)
         for class_id, count, score in zip(ids.tolist(), counts.tolist(), scores.tolist(), strict=True):
             _fill_class(lists.classes.add(), class_id, count, score, result.classes)
         let_boxes_show_names(root, not lists.show_labels)
+        size_cameras(root, lists.show_cameras)
+        apply_show_as(root)
+        if lists.look != PHOTO:
+            apply_look(root)
 
 
 def best_view(masks: Sequence[MatchedSegment]) -> int:

@@ -80,9 +80,14 @@ def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
     return [ob for ob in objects_by_key(root).values() if ob.type == "POINTCLOUD"]
 
 
-def ids_of(cloud: bpy.types.PointCloud, name: str) -> NDArray[np.int32]:
-    """The integer attribute `name` of a cloud's points, int32 [N]; zeros where the cloud has none."""
-    values = np.zeros(len(cloud.points), np.int32)
+def surfaces_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
+    """The splats and the meshes of the lift: those that have a class at each vertex."""
+    return [ob for ob in objects_by_key(root).values() if ob.type == "MESH" and "class_id" in ob.data.attributes]
+
+
+def ids_of(cloud: Any, name: str) -> NDArray[np.int32]:
+    """The integer attribute `name` of a cloud's points or of a mesh's vertices, int32 [N]; zeros where it has none."""
+    values = np.zeros(len(cloud.attributes["position"].data), np.int32)
     if name in cloud.attributes:
         cloud.attributes[name].data.foreach_get("value", values)
     return values

@@ -18,6 +18,8 @@ _PADDING = 5.0
 _MOST_LABELS = 120
 _STEP = 0.25
 """Share of a label's height by which a label moves up that would cover another."""
+_FARTHEST = 4.0
+"""Heights of a label that it may move up. A label farther from its box names another."""
 _DARK = (0.09, 0.095, 0.105)
 
 
@@ -104,7 +106,8 @@ def stack_labels(
     anchors: Sequence[tuple[float, float]], widths: Sequence[float], height: float, space: tuple[float, float]
 ) -> dict[int, tuple[float, float]]:
     """The lower left corners of labels above their anchors [(x, y)], by the labels' indices, within a space (width,
-    height), all in pixels. Labels that would cover another move up. Anchors outside the space have no label.
+    height), all in pixels. Labels that would cover another move up; those that would have to move far are left out.
+    Anchors outside the space have no label.
     """
     placed: dict[int, tuple[float, float]] = {}
     for index in sorted(range(len(anchors)), key=lambda index: (anchors[index][1], anchors[index][0])):
@@ -115,7 +118,8 @@ def stack_labels(
         crossing = [low for i, (at, low) in placed.items() if left < at + widths[i] and at < left + width]
         while any(abs(y - low) < height for low in crossing):
             y += _STEP * height
-        placed[index] = (left, y)
+        if y - anchors[index][1] <= _FARTHEST * height:
+            placed[index] = (left, y)
     return placed
 
 

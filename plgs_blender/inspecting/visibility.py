@@ -19,13 +19,14 @@ from ...engine.scene import VOID
 from .. import compat
 from ..materials import object_colour
 from ..owned import LIFT, key_of, tag
-from .lookup import boxes_of, clouds_of, ids_of, row_of
+from .looks import CLASSES
+from .lookup import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of
 
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
 _GROUP = "hidden instances"
-BY_INSTANCE, BY_CLASS = "INSTANCE", "CLASS"
-"""Values of a lift's `box_colours`."""
+_WIRES, _DOTS = 0.15, 0.03
+"""Display sizes of the frames' cameras in metres: such that each can be told, and such that their path can."""
 
 
 class _OnceForMany:
@@ -67,12 +68,14 @@ def apply_visibility(root: bpy.types.Collection) -> None:
         if "class_id" in cloud:
             _show_object(cloud, bool(lists.isolated) or eyes.get(cloud["class_id"], True))
         _hide_points(root, cloud, _left_out(lists, ids_of(cloud.data, "instance_id"), ids_of(cloud.data, "class_id")))
+    for ob in surfaces_of(root):
+        _hide_points(root, ob, _left_out(lists, ids_of(ob.data, "instance_id"), ids_of(ob.data, "class_id")))
 
 
 @_OnceForMany
 def apply_colours(root: bpy.types.Collection) -> None:
-    """Colour the clouds by their classes and the boxes as the lift's `box_colours` says. Solid shading and renders both
-    show the objects' colours.
+    """Colour the clouds by their classes, and the boxes by instances unless the lift's `look` is of classes. Solid
+    shading and renders both show the objects' colours.
     """
     lists = root.plgs
     of_class = {row.class_id: _linear(row.colour) for row in lists.classes}
@@ -85,7 +88,7 @@ def apply_colours(root: bpy.types.Collection) -> None:
         box = boxes.get(row.instance_id)
         if box is not None:
             own = _linear(row.colour)
-            box.color = of_class.get(row.class_id, own) if lists.box_colours == BY_CLASS else own
+            box.color = of_class.get(row.class_id, own) if lists.look == CLASSES else own
 
 
 def _linear(srgb: bpy.types.bpy_prop_array) -> tuple[float, float, float, float]:
@@ -97,6 +100,13 @@ def let_boxes_show_names(root: bpy.types.Collection, shown: bool) -> None:
     """Set whether Blender itself writes the names at the boxes. It does not while we draw labels."""
     for box in boxes_of(root).values():
         box.show_name = shown
+
+
+def size_cameras(root: bpy.types.Collection, large: bool) -> None:
+    """Draw the frames' cameras large, or as dots on their path. They are not hidden: a hidden camera shows no photo."""
+    for key, ob in objects_by_key(root).items():
+        if key.startswith("frame:") and ob.type == "CAMERA":
+            ob.data.display_size = _WIRES if large else _DOTS
 
 
 def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
@@ -148,16 +158,18 @@ def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: ND
     cloud.data.update_tag()
     modifier = modifier or cloud.modifiers.new(MODIFIER, "NODES")
     if modifier.node_group is None:
-        modifier.node_group = _node_group(root[LIFT], next(iter(cloud.data.materials), None))
+        # Geometry nodes lose the materials of point clouds; those of meshes stay.
+        material = next(iter(cloud.data.materials), None) if cloud.type == "POINTCLOUD" else None
+        modifier.node_group = _node_group(root[LIFT], _GROUP if material else f"{_GROUP} of meshes", material)
 
 
-def _node_group(lift: str, material: bpy.types.Material | None) -> bpy.types.NodeTree:
-    """The lift's node group that deletes the points whose attribute `plgs_hidden` is true."""
+def _node_group(lift: str, key: str, material: bpy.types.Material | None) -> bpy.types.NodeTree:
+    """The lift's node group that deletes the points whose attribute `plgs_hidden` is true, and sets a material."""
     for tree in bpy.data.node_groups:
-        if key_of(tree, lift) == _GROUP:
+        if key_of(tree, lift) == key:
             return tree
     tree = _new_group(material)
-    tag(tree, lift, _GROUP)
+    tag(tree, lift, key)
     return tree
 
 
@@ -176,8 +188,8 @@ def _new_group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
     found = next(socket for socket in hidden.outputs if socket.enabled and socket.name == "Attribute")
     tree.links.new(found, remove.inputs["Selection"])
     tree.links.new(start.outputs[0], remove.inputs["Geometry"])
-    # Geometry nodes lose the materials of point clouds.
     dye.inputs["Material"].default_value = material
+    dye.inputs["Selection"].default_value = material is not None
     tree.links.new(remove.outputs[0], dye.inputs["Geometry"])
     tree.links.new(dye.outputs[0], end.inputs[0])
     return tree

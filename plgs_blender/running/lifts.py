@@ -12,11 +12,10 @@ from ...engine.job.follower import TaskFollower, start_bake
 from ...engine.job.process import engine_command
 from ...engine.job.recent import RecentLift, recent_lifts
 from ...engine.job.task import BAKE, LIFT, TaskState
-from ..lift_scene import place_lift, place_passes_anew
+from ..lift_scene import look_at_placed, place_lift, place_passes_anew
 from ..settings import adopt, chosen_lift
 from ..tasks import registry, timer
 from ..tasks.registry import Task
-from ..viewport import show_lift_colours_in
 from . import live_preview
 
 _SHOWN_RECENT = 8
@@ -199,12 +198,12 @@ def look_at(folder: Path) -> Lift | None:
 
 
 def show_lift(scene: Any, lift: LiftFolder) -> Any:
-    """Put a finished lift into the scene, let the panel say what it was asked for, and return its collection. Views
-    with Blender's initial shading show its colours. Raises PlgsError.
+    """Put a finished lift into the scene, let the panel say what it was asked for, and return its collection. The 3D
+    views look at it, as splats when it was not in the scene before. Raises PlgsError.
     """
     root = place_lift(lift.path, scene)
     adopt(scene.plgs, lift.request, lift.path)
-    show_lift_colours_in(scene)
+    look_at_placed(root, scene)
     return root
 
 

@@ -14,7 +14,7 @@ from tiny_scene import CHAIR_ID
 
 NAMES = (
     "select_instance", "select_class", "toggle_instance_visibility", "toggle_class_visibility", "isolate_instance",
-    "show_all", "colour_boxes", "frame_instance", "go_to_best_view", "go_to_mask", "toggle_overlay",
+    "show_all", "colour_by", "show_as", "frame_instance", "go_to_best_view", "go_to_mask", "toggle_overlay",
 )  # fmt: skip
 
 
@@ -67,9 +67,9 @@ def test_eyes(root: bpy.types.Collection) -> None:
 def test_boxes_by_class_and_back(root: bpy.types.Collection) -> None:
     chair, cloud = bpy.data.objects[CHAIR_NAME], bpy.data.objects["chair"]
     own = tuple(chair.color)
-    bpy.ops.plgs.colour_boxes(by="CLASS")
+    bpy.ops.plgs.colour_by(look="CLASSES")
     assert tuple(chair.color) == pytest.approx(tuple(cloud.color)) != pytest.approx(own)
-    bpy.ops.plgs.colour_boxes()
+    bpy.ops.plgs.colour_by(look="INSTANCES")
     assert tuple(chair.color) == pytest.approx(own)
     root.plgs.instances[0].colour = (1.0, 0.0, 0.0)
     assert tuple(chair.color) == pytest.approx((1.0, 0.0, 0.0, 1.0)), "a colour chosen in the list is the box's"
@@ -89,20 +89,12 @@ def test_views_and_masks(root: bpy.types.Collection) -> None:
 
 def test_overlays(root: bpy.types.Collection) -> None:
     box = boxes_of(root)[1]
-    assert box.show_name, "Blender writes the names while we do not"
-    bpy.ops.plgs.toggle_overlay(part="LABELS")
     assert root.plgs.show_labels and not box.show_name
     bpy.ops.plgs.toggle_overlay(part="LEGEND")
     bpy.ops.plgs.toggle_overlay(part="SELECTED")
     assert root.plgs.show_legend and not root.plgs.show_selected
     bpy.ops.plgs.toggle_overlay(part="LABELS")
-    assert box.show_name
-
-
-@pytest.mark.skipif(splats.has_native_splats(), reason="this Blender has splats")
-def test_gaussians_say_what_they_need() -> None:
-    with pytest.raises(RuntimeError, match="5.3 or newer has native splats"):
-        bpy.ops.plgs.place_gaussians()
+    assert box.show_name, "Blender writes the names while we do not"
 
 
 def test_gaussians_that_are_no_splats_leave_nothing(
@@ -111,7 +103,7 @@ def test_gaussians_that_are_no_splats_leave_nothing(
     """As a Blender that claims splats but reads the file as a mesh would."""
     monkeypatch.setattr(splats, "has_native_splats", lambda: True)
     with pytest.raises(RuntimeError, match="gaussians.ply"):
-        bpy.ops.plgs.place_gaussians()
+        bpy.ops.plgs.show_as(kind="SPLATS")
     result = tmp_path / "lift" / "result"
     result.mkdir(parents=True)
     head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
@@ -119,5 +111,5 @@ def test_gaussians_that_are_no_splats_leave_nothing(
     root["plgs_lift_folder"] = str(tmp_path / "lift")
     before = (len(bpy.data.objects), len(bpy.data.meshes))
     with pytest.raises(RuntimeError, match="as a mesh, not as splats"):
-        bpy.ops.plgs.place_gaussians()
+        bpy.ops.plgs.show_as(kind="SPLATS")
     assert (len(bpy.data.objects), len(bpy.data.meshes)) == before

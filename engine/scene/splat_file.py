@@ -1,0 +1,35 @@
+"""Reading the Gaussians of a lift, result/gaussians.ply, as other programs have them, too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PlgsError
+from ..gates import read_plain
+
+_MOST_BYTES = 4 << 30
+_LONGEST_HEADER = 8192
+_KINDS = {"float": "<f4", "int": "<i4", "uchar": "u1"}
+_NEEDED = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
+           "rot_2", "rot_3"}  # fmt: skip
+
+
+def read_gaussians(path: Path) -> NDArray[np.void]:
+    """The rows of a splat file, a structured array [N] by its columns' names. Raises PlgsError for another file."""
+    fix = "Lift the scene again."
+    try:
+        content = read_plain(path, _MOST_BYTES)
+    except OSError as error:
+        raise PlgsError(f"cannot be read ({error.strerror})", path, fix) from error
+    end = content.find(b"end_header\n", 0, _LONGEST_HEADER) + len(b"end_header\n")
+    lines = [line.split() for line in content[:end].decode("ascii", "replace").splitlines()]
+    columns = [(line[2], _KINDS[line[1]]) for line in lines if line[:1] == ["property"] and line[1] in _KINDS]
+    if not content.startswith(b"ply\nformat binary_little_endian") or not _NEEDED <= {name for name, _ in columns}:
+        raise PlgsError("holds no splats", path, fix)
+    row = np.dtype(columns)
+    if (len(content) - end) % row.itemsize:
+        raise PlgsError("is damaged", path, fix)
+    return np.frombuffer(content, row, -1, end)

@@ -1,0 +1,45 @@
+"""What is seen when a finished lift is shown, in a file as Blender starts it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from blender import Window
+
+for folder in (Path(__file__).parent.parent, Path(__file__).parent.parent / "plgs_blender"):
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+
+from tiny_lift import write_tiny_lift  # noqa: E402  (beside this folder)
+
+# Where the corners of the lift's boxes lie in the view, in shares of what the sidebar leaves free.
+PLACES = """
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+area = next(each for each in bpy.context.window.screen.areas if each.type == 'VIEW_3D')
+window = next(each for each in area.regions if each.type == 'WINDOW')
+bar = next(each for each in area.regions if each.type == 'UI')
+answer = []
+for each in bpy.context.scene.objects:
+    if each.get('plgs_key', '').startswith('instance:'):
+        for corner in each.data.vertices:
+            at = location_3d_to_region_2d(window, area.spaces.active.region_3d, each.matrix_world @ corner.co)
+            answer.append((at.x / (window.width - bar.width), at.y / window.height))
+"""
+
+
+@pytest.fixture(scope="module")
+def lift(work_folder: Path) -> Path:
+    return write_tiny_lift(work_folder / "shown", frames=4, bake=False).path
+
+
+def test_the_result_lies_in_the_free_part_of_the_view(window: Window, lift: Path) -> None:
+    window.open_sidebar()
+    window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
+    window.settle()
+    window.screenshot("result")
+    places = window.run(PLACES)
+    assert places and all(0.0 < x < 1.0 and 0.0 < y < 1.0 for x, y in places)
+    shading = "next(a for a in bpy.context.window.screen.areas if a.type == 'VIEW_3D').spaces.active.shading"
+    assert window.ask(f"({shading}.light, {shading}.color_type)") == ["FLAT", "OBJECT"]
