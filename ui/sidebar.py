@@ -15,6 +15,8 @@ _PIXELS_A_LETTER = 7.0
 _MENDING_OPERATORS = {
     ErrorCode.NO_ENGINE: "plgs.show_preferences",
     ErrorCode.NO_MASKS: "plgs.make_masks",
+    ErrorCode.NOT_FINISHED: "plgs.resume_lift",
+    ErrorCode.DAMAGED: "plgs.resume_lift",
 }
 """The operator whose button mends an error of this code."""
 
@@ -58,12 +60,11 @@ def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task
 
 
 def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: PlgsError) -> bpy.types.UILayout:
-    """Draw an error with the field that it names and the button that mends it, and return their box."""
+    """Draw an error with the fields that it names and the button that mends it, and return their box."""
     box = layout.box()
     box.alert = True
     tell(box, context, error, "ERROR")
-    field = field_of_option(error.option)
-    if field is not None:
+    for field in filter(None, map(field_of_option, error.option.split())):
         box.prop(context.scene.plgs, field)
     if error.code in _MENDING_OPERATORS:
         from_panel(box.row(), context).operator(_MENDING_OPERATORS[error.code])

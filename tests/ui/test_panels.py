@@ -63,6 +63,7 @@ class Layout:
                 return SimpleNamespace()
             if name == "prop":
                 getattr(given[0], str(given[1]))
+                self.seen.append(f"field {given[1]}")
             self.seen.append(str(options.get("text", "")))
             return (self, self) if name == "panel" else self
 
@@ -143,6 +144,17 @@ def test_a_scene_that_is_bad_shows_what_mends_it(code: ErrorCode, tmp_path: Path
     shown = drawn()
     assert "no scene of a known format" in shown and shown.count("is bad: here. Give Masks.") == 4
     assert "set-up.log" in shown and ("plgs.show_preferences" in shown) >= (code is ErrorCode.NO_ENGINE)
+
+
+def test_an_error_shows_every_field_that_it_names(tmp_path: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    error = PlgsError("needs too much memory", "here", "Use --fit.", code=ErrorCode.NO_MEMORY, option="--fit --preset")
+    before = drawn()
+    task = tasks_with(Pretended(TaskState.FAILED, error), tmp_path)[0]
+    task.is_taken = True
+    registry.follow(task)
+    shown = drawn()
+    assert all(shown.count(field) == before.count(field) + 1 for field in ("field fit\n", "field preset\n"))
 
 
 def test_running_tasks_show_how_far_they_are(tmp_path: Path) -> None:
