@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from glob import glob, has_magic
 from pathlib import Path
 from typing import cast
 
@@ -27,10 +28,12 @@ class SceneToLift:
 
 
 def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tuple[SceneToLift, ...]:
-    """The scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, called ``names`` or as their folders are.
+    """The scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, called ``names`` or as their folders are. SCENE may
+    be a pattern of folders, such as ``scans/scene*``, which stands for all of them in the order of their names.
 
     Raises PlgsError when an axis or a name is none, when two have one name, or when the numbers differ.
     """
+    texts = [each for text in texts for each in _matching(text)]
     if names is not None and len(names) != len(texts):
         raise PlgsError(f"{len(names)} names for {len(texts)} scenes", ",".join(names), "Give a name for each scene.")
     scenes = [_scene(text) for text in texts]
@@ -45,6 +48,18 @@ def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tup
             raise PlgsError(f"two scenes are called {scene.name}", scene.folder, "Give other names with --names.")
         known.add(scene.name.casefold())
     return tuple(scenes)
+
+
+def _matching(text: str) -> list[str]:
+    """The scenes that a text means. Raises PlgsError for a pattern that fits no folder."""
+    match = _SCENE.fullmatch(text)
+    if match is None or not has_magic(match["folder"]) or Path(match["folder"]).exists():
+        return [text]
+    axis = text[len(match["folder"]) :]
+    found = sorted(folder for folder in glob(match["folder"]) if Path(folder).is_dir())
+    if not found:
+        raise PlgsError("no folder fits the pattern", text, "Name folders of scenes, or another pattern.")
+    return [folder + axis for folder in found]
 
 
 def _scene(text: str) -> SceneToLift:

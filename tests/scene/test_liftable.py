@@ -51,6 +51,10 @@ def test_an_unknown_format_is_refused_and_a_known_one_can_be_named(folder: Path)
     refuses('no format is called "photos".*Choose one of scannet', folder, scene_format="photos")
 
 
-def test_an_unknown_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
+def test_an_unknown_layout_is_told_what_to_do(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
-    refuses("Looked for scannet: the folders color", tmp_path)
+    refuses("need poses: .*COLMAP.*--format scannet", tmp_path)
+    with pytest.raises(PlgsError) as caught:
+        open_scene(tmp_path)
+    assert len(caught.value.fix) < 400
+    refuses("the folders color|color", tmp_path, scene_format="scannet")

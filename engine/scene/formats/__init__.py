@@ -70,6 +70,9 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
         fix = f"Say which one it is, such as --format {found[0].name}."
         raise PlgsError(f"this looks like {names}", place, fix, option="--format")
     if not found:
-        wanted = "; ".join(f"{each.name}: {each.looks_for}" for each in FORMATS)
-        raise PlgsError("no scene of a known format is here", place, f"Looked for {wanted}.")
+        fix = (
+            "Photos and films need poses: record with an app that keeps them (Record3D, Polycam, Stray Scanner), or "
+            f"make them with COLMAP. What a layout lacks is told where it is named: --format {', '.join(known)}."
+        )
+        raise PlgsError("no scene of a known format is here", place, fix, option="--format")
     return found[0]
