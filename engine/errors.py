@@ -14,7 +14,8 @@ _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, 
 class ExitCode(IntEnum):
     """The exit status of the engine and of run_plgs.py.
 
-    75 is EX_TEMPFAIL of sysexits.h, which farms take as "try again". 130 is the shell's own number for a process that Ctrl-C ended, 143 for one that SIGTERM ended.
+    75 is EX_TEMPFAIL of sysexits.h, which farms take as "try again". 130 is the shell's own number for a process that
+    Ctrl-C ended, 143 for one that SIGTERM ended.
     """
 
     FINISHED = 0
