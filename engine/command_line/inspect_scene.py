@@ -48,15 +48,17 @@ def inspect_scene(
     lines += _finding_lines(diagnosis, findings)
     if preset is not None and report is not None:
         lines.append(_prediction(report, preset))
+    harm = None
     if fix is not None and diagnosis.mending.is_needed:
-        write_mended(scene, diagnosis, fix)
+        harm = write_mended(scene, diagnosis, fix)
         mended = [finding.cause for finding in diagnosis.findings if finding.is_mended]
-        lines.append(f"mended    {', '.join(mended)}: {fix}")
+        done = f"{', '.join(mended)}: {fix}" if harm is None else f"nothing: {harm}; no folder is written"
+        lines.append(f"mended    {done}")
     elif fix is not None and refusal is None:
         lines.append("mended    nothing: no finding can be mended without a doubt, and no folder is written")
     answer: dict[str, object] = {} if report is None else asdict(report)
     events.answer({**answer, "diagnosis": found}, "\n".join(lines))
-    if refusal is not None and (fix is None or not diagnosis.mending.is_needed):
+    if refusal is not None and (fix is None or harm is not None or not diagnosis.mending.is_needed):
         raise refusal
 
 

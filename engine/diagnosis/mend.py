@@ -19,14 +19,17 @@ from ..scene.depth import MILLIMETRES
 from .findings import Diagnosis, Mending
 from .looks import Floats
 from .pictures import png_bytes
+from .proof import harm_of
 from .reprojection import Assumption, assumed_poses, lens_under, planar
 
 _DEEPEST = 65535
 """Largest depth of the layout, in millimetres."""
 
 
-def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> None:
+def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
     """Write the mended scene to the folder ``out``, which must not exist. It is written as a whole or not at all.
+
+    What was written is read again. If it is no improvement, it is deleted and the answer says why; else it is None.
 
     Colour images are hard links where they are files of their own, and PNGs otherwise. Depth is in millimetres, masks
     are COCO panoptic, and ground truth is images of classes and instances. Raises PlgsError.
@@ -45,7 +48,12 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> None:
             shutil.rmtree(part)
         part.mkdir()
         _write(scene, frames, diagnosis, part)
+        harm = harm_of(scene, diagnosis, part)
+        if harm is not None:
+            shutil.rmtree(part)
+            return harm
         part.rename(out)
+        return None
     except OSError as error:
         shutil.rmtree(part, ignore_errors=True)
         where = error.filename or out

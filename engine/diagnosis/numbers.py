@@ -12,7 +12,7 @@ from .findings import FIX, Finding
 from .pictures import depth_errors
 from .registration import Shift, measure_registration, registration_findings
 from .reprojection import Assumption, Examined
-from .trials import Agreement, FoundCause, agreement, find_causes
+from .trials import Agreement, FoundCause, agreement, find_causes, is_far_better
 
 _OFF_UNIT, _OFF_FOCAL = 0.025, 0.03
 """Logarithms. Sensors' own scales and calibrations differ by one or two per cent."""
@@ -23,8 +23,6 @@ _ABOVE_NOISE = 2.0
 """Median errors that a shift of the principal point must move surfaces by."""
 _HALF, _NEARLY = 0.5, 0.1
 """Pixels: a shift of half a pixel, and its tolerance."""
-_MORE, _LESS = 1.03, 0.7
-"""A fit explains the error if this many times as many points agree, or if this part of the error is left."""
 _RAY = "the length of the ray ((u - cx) / fx, (v - cy) / fy, 1)"
 
 Figures = dict[str, float | str]
@@ -80,7 +78,20 @@ _WORDS = {
     "lens size": _CauseWords("intrinsics of another size", "intrinsics scaled"),
     "focal": _CauseWords("focal length", "another focal length"),
     "centre": _CauseWords("principal point", "another principal point"),
+    "length": _CauseWords("pose unit", "another unit of the poses"),
+    "lag": _CauseWords("frames off", "poses of other frames"),
+    "mirrored": _CauseWords(
+        "mirrored images",
+        "left and right exchanged",
+        "pictures and depth have left and right exchanged",
+        "mirror them",
+    ),
 }  # fmt: skip
+
+NUMBER_CAUSES = frozenset(words.name for words in _WORDS.values())
+"""What findings on poses, depth and intrinsics are called."""
+_ONLY_TOLD = ("lag", "mirrored")
+"""Causes that are mended in the user's files: which of them are wrong is for the user to see."""
 
 
 def number_findings(examined: Examined) -> tuple[list[Finding], Assumption, Shift]:
@@ -103,15 +114,18 @@ def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) ->
     text, option, figures = _cause_texts(examined, cause, before)
     after = _agreement_figures(cause.before, cause.after)
     one, other = examined.telling_pair(cause.assumed)
+    is_sure = cause.rival is None and cause.cause not in _ONLY_TOLD
+    if cause.rival is not None:
+        option = f"{option}, or see whether it is the {_WORDS[cause.rival].name}, which explains the views as well"
     assumptions = [("as it is", before), (f"with {words.caption}", cause.assumed)]
     return Finding(
         cause=words.name,
         severity="wrong",
         text=f"{text}: of the points carried into other views {after['agreeing_after']:.0%} lie on the depth there, "
         f"and {after['agreeing_before']:.0%} as the scene is",
-        option=f"{option}; {FIX}",
+        option=f"{option}; {FIX}" if is_sure else option,
         figures={**figures, **after},
-        is_mended=True,
+        is_mended=is_sure,
         picture=depth_errors(examined.views, one, other, assumptions),
     )
 
@@ -123,9 +137,18 @@ def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> t
     if cause.cause == "unit":
         factor = now.unit / before.unit
         steps = 1.0 / factor
+        off = f"{steps:.4g} times too long" if steps > 1.0 else f"{factor:.4g} times too short"
         known = f"{1000 * steps:.0f} steps a metre" if steps >= 0.3 else f"{1000 * steps:.3g} steps a metre"
-        text = f"depth is in another unit, {steps:.4g} times too long (as if written with {known} and read with 1000)"
+        text = f"depth is in another unit, {off} (as if written with {known} and read with 1000)"
         return text, f"multiply depth by {factor:.4g}", {"factor": factor}
+    if cause.cause == "length":
+        factor = now.length / before.length
+        text = f"the poses are in another unit, {1 / factor:.4g} times too long"
+        return text, f"multiply the cameras' places by {factor:.4g}", {"factor": factor}
+    if cause.cause == "lag":
+        lag = now.lag
+        text = f"poses and depth are of different frames: depth fits the pose that is named {lag:+d} frames on"
+        return text, "see which of the two was named by another count, and name it again", {"frames": float(lag)}
     if cause.cause == "lens size":
         scale = now.lens_scale / before.lens_scale
         text = f"the intrinsics belong to pictures of {width / scale:.0f}x{height / scale:.0f}, not {width}x{height}"
@@ -159,7 +182,7 @@ def _calibration_findings(
         return [], assumed
     mended = moved(assumed, again.values)
     before, after = (agreement(examined.views, examined.pairs, each) for each in (assumed, mended))
-    if not _explains(before, after):
+    if not is_far_better(after, before):  # drifting poses bend every number a little
         return [], assumed
     one, other = examined.telling_pair(mended)
     picture = depth_errors(examined.views, one, other, [("as it is", assumed), ("with the numbers measured", mended)])
@@ -191,11 +214,6 @@ def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_
     }
     names = tuple(name for name, is_wrong in wrong.items() if is_wrong)
     return tuple(dict.fromkeys((*names, "x", "y"))) if {"x", "y"} & {*names} else names
-
-
-def _explains(before: Agreement, after: Agreement) -> bool:
-    """Whether most of the error goes, or many more points agree. Drifting poses bend every number a little without."""
-    return after.mean > _MORE * before.mean or (after.mean >= before.mean and after.error < _LESS * before.error)
 
 
 def _is_moved(examined: Examined, found: Calibration, axis: str, left: float) -> bool:

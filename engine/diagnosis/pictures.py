@@ -29,7 +29,7 @@ def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str
     rows, columns = np.meshgrid(np.arange(0, height, step), np.arange(0, width, step), indexing="ij")
     known = look.depth[rows, columns] > 0.0
     points = np.stack([columns[known], rows[known]], -1).astype(np.int32)
-    pair = Views([replace(look, points=points), views.looks[other]], views.turn)
+    pair = Views([replace(look, points=points), views.looks[other]], views.turn, views.recorded)
     panels = []
     for caption, assumption in assumed:
         error = np.full(rows.shape, np.nan)

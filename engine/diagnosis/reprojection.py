@@ -31,7 +31,8 @@ class Assumption(NamedTuple):
     ``ray``: 1 when depth is the distance to the camera, -1 when it was divided by the ray's length needlessly.
     ``lens_scale``: factor of fx, fy, cx, cy. ``focal``: further factor of fx and fy. ``aspect``: further factor of fx.
     ``swapped``: fx and fy are exchanged. ``centred``: the principal point is in the middle. ``shift``: added to the
-    principal point, in shares of the picture.
+    principal point, in shares of the picture. ``length``: factor of the cameras' places. ``lag``: a frame's pose is
+    that of the frame so many places later. ``mirrored``: pictures and depth have left and right exchanged.
     """
 
     inverted: bool = False
@@ -44,6 +45,9 @@ class Assumption(NamedTuple):
     swapped: bool = False
     centred: bool = False
     shift: tuple[float, float] = (0.0, 0.0)
+    length: float = 1.0
+    lag: int = 0
+    mirrored: bool = False
 
 
 class Comparison(NamedTuple):
@@ -75,17 +79,19 @@ class Views:
     """The looks as arrays, so that all pairs are compared at once.
 
     ``turn`` float64 [3, 3] is the rotation that made the world upright when the scene was opened. Assumptions about
-    poses are about the poses as they were written, before that rotation.
+    poses are about the poses as they were written, before that rotation. ``recorded`` float64 [N, 4, 4] are the poses
+    of all frames of the scene.
     """
 
-    def __init__(self, looks: Sequence[Look], turn: Floats) -> None:
+    def __init__(self, looks: Sequence[Look], turn: Floats, recorded: Floats) -> None:
         self.looks = looks
         self.turn = turn
         most = max(len(look.points) for look in looks)
         self.size = np.array([(look.camera.width, look.camera.height) for look in looks], np.float64)
         cameras = [look.camera for look in looks]
         self.lens = np.array([(c.fx / c.width, c.fy / c.height, c.cx / c.width, c.cy / c.height) for c in cameras])
-        self.poses = np.stack([camera.camera_to_world for camera in cameras])
+        self.numbers = np.array([look.number for look in looks])
+        self.recorded = recorded
         self.places = np.zeros((len(looks), most, 2))
         self.values = np.zeros((len(looks), most))
         for row, look in enumerate(looks):
@@ -102,7 +108,8 @@ class Views:
 
     def poses_of(self, assumed: Assumption) -> Floats:
         """Camera-to-world poses in the scene's world under an assumption, float64 [F, 4, 4]."""
-        return assumed_poses(self.poses, self.turn, assumed)
+        meant = np.clip(self.numbers + assumed.lag, 0, len(self.recorded) - 1)
+        return assumed_poses(self.recorded[meant], self.turn, assumed)
 
     def compare(self, pairs: NDArray[np.int64], assumed: Assumption, points: int | None = None) -> Comparison:
         """Carry the first ``points`` points of each pair's first look into the second; pairs int64 [P, 2]."""
@@ -185,12 +192,14 @@ def lens_under(lens: Lens, aspect: Floats, assumed: Assumption) -> Lens:
     if assumed.centred:
         meant[:, 2:] = 0.5
     meant[:, 2:] += assumed.shift
+    if assumed.mirrored:
+        meant[:, 0], meant[:, 2] = -meant[:, 0], 1.0 - meant[:, 2]
     return meant
 
 
 def assumed_poses(poses: Floats, turn: Floats, assumed: Assumption) -> Floats:
-    """Camera-to-world poses [F, 4, 4] under an assumption. ``turn`` is that of ``Views``."""
-    if not (assumed.inverted or assumed.opengl):
+    """Camera-to-world poses [F, 4, 4] under an assumption but for its lag. ``turn`` is that of ``Views``."""
+    if not (assumed.inverted or assumed.opengl or assumed.length != 1.0):
         return poses
     rotation, centre = turn.T @ poses[:, :3, :3], poses[:, :3, 3] @ turn
     if assumed.inverted:
@@ -199,7 +208,7 @@ def assumed_poses(poses: Floats, turn: Floats, assumed: Assumption) -> Floats:
     if assumed.opengl:
         rotation = rotation @ _OPENGL
     meant = poses.copy()
-    meant[:, :3, :3], meant[:, :3, 3] = turn @ rotation, centre @ turn.T
+    meant[:, :3, :3], meant[:, :3, 3] = turn @ rotation, assumed.length * centre @ turn.T
     return meant
 
 
@@ -246,4 +255,5 @@ def examine(scene: Scene) -> Examined | None:
     if len(looks) < 3:
         return None
     turn = np.eye(3) if scene.turn is None else scene.turn
-    return Examined(scene, looks, Views(looks, turn), pairs_of(len(looks)), load_photos(scene.frames))
+    recorded = np.stack([frame.camera.camera_to_world for frame in scene.frames])
+    return Examined(scene, looks, Views(looks, turn, recorded), pairs_of(len(looks)), load_photos(scene.frames))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ..scene import Scene
 from .appearance import blur_findings, blur_findings_on_surfaces, clipped_findings, exposure_findings
 from .findings import Diagnosis, Finding, Mending
 from .labels import label_findings
 from .looks import load_photos
-from .numbers import number_findings
+from .numbers import NUMBER_CAUSES, number_findings
 from .order import measure_order, order_findings, repeat_findings
 from .poses import pose_findings
 from .reprojection import Assumption, examine
@@ -34,7 +36,10 @@ def diagnose(scene: Scene) -> Diagnosis:
     findings += exposure_findings(examined, assumed)
     findings += label_findings(examined, assumed)
     turn = None if tilt is None else turn_to_z(tilt.axis)
-    mending = Mending(assumed, shift, turn, _dropped(findings))
+    is_sure = all(finding.is_mended for finding in findings if finding.cause in NUMBER_CAUSES)
+    if not is_sure:  # whatever was measured after a doubtful cause is as doubtful
+        findings = [replace(finding, is_mended=False) for finding in findings]
+    mending = Mending(assumed, shift, turn, _dropped(findings)) if is_sure else Mending()
     return _diagnosis(scene, findings, mending, len(examined.looks), as_it_is)
 
 

@@ -31,6 +31,14 @@ _POSE_CAUSES = ("inverted", "opengl", "inverted opengl")
 _ASIDE = 0.1
 """Share of the picture. A principal point farther from the middle may belong to pictures of another size."""
 _KINDS_COMPARED = 4
+_RIVAL = 1.05
+"""Least factor by which views must agree better under one cause than under the next, for a scene to be mended by it."""
+_ERROR_LEFT = 0.7
+_LEAST_SHARE, _LEAST_OF_ALL = 0.5, 0.15
+"""Least shares of points that agree under a cause: of those that both views see, and of all."""
+_NEAREST, _FARTHEST = 0.4, 8.0
+"""Metres: the median depth of a room, as people record it. A cause of lengths has to lead there."""
+_LAGS = (-3, -2, -1, 1, 2, 3)
 
 
 class Trial(NamedTuple):
@@ -57,12 +65,16 @@ class Agreement(NamedTuple):
 
 
 class FoundCause(NamedTuple):
-    """A cause that was found, the assumption with it, and how views agree before and after."""
+    """A cause that was found, the assumption with it, and how views agree before and after.
+
+    ``rival`` is a cause that explains the scene about as well, None if there is none.
+    """
 
     cause: str
     assumed: Assumption
     before: Agreement
     after: Agreement
+    rival: str | None = None
 
 
 def agreement(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> Agreement:
@@ -111,11 +123,20 @@ def _two_at_once(views: Views, pairs: NDArray[np.int64], before: Agreement) -> l
     return [] if best is None else [*best]
 
 
+def is_far_better(after: Agreement, before: Agreement) -> bool:
+    """Whether a scene may be mended: half of what two views see agrees, and either 15 % more of it than before, or no
+    less with 30 % less error."""
+    more = after.mean > _BETTER * before.mean
+    finer = after.mean >= _AS_GOOD * before.mean and after.error < _ERROR_LEFT * before.error
+    return after.share >= _LEAST_SHARE and (more or finer)
+
+
 def _is_better(after: Agreement, before: Agreement) -> bool:
     """Whether views agree clearly better: by 15 %, and beyond chance."""
     gains = after.by_frame - before.by_frame
     error = float(gains.std(ddof=1)) / np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-    return after.mean > _BETTER * before.mean and float(gains.mean()) > _CERTAIN * max(error, 1e-9)
+    is_enough = after.share >= _LEAST_SHARE and after.seen * after.share >= _LEAST_OF_ALL
+    return is_enough and after.mean > _BETTER * before.mean and float(gains.mean()) > _CERTAIN * max(error, 1e-9)
 
 
 def _best(
@@ -132,8 +153,25 @@ def _best(
     fitted = [_fitted(views, pairs, after, trial) for after, trial in leading if after.mean > before.mean]
     if not fitted:
         return None
-    after, trial = max(fitted, key=lambda each: each[0].mean)
-    return FoundCause(trial.cause, trial.assumed, before, after) if _is_better(after, before) else None
+    fitted.sort(key=lambda each: -each[0].mean)
+    after, trial = fitted[0]
+    if not _is_better(after, before):
+        return None
+    rival = fitted[1][1].cause if len(fitted) > 1 and fitted[1][0].mean * _RIVAL > after.mean else None
+    found = FoundCause(trial.cause, trial.assumed, before, after, rival)
+    return _whose_lengths(views, assumed, found) if trial.cause == "unit" else found
+
+
+def _whose_lengths(views: Views, before: Assumption, found: FoundCause) -> FoundCause:
+    """Whether depth or poses have the other unit. Views cannot tell, but rooms have sizes."""
+    factor = found.assumed.unit / before.unit
+    depth = float(np.median(views.values[views.values > 0.0])) * before.unit
+    is_room, becomes_room = (_NEAREST <= metres <= _FARTHEST for metres in (depth, depth * factor))
+    if becomes_room and is_room and abs(np.log10(factor) - round(np.log10(factor))) < 0.02:
+        return found._replace(rival="length")
+    if becomes_room or not is_room:
+        return found
+    return found._replace(cause="length", assumed=before._replace(length=before.length / factor))
 
 
 def _fitted(views: Views, pairs: NDArray[np.int64], after: Agreement, trial: Trial) -> tuple[Agreement, Trial]:
@@ -154,6 +192,9 @@ def _trials(views: Views, now: Assumption) -> Iterator[Trial]:
         yield Trial("unit", now._replace(unit=now.unit * unit), ("unit",))
     yield Trial("ray", now._replace(ray=now.ray + 1.0))
     yield Trial("not ray", now._replace(ray=now.ray - 1.0))
+    for lag in _LAGS:
+        yield Trial("lag", now._replace(lag=lag))
+    yield Trial("mirrored", now._replace(mirrored=not now.mirrored))
     lens = views.lens_of(now)
     if np.abs(views.size[:, 0] * lens[:, 0] / (views.size[:, 1] * lens[:, 1]) - 1.0).max() > 0.02:
         yield Trial("swapped", now._replace(swapped=not now.swapped))

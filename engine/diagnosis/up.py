@@ -54,7 +54,7 @@ def _measure_up(views: Views, assumed: Assumption) -> UpAxis | None:
     axis = held / np.linalg.norm(held)
     for cone in _CONES:
         near = np.abs(normals @ axis) > np.cos(np.radians(cone))
-        if near.sum() < _LEAST_SHARE * len(normals):
+        if near.sum() < max(_LEAST_SHARE * len(normals), 3):
             return None
         signed = normals[near] * np.sign(normals[near] @ axis)[:, None]
         axis = signed.mean(0) / np.linalg.norm(signed.mean(0))

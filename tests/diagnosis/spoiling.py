@@ -20,6 +20,11 @@ def poses(folder: Path, change: Callable[[int, Floats], Floats]) -> None:
         np.savetxt(path, change(number, np.loadtxt(path)), "%.12g")
 
 
+def farther(pose: Floats, times: float) -> Floats:
+    """The pose, float64 [4, 4], with its place so many times as far from the origin."""
+    return pose * np.array([[1.0, 1.0, 1.0, times]] * 3 + [[1.0] * 4])
+
+
 def intrinsics(folder: Path, change: Callable[[Floats], Floats]) -> None:
     """Rewrite K; the change sees pixel centres at +0.5."""
     path = folder / "intrinsic" / "intrinsic_color.txt"

@@ -84,11 +84,12 @@ SAFE: dict[str, tuple[Callable[[Path], None], str]] = {
         lambda f: spoiling.poses(f, lambda n, p: p @ np.diag([-1.0, 1.0, -1.0, 1.0]) if n == 9 else p),
         "frames out of place",
     ),
+    "poses in centimetres": (lambda f: spoiling.poses(f, lambda _, p: spoiling.farther(p, 100.0)), "pose unit"),
     "repeated": (lambda f: spoiling.repeat(f, "0011", instead_of="0012"), "repeated frames"),
 }
 
 
-QUICKLY = ("world-to-camera", "5000 steps a metre", "half a pixel")
+QUICKLY = ("world-to-camera", "poses in centimetres", "half a pixel")
 
 
 @pytest.mark.parametrize("name", [n if n in QUICKLY else pytest.param(n, marks=pytest.mark.slow) for n in SAFE])
@@ -100,7 +101,7 @@ def test_what_is_planted_is_found_named_and_mended(scene: Path, tmp_path: Path, 
     diagnosis = diagnose(spoilt)
     assert wrong_in(diagnosis) == [cause]
     assert diagnosis.findings[0].picture is not None and diagnosis.findings[0].figures
-    write_mended(spoilt, diagnosis, tmp_path / "mended")
+    assert write_mended(spoilt, diagnosis, tmp_path / "mended") is None
     assert diagnose(open_scene(tmp_path / "mended")).findings == ()
     assert before == {path: path.read_bytes() for path in scene.rglob("*") if path.is_file()}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,17 @@ def scene(tmp_path: Path) -> Scene:
     return open_scene(write_tiny_scene(tmp_path / "scene", 6, (64, 48)))
 
 
+@pytest.fixture
+def unproven(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is written is looked at here, though it makes a good scene worse."""
+    monkeypatch.setattr("engine.diagnosis.mend.harm_of", lambda *_: None)
+
+
 def treated(scene: Scene, mending: Mending) -> Diagnosis:
     return Diagnosis((), mending, len(scene.frames), len(scene.frames), None)
 
 
+@pytest.mark.usefixtures("unproven")
 def test_nothing_but_what_was_mended_changes(scene: Scene, tmp_path: Path) -> None:
     write_mended(scene, treated(scene, Mending(Assumption(unit=2.0), dropped=frozenset({"0002"}))), tmp_path / "out")
     mended = open_scene(tmp_path / "out")
@@ -43,6 +51,7 @@ def test_nothing_but_what_was_mended_changes(scene: Scene, tmp_path: Path) -> No
         np.testing.assert_array_equal(new.read_ground_truth(None).instance, old.read_ground_truth(None).instance)
 
 
+@pytest.mark.usefixtures("unproven")
 def test_depth_moves_by_whole_pixels(scene: Scene, tmp_path: Path) -> None:
     write_mended(scene, treated(scene, Mending(depth_shift=(2 / 64, -1 / 48))), tmp_path / "out")
     old, new = scene.frames[0].depth(), open_scene(tmp_path / "out").frames[0].depth()
@@ -50,6 +59,7 @@ def test_depth_moves_by_whole_pixels(scene: Scene, tmp_path: Path) -> None:
     assert not new[-1].any() and not new[:, :2].any()
 
 
+@pytest.mark.usefixtures("unproven")
 def test_segments_that_may_be_several_objects_stay_so(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path / "scene", 6, (64, 48), masks="panoptic_lifting")
     for path in (folder / "m2f_instance").iterdir():
@@ -108,3 +118,12 @@ def test_a_scene_that_a_lift_refuses_is_explained_and_mended(
     assert "wrong: inverted poses: " in told.out and told.err.startswith("error: ")
     assert main(["inspect", str(folder), "--fix", str(tmp_path / "out")]) == 0
     assert main(["inspect", str(tmp_path / "out")]) == 0
+
+
+def test_a_scene_that_mending_would_spoil_is_not_written(scene: Scene, tmp_path: Path) -> None:
+    """Depth past 16 bits is lost, and two numbers for a good one make views disagree."""
+    known = diagnose(scene)
+    for unit, why in ((100.0, "of the depth would be lost"), (1.5, "views would agree")):
+        told = replace(known, mending=Mending(Assumption(unit=unit)))
+        assert why in (write_mended(scene, told, tmp_path / "out") or "")
+        assert [path.name for path in tmp_path.iterdir()] == ["scene"]

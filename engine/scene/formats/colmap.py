@@ -28,6 +28,8 @@ _MODELS = ("sparse/0", "sparse", "model", "colmap/sparse/0", ".")
 _IMAGES = ("images", "image", "rgb", "color", "input", ".")
 _SCALE = "COLMAP's lengths have no unit, and a lift takes them for metres: scale the model if that is far off"
 _MOST_DEPTH = 1 << 30
+_FARTHEST = 1e6
+"""Lengths of the reconstruction. A stereo that was cut off leaves other numbers in its file."""
 
 
 def _recognises(place: Path) -> bool:
@@ -122,7 +124,8 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     start = sum(len(part) + 1 for part in head[:3])
     if channels != 1 or not width * height or len(data) != start + 4 * width * height:
         raise PlgsError("the depth map is cut off", path, "Let COLMAP write it again.")
-    return only_depth(np.frombuffer(data, "<f4", offset=start).reshape(height, width))
+    depth = only_depth(np.frombuffer(data, "<f4", offset=start).reshape(height, width))
+    return np.where(depth < _FARTHEST, depth, np.float32(0.0))
 
 
 FORMAT = SceneFormat("colmap", "COLMAP", _LOOKS_FOR, _recognises, _read)

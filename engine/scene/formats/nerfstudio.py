@@ -77,9 +77,28 @@ def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
 
 def _image_path(path: Path, name: str) -> Path:
     """The image called ``file_path``; some writers omit its suffix. Raises PlgsError when it is outside."""
-    image = file_inside(path.parent, name, path)
-    found = [image.with_name(image.name + suffix) for suffix in _IMAGES]
-    return next((each for each in found if not image.is_file() and each.is_file()), image)
+    plain = name.replace("\\", "/")
+    try:
+        image = file_inside(path.parent, name, path)
+    except PlgsError:
+        beside = _beside(path, plain)
+        if beside is None:
+            raise
+        image = beside
+    found = [image.with_name(image.name + suffix) for suffix in ("", *_IMAGES)]
+    if not any(each.is_file() for each in found):
+        image = _beside(path, plain) or image
+        found = [image]
+    return next((each for each in found if each.is_file()), image)
+
+
+def _beside(path: Path, name: str) -> Path | None:
+    """The image of a name that counts from another folder: its last parts name a file below the JSON's folder."""
+    parts = [part for part in name.split("/") if part not in ("", ".", "..")]
+    tails = (path.parent.joinpath(*parts[start:]) for start in range(1, len(parts)))
+    paths = (tail.with_name(tail.name + suffix) for tail in tails for suffix in ("", *_IMAGES))
+    found = next((each for each in paths if each.is_file()), None)
+    return None if found is None else file_inside(path.parent, str(found.relative_to(path.parent)), path)
 
 
 def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera:

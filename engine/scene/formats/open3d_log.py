@@ -44,14 +44,25 @@ def _recognises(place: Path) -> bool:
 
 
 def _find_trajectory(place: Path) -> Path | None:
-    """The only .log there is, or a trajectory.json."""
+    """The only .log, or of several the one that is called trajectory.log or alone holds poses, or a trajectory.json."""
     for folder in (place, place / "scene"):
         logs = sorted(folder.glob("*.log"))
+        if len(logs) > 1:
+            logs = [path for path in logs if _holds_poses(path)]
         if len(logs) == 1:
             return logs[0]
+        if folder / "trajectory.log" in logs:
+            return folder / "trajectory.log"
         if (folder / "trajectory.json").is_file():
             return folder / "trajectory.json"
     return None
+
+
+def _holds_poses(path: Path) -> bool:
+    """Whether a file starts with three whole numbers and four numbers: other programs write logs of words there."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        start = [file.readline(200).split() for _ in range(2)]
+    return [len(words) for words in start] == [3, 4] and all(word.lstrip("-").isdecimal() for word in start[0])
 
 
 def _read(place: Path) -> Capture:

@@ -3,7 +3,8 @@
 Frames lie in the folder or in its folders ``seq-01``, ... Poses are camera-to-world, 4x4, OpenCV axes, metres. Depth
 is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the first camera did.
 
-* With ``camera-intrinsics.txt`` (tsdf-fusion, 3DMatch): 3x3, integer pixel centres, for colour and depth alike.
+* With ``camera-intrinsics.txt`` (tsdf-fusion, 3DMatch) or ``camera-intrinsics.color.txt``: 3x3, integer pixel
+  centres, for colour and depth alike.
 * Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f
   525, stands 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if somebody registered it to colour
   already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does.
@@ -46,7 +47,8 @@ def _recognises_tsdf(place: Path) -> bool:
 
 
 def _find_intrinsics(place: Path) -> Path | None:
-    found = (folder / "camera-intrinsics.txt" for folder in (place, place.parent))
+    names = ("camera-intrinsics.txt", "camera-intrinsics.color.txt")
+    found = (folder / name for folder in (place, place.parent) for name in names)
     return next((path for path in found if path.is_file()), None)
 
 

@@ -2,7 +2,8 @@
 
 A line of the odometry is a frame of the video: ``timestamp, frame, x, y, z, qx, qy, qz, qw``, camera-to-world, OpenCV
 axes, metres, ARKit's world with y up; newer files add ``fx, fy, cx, cy`` for each. The matrix is for the video's
-size. Depth is planar, in millimetres (older scans: .npy), 256x192; pixels of the lowest confidence are dropped.
+size. Today's app writes two more columns, whose values are empty; only columns that are read need a number. Depth is
+planar, in millimetres (older scans: .npy), 256x192; pixels of the lowest confidence are dropped.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from ..matrices import read_matrix
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
 from .poses import quaternion_pose
-from .rows import numbers, read_rows
+from .rows import Row, numbers, read_rows
 from .video import Video
 
 _COLUMNS = ("frame", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -69,9 +70,14 @@ def _read_odometry(path: Path) -> list[dict[str, float]]:
     head = next(rows, None)
     if head is None or not {*_COLUMNS} <= {*head.words}:
         raise PlgsError(f"the first line does not name {', '.join(_COLUMNS)}", path, _FIX)
-    found = []
+    found, wanted = [], {*_COLUMNS, *(_LENS if {*_LENS} <= {*head.words} else ())}
     for row in rows:
-        values = dict(zip(head.words, numbers(row, path, _FIX, len(head.words)).tolist(), strict=True))
+        if len(row.words) != len(head.words):
+            raise PlgsError(f"line {row.line} holds {len(row.words)} numbers, not {len(head.words)}", path, _FIX)
+        given = {name: word for name, word in zip(head.words, row.words, strict=True) if name in wanted}
+        if all(given[name] == "" for name in given.keys() & {*_LENS}):
+            given = {name: given[name] for name in _COLUMNS}
+        values = dict(zip(given, numbers(Row(row.line, [*given.values()]), path, _FIX).tolist(), strict=True))
         if not 0.0 <= values["frame"] < 1e9:
             raise PlgsError(f"line {row.line} has no frame's number", path, _FIX)
         found.append(values)

@@ -163,7 +163,7 @@ def _stamped_images(place: Path, kind: str) -> list[_Stamped]:
     if path.is_file():
         images = [_stamped(row.words, row.line, path) for row in read_rows(path, _LIST_FIX)]
     else:
-        files = files_by_stem(place / kind, {".png", ".jpg", ".jpeg"}, f"Give {kind}.txt, {_LIST_FIX}")
+        files = files_by_stem(place / kind, {".png", ".jpg", ".jpeg"}, f"Put the images there, or write {kind}.txt.")
         images = [_stamped([stem, f"{kind}/{file.name}"], 0, path) for stem, file in files.items()]
     return sorted(images, key=lambda image: image.time)
 

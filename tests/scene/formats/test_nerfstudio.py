@@ -59,6 +59,13 @@ def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
     assert len(scene.frames) == 5 and "1 frames are left out: their pictures are missing" in scene.warnings
 
 
+def test_names_that_count_from_another_folder_are_found_beside(tmp_path: Path) -> None:
+    write_scene(tmp_path)
+    path = tmp_path / "transforms.json"
+    path.write_text(path.read_text().replace("./images/", "../../data/room/images/"))
+    check_on_room(open_scene(tmp_path))
+
+
 def test_without_depth_pictures_and_cameras_come(tmp_path: Path) -> None:
     scene = open_scene(write_scene(tmp_path, depth=False))
     assert not scene.has_depth and not scene.has_masks

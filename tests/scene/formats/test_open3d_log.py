@@ -53,6 +53,15 @@ def test_a_lens_of_its_own(tmp_path: Path) -> None:
     check_on_room(scene)
 
 
+def test_of_several_logs_the_one_with_poses_is_read(tmp_path: Path) -> None:
+    write_images(tmp_path, PRIMESENSE)
+    (tmp_path / "reconstruction.log").write_text("[Open3D INFO] fragment 000\n")
+    (tmp_path / "odometry.log").write_text(log([elsewhere(view) for view in views()]))
+    check_on_room(open_scene(tmp_path))
+    (tmp_path / "trajectory.log").write_text(log(views()))
+    assert open_scene(tmp_path).format == "open3d"
+
+
 def test_open3ds_own_trajectory(tmp_path: Path) -> None:
     write_images(tmp_path, Lens())
     parameters = []

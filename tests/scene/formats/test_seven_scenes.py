@@ -68,7 +68,9 @@ def test_registered_depth_is_taken_where_it_is_there(tmp_path: Path) -> None:
     check_on_room(open_scene(tmp_path))
 
 
-@pytest.mark.parametrize("where", ["", "scans"])
+@pytest.mark.parametrize(
+    "where", ["camera-intrinsics.txt", "scans/camera-intrinsics.txt", "camera-intrinsics.color.txt"]
+)
 def test_tsdf_fusion(tmp_path: Path, where: str) -> None:
     lens = Lens()
     folder = tmp_path / "scans"
@@ -80,8 +82,7 @@ def test_tsdf_fusion(tmp_path: Path, where: str) -> None:
         write_colour(base.with_suffix(".color.jpg"), picture.colour)
         write_grey(base.with_suffix(".depth.png"), depth)
         np.savetxt(base.with_suffix(".pose.txt"), opencv_pose(view))
-    np.savetxt(tmp_path / where / "camera-intrinsics.txt",
-               [[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]])  # fmt: skip
+    np.savetxt(tmp_path / where, [[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]])  # fmt: skip
     np.savetxt(folder / "frame-000006.pose.txt", np.full((4, 4), np.inf))
     scene = open_scene(folder)
     assert scene.format == "tsdf-fusion" and "1 frames without a pose are left out: frame-000006" in scene.warnings

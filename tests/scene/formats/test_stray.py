@@ -61,6 +61,14 @@ def test_points_lie_on_the_room(tmp_path: Path, older: bool) -> None:
     assert not scene.frames[0].depth()[:5].any() and not scene.frames[0].file_shows_colour
 
 
+def test_todays_app_writes_two_more_columns_which_are_empty(tmp_path: Path) -> None:
+    write_stray(tmp_path)
+    path = tmp_path / "odometry.csv"
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([f"{head}, horizontal_accuracy, heading", *(f"{row}, , " for row in rows)]) + "\n")
+    check_on_room(open_scene(tmp_path), colour_step=60)
+
+
 def test_pictures_come_in_any_order(tmp_path: Path) -> None:
     scene = open_scene(write_stray(tmp_path))
     last = scene.frames[5].read_colour(None)
