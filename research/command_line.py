@@ -58,6 +58,9 @@ def make_parser() -> argparse.ArgumentParser:
     known = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_experiments(known.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     _add_bench(known.add_parser("bench", help="measure this machine"))
+    correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
+    correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
+    correcting.set_defaults(run=run_correct)
     return parser
 
 
@@ -111,6 +114,17 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=run_bench)
+
+
+def run_correct(options: argparse.Namespace) -> int:
+    """Make the edits, and print them with PQ before and after. Raises PlgsError, OSError."""
+    from .correcting import before_and_after, correct_by_truth
+
+    for number, said in enumerate(correct_by_truth(options.lift), start=1):
+        print(f"{number:3}  {said}")
+    before, after = before_and_after(options.lift)
+    print(f"PQ {100 * before:.1f} % -> {100 * after:.1f} %")
+    return ExitCode.FINISHED
 
 
 def run_experiments(options: argparse.Namespace) -> int:

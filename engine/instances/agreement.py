@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ..scene import Segment, View
+from ..presets.preset import EvidenceKind
+from ..scene import Segment, View, evidence, resolution_of
 from .segments import edge_distance
 
 PAIRS_AT_A_TIME = 8192
@@ -20,24 +21,27 @@ PAIRS_AT_A_TIME = 8192
 @dataclass(frozen=True, eq=False)
 class ViewPoints:
     """What one view says of the points it sees: ``row`` int32 [n] in the cloud, ascending; ``segment`` int32 [n], the
-    id of the segment that most of the point's pixels show (0 = void); ``pixels`` int32 [n]."""
+    id of the segment that most of the point's pixels show (0 = void); ``pixels`` float32 [n] at the size of the frame's
+    own mask; ``resolution`` float32 [n], the mean of its pixels a centimetre."""
 
     row: NDArray[np.int32]
     segment: NDArray[np.int32]
-    pixels: NDArray[np.int32]
+    pixels: NDArray[np.float32]
+    resolution: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class MasksInSpace:
     """M masks of V views. ``masks``: frame name and segment; ``view`` int64 [M], the view of each; ``is_thing`` bool
     [M]; ``holds`` sparse 0/1 [M, N], the points of the cloud in each mask; ``sight`` sparse 0/1 [V, N], the points that
-    each view sees."""
+    each view sees; ``word`` sparse [V, N], how much the view's word on each of them counts."""
 
     masks: list[tuple[str, Segment]]
     view: NDArray[np.int64]
     is_thing: NDArray[np.bool_]
     holds: Any
     sight: Any
+    word: Any
 
     @property
     def size(self) -> NDArray[np.int64]:
@@ -49,14 +53,20 @@ class MasksInSpace:
         rows = np.flatnonzero(np.isin(self.view, views))
         chosen = [self.masks[row] for row in rows]
         seeing = np.isin(np.arange(self.sight.shape[0]), views).astype(np.float32)
-        sight = (sparse.diags(seeing) @ self.sight).tocsr()
-        return MasksInSpace(chosen, self.view[rows], self.is_thing[rows], self.holds[rows], sight)
+        sight, word = ((sparse.diags(seeing) @ of_views).tocsr() for of_views in (self.sight, self.word))
+        return MasksInSpace(chosen, self.view[rows], self.is_thing[rows], self.holds[rows], sight, word)
+
+    def words(self, rows: NDArray[np.integer]) -> Any:
+        """Sparse [n, N]: the points in each of the masks ``rows``, with how much its view's word on them counts."""
+        return self.holds[rows].multiply(self.word[self.view[rows]]).tocsr()
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """``inside`` sparse 0/1 [M, M]: mask i lies inside mask k of another view (or of its own). ``judges`` 0/1 float32
-    [M, V]: the view judges mask i. ``contained`` 0/1 float32 [M, V]: it shows mask i inside one of its masks."""
+    """``judges`` float32 [M, V]: how much the view's judgement of mask i counts, from 0, not at all, to 1, where it
+    resolves the mask as well as the view that has it. ``inside`` sparse [M, M]: the same where mask i lies inside mask
+    k of the view (or is k). ``contained`` float32 [M, V]: the same where the view shows mask i inside one of its masks.
+    """
 
     inside: Any
     judges: NDArray[np.float32]
@@ -90,8 +100,15 @@ def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
     rows, segments = pairs >> 32, pairs & 0xFFFFFFFF
     order = np.lexsort((segments, -np.round(total, 6), rows))
     points, first = np.unique(rows[order], return_index=True)
-    pixels = np.bincount(row, minlength=int(points[-1]) + 1 if len(points) else 0)[points]
-    return ViewPoints(points.astype(np.int32), segments[order][first].astype(np.int32), pixels.astype(np.int32))
+    place = np.searchsorted(points, row)
+    pixels = np.bincount(place, minlength=len(points))
+    resolution = np.bincount(place, resolution_of(view)[seen], len(points)) / np.maximum(pixels, 1)
+    return ViewPoints(
+        points.astype(np.int32),
+        segments[order][first].astype(np.int32),
+        (pixels * view.mask_scale**2).astype(np.float32),
+        resolution.astype(np.float32),
+    )
 
 
 def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
@@ -102,10 +119,10 @@ def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
 
 
 def masks_in_space(
-    views: Sequence[View], summaries: Sequence[ViewPoints], points: int, min_points: int
+    views: Sequence[View], summaries: Sequence[ViewPoints], points: int, min_points: int, kind: EvidenceKind = "views"
 ) -> MasksInSpace:
-    """All masks that have at least ``min_points`` of the cloud's ``points``. A region that may be several objects
-    (a thing's class without an instance) takes no part."""
+    """All masks that have at least ``min_points`` of the cloud's ``points``, with the views' words of that ``kind``. A
+    region that may be several objects (a thing's class without an instance) takes no part."""
     masks: list[tuple[str, Segment]] = []
     view_of_mask: list[int] = []
     held: list[NDArray[np.int32]] = []
@@ -119,7 +136,11 @@ def masks_in_space(
     is_thing = np.array([segment.is_thing for _, segment in masks], bool)
     holds = _rows_of_ones(held, points)
     sight = _rows_of_ones([summary.row for summary in summaries], points)
-    return MasksInSpace(masks, np.array(view_of_mask, np.int64), is_thing, holds, sight)
+    pixels = np.concatenate([np.zeros(0, np.float32), *(one.pixels for one in summaries)])
+    resolution = np.concatenate([np.zeros(0, np.float32), *(one.resolution for one in summaries)])
+    word = sight.copy()
+    word.data = evidence(kind, pixels, resolution).astype(np.float32)
+    return MasksInSpace(masks, np.array(view_of_mask, np.int64), is_thing, holds, sight, word)
 
 
 def _rows_of_ones(columns: Sequence[NDArray[np.int32]], width: int) -> Any:
@@ -143,7 +164,7 @@ def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, ND
     swallowed = _swallowed(space, row, column, rules)
     # Where most views see no thing, the thing was invented.
     swallowing = np.zeros_like(first.judges)
-    swallowing[row[swallowed], space.view[column[swallowed]]] = 1
+    swallowing[row[swallowed], space.view[column[swallowed]]] = inside.data[swallowed]
     swallowed &= (swallowing.sum(1) <= 0.5 * judged)[row]
     abstains = swallowed | ~sound[column]
     judges = first.judges.copy()
@@ -172,16 +193,27 @@ def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:
     np.add.at(labelled, (common.row, space.view[common.col]), common.data)
     size = space.size.reshape(-1, 1)
     judges = (seen >= np.maximum(rules.visible * size, rules.min_points)) & (labelled >= 0.5 * seen)
+    judges = judges * _resolved(space, seen)
     column_view = space.view[common.col]
     lies_inside = common.data >= rules.contained * labelled[common.row, column_view]
-    lies_inside &= judges[common.row, column_view]
+    lies_inside &= judges[common.row, column_view] > 0
     return _agreement(common.row[lies_inside], common.col[lies_inside], judges.astype(np.float32), space.view)
+
+
+def _resolved(space: MasksInSpace, seen: NDArray[np.floating]) -> NDArray[np.floating]:
+    """How well each view resolves each mask, compared with the view that has the mask, [M, V] from 0 to 1. ``seen``
+    [M, V]: points of the mask that the view sees."""
+    word = (space.holds @ space.word.T).toarray() / np.maximum(seen, 1)
+    own = word[np.arange(len(space.masks)), space.view]
+    resolved: NDArray[np.floating] = np.minimum(word / np.maximum(own, 1e-12)[:, None], 1.0)
+    return resolved
 
 
 def _agreement(
     row: NDArray[np.intp], column: NDArray[np.intp], judges: NDArray[np.float32], view: NDArray[np.int64]
 ) -> Agreement:
-    inside = sparse.csr_matrix((np.ones(len(row), np.float32), (row, column)), (len(view), len(view)))
+    word = judges[row, view[column]]
+    inside = sparse.csr_matrix((word, (row, column)), (len(view), len(view)))
     contained = np.zeros_like(judges)
-    contained[row, view[column]] = 1
+    contained[row, view[column]] = word
     return Agreement(inside, judges, contained)

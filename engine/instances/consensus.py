@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..presets.preset import EvidenceKind
 from ..scene import Segment, View
 from .agreement import (
     PAIRS_AT_A_TIME,
@@ -39,6 +40,7 @@ class ConsensusOptions:
     it needs masks in all of them but one, and in 2 at least. Where there are more than ``most_masks`` masks, those of
     keyframes are joined; those of the other views go to the object that owns most of their points. A tracker counts as
     ``tracker`` views about each two masks that it followed: it is in favour where both have one track.
+    ``evidence``: how much the word of a view counts.
     """
 
     rules: JudgingRules = JudgingRules()
@@ -47,6 +49,7 @@ class ConsensusOptions:
     support: float = 0.1
     most_masks: int = 4000
     tracker: float = 1.0
+    evidence: EvidenceKind = "views"
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ def find_objects(
         summaries.append(view_points(view, point_of_pixel(view)))
         if progress:
             progress(done, len(views))
-    space = masks_in_space(views, summaries, points, options.rules.min_points)
+    space = masks_in_space(views, summaries, points, options.rules.min_points, options.evidence)
     keyframes = choose_keyframes(space, options.most_masks)
     found = objects_of_masks(space.of_views(keyframes), options)
     others = np.setdiff1d(np.arange(len(views)), keyframes)
@@ -129,7 +132,7 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> ObjectMa
     members = [each for each in members if _is_supported(space, each, options)]
     if not members:
         return nothing
-    votes = np.stack([np.asarray(space.holds[each].sum(0)).reshape(-1) for each in members])
+    votes = np.stack([np.asarray(space.words(each).sum(0)).reshape(-1) for each in members])
     owner = np.where(votes.max(0) > 0, votes.argmax(0) + 1, 0).astype(np.int32)
     found = []
     for each in members:
@@ -255,12 +258,16 @@ def tracked(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.flo
 
 
 def _is_supported(space: MasksInSpace, members: NDArray[np.intp], options: ConsensusOptions) -> bool:
-    """Whether enough views that see the object have a mask of it."""
-    own = np.asarray(space.holds[members].sum(0)).reshape(-1) > 0
-    seen = space.sight @ own.astype(np.float32)
-    seeing = int((seen >= 0.5 * own.sum()).sum())
-    least = min(options.min_masks, max(2, seeing - 1))
-    return len(np.unique(space.view[members])) >= max(least, options.support * seeing)
+    """Whether enough views that see the object have a mask of it. A view counts as much as it resolves the object,
+    compared with those that have the masks."""
+    own = (np.asarray(space.holds[members].sum(0)).reshape(-1) > 0).astype(np.float32)
+    seen = space.sight @ own
+    masking = np.unique(space.view[members])
+    resolved = space.word @ own / np.maximum(seen, 1)
+    resolved = np.minimum(resolved / resolved[masking].mean(), 1.0)
+    seeing = float(resolved[seen >= 0.5 * own.sum()].sum())
+    least = min(options.min_masks, max(2, int(seeing) - 1))
+    return len(masking) >= least and resolved[masking].sum() >= options.support * seeing
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:

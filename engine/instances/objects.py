@@ -1,9 +1,8 @@
 """What the objects are that views agree on: the class of each, by a vote of the views, and the instance with its box.
 
 The class is ours, beyond the paper. A detector is wrong about a whole object in a view far more often than about a
-pixel: it takes the sofa for a bed. So the points of an object are decided together. Each view votes with the square
-root of the pixels it has of the object. A near view, which sees it larger and better, counts for more, but cannot
-outvote the others by its mass of pixels.
+pixel: it takes the sofa for a bed. So the points of an object are decided together. A view that
+resolves the object better has more votes.
 """
 
 from __future__ import annotations
@@ -13,30 +12,37 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import View
+from ..presets.preset import EvidenceKind
+from ..scene import View, evidence
+from .agreement import ViewPoints
 from .consensus import MemberMask
 from .matching import Evidence, GlobalInstance
 from .oriented_box import fit_box
 
-ViewVotes = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
-"""What one view shows: rows of the cloud int32 [n], the class at each int32 [n] (0 = none), its pixels int32 [n]."""
-
 
 def vote_classes(
-    views: Iterable[ViewVotes], object_of_point: NDArray[np.int32], objects: int, class_ids: tuple[int, ...]
+    views: Iterable[tuple[ViewPoints, NDArray[np.int32]]],
+    object_of_point: NDArray[np.int32],
+    objects: int,
+    class_ids: tuple[int, ...],
+    kind: EvidenceKind,
 ) -> NDArray[np.float64]:
     """Votes for the class of each of the ``objects`` 1.., float64 [objects + 1, C]; row 0, no object, is all 0.
 
-    ``object_of_point`` int32 [N], 0 = none. In each view an object's pixels share sqrt(pixels) votes.
+    ``views``: what each view says of the points it sees, and the class that it shows at each int32 [n] (0 = none);
+    ``object_of_point`` int32 [N], 0 = none. In each view an object's pixels share the votes of that ``kind``.
     """
     ids = np.asarray(class_ids)
     votes = np.zeros((objects + 1, len(ids)))
-    for row, shown, pixels in views:
+    for view, shown in views:
         column = np.minimum(np.searchsorted(ids, shown), len(ids) - 1)
-        owner = object_of_point[row]
+        owner = object_of_point[view.row]
         voting = (owner > 0) & (ids[column] == shown)
-        seen = np.bincount(owner[voting] * len(ids) + column[voting], pixels[voting], votes.size).reshape(votes.shape)
-        votes += seen / np.sqrt(np.maximum(seen.sum(1, keepdims=True), 1.0))
+        owner, column, pixels = owner[voting], column[voting], view.pixels[voting]
+        seen = np.bincount(owner * len(ids) + column, pixels, votes.size).reshape(votes.shape)
+        whole = np.maximum(seen.sum(1), 1e-12)
+        resolution = np.bincount(owner, pixels * view.resolution[voting], len(votes)) / whole
+        votes += seen * (evidence(kind, whole, resolution) / whole)[:, None]
     return votes
 
 

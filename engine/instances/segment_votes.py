@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ..scene import VOID, OnDemand, PanopticMask, View
+from ..presets.preset import EvidenceKind
+from ..scene import VOID, OnDemand, PanopticMask, View, evidence, resolution_of
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
 ROWS_AT_A_TIME = 32768
@@ -45,15 +46,16 @@ def vote_panoptic_labels(
     labels: PanopticLabels,
     object_of_segment: Mapping[tuple[str, int], int],
     rounds: int,
+    kind: EvidenceKind,
 ) -> VotedLabels:
     """Labels of a cloud of ``points`` points. ``point_of_pixel``: the point that each pixel shows, int32 [H, W] a view
     (-1 = none); ``object_of_segment``: frame and segment id to the object 1..U that the mask is one of; ``rounds``:
-    how often segments take the label of their points and vote again."""
+    how often segments take the label of their points and vote again; ``kind``: the votes that a view has on a point."""
     maps = OnDemand(len(views), lambda number: member_labels(views[number], labels, object_of_segment))
-    label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels)
+    label, confidence = _decided(_votes(views, maps, point_of_pixel, points, len(labels), kind), labels)
     for _ in range(rounds):
         maps = view_labels(views, point_of_pixel, label, len(labels))
-        label, confidence = _decided(_votes(maps, point_of_pixel, points, len(labels)), labels)
+        label, confidence = _decided(_votes(views, maps, point_of_pixel, points, len(labels), kind), labels)
     return VotedLabels(label, confidence, maps)
 
 
@@ -110,18 +112,24 @@ def segment_labels(
 
 
 def _votes(
-    maps: Iterable[NDArray[np.int16]], point_of_pixel: Iterable[NDArray[np.int32]], points: int, count: int
+    views: Iterable[View],
+    maps: Iterable[NDArray[np.int16]],
+    point_of_pixel: Iterable[NDArray[np.int32]],
+    points: int,
+    count: int,
+    kind: EvidenceKind,
 ) -> Any:
-    """Sparse float32 [points, count]: in each view a point's pixels share sqrt(pixels) votes, so that a near view
-    cannot outvote the others by its mass of pixels."""
+    """Sparse float32 [points, count]: in each view a point's pixels share the votes that the view has on the point."""
     total = sparse.csr_matrix((points, count), dtype=np.float32)
-    for labels, rows in zip(maps, point_of_pixel, strict=True):
+    for view, labels, rows in zip(views, maps, point_of_pixel, strict=True):
         seen = rows >= 0
         pixels = np.bincount(rows[seen], minlength=points)
+        resolution = np.bincount(rows[seen], resolution_of(view)[seen], points) / np.maximum(pixels, 1)
+        of_pixel = evidence(kind, pixels * view.mask_scale**2, resolution) / np.maximum(pixels, 1)
         voting = seen & (labels >= 0)
         pairs, shown = np.unique(rows[voting].astype(np.int64) * count + labels[voting], return_counts=True)
         row = pairs // count
-        weight = (shown / np.sqrt(pixels[row])).astype(np.float32)
+        weight = (shown * of_pixel[row]).astype(np.float32)
         total = total + sparse.csr_matrix((weight, (row, pairs % count)), shape=total.shape)
     return total
 

@@ -23,7 +23,7 @@ from ..instances.panoptic_labels import PanopticLabels
 from ..instances.pieces import PieceRules, regroup_pieces
 from ..instances.segment_votes import view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions
-from ..presets.preset import Preset
+from ..presets.preset import EvidenceKind, Preset
 from ..scene import VOID, ClassTable, OnDemand, View, chained, stored
 from ..semantics.point_cloud import SemanticPointCloud
 from ..train.progress import StageProgress
@@ -81,18 +81,22 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     """Ours: objects that the views agree on, the class that they vote for each, and the labels that segments and points
     vote for every pixel."""
     views, cloud, scratch = given.views, given.cloud, given.scratch
-    rows = point_of_pixels(views, cloud, scratch)
+    rows, consensus = point_of_pixels(views, cloud, scratch), replace(CONSENSUS, evidence=preset.evidence.masks)
     voters = Voters(given.others, point_of_pixels(given.others, cloud, scratch))
     number_of = {view.name: number for number, view in enumerate(views)}
-    objects, seen = find_objects(views, lambda view: rows[number_of[view.name]], len(cloud), CONSENSUS, progress)
+    objects, seen = find_objects(views, lambda view: rows[number_of[view.name]], len(cloud), consensus, progress)
     objects = with_masks_of(objects, voters.views, voters.seen, CONSENSUS.rules)
     all_views, all_rows = chained(views, voters.views), chained(rows, voters.point_of_pixel)
-    things = thing_objects(objects, all_views, chained(seen, voters.seen), cloud, given.classes)
+    things = thing_objects(
+        objects, all_views, chained(seen, voters.seen), cloud, given.classes, preset.evidence.objects
+    )
     labels = PanopticLabels(cloud.class_ids, tuple(class_id for _, class_id in things))
     member_of = {
         (mask.frame, mask.segment.id): number for number, (masks, _) in enumerate(things, start=1) for mask in masks
     }
-    voted = vote_panoptic_labels(all_views, all_rows, len(cloud), labels, member_of, preset.segment_voting.rounds)
+    voted = vote_panoptic_labels(
+        all_views, all_rows, len(cloud), labels, member_of, preset.segment_voting.rounds, preset.evidence.segments
+    )
     object_of_point = labels.objects(voted.label)
     owner, members = pieces_in_space(things, object_of_point, views, seen, cloud)
     fragment = (object_of_point > 0) & (owner == 0)
@@ -133,10 +137,11 @@ def thing_objects(
     seen: Sequence[ViewPoints],
     cloud: SemanticPointCloud,
     classes: ClassTable,
+    kind: EvidenceKind,
 ) -> list[MasksOfClass]:
-    """The objects that the views vote to be things."""
-    shown = ((one.row, shown_classes(view, one), one.pixels) for view, one in zip(views, seen, strict=True))
-    votes = vote_classes(shown, objects.object_of_point, len(objects.masks), cloud.class_ids)
+    """The objects that the views vote to be things, with votes of that ``kind``."""
+    shown = ((one, shown_classes(view, one)) for view, one in zip(views, seen, strict=True))
+    votes = vote_classes(shown, objects.object_of_point, len(objects.masks), cloud.class_ids, kind)
     class_of_object = object_classes(votes, cloud.class_ids)
     return [
         (masks, int(class_id))

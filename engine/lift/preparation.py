@@ -91,7 +91,7 @@ def semantic_cloud(
     if comparison.neighbours < preset.neighbours:
         events.warning("neighbouring views overlap too little to compare labels: all labels are used")
     options = CloudOptions(
-        spacing=preset.voxel_size / 2, cap=preset.most_points, vote_by=preset.vote_by, majority=preset.majority
+        spacing=preset.voxel_size / 2, cap=preset.most_points, evidence=preset.evidence.points, majority=preset.majority
     )
     cloud = build_point_cloud(views, consistency_masks(views, comparison), class_ids, options, progress)
     if cloud.spacing > options.spacing:

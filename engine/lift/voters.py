@@ -84,4 +84,5 @@ def _read_voter(frame: Frame, trained_within: Size) -> View | PlgsError:
         depth, mask = frame.depth(size), frame.mask(size)
     except PlgsError as error:
         return error
-    return View(frame.name, frame.camera.resized(*size), np.zeros((*depth.shape, 3), np.uint8), depth, mask)
+    colour = np.zeros((*depth.shape, 3), np.uint8)
+    return View(frame.name, frame.camera.resized(*size), colour, depth, mask, mask_scale=frame.size[0] / size[0])

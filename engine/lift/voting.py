@@ -44,14 +44,14 @@ def vote_labels(
     voting_frames = _VotingFrames(scene, frames, preset, scratch)
     named = NamedGaussians(len(scene.anchors) * scene.anchors.gaussians_per_anchor)
     for number in range(preset.vote_rounds):
-        votes = LabelVotes(scene, preset.voting)
+        votes = LabelVotes(scene, preset.voting, preset.evidence.gaussians)
         for place, label_map in enumerate(label_maps):
             frame = voting_frames.at(place)
             shown = pixel_labels(scene, voted, frame.seen) if voted else resize_nearest(label_map, frame.size)
             agreed = segment_labels(frame.mask, shown, count)
             if number == 0:
                 named.add(frame.seen, frame.mask.ids > 0)
-            votes.add(frame.seen, agreed, frame.depth)
+            votes.add(frame.seen, agreed, frame.depth, frames[place].size[0] / frame.size[0])
             progress(number * len(frames) + place + 1, preset.vote_rounds * len(frames))
         voted = votes.result()
     assert voted is not None  # there is at least one round
@@ -86,7 +86,8 @@ class _VotingFrames:
         if place in self._stored:
             numbers, segments = self._stored[place]
             gaussian, weight, drawn, ids, depth = (self._arrays[number] for number in numbers)
-            return _VotingFrame(Contributors(gaussian, weight, drawn), PanopticMask(ids, segments), depth)
+            camera = self.frames[place].camera.resized(drawn.shape[1], drawn.shape[0])
+            return _VotingFrame(Contributors(gaussian, weight, drawn, camera), PanopticMask(ids, segments), depth)
         frame = _rendered(self.scene, self.frames[place], self.preset)
         if self.preset.vote_rounds > 1 and self._arrays.nbytes < MOST_BYTES:
             arrays = (frame.seen.gaussian, frame.seen.weight, frame.seen.depth, frame.mask.ids, frame.depth)

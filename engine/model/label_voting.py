@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..instances.class_first import LEAST_OF_CLASS, object_of_class
 from ..machine.compiled import compiled, device_function
-from ..presets.preset import Voting
-from ..scene import Camera
+from ..presets.preset import EvidenceKind, Voting
+from ..scene import Camera, evidence_of_pixels, evidence_of_resolution, resolution_on
 from .gaussians import decode, no_labels
 from .structured import GaussianLabels, StructuredScene
 
@@ -41,11 +41,12 @@ KEPT = 4
 class Contributors:
     """The Gaussians that a view's pixels are blended from: ``gaussian`` int32 [H, W, K], rows of the scene's labels (-1
     = none), ``weight`` float32 [H, W, K], largest first, and ``depth`` float32 [H, W] metres, 0 where (nearly) nothing
-    is drawn."""
+    is drawn. ``camera`` is the view's."""
 
     gaussian: NDArray[np.int32]
     weight: NDArray[np.float32]
     depth: NDArray[np.float32]
+    camera: Camera
 
 
 class HeldVotes(NamedTuple):
@@ -72,7 +73,7 @@ def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTO
     alpha = rendering.alpha.numpy()
     depth = np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0.3)
     gaussian = row.to(torch.int32)[rendering.top_indices.long()]
-    return Contributors(gaussian.numpy(), rendering.top_weights.numpy(), depth)
+    return Contributors(gaussian.numpy(), rendering.top_weights.numpy(), depth, camera)
 
 
 class LabelVotes:
@@ -83,8 +84,8 @@ class LabelVotes:
     2005). So a label with more than 1 / LABELS_HELD of a Gaussian's votes is never lost.
     """
 
-    def __init__(self, scene: StructuredScene, voting: Voting) -> None:
-        self.scene, self.voting = scene, voting
+    def __init__(self, scene: StructuredScene, voting: Voting, kind: EvidenceKind) -> None:
+        self.scene, self.voting, self.kind = scene, voting, kind
         channels = scene.channels
         self._labels = len(channels.class_ids) + len(channels.instance_slots)
         gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
@@ -92,12 +93,18 @@ class LabelVotes:
         self._held = HeldVotes(np.full((gaussians, held), -1, np.int16), np.zeros((gaussians, held), np.float32))
         self._seen = np.zeros(gaussians, np.float32)
 
-    def add(self, view: Contributors, label: NDArray[np.int16], sensor: NDArray[np.float32]) -> None:
-        """Count a view: its labels int16 [H, W] (-1 abstains), and its depth float32 [H, W] metres (0 = unknown)."""
+    def add(
+        self, view: Contributors, label: NDArray[np.int16], sensor: NDArray[np.float32], mask_scale: float = 1.0
+    ) -> None:
+        """Count a view: its labels int16 [H, W] (-1 abstains), and its depth float32 [H, W] metres (0 = unknown).
+        ``mask_scale`` is that of ``View``. The pixels of a Gaussian are the sum of its blending weights."""
         gap = np.maximum(DEPTH_GAP_M, DEPTH_GAP_SHARE * sensor)
         votes = (label >= 0) & ((sensor <= 0) | (np.abs(view.depth - sensor) <= gap))
         shown = np.where(votes, label, -1).astype(np.int16)
-        _add_votes(view.gaussian, view.weight, shown, np.float32(self.voting.power), self._seen, self._held)
+        power = evidence_of_pixels(self.kind)
+        word = evidence_of_resolution(self.kind, resolution_on(view.camera, view.depth, mask_scale))
+        word *= np.float32(mask_scale ** (2 * power))
+        _add_votes(view.gaussian, view.weight, shown, word, np.float32(power), self._seen, self._held)
 
     @torch.no_grad()
     def result(self) -> GaussianLabels:
@@ -153,9 +160,9 @@ def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
 
 
 @compiled
-def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, held: HeldVotes) -> None:
+def _add_votes(gaussian: Any, weight: Any, label: Any, word: Any, power: Any, seen: Any, held: HeldVotes) -> None:
     """Add each pixel's weights to the votes ``held``, scaled so that a Gaussian has (its weight in the view)^power
-    votes. ``seen`` [G] holds zeros before and after."""
+    votes, times the mean ``word`` [H, W] of its pixels. ``seen`` [G] holds zeros before and after."""
     height, width, count = weight.shape
     for y in range(height):
         for x in range(width):
@@ -169,7 +176,7 @@ def _add_votes(gaussian: Any, weight: Any, label: Any, power: Any, seen: Any, he
                 for c in range(count):
                     row = gaussian[y, x, c]
                     if row >= 0 and seen[row] > 0:
-                        amount = weight[y, x, c] * seen[row] ** (power - np.float32(1))
+                        amount = word[y, x] * weight[y, x, c] * seen[row] ** (power - np.float32(1))
                         _add_vote(held.label[row], held.votes[row], label[y, x], amount)
     for y in range(height):
         for x in range(width):

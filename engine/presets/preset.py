@@ -74,12 +74,28 @@ class SegmentVoting:
     rounds: int = _ranged(2)
 
 
+EvidenceKind = Literal["views", "root", "resolution", "pixels", "density"]
+"""What a view's votes are: 1 each ("views"), the square root of its pixels ("root"), its pixels a centimetre
+("resolution"), its pixels ("pixels"), or its pixels a square centimetre ("density", 1 / depth² for one lens)."""
+
+
+@dataclass(frozen=True)
+class ViewEvidence:
+    """How much a view's word counts, of the ``points`` of the cloud, of the classes of ``objects``, of the labels that
+    ``segments`` give to points, and of the ``gaussians``. Of ``masks``: in what it says of two masks, a view counts as
+    much as it resolves them, measured by the views that have them."""
+
+    points: EvidenceKind = "density"
+    objects: EvidenceKind = "pixels"
+    segments: EvidenceKind = "density"
+    gaussians: EvidenceKind = "pixels"
+    masks: EvidenceKind = "density"
+
+
 @dataclass(frozen=True)
 class Voting:
-    """How views vote on Gaussians. In each view a Gaussian has (summed weight)^``power`` votes. The label decoders have
-    ``prior`` votes on each Gaussian."""
+    """How views vote on Gaussians. The label decoders have ``prior`` votes on each of them."""
 
-    power: float = _ranged(0.5)
     prior: float = _ranged(0.3)
 
 
@@ -106,9 +122,8 @@ class Preset:
     """The label decoders are given both, too, so that labels depend on who looks."""
     neighbours: int = _ranged(0, 0, 64)
     """N_w: the number of views whose masks are compared with those of a view."""
-    vote_by: Literal["views", "pixels"] = "views"
     majority: float = _ranged(0.0, 0.0, 1.0)
-    """How the cloud's points vote, with ``vote_by``: see CloudOptions."""
+    """Share of the votes that the class of a point of the cloud needs."""
     objects: Literal["boxes", "agreement", "none"] = "agreement"
     """How segments of all views become instances: Algorithm 1 by ``matching``, or ours, with a vote of the views on
     each object's class. With "none" nothing is matched in space."""
@@ -147,6 +162,8 @@ class Preset:
     """Pixels (width, height) of the box within which the voting masks are read."""
     vote_rounds: int = _ranged(2, 1, 10)
     """Rounds in which the views vote on the Gaussians."""
+    evidence: ViewEvidence = ViewEvidence()
+    """How much the word of each view counts."""
     label_every: int = _ranged(4, 1)
     """Labels are trained in each step whose number this divides."""
     voting: Voting = Voting()
@@ -195,7 +212,7 @@ PRESETS: dict[str, Preset] = {
             distance_input=True,
             label_view_input=True,
             neighbours=4,
-            vote_by="pixels",
+            evidence=ViewEvidence(points="pixels"),
             majority=0.5,
             objects="boxes",
             one_class_an_object=False,

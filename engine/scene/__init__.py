@@ -9,6 +9,7 @@ from .class_listing import ClassList, class_list_path, class_list_text, list_cla
 from .class_map import NamedClass
 from .class_tables import TABLES, is_thing_by_name
 from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
+from .evidence import evidence, evidence_of_pixels, evidence_of_resolution, resolution_of, resolution_on
 from .formats import FORMATS, SceneFormat
 from .frame import Frame, GroundTruth, PanopticMask, Scene, Segment, Size, SparsePoints
 from .frame_choice import choose_frames, photo_detail
@@ -51,6 +52,9 @@ __all__ = [
     "describe",
     "photo_detail",
     "distinct_colour",
+    "evidence",
+    "evidence_of_pixels",
+    "evidence_of_resolution",
     "is_thing_by_name",
     "list_classes",
     "distinct_ids",
@@ -60,6 +64,8 @@ __all__ = [
     "open_scene_to_lift",
     "read_ahead",
     "require_liftable",
+    "resolution_of",
+    "resolution_on",
     "size_within",
     "stored",
 ]

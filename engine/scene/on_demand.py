@@ -109,23 +109,23 @@ class StoredViews(OnDemand[View]):
         self, views: Iterable[View], folder: Path | None = None, stored: Callable[[int], object] | None = None
     ) -> None:
         self._arrays = StoredArrays(folder)
-        self._about: list[tuple[str, Camera, tuple[Segment, ...], int | None]] = []
+        self._about: list[tuple[str, Camera, tuple[Segment, ...], int | None, float]] = []
         for view in views:
             for array in (view.colour, view.depth, view.mask.ids):
                 self._arrays.append(array)
             border = None if view.border is None else self._arrays.append(view.border)
-            self._about.append((view.name, view.camera, view.mask.segments, border))
+            self._about.append((view.name, view.camera, view.mask.segments, border, view.mask_scale))
             if stored is not None:
                 stored(len(self._about))
-        self._first = np.cumsum([0, *(3 + (border is not None) for *_, border in self._about)]).tolist()
+        self._first = np.cumsum([0, *(3 + (border is not None) for *_, border, _ in self._about)]).tolist()
         super().__init__(len(self._about), self._read)
 
     @property
     def cameras(self) -> list[Camera]:
-        return [camera for _, camera, _, _ in self._about]
+        return [camera for _, camera, *_ in self._about]
 
     def _read(self, number: int) -> View:
-        name, camera, segments, border = self._about[number]
+        name, camera, segments, border, scale = self._about[number]
         colour, depth, ids = (self._arrays[self._first[number] + place] for place in range(3))
         edge = None if border is None else self._arrays[border]
-        return View(name, camera, colour, depth, PanopticMask(ids, segments), edge)
+        return View(name, camera, colour, depth, PanopticMask(ids, segments), edge, scale)

@@ -25,7 +25,8 @@ READERS = 2
 class View:
     """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
 
-    ``border`` bool [H, W] marks the pixels of a black border. It is None in pictures without one.
+    ``border`` bool [H, W] marks the pixels of a black border. It is None in pictures without one. ``mask_scale``: how
+    many pixels of the frame's own mask a pixel's side has.
     """
 
     name: str
@@ -34,6 +35,7 @@ class View:
     depth: NDArray[np.float32]
     mask: PanopticMask
     border: NDArray[np.bool_] | None = None
+    mask_scale: float = 1.0
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
@@ -50,6 +52,7 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
         depth=frame.depth((width, height)),
         mask=frame.mask((width, height)),
         border=resize_nearest(border, (width, height)) if border.any() else None,
+        mask_scale=frame.size[0] / width,
     )
 
 

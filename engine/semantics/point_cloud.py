@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import VOID, View
+from ..presets.preset import EvidenceKind
+from ..scene import VOID, View, evidence, resolution_of
 from .adaptive_spacing import ENLARGED, ColumnedPoints, adapted_centres
 from .cloud_index import CloudIndex
 from .clustering import lloyd_step, seed_centres
@@ -30,19 +31,15 @@ Progress = Callable[[int, int], None]
 class CloudOptions:
     """``spacing`` of the clusters in metres (half the anchors' voxel size does well) is enlarged until at most ``cap``
     clusters remain; in very large scenes less where labels change (`adapted_centres`). A cluster whose winner has less
-    than ``majority`` of the votes is unknown. ``vote_by``: in each view a cluster has as many votes as pixels
-    ("pixels", the paper's points), or the square root of that ("views"), so that a near view cannot outvote the others
-    by its mass of pixels.
-    """
+    than ``majority`` of the votes is unknown. ``evidence``: the votes that a view has on a cluster; the paper's
+    are its "pixels"."""
 
     spacing: float = 0.025
     cap: int = 200_000
     majority: float = 0.5
-    vote_by: str = "pixels"
+    evidence: EvidenceKind = "pixels"
 
     def __post_init__(self) -> None:
-        if self.vote_by not in ("pixels", "views"):
-            raise ValueError(f'vote_by must be "pixels" or "views", got {self.vote_by!r}')
         if self.spacing <= 0 or self.cap < 1:
             raise ValueError(f"spacing and cap must be positive: {self}")
 
@@ -123,7 +120,7 @@ def build_point_cloud(
     if not len(centres):
         raise ValueError("no view has a pixel with depth, so there is no point cloud")
 
-    tally = _Tally(centres, spacing, columns, options.vote_by)
+    tally = _Tally(centres, spacing, columns, options.evidence)
     for view, consistent in zip(views, keep, strict=True):
         tally.add(view, consistent, stride)
         done += 1
@@ -162,10 +159,10 @@ class _Tally:
     mean colour."""
 
     def __init__(
-        self, centres: NDArray[np.float64], spacing: float, class_ids: NDArray[np.int64], vote_by: str
+        self, centres: NDArray[np.float64], spacing: float, class_ids: NDArray[np.int64], kind: EvidenceKind
     ) -> None:
         self._index, self._spacing = CloudIndex(centres), spacing
-        self._class_ids, self._vote_by = class_ids, vote_by
+        self._class_ids, self._kind = class_ids, kind
         self.votes = np.zeros((len(centres), len(class_ids)), np.float32)
         self._rgb, self._members = np.zeros((len(centres), 3)), np.zeros(len(centres))
 
@@ -189,5 +186,7 @@ class _Tally:
         voting = consistent[::stride, ::stride][valid][found] & (column >= 0)
         classes = len(self._class_ids)
         cells, count = np.unique(cluster[voting] * classes + column[voting], return_counts=True)
-        weight = count / np.sqrt(pixels[cells // classes]) if self._vote_by == "views" else count
-        self.votes.reshape(-1)[cells] += weight
+        resolution = np.bincount(cluster, resolution_of(view)[::stride, ::stride][valid][found], len(pixels))
+        whole = pixels * (stride * view.mask_scale) ** 2
+        of_cluster = evidence(self._kind, whole, resolution / np.maximum(pixels, 1)) / np.maximum(pixels, 1)
+        self.votes.reshape(-1)[cells] += count * of_cluster[cells // classes]

@@ -76,6 +76,10 @@ def invented(name: str) -> View:
     return strip(name, ids, {3: CHAIR, 4: CHAIR, 5: CHAIR, 7: WALL})
 
 
+def far_off(view: View, metres: float) -> View:
+    return replace(view, depth=np.full_like(view.depth, metres))
+
+
 def blind(name: str) -> View:
     """All void: it sees every point and says nothing."""
     return strip(name, np.zeros(POINTS), {})
@@ -277,11 +281,31 @@ def test_linked_parts_are_joined_as_all_masks_at_once_would_be(seed: int, has_tr
     judgement = Agreement(inside, judges, judges)
     tracks = random.integers(0, 12, masks).tolist() if has_tracks else [None] * masks
     segments = [("view", Segment(1, CHAIR, True, track=track if track else None)) for track in tracks]
-    space = MasksInSpace(segments, random.integers(0, views, masks), np.ones(masks, bool), None, None)
+    space = MasksInSpace(segments, random.integers(0, views, masks), np.ones(masks, bool), None, None, None)
     rows = np.flatnonzero(random.random(masks) < 0.8)
     at_once = join(join_weight(space, judgement, rows, OPTIONS))
     assert join_agreeing(space, judgement, rows, OPTIONS).tolist() == at_once.tolist()
     assert 1 < len(np.unique(at_once)) < len(rows)
+
+
+def test_a_small_thing_that_only_near_views_resolve_is_no_part_of_a_large_one() -> None:
+    """Four near views draw a sink in a countertop, twelve far ones draw both as one."""
+
+    def countertop(name: str, *, sink: bool) -> View:
+        ids = np.full(POINTS, 7)
+        ids[5:45] = 3
+        if sink:
+            ids[10:20] = 4
+        return strip(name, ids, {3: CHAIR, 4: SOFA, 7: WALL} if sink else {3: CHAIR, 7: WALL})
+
+    near = [countertop(f"near {number}", sink=True) for number in range(4)]
+    far = [far_off(countertop(f"far {number}", sink=False), 4.0) for number in range(12)]
+    apart = objects_in([*near, *far], replace(OPTIONS, evidence="density"))
+    large, small = owners(apart, slice(20, 45), slice(10, 20))
+    assert large != small and owners(apart, slice(5, 10)) == [large]
+    assert frames_of(apart, small) == {view.name for view in near}
+    joined = objects_in([*near, *far], replace(OPTIONS, evidence="views"))
+    assert len(set(owners(joined, slice(20, 45), slice(10, 20)))) == 1
 
 
 def test_masks_of_more_views_join_the_object_that_holds_them() -> None:

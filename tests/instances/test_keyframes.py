@@ -39,8 +39,9 @@ def corridor(views: int, sight: int) -> MasksInSpace:
             view_of_mask.append(view)
             held.append(rows[thing[rows] == number])
     is_thing = np.array([segment.is_thing for _, segment in masks])
+    sight = rows_of_ones(seen, len(columns))
     return MasksInSpace(
-        masks, np.array(view_of_mask), is_thing, rows_of_ones(held, len(columns)), rows_of_ones(seen, len(columns))
+        masks, np.array(view_of_mask), is_thing, rows_of_ones(held, len(columns)), sight, word=sight
     )
 
 
@@ -75,7 +76,7 @@ def test_no_view_is_left_out_that_shows_much_that_others_do_not(seed: int, most_
     sight = rows_of_ones([rows.astype(np.int32) for rows in seen], points)
     masks = [(str(view), Segment(1, WALL, False)) for view in range(views) for _ in range(2)]
     view_of_mask = np.repeat(np.arange(views), 2)
-    space = MasksInSpace(masks, view_of_mask, np.zeros(50, bool), sight[view_of_mask], sight)
+    space = MasksInSpace(masks, view_of_mask, np.zeros(50, bool), sight[view_of_mask], sight, word=sight)
     chosen = choose_keyframes(space, most_masks)
     assert len(chosen) and (np.diff(chosen) > 0).all()
     lacking = sightings(space, chosen) < np.minimum(sightings(space, np.arange(views)), SIGHTINGS)

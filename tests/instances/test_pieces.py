@@ -25,7 +25,7 @@ def view(*segments: tuple[int, slice | np.ndarray], points: int) -> ViewPoints:
     for segment, rows in segments:
         shown[rows] = segment
     row = np.flatnonzero(shown >= 0).astype(np.int32)
-    return ViewPoints(row, shown[row], np.ones(len(row), np.int32))
+    return ViewPoints(row, shown[row], np.ones(len(row), np.float32), np.ones(len(row), np.float32))
 
 
 FAR, NEAR = 3.0, 0.1

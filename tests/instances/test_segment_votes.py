@@ -18,6 +18,7 @@ from engine.instances.segment_votes import (
     segment_labels,
     vote_panoptic_labels,
 )
+from engine.presets.preset import EvidenceKind
 from engine.scene import PanopticMask, Segment, View
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, square, wall_view
 
@@ -84,7 +85,7 @@ def voted(views: list[View], members: set[str], rounds: int = ROUNDS) -> VotedLa
         (view.name, segment.id): 1 for view in views for segment in view.mask.segments
         if view.name in members and segment.is_thing
     }  # fmt: skip
-    return vote_panoptic_labels(views, [rows] * len(views), rows.size, LABELS, members_of, rounds)
+    return vote_panoptic_labels(views, [rows] * len(views), rows.size, LABELS, members_of, rounds, "root")
 
 
 def wrong(found: np.ndarray) -> int:
@@ -139,17 +140,19 @@ def test_what_no_view_labels_is_unknown() -> None:
     assert (found.maps[0] == UNKNOWN_LABEL).all()
 
 
-def test_a_near_view_does_not_outvote_the_others_by_its_pixels() -> None:
-    near, far = np.zeros((4, 4), np.int32), np.full((4, 4), -1, np.int32)
-    far[0, 0] = 0
-    ids = np.ones((4, 4), np.int32)
+@pytest.mark.parametrize(("kind", "near_votes"), [("views", 1), ("root", 4), ("pixels", 16), ("density", 1)])
+def test_a_point_has_votes_by_the_evidence(kind: EvidenceKind, near_votes: int) -> None:
+    """One view shows a point with 16 pixels, five views at the same distance with one each."""
+    near, far = np.full(SIZE[::-1], -1, np.int32), np.full(SIZE[::-1], -1, np.int32)
+    near[:4, :4], far[0, 0] = 0, 0
+    ids = np.ones(SIZE[::-1], np.int32)
     views = [
         replace(drawn(name), mask=PanopticMask(ids, (Segment(1, class_id, False),)))
         for name, class_id in (("near", CHAIR), *((f"far {i}", WALL) for i in range(5)))
     ]
-    # 16 pixels have 4 votes, five single pixels 5.
-    found = vote_panoptic_labels(views, [near, *[far] * 5], 1, LABELS, {}, 0)
-    assert found.label.tolist() == [WALL_LABEL] and found.confidence == pytest.approx(5 / 9)
+    found = vote_panoptic_labels(views, [near, *[far] * 5], 1, LABELS, {}, 0, kind)
+    assert found.label.tolist() == [CHAIR_LABEL if near_votes > 5 else WALL_LABEL]
+    assert found.confidence == pytest.approx(max(near_votes, 5) / (near_votes + 5))
 
 
 def test_many_points_are_decided_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:

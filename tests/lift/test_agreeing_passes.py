@@ -57,6 +57,5 @@ def test_what_no_mask_named_is_nobodys_and_unsure(lift: LiftFolder) -> None:
         owned.append(layers.instance[inside] > 0)
         confidence.append(layers.confidence[inside])
         usual.append(layers.confidence[(ids > 0) & (ids != CHAIR)])
-    print(np.concatenate(owned).mean(), np.concatenate(confidence).mean(), np.concatenate(usual).mean())
     assert np.concatenate(owned).mean() < 0.25
     assert np.concatenate(confidence).mean() < np.concatenate(usual).mean() - 0.2

@@ -26,7 +26,7 @@ from engine.model.label_voting import (
 from engine.model.render import render_view
 from engine.model.scene_labels import VotedLabels, scene_labels
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene
-from engine.presets.preset import Voting
+from engine.presets.preset import EvidenceKind, Voting
 from engine.raster import rasterize
 from engine.scene import Camera
 from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, some_scene
@@ -34,7 +34,7 @@ from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, some_sce
 SLOT_IDS, CLASS_OF_SLOT = (4, NO_OBJECT, 9, SPARE, SPARE), (7, 0, 5, 0, 0)
 LABELS = len(CLASS_IDS) + 2
 SIZE = (CAMERA.height, CAMERA.width)
-ALL = Voting(power=1.0, prior=0.0)
+ALL = Voting(prior=0.0)
 
 
 @pytest.fixture(autouse=True)
@@ -89,15 +89,18 @@ def shares(votes: np.ndarray) -> np.ndarray:
     return votes / np.maximum(votes.sum(1, keepdims=True), 1e-8)
 
 
-@pytest.mark.parametrize("power", [1.0, 0.5])
-def test_votes_are_sums_of_blending_weights(scene: StructuredScene, power: float) -> None:
-    options = replace(ALL, power=power)
-    votes, expected = LabelVotes(scene, options), np.zeros((GAUSSIANS, LABELS))
-    for seed, camera in enumerate((CAMERA, moved(0.3))):
+@pytest.mark.parametrize(("kind", "pixels", "resolution"), [("pixels", 1, 0), ("root", 0.5, 0), ("density", 0, 2)])
+def test_votes_are_sums_of_blending_weights(
+    scene: StructuredScene, kind: EvidenceKind, pixels: float, resolution: float
+) -> None:
+    """In two views of flat surfaces, one nearer than the other."""
+    votes, expected = LabelVotes(scene, ALL, kind), np.zeros((GAUSSIANS, LABELS))
+    for seed, (camera, metres) in enumerate(((CAMERA, 2.0), (moved(0.3), 1.0))):
         label = made_up_labels(seed)
-        votes.add(contributors(scene, camera, GAUSSIANS), label, UNKNOWN_DEPTH)
+        votes.add(replace_depth(contributors(scene, camera, GAUSSIANS), metres), label, UNKNOWN_DEPTH)
         weights = blending_weights(scene, camera, label)
-        expected += weights * np.maximum(weights.sum(1, keepdims=True), 1e-12) ** (power - 1)
+        own = np.maximum(weights.sum(1, keepdims=True), 1e-12) ** (pixels - 1)
+        expected += weights * own * (0.01 * np.sqrt(camera.fx * camera.fy) / metres) ** resolution
     seen = expected.sum(1) > 1e-3
     assert seen.sum() > 30
     np.testing.assert_allclose(dense(votes.result())[seen], shares(expected)[seen], atol=2e-3)
@@ -110,11 +113,11 @@ def test_pixels_at_the_wrong_depth_abstain(scene: StructuredScene) -> None:
     sensor[:, ::3] += 0.9 * label_voting.DEPTH_GAP_M
     sensor[:, 1::3] += 1.1 * label_voting.DEPTH_GAP_M
     sensor[:5] = 0  # not measured
-    votes = LabelVotes(scene, ALL)
+    votes = LabelVotes(scene, ALL, "pixels")
     votes.add(seen, label, sensor)
     abstaining = label.copy()
     abstaining[5:, 1::3] = -1
-    plain = LabelVotes(scene, ALL)
+    plain = LabelVotes(scene, ALL, "pixels")
     plain.add(seen, abstaining, UNKNOWN_DEPTH)
     np.testing.assert_array_equal(dense(votes.result()), dense(plain.result()))
 
@@ -124,7 +127,7 @@ def test_far_off_a_share_of_the_depth_is_allowed(scene: StructuredScene) -> None
     far = replace_depth(seen, 20.0)
     label = np.zeros(SIZE, np.int16)
     for gap, voting in ((0.9, True), (1.1, False)):
-        votes = LabelVotes(scene, ALL)
+        votes = LabelVotes(scene, ALL, "pixels")
         sensor = np.full(SIZE, 20.0, np.float32)
         votes.add(replace_depth(far, 20.0 * (1 + gap * label_voting.DEPTH_GAP_SHARE)), label, sensor)
         assert bool(votes.result().share.any()) is voting
@@ -138,10 +141,10 @@ def test_the_decoders_serve_where_nothing_was_seen(scene: StructuredScene) -> No
     options = replace(ALL, prior=0.3)
     decoded = scene_labels(scene)
     assert decoded is not None
-    silent = LabelVotes(scene, options).result()
+    silent = LabelVotes(scene, options, "pixels").result()
     shown = VotedLabels.of_scene(silent, scene.channels).of(torch.arange(len(silent.label)))
     torch.testing.assert_close(shown, decoded.probabilities, atol=1e-5, rtol=0)
-    votes = LabelVotes(scene, options)
+    votes = LabelVotes(scene, options, "pixels")
     label = np.full(SIZE, 3, np.int16)
     votes.add(contributors(scene, CAMERA, GAUSSIANS), label, UNKNOWN_DEPTH)
     weight = blending_weights(scene, CAMERA, label).sum(1)
@@ -154,7 +157,7 @@ def test_only_the_likeliest_labels_are_kept(scene: StructuredScene, monkeypatch:
     found = []
     for kept in (2, LABELS + 3):
         monkeypatch.setattr(label_voting, "KEPT", kept)
-        votes = LabelVotes(scene, replace(ALL, prior=0.3))
+        votes = LabelVotes(scene, replace(ALL, prior=0.3), "pixels")
         votes.add(contributors(scene, CAMERA, 8), made_up_labels(0), UNKNOWN_DEPTH)
         found.append(votes.result())
     few, all_of_them = found
@@ -176,7 +179,7 @@ def test_of_many_labels_those_with_many_votes_are_never_lost(seed: int) -> None:
     held = HeldVotes(np.full((1, LABELS_HELD), -1, np.int16), np.zeros((1, LABELS_HELD), np.float32))
     one = np.zeros((1, 300, 1), np.int32)
     weight = np.ones((1, 300, 1), np.float32)
-    _add_votes(one, weight, label[None], np.float32(1.0), np.zeros(1, np.float32), held)
+    _add_votes(one, weight, label[None], np.ones((1, 300), np.float32), np.float32(1.0), np.zeros(1, np.float32), held)
     everything = held.of_all_labels(0, 1, 200)[0]
     true = np.bincount(label, minlength=200)
     kept = everything > 0
@@ -187,7 +190,7 @@ def test_of_many_labels_those_with_many_votes_are_never_lost(seed: int) -> None:
 def test_labels_that_depend_on_the_view_are_no_prior() -> None:
     """There is no one label that such a decoder would give a Gaussian."""
     dependent = some_scene(SLOT_IDS, replace(SHAPE, label_view_input=True), CLASS_OF_SLOT)
-    assert not LabelVotes(dependent, replace(ALL, prior=0.3)).result().share.any()
+    assert not LabelVotes(dependent, replace(ALL, prior=0.3), "pixels").result().share.any()
 
 
 def test_contributors_have_the_depth_that_is_drawn(scene: StructuredScene) -> None:
@@ -208,7 +211,8 @@ def test_a_pixel_shows_what_its_gaussians_were_voted_to_be(scene: StructuredScen
     voted = GaussianLabels(torch.from_numpy(label.astype(np.int16)), torch.from_numpy(share.astype(np.float32)))
     gaussian, weight = random.integers(0, 20, (5, 6, 4)), random.uniform(0, 0.25, (5, 6, 4))
     gaussian[np.arange(4) >= random.integers(0, 5, (5, 6, 1))] = -1
-    view = Contributors(gaussian, np.where(gaussian < 0, 0, weight).astype(np.float32), np.ones((5, 6), np.float32))
+    weight = np.where(gaussian < 0, 0, weight)
+    view = Contributors(gaussian, weight.astype(np.float32), np.ones((5, 6), np.float32), CAMERA)
     totals = np.zeros((5, 6, LABELS))
     for place in np.ndindex(gaussian.shape):
         if gaussian[place] >= 0:

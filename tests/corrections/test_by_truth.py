@@ -1,0 +1,38 @@
+"""The truth finds what was made wrong, and its edits bring the score back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from engine.corrections import correct, making, read_corrected
+from engine.errors import PlgsError
+from engine.job import LiftRequest
+from research.command_line import main
+from research.correcting import before_and_after, correct_by_truth
+from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import TINY, lift_into, presets_as
+
+
+def test_what_is_wrong_is_mended_and_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with presets_as(preview=TINY):
+        lift = lift_into(tmp_path / "lift", LiftRequest(scene=write_tiny_scene(tmp_path / "room", frames=6))).path
+    correct_by_truth(lift)
+    right = read_corrected(lift)
+    assert correct_by_truth(lift) == []  # nothing is left
+    one = max(right.instances, key=lambda each: each.points)
+    other = next(kind for kind in right.classes.categories if kind.is_thing and kind.id != one.class_id)
+    _, best = before_and_after(lift)
+    correct(lift, lambda state, _: making.reclass(state, [one.id], other.id))
+    assert before_and_after(lift)[1] < best
+    capsys.readouterr()
+    assert main(["correct", str(lift)]) == 0
+    said = capsys.readouterr().out
+    assert f"{one.name} is {one.class_name}" in said and f"-> {100 * best:.1f} %" in said
+
+
+def test_without_truth_it_is_a_line(tmp_path: Path) -> None:
+    with pytest.raises(PlgsError):
+        correct_by_truth(tmp_path)
+    assert main(["correct", str(tmp_path)]) == 2
