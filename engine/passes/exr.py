@@ -5,7 +5,7 @@ Ids, depth and Cryptomatte are 32-bit floats and exact. Colour, confidence, entr
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,13 @@ def read_exr(path: Path) -> PanopticLayers:
     missing = [name for name in names if name not in found]
     if missing:
         raise ValueError(f"{path} has no channel {missing[0]}: it is no pass of a lift")
+    try:
+        return _layers(found, names)
+    except MemoryError as error:
+        raise ValueError(f"{path} cannot be read: no memory is left for it") from error
+
+
+def _layers(found: Mapping[str, NDArray[Any]], names: Sequence[str]) -> PanopticLayers:
     combined, (depth, semantic, instance, confidence, entropy) = names[:4], (found[name] for name in names[4:])
     return PanopticLayers(
         combined=np.stack([found[name] for name in combined], axis=-1).astype(np.float32),

@@ -83,10 +83,11 @@ EvidenceKind = Literal["views", "root", "resolution", "pixels", "density"]
 class ViewEvidence:
     """How much a view's word counts, of the ``points`` of the cloud, of the classes of ``objects``, of the labels that
     ``segments`` give to points, and of the ``gaussians``. Of ``masks``: in what it says of two masks, a view counts as
-    much as it resolves them, measured by the views that have them."""
+    much as it resolves them, measured by the views that have them. Objects keep the square root: by their pixels one
+    object of the hand-held twin takes another class, and nothing elsewhere gains."""
 
     points: EvidenceKind = "density"
-    objects: EvidenceKind = "pixels"
+    objects: EvidenceKind = "root"
     segments: EvidenceKind = "density"
     gaussians: EvidenceKind = "pixels"
     masks: EvidenceKind = "density"
