@@ -234,6 +234,19 @@ class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
         return FINISHED
 
 
+class PLGS_OT_go_to_frame(OnLift, bpy.types.Operator):
+    """Look through the camera of this frame"""
+
+    bl_idname, bl_label, bl_options = "plgs.go_to_frame", "Go to Frame", {"REGISTER", "UNDO"}
+
+    frame: StringProperty(name="Frame", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        views.look_from_frame(self.root(context), self.frame, context.scene, view_of(context)[0])
+        return FINISHED
+
+
 class PLGS_OT_toggle_overlay(OnLift, bpy.types.Operator):
     """Draw names, a legend or the selected points over the 3D views, or stop it"""
 
@@ -271,5 +284,6 @@ CLASSES = (
     PLGS_OT_frame_instance,
     PLGS_OT_go_to_best_view,
     PLGS_OT_go_to_mask,
+    PLGS_OT_go_to_frame,
     PLGS_OT_toggle_overlay,
 )

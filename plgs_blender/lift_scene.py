@@ -20,7 +20,7 @@ from .cameras import overview_camera
 from .clouds import place_anchors, place_semantic_points
 from .corrections import remember
 from .frames import mark_timeline, place_camera, place_camera_path, place_frames
-from .inspecting.lists import fill_lists, registered
+from .inspecting.lists import fill_lists, fill_not_shown, registered
 from .inspecting.looks import POINTS, SPLATS, SURFACE, apply_look, has, places
 from .lift_collection import (
     FOLDER,
@@ -82,6 +82,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     place_shots(owned, result, scene)
     _choose_what_is_shown(root)
     fill_lists(root, result)
+    fill_not_shown(root, result)
     remember(root, result.edits)
     owned.sweep()
     if bpy.data.filepath:

@@ -10,6 +10,7 @@ from ..engine.corrections import Edit, read_corrected
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder, ResultFile, check_sizes
 from ..engine.job.manifest import MAKE_ANEW, verify_files
+from ..engine.job.report import not_shown, read_metrics
 from ..engine.result_files import (
     ANCHORS,
     INSTANCES,
@@ -28,7 +29,8 @@ _MOST_HASHED = 1 << 26
 @dataclass(frozen=True, eq=False)
 class LiftResult:
     """A finished lift as it is corrected: the frames it was made from and what came out. `passes` are the EXR files of
-    frames, by frame name; `shots` are those of other cameras, by camera name."""
+    frames, by frame name; `shots` are those of other cameras, by camera name. `not_shown`: what the masks show well
+    and the lift does not, in words, and the frame that shows it best."""
 
     folder: Path
     scene: Scene
@@ -39,6 +41,7 @@ class LiftResult:
     passes: dict[str, Path]
     shots: dict[str, Path] = field(default_factory=dict)
     edits: tuple[Edit, ...] = ()
+    not_shown: tuple[tuple[str, str], ...] = ()
 
     @property
     def name(self) -> str:
@@ -71,6 +74,7 @@ def read_result(folder: Path) -> LiftResult:
         anchors=corrected.anchors(),
         passes=passes,
         edits=corrected.edits,
+        not_shown=tuple(not_shown(read_metrics(lift))) if "metrics.json" in listed else (),
         shots={path.stem: path for path in exrs if path.stem not in passes},
     )
 

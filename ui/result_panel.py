@@ -111,6 +111,24 @@ class PLGS_PT_classes(OfResult, bpy.types.Panel):
                 matte.class_id = lists.classes[lists.class_index].class_id
 
 
+class PLGS_PT_not_shown(OfResult, bpy.types.Panel):
+    """What the masks show well from near, and the lift does not: no lift is silently worse than its masks."""
+
+    bl_idname, bl_label = "PLGS_PT_not_shown", "Not Shown"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        root = _lift(context)
+        return root is not None and len(root.plgs.not_shown) > 0
+
+    def draw(self, context: bpy.types.Context) -> None:
+        root = _lift(context)
+        for row in () if root is None else root.plgs.not_shown:
+            tell(self.layout, context, row.name, "HIDE_ON")
+            go = from_panel(self.layout.row(), context).operator("plgs.go_to_frame", text=f"Frame {row.frame}")
+            go.frame = row.frame
+
+
 class PLGS_PT_result_display(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_result_display", "Display"
 
@@ -129,4 +147,4 @@ class PLGS_PT_result_display(OfResult, bpy.types.Panel):
         dim.prop(lists, "dim_others")
 
 
-CLASSES = (PLGS_PT_result, PLGS_PT_masks, PLGS_PT_classes, PLGS_PT_result_display)
+CLASSES = (PLGS_PT_result, PLGS_PT_masks, PLGS_PT_classes, PLGS_PT_not_shown, PLGS_PT_result_display)

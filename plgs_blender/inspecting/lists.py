@@ -145,6 +145,13 @@ class PLGS_PG_class(bpy.types.PropertyGroup):
     )
 
 
+class PLGS_PG_unshown(bpy.types.PropertyGroup):
+    """What the masks show well from near, and the lift does not."""
+
+    name: StringProperty(name="What")
+    frame: StringProperty(name="Frame", description="The frame that shows it best")
+
+
 class PLGS_PG_lift(bpy.types.PropertyGroup):
     """`collection.plgs` of a lift's collection."""
 
@@ -152,6 +159,7 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
     instance_index: IntProperty(name="Instance", default=-1, update=_update_selection)
     classes: CollectionProperty(type=PLGS_PG_class)
     class_index: IntProperty(name="Class", default=-1)
+    not_shown: CollectionProperty(type=PLGS_PG_unshown)
     instances_search: StringProperty(
         name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only instances whose names hold these words"
     )
@@ -194,7 +202,7 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (PLGS_PG_mask, PLGS_PG_instance, PLGS_PG_class, PLGS_PG_lift)
+CLASSES = (PLGS_PG_mask, PLGS_PG_instance, PLGS_PG_class, PLGS_PG_unshown, PLGS_PG_lift)
 
 
 def register() -> None:
@@ -240,6 +248,15 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult)
         apply_show_as(root)
         if lists.look != PHOTO:
             apply_look(root)
+
+
+def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
+    """Let the lift's collection list what the masks show and the lift does not."""
+    with registered():
+        root.plgs.not_shown.clear()
+        for text, frame in result.not_shown:
+            row = root.plgs.not_shown.add()
+            row.name, row.frame = text, frame
 
 
 def best_view(masks: Sequence[MatchedSegment]) -> int:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
 import pytest
 from plgs.plgs_blender import splats
+from plgs.plgs_blender.inspecting.lists import fill_not_shown
 from plgs.plgs_blender.inspecting.lookup import boxes_of
 from plgs.plgs_blender.lift_scene import place_lift
+from plgs.plgs_blender.results import read_result
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 from tiny_scene import CHAIR_ID
 
 NAMES = (
     "select_instance", "select_class", "toggle_instance_visibility", "toggle_class_visibility", "isolate_instance",
-    "show_all", "colour_by", "show_as", "frame_instance", "go_to_best_view", "go_to_mask", "toggle_overlay",
+    "show_all", "colour_by", "show_as", "frame_instance", "go_to_best_view", "go_to_mask", "go_to_frame",
+    "toggle_overlay",
 )  # fmt: skip
 
 
@@ -85,6 +89,18 @@ def test_views_and_masks(root: bpy.types.Collection) -> None:
     assert bpy.context.scene.camera["frame"] == other.frame
     with pytest.raises(RuntimeError, match="no mask in frame"):
         bpy.ops.plgs.go_to_mask(instance=1, frame="nowhere")
+
+
+def test_what_the_lift_does_not_show_is_listed(lift: Path) -> None:
+    """A class that near masks name and the passes lack: its row goes to the frame."""
+    result = replace(read_result(lift), not_shown=(("sink: 4 near views", "0002"),))
+    root = place_lift(lift, bpy.context.scene)
+    fill_not_shown(root, result)
+    assert [(row.name, row.frame) for row in root.plgs.not_shown] == [("sink: 4 near views", "0002")]
+    bpy.ops.plgs.go_to_frame(frame=root.plgs.not_shown[0].frame)
+    assert bpy.context.scene.camera["frame"] == "0002"
+    with pytest.raises(RuntimeError):
+        bpy.ops.plgs.go_to_frame(frame="nowhere")
 
 
 def test_overlays(root: bpy.types.Collection) -> None:
