@@ -33,6 +33,7 @@ class ErrorCode(StrEnum):
     BAD_INPUT = "bad-input"
     BUSY = "busy"  # another process works there: try again later
     NO_ENGINE = "no-engine"  # no usable Python: set the engine up
+    LACKS_PART = "lacks-part"  # the engine lacks packages that can be added to it
     NO_MASKS = "no-masks"  # the scene has none: make them
     NO_MEMORY = "no-memory"  # the lift was refused before it began: fit it
     DISK_FULL = "disk-full"
@@ -55,7 +56,8 @@ class PlgsError(Exception):
     """Input, a lift folder or a computer that cannot be used: what is wrong, where, and what to do.
 
     ``option`` is the command-line option that ``fix`` means, as ``fix`` spells it, such as "--masks"; several are
-    separated by blanks, none is an empty text. The panel shows the names of its own fields in their place.
+    separated by blanks, none is an empty text. The panel shows the names of its own fields in their place. With
+    LACKS_PART it is the name of the part.
     """
 
     def __init__(
@@ -68,6 +70,12 @@ class PlgsError(Exception):
     @property
     def exit_code(self) -> ExitCode:
         return self.code.exit_code
+
+
+def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
+    """The error of an engine without the packages of ``name``, one that `python -m engine add` knows."""
+    fix = f"Add it to the engine: python -m engine add {name}."
+    return PlgsError(what, where, fix, code=ErrorCode.LACKS_PART, option=name)
 
 
 class Cancelled(Exception):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
-from ..plgs_blender.engine_environment import choices, status, tasks
+from ..plgs_blender.engine_environment import choices, status, tasks, usable_python, why_no_engine
 from ..plgs_blender.paths import absolute
+from ..plgs_blender.running import adding
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
 from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, reporting, reporting_events
@@ -74,6 +75,35 @@ class PLGS_OT_cancel_engine_set_up(CancelsTask, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.cancel_engine_set_up", "Cancel"
     cancelled_kind = tasks.SetUp
+
+
+class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):
+    """Download packages that not everybody needs and add them to the engine. Cancel leaves the engine as it was"""
+
+    bl_idname, bl_label = "plgs.add_to_engine", "Add to Engine"
+
+    capability: EnumProperty(  # type: ignore[valid-type]
+        name="What for", items=adding.ITEMS, options={"SKIP_SAVE"}, description="What the packages are for"
+    )
+    index_url: StringProperty(  # type: ignore[valid-type]
+        name="Package index",
+        options={"SKIP_SAVE"},
+        description="The package index to download from; empty: as in the preferences",
+    )
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return why_no_engine() or adding.why_not_added()
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        return adding.add(self.capability, usable_python(), self.index_url)
+
+
+class PLGS_OT_cancel_adding(CancelsTask, bpy.types.Operator):
+    """Stop adding to the engine, which is as it was then"""
+
+    bl_idname, bl_label = "plgs.cancel_adding", "Cancel"
+    cancelled_kind = adding.Adding
 
 
 class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
@@ -159,6 +189,8 @@ class PLGS_OT_show_preferences(Explained, bpy.types.Operator):
 CLASSES = (
     PLGS_OT_set_up_engine,
     PLGS_OT_cancel_engine_set_up,
+    PLGS_OT_add_to_engine,
+    PLGS_OT_cancel_adding,
     PLGS_OT_use_this_python,
     PLGS_OT_check_engine,
     PLGS_OT_open_set_up_log,

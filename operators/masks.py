@@ -7,6 +7,7 @@ from bpy.props import EnumProperty, StringProperty
 
 from ..plgs_blender.engine_environment import usable_python, why_no_engine
 from ..plgs_blender.mask_classes import OWN_TABLE, TABLE_ITEMS, fill_classes, write_classes
+from ..plgs_blender.running.adding import why_lacking
 from ..plgs_blender.running.looking import look_at_scene
 from ..plgs_blender.running.masks import MaskMaking, make_masks
 from ..plgs_blender.settings import chosen_scene
@@ -30,7 +31,9 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
             return "The engine makes masks already"
         if panel_of(context) is None:
             return None
-        return why_no_engine() if context.scene.plgs.scene_folder else "Choose the scene's folder first"
+        if not context.scene.plgs.scene_folder:
+            return "Choose the scene's folder first"
+        return why_no_engine() or why_lacking("segment")
 
     def begin(self, context: bpy.types.Context) -> Task:
         model = self.model or context.scene.plgs_masks.model

@@ -8,8 +8,9 @@ from bpy.props import EnumProperty, StringProperty
 from ..plgs_blender.engine_environment import EngineState, status, tasks
 from ..plgs_blender.engine_environment.choices import EXTENSION, TORCH_BUILDS
 from ..plgs_blender.engine_environment.tasks import SetUp
+from ..plgs_blender.running.adding import ADDED
 from ..plgs_blender.tasks import registry
-from .sidebar import draw_log, draw_task, tell
+from .sidebar import draw_lacking, draw_log, draw_task, tell
 
 _ICONS = {
     EngineState.UNKNOWN: "QUESTION",
@@ -60,6 +61,8 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
             row.operator("plgs.check_engine", icon="FILE_REFRESH")
         if set_up is not None:
             _draw_set_up(layout, context, set_up)
+        for name in ADDED:
+            draw_lacking(layout, context, name)
         self._draw_choices(layout)
 
     def _draw_choices(self, layout: bpy.types.UILayout) -> None:

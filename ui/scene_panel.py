@@ -15,7 +15,7 @@ from ..plgs_blender.running.survey import SceneLook, Survey, possibilities, surv
 from ..plgs_blender.scene_formats import AUTOMATIC, label_of
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.tasks import registry
-from .sidebar import Sidebar, Step, draw_error, draw_task, from_panel, tell
+from .sidebar import Sidebar, Step, draw_error, draw_lacking, draw_task, from_panel, tell
 
 _MOST_WARNINGS = 4
 _PICTURES = ((PHOTO, "Photo", "IMAGE_DATA"), (DEPTH, "Depth", "EMPTY_SINGLE_ARROW"), (MASKS, "Masks", "COLOR"))
@@ -91,6 +91,7 @@ class PLGS_PT_scene_masks(Sidebar, bpy.types.Panel):
                 draw_task(layout, context, making)
             layout.prop(masks, "model")
             from_panel(layout.row(), context).operator("plgs.make_masks", icon="MOD_MASK")
+            draw_lacking(layout, context, "segment")
         row = layout.row(align=True)
         row.operator("plgs.read_classes", icon="FILE_REFRESH")
         row.operator_menu_enum("plgs.read_classes", "table", text="", icon="DOWNARROW_HLT")

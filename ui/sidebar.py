@@ -8,6 +8,8 @@ import time
 import bpy
 
 from ..plgs_blender.errors import ErrorCode, PlgsError, field_of_option, with_field_names
+from ..plgs_blender.running.adding import ADDED, Adding, size_of, why_lacking, why_not_added
+from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
 
 _PIXELS_A_LETTER = 7.0
@@ -64,11 +66,34 @@ def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: Pl
     box = layout.box()
     box.alert = True
     tell(box, context, error, "ERROR")
+    if error.code is ErrorCode.LACKS_PART and error.option in ADDED:
+        draw_adding(box, context, error.option)
+        return box
     for field in filter(None, map(field_of_option, error.option.split())):
         box.prop(context.scene.plgs, field)
     if error.code in _MENDING_OPERATORS:
         from_panel(box.row(), context).operator(_MENDING_OPERATORS[error.code])
     return box
+
+
+def draw_lacking(layout: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
+    """Draw what the engine lacks for one of its capabilities, and the button that adds it; else nothing."""
+    reason = why_lacking(name)
+    if reason is not None:
+        tell(layout, context, reason, "INFO")
+        draw_adding(layout, context, name)
+
+
+def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
+    """Draw the button that adds a part to the engine, or how far that is, and why it failed."""
+    adding = registry.latest(Adding)
+    if adding is not None and adding.name == name:
+        draw_task(layout, context, adding)
+    if adding is None or not adding.is_running:
+        button = layout.operator("plgs.add_to_engine", text=f"Add to Engine ({amount(size_of(name))})", icon="IMPORT")
+        button.capability = name
+        if (obstacle := why_not_added()) is not None:
+            tell(layout, context, obstacle, "INFO")
 
 
 def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:

@@ -199,6 +199,15 @@ def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
     events.answer({"python": python}, f"The engine's Python: {python}")
 
 
+def add(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    """Packages come from where `set_up` takes them."""
+    from ..set_up import Addition
+
+    index_url = os.environ.get("PLGS_INDEX_URL", "")
+    folder = Addition(options.name, events, stop, index_url=index_url).run()
+    events.answer({"folder": folder}, f"Added to the engine: {options.name}")
+
+
 def warm_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     from ..lift import warm_up
 

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from .. import __version__
+from ..job.capabilities import CAPABILITIES, Capability
 from ..job.handshake import EngineAnswer
 from ..job.process import ROOT
 from ..job.requirements import module_of, needed_packages
@@ -20,15 +21,25 @@ _CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)
 def answer(root: Path = ROOT) -> EngineAnswer:
     """Look at this Python. Raises PlgsError when the requirements cannot be read."""
     wanted = needed_packages(root, sys.version_info[:2])
+    packages, cuda = {name: _version(name) for name in wanted}, _cuda_of_torch()
+    missing = [name for name, version in packages.items() if version is None]
     return EngineAnswer(
         version=__version__,
         python=".".join(map(str, sys.version_info[:3])),
         executable=Path(sys.executable),
-        packages={name: _version(name) for name in wanted},
+        packages=packages,
         wanted=wanted,
         cpus=usable_cpus(),
-        cuda=_cuda_of_torch(),
+        cuda=cuda,
+        capabilities={name: (*missing, *_lacking(each, cuda)) for name, each in CAPABILITIES.items()},
     )
+
+
+def _lacking(capability: Capability, cuda: str | None) -> list[str]:
+    """What an engine that lacks nothing else lacks for an ability."""
+    modules = capability.packages.items()
+    lacking = [package for package, module in modules if importlib.util.find_spec(module) is None]
+    return [*lacking, *(["torch for CUDA"] if capability.needs_cuda and cuda is None else [])]
 
 
 def _version(package: str) -> str | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..job import FURTHER_LAYERS, EventWriter, StopSignal
+from ..job.capabilities import ADDED, CAPABILITIES
 from ..job.options import (
     add_capture_options,
     add_lift_options,
@@ -44,6 +45,7 @@ def make_parser() -> argparse.ArgumentParser:
     handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to mend it."
     _make_task(handshake, commands.handshake)
     _add_set_up(known.add_parser("set-up", help="make a Python environment that has all that the engine needs"))
+    _add_add(known.add_parser("add", help="add what not everybody needs to this engine: making masks, poses, readers"))
     warm_up = known.add_parser("warm-up", help="compile what a lift runs, so that the first one starts at once")
     warm_up.description = "Compile for this machine what a lift runs: half a minute, once. The set-up does it."
     _make_task(warm_up, commands.warm_up)
@@ -203,6 +205,16 @@ def _add_set_up(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--torch", choices=("cpu", "cuda"), default="cpu", help="the build of torch (default: cpu)")
     parser.add_argument("--remove", action="store_true", help="delete the environments in FOLDER instead")
     _make_task(parser, commands.set_up, "What was downloaded is kept: the same command goes on.")
+
+
+def _add_add(parser: argparse.ArgumentParser) -> None:
+    parts = ", ".join(f"{name} ({CAPABILITIES[name].label}, {CAPABILITIES[name].size / 1e6:.0f} MB)" for name in ADDED)
+    parser.description = (
+        f"Add the pinned packages of one ability to the environment of the Python that runs this: {parts}. "
+        "What was stopped or failed leaves the environment as it was."
+    )
+    parser.add_argument("name", choices=ADDED, metavar="NAME", help=f"one of {', '.join(ADDED)}")
+    _make_task(parser, commands.add, "The engine is as it was.")
 
 
 def _add_presets(parser: argparse.ArgumentParser) -> None:

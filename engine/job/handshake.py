@@ -10,10 +10,11 @@ from typing import Any
 
 from .. import __version__
 from ..json_file import to_line
+from .capabilities import CAPABILITIES
 
 VERSION = __version__
 """The version of the engine that lies beside this extension."""
-FORMAT = 1
+FORMAT = 2
 """The answer's format. With another number, an extension and an engine do not belong together."""
 TOO_OLD = "the engine needs Python 3.11 or newer"
 """The message of ``python -m engine`` under an older Python."""
@@ -25,7 +26,7 @@ class EngineAnswer:
 
     ``packages``: name and version of what it needs, None when missing, "unknown" when it is there without saying which.
     ``wanted``: the pinned version, None where nothing is pinned for this Python. ``cuda``: the CUDA version that torch
-    was built for, None for a CPU build or without torch.
+    was built for, None for a CPU build or without torch. ``capabilities``: what each of `CAPABILITIES` lacks.
     """
 
     version: str
@@ -35,6 +36,7 @@ class EngineAnswer:
     wanted: Mapping[str, str | None]
     cpus: int
     cuda: str | None
+    capabilities: Mapping[str, tuple[str, ...]]
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -67,6 +69,7 @@ class EngineAnswer:
             "wanted": self.wanted,
             "cpus": self.cpus,
             "cuda": self.cuda,
+            "capabilities": {name: list(lacking) for name, lacking in self.capabilities.items()},
             "missing": list(self.missing),
             "others": list(self.others),
             "fix": self.fix,
@@ -86,6 +89,7 @@ class EngineAnswer:
                 wanted=_versions(data["wanted"]),
                 cpus=int(data["cpus"]),
                 cuda=None if data["cuda"] is None else str(data["cuda"]),
+                capabilities={name: tuple(map(str, data["capabilities"][name])) for name in CAPABILITIES},
             )
         except (ValueError, TypeError, KeyError, AttributeError):
             return None

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..errors import PlgsError
+from ..errors import PlgsError, lacks_part
 from ..scene import ClassLabel, is_thing_by_name, size_within
 from .merging import MadeSegment, merge_queries
 
@@ -62,8 +62,7 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
         from transformers import Mask2FormerForUniversalSegmentation, Mask2FormerImageProcessorPil
         from transformers.utils import logging
     except ImportError as error:
-        fix = "Let the engine's Python install it: python -m pip install -r requirements/segment.txt."
-        raise PlgsError(f"masks are made with the package transformers ({error})", name, fix) from error
+        raise lacks_part(f"masks are made with the package transformers ({error})", name, "segment") from error
     logging.set_verbosity_error()
     logging.disable_progress_bar()
     place: dict[str, Any] = {"local_files_only": not download, "trust_remote_code": False}

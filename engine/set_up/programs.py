@@ -90,6 +90,16 @@ def install_hashed_command(python: Path, hashes: Path) -> list[str | Path]:
     return [python, "-I", "-m", "pip", "install", *_OPTIONS, "--no-deps", "--require-hashes", "--requirement", hashes]
 
 
+def add_command(python: Path, hashes: Path, target: Path) -> list[str | Path]:
+    """The command that installs into ``target`` exactly the files whose hashes the file ``hashes`` has. A package that
+    has no wheel for this system is compiled.
+    """
+    options = ["--no-deps", "--no-compile", "--no-color", "--progress-bar", "off", "--prefer-binary"]
+    return [
+        python, "-I", "-m", "pip", "install", *options, "--require-hashes", "--requirement", hashes, "--target", target
+    ]  # fmt: skip
+
+
 def torch_options(index_url: str, torch_build: str) -> list[str]:
     """Options for torch, which is installed without what it needs: only torch shall come from the index of CPU
     builds."""

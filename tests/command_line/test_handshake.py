@@ -67,7 +67,7 @@ def test_an_answer_comes_back_as_it_went() -> None:
     sent = answer()
     data = json.loads(to_line(sent.to_json()))
     assert EngineAnswer.from_json(data) == sent
-    for other in ({}, {**data, "format": 2}, {**data, "cpus": "many"}):
+    for other in ({}, {**data, "format": 1}, {**data, "cpus": "many"}):
         assert EngineAnswer.from_json(other) is None
 
 

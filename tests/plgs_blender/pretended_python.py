@@ -5,15 +5,21 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from plgs.engine.job.capabilities import CAPABILITIES
 from plgs.engine.job.handshake import VERSION, EngineAnswer
 from plgs.engine.json_file import to_line
 
 WANTED = {"torch": "2.0", "numba": "1.0"}
 
 
-def pretended_python(path: Path, instead: str = "", *, version: str = VERSION, **packages: str | None) -> Path:
-    """Write a program that answers a handshake; ``instead`` is a line of shell that it does in place of that."""
-    answer = EngineAnswer(version, "3.11.9", path, {**WANTED, **packages}, WANTED, 4, None)
+def pretended_python(
+    path: Path, instead: str = "", *, version: str = VERSION, lacks: str = "", **packages: str | None
+) -> Path:
+    """Write a program that answers a handshake; ``instead`` is a line of shell that it does in place of that. ``lacks``
+    names one of `CAPABILITIES` that it lacks a package for.
+    """
+    capabilities = {name: ("a-package",) if name == lacks else () for name in CAPABILITIES}
+    answer = EngineAnswer(version, "3.11.9", path, {**WANTED, **packages}, WANTED, 4, None, capabilities)
     events = [
         {"event": "answer", "answer": json.loads(to_line(answer.to_json()))},
         {"event": "done", "state": "finished"},

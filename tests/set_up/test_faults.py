@@ -44,7 +44,7 @@ class PretendedSetUp(SetUp):
         return "", 0
 
     def _ask(self, python: Path) -> EngineAnswer:
-        return EngineAnswer("0.1.0", "3.11.0", python, {}, {}, 1, None)
+        return EngineAnswer("0.1.0", "3.11.0", python, {}, {}, 1, None, {})
 
 
 def set_up_in(folder: Path, root: Path, faults: Faults) -> PlgsError | None:

@@ -13,12 +13,14 @@ from typing import Any
 
 import bpy
 import pytest
-from plgs.engine.errors import ErrorCode, PlgsError
+from plgs.engine.errors import ErrorCode, PlgsError, lacks_part
 from plgs.engine.job.task import BAKE, LIFT, TaskProgress, TaskState
+from plgs.operators import diagnose, masks
 from plgs.plgs_blender.chosen_scene import ChosenScene
+from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.engine_environment.tasks import SetUp
 from plgs.plgs_blender.lift_scene import place_lift
-from plgs.plgs_blender.running import lifts
+from plgs.plgs_blender.running import adding, lifts
 from plgs.plgs_blender.running.exports import Export
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder
 from plgs.plgs_blender.running.masks import MaskMaking
@@ -40,6 +42,7 @@ for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[
         sys.path.insert(0, str(each))
 
 import tiny_lift  # noqa: E402
+from pretended_python import pretended_python  # noqa: E402
 
 PANELS = (sidebar, scene_panel, lift_panel, result_panel, passes_panel, export_panel)
 
@@ -58,7 +61,7 @@ class Layout:
 
         def call(*given: object, **options: object) -> Any:
             if name in ("operator", "operator_menu_enum"):
-                self.seen.append(str(given[0]))
+                self.seen.append(f"{given[0]} {options.get('text', '')}".strip())
                 getattr(bpy.ops.plgs, str(given[0]).partition(".")[2]).get_rna_type()
                 return SimpleNamespace()
             if name == "prop":
@@ -155,6 +158,39 @@ def test_an_error_shows_every_field_that_it_names(tmp_path: Path) -> None:
     registry.follow(task)
     shown = drawn()
     assert all(shown.count(field) == before.count(field) + 1 for field in ("field fit\n", "field preset\n"))
+
+
+def test_what_the_engine_lacks_is_shown_with_the_button_that_adds_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In an environment that lacks a package of one button: that button is grey, the others are not."""
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    assert "plgs.add_to_engine" not in drawn()
+    choices.choose(pretended_python(tmp_path / "python", lacks="segment"))
+    try:
+        registry.wait_for(tasks.check(), bpy.context.scene)  # type: ignore[arg-type]
+    finally:
+        choices.choose(None)
+    shown = drawn()
+    assert shown.count("Make Masks: the engine lacks a-package") == 2, "in the panel and in the preferences"
+    assert "Add to Engine (130 MB)" in shown and "Allow online access" in shown
+    with pytest.raises(RuntimeError, match="Allow online access"):
+        bpy.ops.plgs.add_to_engine(capability="segment")
+    panel = SimpleNamespace(plgs_panel=bpy.context.scene.plgs, scene=bpy.context.scene)
+    assert masks.PLGS_OT_make_masks.why_not(panel) == adding.why_lacking("segment") is not None
+    assert diagnose.PLGS_OT_diagnose.why_not(panel) is None
+    registry.follow(adding.Adding("segment", Pretended(TaskState.RUNNING)))  # type: ignore[arg-type]
+    shown = drawn()
+    assert "plgs.cancel_adding" in shown and "plgs.add_to_engine" not in shown
+
+
+def test_an_error_of_the_engine_that_lacks_a_part_shows_its_button(tmp_path: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    error = lacks_part("depth of Record3D needs the package pyliblzfse", "here", "record3d")
+    task = tasks_with(Pretended(TaskState.FAILED, error), tmp_path)[0]
+    task.is_taken = True
+    registry.follow(task)
+    assert "Add to Engine (1 MB)" in drawn()
 
 
 def test_running_tasks_show_how_far_they_are(tmp_path: Path) -> None:

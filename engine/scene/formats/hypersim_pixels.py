@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import PlgsError
+from ...errors import PlgsError, lacks_part
 from ..camera import Camera
 
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -122,8 +122,7 @@ def _dataset(path: Path, dimensions: int) -> Iterator[Any]:
     try:
         import h5py
     except ImportError as error:
-        fix = "Let the engine's Python install it: python -m pip install -r requirements/readers.txt."
-        raise PlgsError("HDF5 files need the package h5py", path, fix) from error
+        raise lacks_part("HDF5 files need the package h5py", path, "hypersim") from error
     if not path.is_file():
         raise PlgsError("the file is missing", path, _FIX)
     try:

@@ -21,7 +21,7 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import PlgsError
+from ...errors import PlgsError, lacks_part
 from ...gates import refuse_special
 from ...json_file import parse_json_object, take_list, take_number
 from ...scene_source import UpAxis
@@ -189,8 +189,7 @@ def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
     try:
         import liblzfse
     except ImportError as error:
-        fix = "Let the engine's Python install it: python -m pip install -r requirements/readers.txt."
-        raise PlgsError("depth of Record3D needs the package pyliblzfse", archive.path, fix) from error
+        raise lacks_part("depth of Record3D needs the package pyliblzfse", archive.path, "record3d") from error
     try:
         unpacked = unpack_lzfse(data, most * step, liblzfse.decompress)
     except (liblzfse.error, ValueError, MemoryError) as error:

@@ -1,0 +1,57 @@
+"""What an engine can do, and the packages that each ability needs: one table for handshake, command line and panel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import PlgsError
+
+
+@dataclass(frozen=True)
+class Capability:
+    """One ability of the engine.
+
+    Without ``packages`` it needs what every engine has. Else it needs those besides, each with the module that is
+    imported. Where ``size`` is given, bytes on the disk, `python -m engine add` can add them: ``requirements/NAME.txt``
+    pins them, and ``requirements/hashes-NAME.txt`` lists them and what they bring with them by hash.
+    """
+
+    label: str
+    packages: Mapping[str, str]
+    size: int = 0
+    needs_cuda: bool = False
+
+
+CAPABILITIES: dict[str, Capability] = {
+    "lift": Capability("Lift", {}),
+    "passes": Capability("Passes", {}),
+    "meshes": Capability("Make Meshes", {}),
+    "points": Capability("Labelled points", {}),
+    "segment": Capability("Make Masks", {"transformers": "transformers", "pillow": "PIL"}, 130_000_000),
+    "record3d": Capability("Record3D's depth (.r3d)", {"pyliblzfse": "liblzfse"}, 1_000_000),
+    "hypersim": Capability("Hypersim", {"h5py": "h5py"}, 16_000_000),
+    "colmap": Capability("Poses of photos and films", {"pycolmap": "pycolmap"}, 134_000_000),
+    "cuda": Capability("Lift on a GPU", {"gsplat": "gsplat"}, needs_cuda=True),
+}
+"""By the name that the command line and scripts give them. Sizes are those of Linux."""
+
+ADDED = tuple(name for name, each in CAPABILITIES.items() if each.size)
+"""The names of those that can be added to an engine."""
+
+
+def requirements_path(root: Path, name: str) -> Path:
+    """The file that pins what one of `ADDED` needs."""
+    return root / "requirements" / f"{name}.txt"
+
+
+def addition_hashes_path(root: Path, name: str) -> Path:
+    """The file with the SHA-256 of all that is added for one of `ADDED`, for every system and Python."""
+    return root / "requirements" / f"hashes-{name}.txt"
+
+
+def refuse_unknown(name: str) -> None:
+    """Raise PlgsError for what cannot be added."""
+    if name not in ADDED:
+        raise PlgsError(f'nothing called "{name}" can be added to an engine', "add", f"Choose {', '.join(ADDED)}.")

@@ -1,0 +1,73 @@
+"""What the engine lacks for a button, and adding it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ...engine.errors import PlgsError
+from ...engine.job.capabilities import ADDED, CAPABILITIES
+from ...engine.job.follower import TaskFollower
+from ..engine_environment import status, tasks
+from ..engine_environment.choices import set_up_choice
+from ..settings import chosen_scene
+from ..tasks import registry, timer
+from ..tasks.registry import Task, start_engine
+from . import looking
+from .survey import survey_of
+
+__all__ = ["ADDED", "ITEMS", "Adding", "add", "lacking", "size_of", "why_lacking", "why_not_added"]
+
+ITEMS = [(name, CAPABILITIES[name].label, ", ".join(CAPABILITIES[name].packages)) for name in ADDED]
+
+
+class Adding(Task):
+    """Packages are added to the engine. When it is cancelled or fails the engine is as it was."""
+
+    kind, label, cancel_operator = "add", "Adding to the engine", "plgs.cancel_adding"
+    counts_steps = False
+
+    def __init__(self, name: str, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self.name = name
+        self.message = f"{CAPABILITIES[name].label}: added to the engine"
+
+    def done(self, scene: Any) -> None:
+        if not self.has_finished:
+            return
+        tasks.check()
+        chosen = chosen_scene(scene.plgs) if scene.plgs.scene_folder else None
+        if chosen is not None and (survey := survey_of(chosen)) is not None and survey.error is not None:
+            looking.look_at_scene(chosen)
+
+
+def lacking(name: str) -> tuple[str, ...]:
+    """The packages that one of `CAPABILITIES` lacks, as far as the engine has answered. Looks at no disk."""
+    answer = status().answer
+    return () if answer is None else answer.capabilities.get(name, ())
+
+
+def why_lacking(name: str) -> str | None:
+    """Why the engine cannot do it; None when it can, or has not answered yet."""
+    packages = lacking(name)
+    label = CAPABILITIES[name].label
+    return f"{label}: the engine lacks {', '.join(packages)}. Add it to the engine" if packages else None
+
+
+def size_of(name: str) -> int:
+    """Bytes on the disk that adding it takes, about."""
+    return CAPABILITIES[name].size
+
+
+def why_not_added() -> str | None:
+    """Why nothing can be added now; None when it can. Looks at no disk."""
+    return "Something is added to the engine already" if registry.running(Adding) else tasks.why_no_set_up()
+
+
+def add(name: str, python: Path, index_url: str = "") -> Adding:
+    """Begin to add one of `ADDED` to the environment of ``python``. Raises PlgsError, OSError."""
+    reason = why_not_added()
+    if reason is not None:
+        raise PlgsError("nothing can be added to the engine now", CAPABILITIES[name].label, reason)
+    variables = set_up_choice(index_url=index_url).variables()
+    return timer.begin(Adding(name, start_engine("add", python, name, variables=variables)))
