@@ -83,13 +83,7 @@ def judge(
     every = chained(trained, held_back)
     drawn = _drawn(draw, every, progress)
     classes = stored(drawn, scratch)
-    width = {frame.name: frame.size[0] for frame in scene.frames}
-
-    def judged(number: int) -> JudgedView:
-        view = every[number]
-        return JudgedView(view, classes[number], width[view.name] / view.camera.width)
-
-    judges = OnDemand(len(every), judged)
+    judges = OnDemand(len(every), lambda number: JudgedView(every[number], classes[number]))
     return Judgement(
         trained=_agreement(judges[: len(trained)], scene.classes),
         held_back=_agreement(judges[len(trained) :], scene.classes),

@@ -1,8 +1,6 @@
 """What the masks show well from near and the lift shows nowhere. No ground truth is asked: the masks are the judges.
 
-A view resolves a segment when it has enough pixels of it at the frame's own size, and is near when it sees the place
-in at least half as many pixels a metre as the best view does. Far views do not judge: a network knows a sink from 1 m
-and calls it countertop from 4 m.
+A view asks about the segments that it resolves, and near views answer (``scene/evidence.py``).
 """
 
 from __future__ import annotations
@@ -14,14 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import VOID, ClassTable, View
+from ..scene import VOID, ClassTable, View, are_near, resolution_on, resolves
 
-LEAST_PIXELS = 100
-"""Pixels of a segment, at its frame's own size, from which a view resolves it."""
 LEAST_SEEN = 8
-"""The same at the size of the judged views. Fewer are edges."""
-NEAR = 0.5
-"""Share of the best view's resolution from which a view is near."""
+"""Pixels of a segment at the size of the judged views. Fewer are edges."""
 LEAST_VIEWS_OF_OBJECT, LEAST_VIEWS_OF_CLASS = 3, 2
 """Near views that must show an object of a class which is shown elsewhere, or a class that is shown nowhere."""
 NAMES = 0.5
@@ -41,12 +35,10 @@ MARGIN = 0.1
 
 
 class JudgedView(NamedTuple):
-    """A view, the classes int32 [H, W] that the lift shows there (0 = none), and how many pixels of the frame's own
-    width one of its pixels has."""
+    """A view, and the classes int32 [H, W] that the lift shows there (0 = none)."""
 
     view: View
     shown: NDArray[np.int32]
-    enlarged: float
 
 
 @dataclass(frozen=True)
@@ -54,8 +46,8 @@ class Unshown:
     """A class, or one object of it (``whole_class`` false), that the masks show and the lift does not.
 
     ``views`` near views name it, of ``near`` that see the place. ``frame`` shows it best: there it is ``segment``,
-    with ``pixels`` pixels of the frame's own size, at ``resolution`` pixels a metre. ``shown_as``: the class that the
-    lift shows there most, 0 = none. ``centre``: world metres.
+    with ``pixels`` pixels of the frame's own size, at ``resolution`` pixels a centimetre. ``shown_as``: the class that
+    the lift shows there most, 0 = none. ``centre``: world metres.
     """
 
     class_id: int
@@ -125,7 +117,7 @@ def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: 
                 frame=one.frame,
                 segment=one.segment,
                 pixels=one.pixels,
-                resolution=round(one.resolution, 1),
+                resolution=round(one.resolution, 2),
                 shown_as="" if one.shown_as == VOID else classes[one.shown_as].name,
                 centre=(x, y, z),
             )
@@ -136,14 +128,13 @@ def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
     """The resolved segments that the lift does not show in their own view, and the classes that it does show on a
     segment of theirs."""
-    view, shown, enlarged = judged
+    view, shown = judged
     seen = view.depth > 0
     candidates, kept = [], set()
     for segment in view.mask.segments:
         where = (view.mask.ids == segment.id) & seen
         count = int(np.count_nonzero(where))
-        pixels = round(count * enlarged**2)
-        if segment.class_id == VOID or count < LEAST_SEEN or pixels < LEAST_PIXELS:
+        if segment.class_id == VOID or count < LEAST_SEEN or not resolves(count, view.mask_scale):
             continue
         here = shown[where]
         if np.mean(here == segment.class_id) >= SHOWN:
@@ -152,7 +143,8 @@ def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
         rows, columns = np.nonzero(where)
         chosen = np.linspace(0, count - 1, min(count, POINTS)).astype(np.int64)
         rows, columns = rows[chosen], columns[chosen]
-        resolution = view.camera.fx * enlarged / float(np.median(view.depth[where]))
+        resolution = float(resolution_on(view.camera, np.median(view.depth[where]), view.mask_scale))
+        pixels = round(count * view.mask_scale**2)
         xyz = _unproject(view, rows, columns)
         most = int(np.bincount(here).argmax())
         candidates.append(_Candidate(resolution, segment.class_id, view.name, segment.id, pixels, most, xyz))
@@ -184,14 +176,14 @@ class _Answers:
         self._owner = np.repeat(np.arange(len(found)), [len(one.xyz) for one in found])
         self._class = np.array([one.class_id for one in found], np.int32)[self._owner]
         self._sizes = np.bincount(self._owner, minlength=len(found))
-        self._rows: list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = []
+        self._rows: list[tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]] = []
 
     def add(self, judged: JudgedView) -> None:
         """Ask a view. Kept of it are the resolution (0 where it sees less than half of the points), the share of
         the seen points that its mask calls by the candidate's class, and the share that the lift does."""
         if not self.found:
             return
-        view, shown, enlarged = judged
+        view, shown = judged
         uv, z = view.camera.project(self._xyz)
         x, y = np.floor(uv[:, 0]), np.floor(uv[:, 1])
         inside = (z > 0) & (x >= 0) & (y >= 0) & (x < view.camera.width) & (y < view.camera.height)
@@ -202,7 +194,7 @@ class _Answers:
         number = np.bincount(of[seen], minlength=count)
         safe = np.maximum(number, 1)
         mean_z = np.bincount(of[seen], z[seen], count) / safe
-        resolution = np.where(2 * number >= self._sizes, view.camera.fx * enlarged / np.maximum(mean_z, 1e-9), 0.0)
+        resolution = resolution_on(view.camera, np.where(2 * number >= self._sizes, mean_z, 0.0), view.mask_scale)
         named = seen & (view.mask.class_map()[row, column] == self._class)
         kept = seen & (shown[row, column] == self._class)
         self._rows.append(
@@ -213,6 +205,6 @@ class _Answers:
         """What the near views say of a candidate."""
         answers = np.array([[part[number] for part in row] for row in self._rows])
         resolution, named, kept = answers.T
-        near = resolution >= NEAR * self.found[number].resolution
+        near = are_near(resolution, self.found[number].resolution)
         naming = near & (named >= NAMES)
         return _Judgement(int(naming.sum()), int(near.sum()), float(kept[naming].max(initial=0.0)))

@@ -9,7 +9,15 @@ from .class_listing import ClassList, class_list_path, class_list_text, list_cla
 from .class_map import NamedClass
 from .class_tables import TABLES, is_thing_by_name
 from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
-from .evidence import evidence, evidence_of_pixels, evidence_of_resolution, resolution_of, resolution_on
+from .evidence import (
+    are_near,
+    evidence,
+    evidence_of_pixels,
+    evidence_of_resolution,
+    resolution_of,
+    resolution_on,
+    resolves,
+)
 from .formats import FORMATS, SceneFormat
 from .frame import Frame, GroundTruth, PanopticMask, Scene, Segment, Size, SparsePoints
 from .frame_choice import choose_frames, photo_detail
@@ -52,6 +60,7 @@ __all__ = [
     "describe",
     "photo_detail",
     "distinct_colour",
+    "are_near",
     "evidence",
     "evidence_of_pixels",
     "evidence_of_resolution",
@@ -66,6 +75,7 @@ __all__ = [
     "require_liftable",
     "resolution_of",
     "resolution_on",
+    "resolves",
     "size_within",
     "stored",
 ]

@@ -3,6 +3,8 @@
 A network knows a sink from 1 m away and calls it a countertop from 4 m. There are more far views than near ones. So a
 view has as many votes on a point, an object, a Gaussian, or on two masks, as its kind of evidence says. All of these
 are counted at the size of the frame's own mask, whatever size the frame is read at.
+
+Where the masks judge a finished lift, a view names only what it ``resolves``, and only near views answer.
 """
 
 from __future__ import annotations
@@ -25,6 +27,11 @@ _POWERS: dict[EvidenceKind, tuple[float, float]] = {
 }
 """The powers of the pixels and of the resolution."""
 
+LEAST_PIXELS = 100
+"""Pixels of a segment from which a view resolves it."""
+NEAR = 0.5
+"""Share of the best view's resolution from which a view is near."""
+
 Amounts = TypeVar("Amounts", float, NDArray[np.floating])
 
 
@@ -45,9 +52,9 @@ def evidence(kind: EvidenceKind, pixels: NDArray[np.floating], resolution: NDArr
     return of_pixels * evidence_of_resolution(kind, np.asarray(resolution, np.float64))
 
 
-def resolution_on(camera: Camera, depth: NDArray[np.float32], mask_scale: float) -> NDArray[np.float32]:
-    """Pixels a centimetre of the frame's own mask on the surface at ``depth`` float32 [H, W] metres, float32 [H, W]; 0
-    where there is no depth. ``mask_scale`` is that of ``View``."""
+def resolution_on(camera: Camera, depth: NDArray[np.floating], mask_scale: float) -> NDArray[np.float32]:
+    """Pixels a centimetre of the frame's own mask on surfaces at ``depth`` float32 [...] metres, float32 [...]; 0 where
+    there is no depth. ``mask_scale`` is that of ``View``."""
     focal = mask_scale * np.sqrt(camera.fx * camera.fy)
     return np.divide(0.01 * focal, depth, out=np.zeros_like(depth), where=depth > 0).astype(np.float32)
 
@@ -55,3 +62,13 @@ def resolution_on(camera: Camera, depth: NDArray[np.float32], mask_scale: float)
 def resolution_of(view: View) -> NDArray[np.float32]:
     """``resolution_on`` what a view sees."""
     return resolution_on(view.camera, view.depth, view.mask_scale)
+
+
+def resolves(pixels: float, mask_scale: float) -> bool:
+    """Whether a view resolves a segment of so many of its own ``pixels``."""
+    return pixels * mask_scale**2 >= LEAST_PIXELS
+
+
+def are_near(resolution: NDArray[np.floating], best: float) -> NDArray[np.bool_]:
+    """Which views with this ``resolution`` [V] of a place are near it, bool [V]; ``best``: that of the best view."""
+    return resolution >= NEAR * best

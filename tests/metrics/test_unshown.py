@@ -14,7 +14,7 @@ WIDTH, HEIGHT = 60, 40
 
 
 def flat_view(
-    name: str, distance: float, x: float, sinks: list[tuple[float, float]], *, draws: bool = True
+    name: str, distance: float, x: float, sinks: list[tuple[float, float]], *, draws: bool = True, scale: float = 2.0
 ) -> JudgedView:
     """A camera above the plane z = 0, which looks down from ``distance`` metres at ``x``. Its mask draws each sink, a
     square of 0.3 m around (x, y), where it ``draws`` them; the lift shows countertop."""
@@ -31,8 +31,8 @@ def flat_view(
             ids[inside] = number
             segments.append(Segment(number, SINK, True))
     colour = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    view = View(name, camera, colour, depth, PanopticMask(ids, tuple(segments)))
-    return JudgedView(view, np.full((HEIGHT, WIDTH), TOP, np.int32), enlarged=2.0)
+    view = View(name, camera, colour, depth, PanopticMask(ids, tuple(segments)), mask_scale=scale)
+    return JudgedView(view, np.full((HEIGHT, WIDTH), TOP, np.int32))
 
 
 def showing(judged: JudgedView, place: tuple[float, float]) -> JudgedView:
@@ -56,9 +56,9 @@ def only(found: list[Unshown]) -> Unshown:
 def test_near_views_outweigh_many_far_ones() -> None:
     one = only(find_unshown([*FAR, *NEAR], CLASSES))
     assert (one.name, one.whole_class, one.frame, one.views, one.near) == ("sink", True, "near 0", 4, 4)
-    assert one.shown_as == "countertop" and one.resolution == 100.0
+    assert one.shown_as == "countertop" and one.resolution == 1.0
     assert np.abs(np.array(one.centre)).max() < 0.03
-    assert one.pixels == 32 * 32, "0.3 m at 100 pixels a metre, to whole pixels of the judged view"
+    assert one.pixels == 32 * 32, "0.3 m at a pixel a centimetre, to whole pixels of the judged view"
 
 
 def test_what_the_lift_shows_is_not_told() -> None:
@@ -79,6 +79,6 @@ def test_what_most_near_views_deny_is_not_told() -> None:
 
 
 def test_what_no_view_resolves_is_not_told() -> None:
-    coarse = [flat_view(f"{k}", 3.0, 0.05 * k, ONE)._replace(enlarged=1.0) for k in range(4)]
+    coarse = [flat_view(f"{k}", 3.0, 0.05 * k, ONE, scale=1.0) for k in range(4)]
     assert find_unshown(coarse, CLASSES) == []
     assert find_unshown([], CLASSES) == []
