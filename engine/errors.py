@@ -34,6 +34,7 @@ class ErrorCode(StrEnum):
     BUSY = "busy"  # another process works there: try again later
     NO_ENGINE = "no-engine"  # no usable Python: set the engine up
     LACKS_PART = "lacks-part"  # the engine lacks packages that can be added to it
+    NO_POSES = "no-poses"  # photos or a film: make their poses
     NO_MASKS = "no-masks"  # the scene has none: make them
     NO_MEMORY = "no-memory"  # the lift was refused before it began: fit it
     DISK_FULL = "disk-full"

@@ -1,4 +1,4 @@
-"""Masks for a scene that has none, and the classes of those that it has."""
+"""Poses for photos that have none, masks for a scene that has none, and the classes of those that it has."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from ..plgs_blender.mask_classes import OWN_TABLE, TABLE_ITEMS, fill_classes, wr
 from ..plgs_blender.running.adding import why_lacking
 from ..plgs_blender.running.looking import look_at_scene
 from ..plgs_blender.running.masks import MaskMaking, make_masks
+from ..plgs_blender.running.poses import PoseMaking, make_poses
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
@@ -41,6 +42,30 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
             self.report({"WARNING"}, "The panel names other masks: the new ones count when Masks is empty")
         # Blender's own setting is the user's consent to downloads.
         return make_masks(chosen_scene(context.scene.plgs), usable_python(), model, download=bpy.app.online_access)
+
+
+class PLGS_OT_make_poses(StartsTask, bpy.types.Operator):
+    """Let COLMAP find the poses of the scene's photos, or of the sharpest pictures of a film, and write them beside"""
+
+    bl_idname, bl_label = "plgs.make_poses", "Find Poses"
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        if registry.running(PoseMaking):
+            return "The engine finds poses already"
+        if not context.scene.plgs.scene_folder:
+            return "Choose the scene's folder first"
+        return why_no_engine() or why_lacking("colmap")
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        return make_poses(chosen_scene(context.scene.plgs), usable_python())
+
+
+class PLGS_OT_cancel_poses(CancelsTask, bpy.types.Operator):
+    """Stop finding poses; nothing is written"""
+
+    bl_idname, bl_label = "plgs.cancel_poses", "Cancel"
+    cancelled_kind = PoseMaking
 
 
 class PLGS_OT_cancel_masks(CancelsTask, bpy.types.Operator):
@@ -89,4 +114,11 @@ class PLGS_OT_write_classes(Explained, bpy.types.Operator):
         return FINISHED
 
 
-CLASSES = (PLGS_OT_make_masks, PLGS_OT_cancel_masks, PLGS_OT_read_classes, PLGS_OT_write_classes)
+CLASSES = (
+    PLGS_OT_make_poses,
+    PLGS_OT_cancel_poses,
+    PLGS_OT_make_masks,
+    PLGS_OT_cancel_masks,
+    PLGS_OT_read_classes,
+    PLGS_OT_write_classes,
+)

@@ -19,10 +19,11 @@ _OTHER_NAMES = {
     "size": "Width and Height",
     "fix": "Fix",
     "resume": "Resume",
+    "poses": "Find Poses",
     "download": "online access in Preferences > System",
 }
 """The names in Blender of options that no field, or more than one, stands for."""
-_OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b)?")
+_OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
 
 
 def with_field_names(said: PlgsError | OSError | str) -> str:

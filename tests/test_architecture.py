@@ -55,6 +55,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "diagnosis": {"errors", "scene", "job"},
     "export": {"corrections", "errors", "result_files", "scene", "job", "passes", "lift"},
     "frames": {"errors", "scene_source", "scene", "job"},
+    "poses": {"errors", "json_file", "scene", "job"},
     "segment": {"errors", "json_file", "scene", "job"},
     "set_up": {"errors", "gates", "job"},
     "command_line": {
@@ -71,6 +72,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
         "lift",
         "export",
         "frames",
+        "poses",
         "segment",
         "set_up",
     },

@@ -5,12 +5,14 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender.engine_environment import status
+from ..plgs_blender.errors import ErrorCode
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
 from ..plgs_blender.frames import PHOTO, SHOWN
 from ..plgs_blender.owned import LIFT
 from ..plgs_blender.running.diagnosis import Diagnosis, diagnosis_of
 from ..plgs_blender.running.importing import FrameMaking
 from ..plgs_blender.running.masks import MaskMaking
+from ..plgs_blender.running.poses import PoseMaking
 from ..plgs_blender.running.survey import SceneLook, Survey, possibilities, survey_of
 from ..plgs_blender.scene_formats import AUTOMATIC, label_of
 from ..plgs_blender.settings import chosen_scene
@@ -36,7 +38,9 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
         elif survey is None:
             layout.label(text="Not looked at yet", icon="QUESTION")
         elif survey.error is not None:
-            draw_error(layout, context, survey.error)
+            box = draw_error(layout, context, survey.error)
+            if survey.error.code is ErrorCode.NO_POSES:
+                _draw_poses(box, context)
         elif survey.is_looking:
             for look in registry.running(SceneLook):
                 draw_task(layout, context, look)
@@ -141,6 +145,19 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
         span = range_shown(ob)
         if span is not None:
             layout.label(text=f"{span[0]:.2f} m (light) to {span[1]:.2f} m (dark)", icon="BLANK1")
+
+
+def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the button that finds poses and what the engine lacks for it, or how far that is."""
+    making = registry.latest(PoseMaking)
+    if making is not None and making.is_running:
+        layout.alert = False
+        draw_task(layout, context, making)
+        return
+    if making is not None and making.error_for(chosen_scene(context.scene.plgs)) is not None:
+        draw_task(layout, context, making)
+    layout.operator("plgs.make_poses", icon="TRACKING_FORWARDS")
+    draw_lacking(layout, context, "colmap")
 
 
 def _survey(context: bpy.types.Context) -> Survey | None:

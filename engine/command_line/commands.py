@@ -21,15 +21,32 @@ from ..json_file import Json
 def lift(options: argparse.Namespace) -> int:
     """With -o a second process is the engine, and this one shows it. Without it this process is the engine."""
     if options.output:
-        return _lift_in_terminal(options)
+        return _lift_photos_in_terminal(options) if options.poses else _lift_in_terminal(options)
     from .run_engine import run_engine
 
-    given = given_lift_options(options)
+    given = [*given_lift_options(options), *(["--poses"] if options.poses else [])]
     if given:
         fix = "Leave them out, or lift a scene into a new folder with -o."
         raise PlgsError("a lift's request never changes", ", ".join(given), fix)
     folder = LiftFolder.open(options.scene)
     return run_engine(folder, resume=options.resume, parent_pipe=_parent_pipe(options, folder))
+
+
+def _lift_photos_in_terminal(options: argparse.Namespace) -> int:
+    """Make the poses of photos first, where an earlier call has not, and lift the scene that they make."""
+    from ..scene.formats.colmap_model import MADE_BY
+    from ..scene.formats.photos import is_film
+    from .runner import Task, run_task
+
+    place: Path = options.scene
+    folder = place.with_suffix("") if is_film(place) else place
+    if not (folder / "sparse" / "0" / MADE_BY).is_file():
+        given = argparse.Namespace(scene=place, pictures=None)
+        code = run_task(Task("poses", lambda events, stop: poses(given, events, stop)), None)
+        if code is not ExitCode.FINISHED:
+            return code
+    options.scene = folder
+    return _lift_in_terminal(options)
 
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:
@@ -147,6 +164,17 @@ def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
         raise PlgsError(f"cannot be written ({error.strerror})", error.filename or options.output, fix) from error
     answer = {"folder": made.folder, "frames": len(made.frames)}
     events.answer(answer, f"{len(made.frames)} frames in {made.folder}")
+
+
+def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from ..poses import make_poses
+    from ..poses.making import FILM_PICTURES
+
+    made = make_poses(options.scene, events, stop, options.pictures or FILM_PICTURES)
+    answer: dict[str, Json] = {"folder": str(made.folder), "posed": made.posed, "photos": made.photos}
+    answer |= {"points": made.points, "scale": None if made.scale is None else made.scale.metres}
+    unit = "" if made.scale is None else f", in metres by the depth of {made.scale.points} points"
+    events.answer(answer, f"Poses of {made.posed} of {made.photos} photos{unit}: {made.folder}")
 
 
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:

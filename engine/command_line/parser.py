@@ -14,6 +14,7 @@ from ..job.options import (
     add_lift_options,
     add_scene_options,
     add_set_option,
+    number_of_frames,
     preset_or_file,
 )
 from ..presets.preset import PRESETS
@@ -39,6 +40,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_evaluate(known.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(known.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
     _add_frames(known.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
+    _add_poses(known.add_parser("poses", help="find the poses of photos or of a film's pictures, with COLMAP"))
     _add_segment(known.add_parser("segment", help="make masks for a scene that has none"))
     _add_presets(known.add_parser("presets", help="show the presets and all their options"))
     handshake = known.add_parser("handshake", help="tell at once what this engine is and what it lacks")
@@ -57,6 +59,9 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path, metavar="SCENE|LIFT", help="the scene (with -o), or a lift folder")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="the lift folder to make")
     add_lift_options(parser)
+    parser.add_argument(
+        "--poses", choices=("colmap",), help="SCENE is photos or a film: find their poses first (see 'poses')"
+    )
     parser.add_argument("--resume", action="store_true", help="go on with a lift that was stopped")
     _add_stay_with_parent(parser)
     parser.set_defaults(run=commands.lift)
@@ -172,6 +177,19 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", nargs="+", metavar="FRAME", help="only these frames; the cloud is of all")
     add_scene_options(parser)
     _make_task(parser, commands.frames, "What is made already is kept: the same command goes on.")
+
+
+def _add_poses(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Let COLMAP (the package pycolmap) find the poses of photos that overlap, taken by one camera, and write them "
+        "beside the photos as sparse/0, which a lift reads. The sharpest pictures of a film go into a folder of its "
+        "name. Depth maps of the photos in SCENE/depth (PNG in millimetres, or NPY in metres) give the unit of length."
+    )
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="a folder with photos, or a film")
+    parser.add_argument(
+        "--pictures", type=number_of_frames, metavar="N", help="pictures to take of a film, at most (default: 150)"
+    )
+    _make_task(parser, commands.poses, "Nothing was written.")
 
 
 def _add_segment(parser: argparse.ArgumentParser) -> None:

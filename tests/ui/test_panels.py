@@ -20,10 +20,11 @@ from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.engine_environment.tasks import SetUp
 from plgs.plgs_blender.lift_scene import place_lift
-from plgs.plgs_blender.running import adding, lifts
+from plgs.plgs_blender.running import adding, lifts, survey
 from plgs.plgs_blender.running.exports import Export
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder
 from plgs.plgs_blender.running.masks import MaskMaking
+from plgs.plgs_blender.running.poses import PoseMaking
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
 from plgs.plgs_blender.tasks.registry import Task
@@ -191,6 +192,18 @@ def test_an_error_of_the_engine_that_lacks_a_part_shows_its_button(tmp_path: Pat
     task.is_taken = True
     registry.follow(task)
     assert "Add to Engine (1 MB)" in drawn()
+
+
+def test_photos_without_poses_show_the_button_that_finds_them(tmp_path: Path) -> None:
+    for number in range(3):
+        (tmp_path / f"{number}.jpg").touch()
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    chosen = chosen_scene(bpy.context.scene.plgs)
+    survey.look(chosen, None)
+    shown = drawn()
+    assert "let COLMAP find them with Find Poses." in shown and "plgs.make_poses" in shown
+    registry.follow(PoseMaking(chosen, Pretended(TaskState.RUNNING)))  # type: ignore[arg-type]
+    assert "plgs.cancel_poses" in drawn()
 
 
 def test_running_tasks_show_how_far_they_are(tmp_path: Path) -> None:

@@ -5,9 +5,10 @@ A new format is a module with a ``SceneFormat`` in this folder and its entry in 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
-from ...errors import PlgsError
+from ...errors import ErrorCode, PlgsError
 from ..layout import shown
 from . import (
     colmap,
@@ -25,6 +26,7 @@ from . import (
     tum,
 )
 from .capture import Capture, SceneFormat, Shot
+from .photos import is_film, photos_in
 
 __all__ = ["FORMATS", "Capture", "SceneFormat", "Shot", "find_format"]
 
@@ -70,9 +72,21 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
         fix = f"Say which one it is, such as --format {found[0].name}."
         raise PlgsError(f"this looks like {names}", place, fix, option="--format")
     if not found:
-        fix = (
-            "Photos and films need poses: record with an app that keeps them (Record3D, Polycam, Stray Scanner), or "
-            f"make them with COLMAP. What a layout lacks is told where it is named: --format {', '.join(known)}."
-        )
-        raise PlgsError("no scene of a known format is here", place, fix, option="--format")
+        raise _unknown(place, known)
     return found[0]
+
+
+def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
+    """The error of a place that no format recognises."""
+    what, film = "no scene of a known format is here", is_film(place)
+    if film or (place.is_dir() and photos_in(place) is not None):
+        fix = (
+            f"{'A film needs' if film else 'Photos need'} poses: record with an app that keeps them (Record3D, "
+            "Polycam, Stray Scanner), or let COLMAP find them with --poses colmap."
+        )
+        return PlgsError(what, place, fix, code=ErrorCode.NO_POSES)
+    fix = (
+        "Photos and films need poses: record with an app that keeps them (Record3D, Polycam, Stray Scanner), or make "
+        f"them with COLMAP. What a layout lacks is told where it is named: --format {', '.join(known)}."
+    )
+    return PlgsError(what, place, fix, option="--format")

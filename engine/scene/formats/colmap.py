@@ -2,11 +2,13 @@
 
 World-to-camera poses, OpenCV axes, pixel centres at +0.5; the world is turned and scaled as the reconstruction left
 it. Distorted pictures are undistorted on reading. A dense workspace has depth as well:
-``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the reconstruction's lengths.
+``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the reconstruction's lengths. Where
+`python -m engine poses` made the model, depth that was measured beside the photos, in ``depth``, is read as well.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -14,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...json_file import read_object
 from ..camera import Camera
-from ..depth import DepthMap, only_depth
+from ..depth import DepthMap, npy_depth, only_depth, png_depth
 from ..frame import SparsePoints
-from ..layout import file_inside, listed, natural_order, read_file
+from ..layout import file_inside, files_if_any, listed, natural_order, read_file
 from .capture import Capture, SceneFormat, Shot, frame_names
-from .colmap_model import ColmapCamera, ColmapImage, ColmapModel, has_model, read_model
+from .colmap_model import MADE_BY, ColmapCamera, ColmapImage, ColmapModel, has_model, read_model
 from .lens import STRAIGHT, Distortion, fitted, pinhole
 from .poses import inverse, quaternion_pose
 
@@ -47,8 +50,9 @@ def _read(place: Path) -> Capture:
         raise PlgsError("the model has no registered image", folder, "Let COLMAP register some.")
     names = frame_names([image.name for image in images])
     root = _find_images(place, images)
-    found = [(name, _shot(name, image, model, root, place)) for name, image in zip(names, images, strict=True)]
-    warnings = [_SCALE]
+    depths = _measured_depth(place, folder)
+    found = [(name, _shot(name, image, model, root, place, depths)) for name, image in zip(names, images, strict=True)]
+    warnings = [] if depths else [_SCALE]
     others = [each.name for each in sorted(folder.parent.glob("[0-9]*")) if each != folder and has_model(each)]
     if folder.name == "0" and others:
         warnings.append(f"only the model 0 is read: there are {listed(others)} as well")
@@ -64,14 +68,29 @@ def _find_images(place: Path, images: list[ColmapImage]) -> Path:
     raise PlgsError("the pictures are missing", place / "images" / first, "Put COLMAP's pictures into images.")
 
 
-def _shot(name: str, image: ColmapImage, model: ColmapModel, root: Path, place: Path) -> Shot:
+def _measured_depth(place: Path, folder: Path) -> dict[str, Path]:
+    """The depth beside photos, by their stems, where the model was brought into metres by it; else none."""
+    path = folder / MADE_BY
+    if not path.is_file() or read_object(path, "Make the poses again.").get("scale") is None:
+        return {}
+    return files_if_any(place / "depth", {".png", ".npy"}, "Give one map a photo.")
+
+
+def _shot(
+    name: str, image: ColmapImage, model: ColmapModel, root: Path, place: Path, depths: Mapping[str, Path]
+) -> Shot:
     path = file_inside(root, image.name, model.folder)
     if image.camera not in model.cameras:
         raise PlgsError(f"image {name} has camera {image.camera}, which is not there", model.folder, "Export it again.")
     lens, distortion = _lens(model.cameras[image.camera], model.folder)
     lens = fitted(lens, path, "Give COLMAP's own pictures.")
     pose = inverse(quaternion_pose(image.rotation, image.translation, model.folder))
-    return Shot(name, lens.at(pose), path, _find_depth(place, image.name), distortion=distortion)
+    measured = depths.get(path.stem)
+    if measured is None:
+        depth = _find_depth(place, image.name)
+    else:
+        depth = npy_depth(measured) if measured.suffix.lower() == ".npy" else png_depth(measured, lens)
+    return Shot(name, lens.at(pose), path, depth, distortion=distortion)
 
 
 def _lens(camera: ColmapCamera, folder: Path) -> tuple[Camera, Distortion]:

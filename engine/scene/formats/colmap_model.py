@@ -19,6 +19,8 @@ _MODELS = (
     ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
 )  # fmt: skip
 """Each model's name and number of parameters. Its place in the list is its number in binary files."""
+MADE_BY = "made_by.json"
+"""A file in a model that `python -m engine poses` made: whether its lengths are metres, by the depth beside it."""
 _SUFFIXES = ("bin", "txt")
 _MOST_BYTES = 1 << 31
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])

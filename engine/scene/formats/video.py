@@ -56,6 +56,18 @@ class Video:
             size = width, height
         return size
 
+    def count(self) -> int:
+        """How many pictures it has, as its header says. Raises PlgsError when it cannot be opened, or says none."""
+        import cv2
+
+        self.size()
+        with self._lock:
+            self._go_to(0)
+            count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if count <= 0:
+            raise PlgsError("the video does not say how many pictures it has", self.path, _FIX)
+        return count
+
     def _go_to(self, number: int) -> None:
         import cv2
 

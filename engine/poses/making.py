@@ -1,0 +1,105 @@
+"""From photos to a COLMAP model beside them: ``sparse/0``, as COLMAP itself puts it, and ``made_by.json`` in it.
+
+A reconstruction has no unit of length. Where measured depth lies beside the photos, in ``depth``, it gives the unit.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import PlgsError
+from ..job import EventWriter, StopSignal
+from ..json_file import to_line
+from ..scene.formats import FORMATS
+from ..scene.formats.colmap_model import MADE_BY, read_model
+from ..scene.formats.photos import LEAST, SUFFIXES, is_film, photos_in
+from ..scene.layout import files_if_any
+from .film import write_pictures
+from .mapping import map_photos
+from .scale import Scale, metres_per_length
+
+STAGE = "poses"
+FILM_PICTURES = 150
+"""Pictures that are taken of a film, at most."""
+_LEAST_SHARE = 0.5
+_WITHOUT_DEPTH = (
+    "Lengths have no unit, and there is no depth: a lift needs a network's depth maps with --depth FOLDER, which are "
+    "fitted to the reconstruction's points; its metres are then the reconstruction's lengths"
+)
+
+
+@dataclass(frozen=True)
+class Made:
+    """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is None without measured depth."""
+
+    folder: Path
+    posed: int
+    photos: int
+    points: int
+    scale: Scale | None
+
+
+def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int = FILM_PICTURES) -> Made:
+    """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos.
+
+    A film's pictures go into a folder of the film's name. What is there already is never written over. Raises
+    PlgsError, OSError; Cancelled.
+    """
+    folder, photos = _photos_of(place, events, stop, pictures)
+    names = sorted(path.name for path in photos.iterdir() if path.suffix.lower() in SUFFIXES)
+    with tempfile.TemporaryDirectory(prefix=".poses-", dir=folder) as workplace:
+        model = map_photos(photos, names, Path(workplace), events, stop)
+        if model is None or model.num_reg_images() < max(LEAST, _LEAST_SHARE * len(names)):
+            found = 0 if model is None else model.num_reg_images()
+            fix = "Take more photos, each showing most of what the one before shows, in good light, without blur."
+            raise PlgsError(f"poses were found for {found} of {len(names)} photos only", photos, fix)
+        depths = files_if_any(folder / "depth", {".png", ".npy"}, "Leave the folder depth out.")
+        scale = metres_per_length(model, depths) if depths else None
+        if scale is not None:
+            scale.apply(model)
+        elif depths:
+            events.warning("The depth beside the photos does not agree with the reconstruction, and is not used.")
+        out = Path(workplace) / "sparse" / "0"
+        out.mkdir(parents=True)
+        model.write(out)
+        (out / MADE_BY).write_bytes(to_line({"by": "plgs", "scale": None if scale is None else scale.metres}))
+        read_model(out)  # what a lift will read
+        if (folder / "sparse").exists():
+            raise PlgsError("there is a folder of this name already", folder / "sparse", "Move it away.")
+        out.parent.rename(folder / "sparse")
+    if scale is None:
+        events.warning(_WITHOUT_DEPTH + ".")
+    return Made(folder, model.num_reg_images(), len(names), model.num_points3D(), scale)
+
+
+def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int) -> tuple[Path, Path]:
+    """The scene's folder, and the folder of its photos. Raises PlgsError where there are none, or poses already."""
+    if is_film(place):
+        folder = place.with_suffix("")
+        if folder.exists():
+            fix = "Make the poses of that folder, or move it away."
+            raise PlgsError("the film's pictures would go into a folder that is there already", folder, fix)
+        part = folder.with_name(f".{folder.name}.part")
+        shutil.rmtree(part, ignore_errors=True)
+
+        def progress(done: int, count: int) -> None:
+            stop.check()
+            events.progress(STAGE, done, count)
+
+        events.stage(STAGE, 1, 4, "Taking the sharpest pictures of the film")
+        try:
+            write_pictures(place, part / "images", pictures, progress)
+            part.rename(folder)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+        return folder, folder / "images"
+    photos = photos_in(place) if place.is_dir() else None
+    if photos is None:
+        raise PlgsError("there are no photos here, and this is no film", place, "Name a folder of photos, or an .mp4.")
+    for each in FORMATS:
+        if each.recognises(place):
+            raise PlgsError(f"this scene has poses already ({each.label})", place, "Lift it as it is.")
+    return place, photos

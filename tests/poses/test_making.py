@@ -1,0 +1,123 @@
+"""Poses of photos: with pycolmap the sample's own, to some centimetres; without it, what is missing is said."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.command_line.main import main
+from engine.errors import ErrorCode, PlgsError
+from engine.job import EventWriter, StopSignal
+from engine.poses import make_poses
+from engine.poses.film import write_pictures
+from engine.poses.scale import _median
+from engine.scene import open_scene
+from tests.scene.formats.test_colmap import write_text
+from tests.tiny_scene import write_tiny_scene
+
+needs_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    """Photos as a phone keeps them, in one folder."""
+    folder = write_tiny_scene(tmp_path / "scene", frames=6)
+    return shutil.copytree(folder / "color", tmp_path / "photos")
+
+
+def find_poses(place: Path, tmp_path: Path) -> None:
+    make_poses(place, EventWriter(tmp_path / "events.jsonl"), StopSignal())
+
+
+@pytest.mark.skipif(find_spec("pycolmap") is not None, reason="pycolmap is there")
+def test_without_pycolmap_the_part_is_named_and_nothing_is_written(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path.name for path in photos.iterdir()}
+    with pytest.raises(PlgsError, match="python -m engine add colmap") as caught:
+        find_poses(photos, tmp_path)
+    assert caught.value.code is ErrorCode.LACKS_PART and caught.value.option == "colmap"
+    assert {path.name for path in photos.iterdir()} == before
+    assert main(["lift", str(photos), "--poses", "colmap", "-o", str(tmp_path / "lift")]) == 2
+    assert "engine add colmap" in capsys.readouterr().err and not (tmp_path / "lift").exists()
+
+
+def test_photos_are_refused_in_two_lines_with_the_way_to_poses(photos: Path, tmp_path: Path) -> None:
+    with pytest.raises(PlgsError, match="let COLMAP find them with --poses colmap") as caught:
+        open_scene(photos)
+    assert caught.value.code is ErrorCode.NO_POSES and len(caught.value.fix) < 200
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(PlgsError) as other:
+        open_scene(tmp_path / "empty")
+    assert other.value.code is ErrorCode.BAD_INPUT
+
+
+def test_a_scene_with_poses_and_one_without_photos_are_left_alone(tmp_path: Path) -> None:
+    write_text(tmp_path / "walk")
+    with pytest.raises(PlgsError, match="has poses already"):
+        find_poses(tmp_path / "walk", tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(PlgsError, match="there are no photos here"):
+        find_poses(tmp_path / "empty", tmp_path)
+
+
+def test_depth_that_disagrees_with_itself_gives_no_unit() -> None:
+    random = np.random.default_rng(0)
+    good = 2.5 * random.normal(1.0, 0.02, 400)
+    found = _median(np.concatenate([good, random.uniform(0.1, 90.0, 100)]))
+    assert found is not None and abs(found.metres - 2.5) < 0.1
+    assert _median(good[:20]) is None and _median(random.uniform(0.1, 90.0, 400)) is None
+
+
+def test_the_sharpest_pictures_of_a_film_are_taken(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2")
+    random = np.random.default_rng(0)
+    film = cv2.VideoWriter(str(tmp_path / "film.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 10, (64, 48))
+    sharp = random.integers(0, 255, (48, 64, 3), np.uint8)
+    for number in range(12):
+        film.write(sharp if number % 4 == 3 else cv2.blur(sharp, (9, 9)))
+    film.release()
+    done: list[tuple[int, int]] = []
+    write_pictures(tmp_path / "film.mp4", tmp_path / "out", 3, lambda *each: done.append(each))
+    assert [path.name for path in sorted((tmp_path / "out").iterdir())] == ["000003.jpg", "000007.jpg", "000011.jpg"]
+    assert done == [(1, 3), (2, 3), (3, 3)]
+
+
+@needs_colmap
+@pytest.mark.slow
+@pytest.mark.parametrize("has_depth", [True, False])
+def test_the_samples_photos_get_the_samples_poses(has_depth: bool, root: Path, tmp_path: Path) -> None:
+    sample = root / "sample" / "room"
+    shutil.copytree(sample / "color", tmp_path / "photos" / "color")
+    if has_depth:
+        shutil.copytree(sample / "depth", tmp_path / "photos" / "depth")
+    said = subprocess.run(
+        [sys.executable, "-m", "engine", "poses", tmp_path / "photos", "--json"],
+        cwd=root, capture_output=True, text=True, timeout=500,
+    )  # fmt: skip
+    assert said.returncode == 0, said.stderr
+    answer = json.loads(said.stdout.splitlines()[-1])
+    assert answer["posed"] == answer["photos"] == 72 and (answer["scale"] is not None) is has_depth
+    made, true = open_scene(tmp_path / "photos"), open_scene(sample)
+    assert made.has_depth is has_depth
+    centres = {frame.name: frame.camera.camera_to_world[:3, 3] for frame in made.frames}
+    found = np.array([centres[frame.name] for frame in true.frames])
+    wanted = np.array([frame.camera.camera_to_world[:3, 3] for frame in true.frames])
+    scale, errors = aligned(found, wanted)
+    assert errors.mean() < 0.05 and (abs(scale - 1.0) < 0.02 or not has_depth), (scale, errors.mean())
+
+
+def aligned(found: np.ndarray, wanted: np.ndarray) -> tuple[float, np.ndarray]:
+    """The scale of the similarity (Umeyama) that brings places [N, 3] to others, and the distances left [N]."""
+    one, other = found - found.mean(0), wanted - wanted.mean(0)
+    left, values, right = np.linalg.svd(other.T @ one)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    scale = float((values * signs).sum() / (one**2).sum())
+    return scale, np.linalg.norm(other - scale * one @ (left * signs @ right).T, axis=1)
