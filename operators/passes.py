@@ -38,7 +38,7 @@ _READ_S, _READ_EVERY_S = 0.04, 0.06
 
 
 class BakesFinishedLift(OnLiftFolder, StartsTask):
-    """An operator that needs an engine, and a lift that is finished."""
+    """An operator that needs an engine, and a lift that is finished. It bakes the layers that the panel says."""
 
     has_undo_step = True
 

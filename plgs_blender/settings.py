@@ -36,6 +36,10 @@ UPS = [
     ("y", "Y", "The poses' y axis points up"),
     ("-y", "-Y", "The poses' y axis points down, as in a camera"),
 ]
+_LAYERS = [
+    ("normal", "Normal", "The surface's normal, a third more on the disk"),
+    ("position", "Position", "The surface's place in the world, more than as much again on the disk"),
+]
 _BAKES = [
     ("test", "Held-out frames", "Bake the passes of the frames that are held out of training"),
     ("all", "All frames", "Bake the passes of every frame"),
@@ -166,6 +170,10 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
     live_preview: BoolProperty(  # type: ignore[valid-type]
         name="Live preview", default=True,
         description="While it lifts, show what the scene's active camera sees in the model, when looking through it",
+    )  # fmt: skip
+    layers: EnumProperty(  # type: ignore[valid-type]
+        name="Layers", items=_LAYERS, options={"ENUM_FLAG"},
+        description="Layers that passes get beside colour, depth, class, instance, confidence and Cryptomatte",
     )  # fmt: skip
     place_when_done: BoolProperty(  # type: ignore[valid-type]
         name="Show when done", default=True, description="Put the result into this scene as soon as it is there"

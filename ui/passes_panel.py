@@ -20,6 +20,9 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
         if baking is not None and baking.is_running:
             draw_task(self.layout, context, baking)
             return
+        row = self.layout.row(align=True)
+        row.label(text="Also")
+        row.prop(context.scene.plgs, "layers")
         column = from_panel(self.layout.column(align=True), context)
         for frames, label in (
             ("all", "Bake All Frames"),
@@ -57,7 +60,7 @@ def _draw_cost(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     render, camera = scene.render, scene.camera
     width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
     frames = len(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
-    cost = bake_estimate(frames, (width, height))
+    cost = bake_estimate(frames, (width, height), scene.plgs.layers)
     layout.label(text=f"{'No camera' if camera is None else camera.name}: {width} x {height}", icon="BLANK1")
     layout.label(text=f"Frames {scene.frame_start} to {scene.frame_end}, {amount(cost.bytes)}", icon="BLANK1")
     layout.label(text=f"About {duration(cost.seconds)}", icon="BLANK1")

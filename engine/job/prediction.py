@@ -8,7 +8,7 @@ the sample is taken.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -43,6 +43,10 @@ REMEMBERED = 5
 MB = 1_000_000
 
 
+_MORE = {"normal": 0.34, "position": 1.15}
+"""Bytes of each further layer beside those of the usual ones together (docs/passes.md)."""
+
+
 @dataclass(frozen=True)
 class Prediction:
     """``stages``: seconds by stage name, in their order, "start" and "prepare" (before training) among them;
@@ -63,12 +67,12 @@ class BakeCost(NamedTuple):
     bytes: float
 
 
-def predict_bake(frames: int, size: tuple[int, int], slowness: float = 1.0) -> BakeCost:
-    """What baking these frames of ``size`` (width, height) pixels takes, with the layers that are always there."""
+def predict_bake(frames: int, size: tuple[int, int], slowness: float = 1.0, layers: Collection[str] = ()) -> BakeCost:
+    """What baking these frames of ``size`` (width, height) pixels takes, with these of FURTHER_LAYERS."""
     megapixels = size[0] * size[1] / 1e6
-    return BakeCost(
-        slowness * frames * (_render_s(megapixels) + WRITE_S * megapixels), frames * megapixels * PIXEL * MB
-    )
+    pixel = PIXEL * (1.0 + sum(_MORE[layer] for layer in layers))
+    seconds = slowness * frames * (_render_s(megapixels) + WRITE_S * megapixels)
+    return BakeCost(seconds, frames * megapixels * pixel * MB)
 
 
 def _render_s(megapixels: float) -> float:

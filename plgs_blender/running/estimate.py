@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from ...engine.job.prediction import USUAL_CLASSES, BakeCost, Prediction, machine_slowness, predict, predict_bake
 from ...engine.presets.options import with_options
 from ...engine.presets.preset import PRESETS
@@ -18,9 +20,11 @@ def learn_slowness() -> None:
     _slowness = machine_slowness()
 
 
-def bake_estimate(frames: int, size: tuple[int, int]) -> BakeCost:
-    """What it costs to bake these frames, of ``size`` (width, height) pixels, on this computer."""
-    return predict_bake(frames, size, _slowness)
+def bake_estimate(frames: int, size: tuple[int, int], layers: Collection[str]) -> BakeCost:
+    """What it costs to bake these frames, of ``size`` (width, height) pixels, with further ``layers``, on this
+    computer.
+    """
+    return predict_bake(frames, size, _slowness, layers)
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:

@@ -148,7 +148,7 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
             fix = "Choose one of the lift's cameras: select it and press Ctrl+Numpad 0."
             raise PlgsError("the active camera is no frame of the lift", scene.name, fix)
     python = engine_environment.usable_python()
-    return lifts.bake(lift, python, names, keep_running=scene.plgs.keep_running)
+    return lifts.bake(lift, python, names, layers=sorted(scene.plgs.layers), keep_running=scene.plgs.keep_running)
 
 
 def read_camera(
@@ -167,7 +167,8 @@ def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "") -> Lif
     """
     lift = lift_at(scene.plgs, folder)
     cameras, python = shot.write(lift.path), engine_environment.usable_python()
-    return lifts.bake(lift, python, cameras=cameras, keep_running=scene.plgs.keep_running)
+    layers, keep_running = sorted(scene.plgs.layers), scene.plgs.keep_running
+    return lifts.bake(lift, python, cameras=cameras, layers=layers, keep_running=keep_running)
 
 
 def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str, folder: str = "") -> exports.Export:

@@ -153,10 +153,12 @@ def bake(
     frames: Sequence[str] = (),
     *,
     cameras: Path | None = None,
+    layers: Sequence[str] = (),
     keep_running: bool = False,
 ) -> Lift:
     """Let an engine bake more passes of a finished lift: of frames ("test", "all", or names), or of the ``cameras`` of
-    a file. Another process may bake the same lift at the same time. Raises PlgsError, OSError.
+    a file, with these of FURTHER_LAYERS. Another process may bake the same lift at the same time. Raises PlgsError,
+    OSError.
     """
     known = lift_of(lift.path)
     if known is not None and known.is_running and known.follower.is_own:
@@ -164,7 +166,8 @@ def bake(
         raise PlgsError("this Blender bakes or lifts here already", lift.path, fix, code=ErrorCode.BUSY)
     if not lift.manifest_path.is_file():
         _refuse_running(lift)
-    return _follow(Lift(start_bake(lift, python, frames, cameras=cameras, stays_with_parent=not keep_running)))
+    ties = not keep_running
+    return _follow(Lift(start_bake(lift, python, frames, cameras=cameras, layers=layers, stays_with_parent=ties)))
 
 
 def attach(folder: Path) -> Lift:

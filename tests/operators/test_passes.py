@@ -36,6 +36,7 @@ class Asked:
 
     frames: list[str] = field(default_factory=list)
     cameras: list[BakeCamera] = field(default_factory=list)
+    layers: list[list[str]] = field(default_factory=list)
 
 
 @pytest.fixture
@@ -44,9 +45,11 @@ def baked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Asked]:
     asked = Asked()
 
     def start_bake(
-        lift: LiftFolder, python: Path, frames: list[str], *, cameras: Path | None, stays_with_parent: bool
-    ) -> TaskFollower:
+        lift: LiftFolder, python: Path, frames: list[str], *, cameras: Path | None, layers: list[str],
+        stays_with_parent: bool,
+    ) -> TaskFollower:  # fmt: skip
         asked.frames.extend(frames)
+        asked.layers.append(layers)
         asked.cameras.extend(read_cameras(cameras) if cameras is not None else ())
         return TaskFollower.start([python, "-c", PRETENCE, lift.path], lift.place, kind="bake", lift=lift)
 
@@ -78,8 +81,9 @@ def test_the_frame_of_the_active_camera_is_baked(lift: Path, baked: Asked, tmp_p
     before = {ob.name: ob.as_pointer() for ob in scene.objects}
     row = next(root for root in bpy.data.collections if root.plgs.instances).plgs.instances[0]
     row.visible = False
+    bpy.context.scene.plgs.layers = {"normal"}
     assert bpy.ops.plgs.bake_passes(frames="active") == {"FINISHED"}
-    assert baked.frames == [scene.camera["frame"]]
+    assert baked.frames == [scene.camera["frame"]] and baked.layers == [["normal"]]
     assert {ob.name: ob.as_pointer() for ob in scene.objects} == before, "a bake leaves objects alone"
     assert not row.visible, "and what was hidden"
 
