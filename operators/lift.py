@@ -6,10 +6,11 @@ import bpy
 from bpy.props import StringProperty
 
 from ..plgs_blender.engine_environment import why_no_engine
+from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import lifting, lifts
 from ..plgs_blender.settings import LiftOptions, option_names
 from ..plgs_blender.tasks.registry import Task
-from .base import FINISHED, OnLiftFolder, StartsTask, panel_of, reporting
+from .base import FINISHED, RUNNING, OnLiftFolder, StartsTask, panel_of, reporting
 
 
 class PLGS_OT_lift_scene(LiftOptions, StartsTask, bpy.types.Operator):
@@ -45,6 +46,26 @@ class PLGS_OT_resume_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.resume_lift(context.scene.plgs, self.lift_folder)
+
+
+class PLGS_OT_find_scene(OnLiftFolder, bpy.types.Operator):
+    """Tell a lift where its scene now is, after it was moved. The frames there are compared with those of the lift"""
+
+    bl_idname, bl_label, bl_options = "plgs.find_scene", "Find Scene", {"UNDO"}
+
+    filepath: StringProperty(  # type: ignore[valid-type]
+        name="Scene", subtype="FILE_PATH", options={"SKIP_SAVE"}, description="The scene's folder, or its one file"
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        context.window_manager.fileselect_add(self)
+        return RUNNING
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        found = lifting.find_scene(context.scene, absolute(self.filepath), self.lift_folder)
+        self.report({"INFO"}, f"The lift reads {found.folder.request.scene}")
+        return FINISHED
 
 
 class PLGS_OT_watch_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
@@ -104,6 +125,7 @@ class PLGS_OT_open_log(OnLiftFolder, bpy.types.Operator):
 CLASSES = (
     PLGS_OT_lift_scene,
     PLGS_OT_resume_lift,
+    PLGS_OT_find_scene,
     PLGS_OT_watch_lift,
     PLGS_OT_cancel_lift,
     PLGS_OT_refresh_lifts,

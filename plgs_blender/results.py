@@ -19,7 +19,8 @@ from ..engine.result_files import (
     Instance,
     SemanticPoints,
 )
-from ..engine.scene import ClassTable, Scene, open_asked
+from ..engine.scene import ClassTable, Scene
+from ..engine.scene_of_lift import scene_of_lift
 
 _READ = (SEMANTIC_POINTS, ANCHORS, INSTANCES)
 _MOST_HASHED = 1 << 26
@@ -50,16 +51,16 @@ class LiftResult:
 
 
 def read_result(folder: Path) -> LiftResult:
-    """Read the result of a finished lift and open its scene (headers only).
+    """Read the result of a finished lift and open its scene (headers only). Where the scene is no longer, its frames
+    have their cameras and no pictures.
 
     Raises PlgsError when the folder is no lift, is not finished, or was damaged, and when the scene it was lifted from
-    is no longer there or no longer whole.
+    is no longer whole.
     """
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     listed = {str(file.path): file for file in check_sizes(lift.result_path).files}
-    asked = lift.request
-    scene = open_asked(asked)
+    scene = scene_of_lift(lift)
     exrs = _listed_passes(lift, listed)
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
     corrected = read_corrected(lift.path)

@@ -145,6 +145,8 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
         row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path
     if followed.can_be_resumed:
         row.operator("plgs.resume_lift", icon="FILE_REFRESH").lift_folder = path
+    if not followed.scene_is_there:
+        row.operator("plgs.find_scene", icon="VIEWZOOM").lift_folder = path
     if error is not None:
         row.operator("plgs.open_log", icon="TEXT").lift_folder = path
         draw_log(box, followed.follower.log_lines[-_LOG_LINES:])

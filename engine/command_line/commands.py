@@ -21,9 +21,14 @@ from ..json_file import Json
 def lift(options: argparse.Namespace) -> int:
     """With -o a second process is the engine, and this one shows it. Without it this process is the engine."""
     if options.output:
+        if options.relink is not None:
+            fix = "Give LIFT, --scene and --resume, without -o."
+            raise PlgsError("tells where the scene of a lift folder is", "--scene", fix)
         return _lift_photos_in_terminal(options) if options.poses else _lift_in_terminal(options)
     from .run_engine import run_engine
 
+    if options.relink is not None:
+        _opened(options.scene, options.relink)
     given = [*given_lift_options(options), *(["--poses"] if options.poses else [])]
     if given:
         fix = "Leave them out, or lift a scene into a new folder with -o."
@@ -71,7 +76,7 @@ def bake(options: argparse.Namespace) -> ExitCode:
     from ..job import read_cameras
     from .run_engine import run_bake
 
-    folder = LiftFolder.open(options.lift)
+    folder = _opened(options.lift, options.relink)
     frames = options.frames if options.frames or options.cameras else ["all"]
     if options.cameras is not None:
         if not options.cameras.is_file():  # perhaps a camera's name, as "--camera NAME" gives it to "--cameras"
@@ -86,6 +91,16 @@ def bake(options: argparse.Namespace) -> ExitCode:
     )  # fmt: skip
 
 
+def _opened(lift: Path, scene: Path | None) -> LiftFolder:
+    """The lift in a folder, with its scene in another place where ``scene`` names one."""
+    folder = LiftFolder.open(lift)
+    if scene is None:
+        return folder
+    from ..scene_of_lift import relink
+
+    return relink(folder, scene)
+
+
 def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:
     if options.stay_with_parent:
         return sys.stdin.fileno()
@@ -96,7 +111,7 @@ def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:
 def export(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     from ..export.run import export
 
-    folder = LiftFolder.open(options.lift)
+    folder = _opened(options.lift, options.relink)
     events.stage("export", 1, 1, "Exporting")
     progress = _progress("export", events, stop)
     export(folder, options.to, options.output, options.frames, progress)

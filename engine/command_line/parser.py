@@ -63,6 +63,7 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
         "--poses", choices=("colmap",), help="SCENE is photos or a film: find their poses first (see 'poses')"
     )
     parser.add_argument("--resume", action="store_true", help="go on with a lift that was stopped")
+    _add_relink(parser)
     _add_stay_with_parent(parser)
     parser.set_defaults(run=commands.lift)
 
@@ -94,6 +95,7 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, metavar="FOLDER",
         help="write FOLDER/NAME.exr, and leave the lift's result as it is (default: into the result)",
     )  # fmt: skip
+    _add_relink(parser)
     _add_place_options(parser)
     parser.set_defaults(run=commands.bake)
 
@@ -112,6 +114,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames", nargs="+", default=["all"], metavar="FRAME", help="names of frames, test (those held out), or all"
     )
+    _add_relink(parser)
     _make_task(parser, commands.export, "What was exported so far is there.")
 
 
@@ -120,6 +123,13 @@ def _make_task(parser: argparse.ArgumentParser, run: Run, when_stopped: str = ""
     parser.add_argument("--json", action="store_true", help="print the answer as one line of JSON, for programs")
     _add_place_options(parser)
     parser.set_defaults(run=run, is_task=True, when_stopped=when_stopped)
+
+
+def _add_relink(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--scene", type=Path, metavar="SCENE", dest="relink",
+        help="where the scene of LIFT now is, if it was moved; its frames are compared, and the lift remembers it",
+    )  # fmt: skip
 
 
 def _add_place_options(parser: argparse.ArgumentParser) -> None:

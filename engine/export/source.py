@@ -16,7 +16,8 @@ from ..passes.baked_view import ShownInstances
 from ..passes.exr import read_exr, read_note
 from ..passes.layers import PanopticLayers
 from ..result_files import Instance
-from ..scene import ClassTable, Frame, Scene, open_asked
+from ..scene import ClassTable, Frame, Scene
+from ..scene_of_lift import scene_of_lift
 
 Progress = Callable[[int, int], object]
 """Called after each view with the views done and their number. What it raises ends the work."""
@@ -33,7 +34,7 @@ class FinishedLift:
 
     @cached_property
     def scene(self) -> Scene:
-        return open_asked(self.folder.request)
+        return scene_of_lift(self.folder)
 
     @property
     def classes(self) -> ClassTable:

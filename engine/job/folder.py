@@ -49,7 +49,7 @@ class LiftFolder:
         try:
             path.mkdir(parents=True, exist_ok=True)
             refuse_used(path)
-            _write_new(path / "request.json", request.to_json())
+            _write_new(path / "request.json", request.to_json(path))
         except FileExistsError as error:
             fix = "Choose another output folder."
             raise PlgsError("is in the way", error.filename or path, fix) from error
@@ -227,7 +227,7 @@ class LiftFolder:
         if self.checkpoints.exists or self._has_result():
             raise PlgsError("holds work", self.path, "Resume it, or delete it yourself.")
         (self.path / "request.json").unlink()  # first: what is left without it is no lift
-        for path in (self.cancel_path, self.preview_request_path, self.log_path):
+        for path in (self.cancel_path, self.preview_request_path, self.log_path, self.path / "scene.json"):
             path.unlink(missing_ok=True)
         for folder in (self.result_path, self.path / "bake"):
             if folder.is_dir():

@@ -13,7 +13,7 @@ from stat import S_ISDIR, S_ISLNK, S_ISREG
 from ..errors import PlgsError
 from .atomic import PART
 
-FILES = ("request.json", "corrections.json", "events.jsonl", "cancel", "preview.json", "log.txt")
+FILES = ("request.json", "corrections.json", "scene.json", "events.jsonl", "cancel", "preview.json", "log.txt")
 FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old")
 _BEGINNINGS = (PART, "bake-")
 """How the names of files begin that are being written, and of logs that earlier versions left beside them."""

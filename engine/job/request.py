@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,7 +40,9 @@ _KEYS = {
     "bake",
     "device",
     "names_from",
+    "relative",
 }
+_PLACES = ("scene", "masks", "depth", "names_from")
 _FIX = "Mend it, or delete the folder and lift again."
 
 
@@ -64,7 +67,7 @@ class LiftRequest(SceneSource):
     engine_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:
-        for name in ("scene", "masks", "depth", "names_from"):
+        for name in _PLACES:
             path = getattr(self, name)
             if path is not None and not path.is_absolute():
                 raise PlgsError(f"the path of '{name}' is not absolute", path, "Give the whole path.")
@@ -86,8 +89,9 @@ class LiftRequest(SceneSource):
         """The preset with the options of the request."""
         return with_options(PRESETS[self.preset], self.options)
 
-    def to_json(self) -> str:
-        """The text of request.json."""
+    def to_json(self, lift: Path | None = None) -> str:
+        """The text of request.json. With the folder of the ``lift`` it also tells paths relative to that, so that a
+        lift and its scene can be moved together."""
         given = {
             "scene_format": self.scene_format,
             "depth": None if self.depth is None else str(self.depth),
@@ -95,6 +99,7 @@ class LiftRequest(SceneSource):
             "classes": self.classes,
             "device": None if self.device == "cpu" else self.device,
             "names_from": None if self.names_from is None else str(self.names_from),
+            "relative": None if lift is None else _relative(self, lift),
         }
         return to_text(
             {
@@ -154,16 +159,13 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
     device = content.get("device", "cpu")
     if not isinstance(device, str):
         raise PlgsError("'device' is not a text", path, _FIX)
-    masks = content.get("masks")
     for name in ("masks", "scene_format", "depth", "mask_format", "classes", "names_from"):
         if not isinstance(content.get(name), str | None):
             raise PlgsError(f"'{name}' is neither a text nor null", path, _FIX)
     return {
         "options": _options(overrides, path),
-        "scene": Path(str(content["scene"])),
-        "masks": None if masks is None else Path(str(masks)),
+        **{name: _place(content, name, path) for name in _PLACES},
         **{name: content.get(name) for name in ("scene_format", "mask_format", "classes")},
-        **{name: None if content.get(name) is None else Path(str(content[name])) for name in ("depth", "names_from")},
         "fit": overrides.get("fit", False),
         "seed": content.get("seed"),
         "device": device,
@@ -192,6 +194,24 @@ def _refuse_unknown_keys(content: Mapping[str, Json], known: set[str], path: Pat
     if unknown:
         what = f"has {', '.join(map(repr, unknown))}, which this version does not know"
         raise PlgsError(what, path, "Remove it, or use the version of PLGS that wrote it.")
+
+
+def _relative(request: LiftRequest, lift: Path) -> dict[str, Json]:
+    """The paths of a request as seen from the lift's folder, those on another drive left out."""
+    paths = {name: getattr(request, name) for name in _PLACES}
+    inside = {name: path for name, path in paths.items() if path is not None and path.drive == lift.drive}
+    return {name: Path(os.path.relpath(path, lift)).as_posix() for name, path in inside.items()}
+
+
+def _place(content: Mapping[str, Json], name: str, request: Path) -> Path | None:
+    """Where a path of the request leads: where it was, else where it now is, seen from the lift."""
+    relative, path = content.get("relative", {}), content.get(name)
+    if not isinstance(relative, dict) or not all(isinstance(value, str) for value in relative.values()):
+        raise PlgsError("'relative' is not an object of texts", request, _FIX)
+    if path is None or os.path.exists(str(path)) or name not in relative:
+        return None if path is None else Path(str(path))
+    moved = Path(os.path.normpath(request.parent.absolute() / str(relative[name])))
+    return moved if os.path.exists(moved) else Path(str(path))
 
 
 def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:

@@ -30,7 +30,8 @@ from ..job import (
 from ..job.cameras import refuse_equal_names
 from ..model.rendering import ClipRange
 from ..passes.exr import further_layers, read_note, write_exr
-from ..scene import Camera, Frame, Scene, open_asked
+from ..scene import Camera, Frame, Scene
+from ..scene_of_lift import scene_of_lift
 from ..train.progress import StageReporter
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, read_baker
 from .scene_files import MODEL
@@ -121,7 +122,7 @@ def _bake(
     torch.use_deterministic_algorithms(True)
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
-        scene = open_asked(folder.request)
+        scene = scene_of_lift(folder)
         notes = {CORRECTIONS_NOTE: read_corrected(folder.path).fingerprint}
         place = _Result(folder, locks, options) if options.output is None else _OwnFolder(folder, options)
         wanted = [view for view in views_in(scene) if not place.has(view, notes)]

@@ -37,6 +37,7 @@ from ..scene import (
     read_ahead,
     size_within,
 )
+from ..scene_of_lift import remember_scene
 from ..train.progress import StageReporter
 from ..train.state import restore, trainer_state
 from ..train.trainer import Trainer
@@ -98,6 +99,7 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method:
         if preset.labels == "votes" and not preset.can_vote:
             events.warning(NO_VOTES)
         whole = open_scene_to_lift(request)
+        remember_scene(folder, whole)
         earlier = None if request.names_from is None else read_earlier(request.names_from)
         scene = scene_to_lift(whole, request, checkpoint, progress, events)
         for warning in (*scene.warnings, *check_scene(scene, progress)):

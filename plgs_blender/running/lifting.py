@@ -10,10 +10,11 @@ import bpy
 from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job import LiftFolder
 from ...engine.scene import open_scene_to_lift
+from ...engine.scene_of_lift import relink
 from .. import engine_environment
 from ..engine_environment import why_no_engine
 from ..errors import with_field_names
-from ..lift_collection import lift_of_scene, root_of_placed
+from ..lift_collection import FOLDER, is_same_place, lift_of_scene, lifts_in, root_of_placed
 from ..meshes import mesh_folder
 from ..owned import text_of
 from ..paths import absolute, free_folder
@@ -100,6 +101,18 @@ def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
         raise PlgsError(f"cannot be resumed: it is {known.lift_state.value}", lift.path, fix)
     followed = lifts.start(lift, engine_environment.usable_python(), resume=True, keep_running=settings.keep_running)
     adopt(settings, lift.request, lift.path)
+    return followed
+
+
+def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> Lift:
+    """Tell the lift in `folder`, or in that of the settings, where its scene now is, and show it with its photos where
+    it is shown. Raises PlgsError, also for another scene.
+    """
+    lift = relink(lift_at(scene.plgs, folder), place)
+    followed = lifts.attach(lift.path)
+    adopt(scene.plgs, lift.request, lift.path)
+    if any(is_same_place(text_of(root, FOLDER), lift.path) for root in lifts_in(scene)):
+        lifts.show_lift(scene, lift)
     return followed
 
 

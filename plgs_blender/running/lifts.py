@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ class Lift(Task):
         self.label = f"Lifting {follower.lift.path.name}"
         self.lift_state = lift_state
         self._pictures_seen = 0
+        self.scene_is_there = os.path.exists(follower.lift.request.scene)
 
     @property
     def key(self) -> Hashable:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sys
@@ -90,6 +91,25 @@ def test_resuming(behaves: Behaves, room: Path, tmp_path: Path) -> None:
     assert bpy.ops.plgs.resume_lift(lift_folder=str(tmp_path / "lift")) == {"FINISHED"}
     with pytest.raises(RuntimeError, match="cannot be resumed: it is finished"):
         bpy.ops.plgs.resume_lift()
+
+
+def test_a_lift_without_its_scene_is_placed_and_finds_it(lift: Path, tmp_path: Path) -> None:
+    own = shutil.copytree(lift, tmp_path / "deep" / "own")
+    asked = json.loads((own / "request.json").read_text())
+    asked |= {"scene": str(tmp_path / "gone"), "relative": {}}
+    (own / "request.json").write_text(json.dumps(asked))
+    assert bpy.ops.plgs.place_lift(lift_folder=str(own)) == {"FINISHED"}
+    frames = [ob for ob in bpy.context.scene.objects if ob.type == "CAMERA" and "frame" in ob]
+    assert frames and not any(ob.data.background_images for ob in frames)
+    followed = lifts.attach(own)
+    assert not followed.scene_is_there
+    with pytest.raises(RuntimeError, match="cannot|no such|not there|nothing"):
+        bpy.ops.plgs.find_scene(filepath=str(tmp_path / "nowhere"), lift_folder=str(own))
+    room = shutil.copytree(lift.parent / "tiny room", tmp_path / "found")
+    assert bpy.ops.plgs.find_scene(filepath=str(room), lift_folder=str(own)) == {"FINISHED"}
+    found = lifts.lift_of(own)
+    assert found is not None and found.scene_is_there
+    assert all(ob.data.background_images for ob in frames), "the photos are there again"
 
 
 def test_a_bad_scene_starts_nothing(behaves: Behaves, tmp_path: Path) -> None:

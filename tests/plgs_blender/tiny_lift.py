@@ -15,6 +15,7 @@ import OpenEXR
 from numpy.typing import NDArray
 from plgs.engine.job import LiftFolder, LiftRequest, write_manifest
 from plgs.engine.scene import Frame, Scene, open_scene
+from plgs.engine.scene_of_lift import remember_scene
 from tiny_scene import (
     CABINET,
     CABINET_ID,
@@ -44,6 +45,7 @@ def write_tiny_lift(
     scene = scene or write_tiny_scene(folder.parent / "tiny room", frames=frames, size=size)
     lift = LiftFolder.create(folder, LiftRequest(scene=scene.absolute()))
     opened = open_scene(scene)
+    remember_scene(lift, opened)
     lift.previews_path.mkdir(parents=True)
     _write_points(lift.result_path, opened, size)
     _write_instances(lift.result_path / "instances.json", instances, opened, size)

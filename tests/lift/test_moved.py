@@ -1,0 +1,77 @@
+"""A lift that is moved, with its scene and without, and a scene that is moved alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from engine.command_line.main import main
+from engine.errors import PlgsError
+from engine.export.run import export
+from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, StopSignal
+from engine.lift import run_lift
+from engine.presets.preset import PRESETS
+from engine.scene_of_lift import relink, scene_of_lift
+from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import TINY
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with "room" and "lift", a lift of it. Only for reading."""
+    root = tmp_path_factory.mktemp("made")
+    scene = write_tiny_scene(root / "room", frames=6, noise=0.1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS, "preview", TINY)
+        folder = LiftFolder.create(root / "lift", LiftRequest(scene=scene, bake="none"))
+        events = EventWriter(folder.events_path)
+        run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
+        events.close()
+        yield root
+    torch.use_deterministic_algorithms(False)
+
+
+@pytest.fixture
+def place(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder with a copy of the lift. What it was made in is not there meanwhile."""
+    shutil.copytree(made / "lift", tmp_path / "elsewhere" / "lift")
+    shutil.copytree(made / "room", tmp_path / "found")
+    away = made.rename(made.with_name("away"))
+    yield tmp_path / "elsewhere"
+    away.rename(made)
+
+
+def test_with_its_scene(place: Path) -> None:
+    (place.parent / "found").rename(place / "room")
+    folder = LiftFolder.open(place / "lift")
+    assert folder.request.scene == place / "room"
+    assert all(frame.read_colour(None).any() for frame in scene_of_lift(folder).frames)
+
+
+def test_without_its_scene(place: Path) -> None:
+    lift = place / "lift"
+    folder = LiftFolder.open(lift)
+    scene = scene_of_lift(folder)
+    assert [frame.name for frame in scene.test_frames] == ["0004"] and "no photos" in scene.warnings[0]
+    assert main(["bake", str(lift), "--frames", "test", "-o", str(place / "out")]) == ExitCode.FINISHED
+    assert (place / "out" / "0004.exr").is_file()
+    export(folder, "boxes", place / "boxes", ["all"])
+    with pytest.raises(PlgsError, match=r"needs its pictures.*Find Scene"):
+        scene.frames[0].read_colour(None)
+
+
+def test_the_scene_is_found(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lift, found = place / "lift", place.parent / "found"
+    before = (lift / "request.json").read_bytes()
+    other = write_tiny_scene(place.parent / "other", frames=6, size=(80, 60))
+    assert main(["bake", str(lift), "--scene", str(other)]) == ExitCode.BAD_INPUT
+    assert "is another scene" in capsys.readouterr().err
+    assert (lift / "request.json").read_bytes() == before
+    assert relink(LiftFolder.open(lift), found).request.scene == found
+    assert LiftFolder.open(lift).request.scene == found
+    assert json.loads((lift / "request.json").read_text())["relative"]["scene"] == "../../found"
