@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -40,9 +41,31 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
 
 
 def remember_scene(folder: LiftFolder, scene: Scene) -> None:
-    """Write the cameras of a lift's scene beside its request. Raises OSError."""
+    """Write the cameras of a lift's scene, and what its masks are known by, beside its request. Raises PlgsError for
+    a mask that cannot be read, OSError."""
     frames = [_content(frame, scene.folder) for frame in scene.frames]
-    write_atomically(folder.path / KNOWN_SCENE, to_text({"format": FORMAT, "frames": frames}))
+    content = {"format": FORMAT, "masks": digest_of_masks(scene), "frames": frames}
+    write_atomically(folder.path / KNOWN_SCENE, to_text(content))
+
+
+def have_masks_changed(folder: LiftFolder, scene: Scene | None = None) -> bool:
+    """Whether masks of a lift's ``scene``, opened where it is not given, are others than when the lift was last run.
+    False where that is not known, or the scene is gone. Raises PlgsError."""
+    if not (folder.path / KNOWN_SCENE).is_file() or not os.path.exists(folder.request.scene):
+        return False
+    known = _known_content(folder).get("masks")
+    return bool(known) and known != digest_of_masks(scene or open_asked(folder.request))
+
+
+def digest_of_masks(scene: Scene) -> str:
+    """SHA-256 of the masks of all frames with their segments. Raises PlgsError."""
+    found = sha256()
+    for frame in scene.frames:
+        if frame.read_mask is not None:
+            mask = frame.mask()
+            found.update(f"{frame.name} {mask.segments}".encode())
+            found.update(np.ascontiguousarray(mask.ids).tobytes())
+    return found.hexdigest()
 
 
 def relink(folder: LiftFolder, place: Path) -> LiftFolder:
@@ -75,15 +98,20 @@ def refuse_others(known: Sequence[Frame], scene: Scene) -> None:
 
 def known_frames(folder: LiftFolder) -> list[Frame]:
     """The frames of scene.json; paths of pictures are relative to the scene. Raises PlgsError for a damaged file."""
+    path, content = folder.path / KNOWN_SCENE, _known_content(folder)
+    try:
+        return [_frame(entry, folder.request.scene) for entry in take_objects(content, "frames", "the scene", path)]
+    except (KeyError, TypeError, ValueError) as error:
+        raise PlgsError(f"a frame cannot be read ({error})", path, _FIX) from error
+
+
+def _known_content(folder: LiftFolder) -> dict[str, Any]:
     path = folder.path / KNOWN_SCENE
     content = read_object(path, _FIX)
     if content.get("format") != FORMAT:
         what = f"has format {content.get('format')!r}, this version reads {FORMAT}"
         raise PlgsError(what, path, "Use the version of PLGS that wrote it.")
-    try:
-        return [_frame(entry, folder.request.scene) for entry in take_objects(content, "frames", "the scene", path)]
-    except (KeyError, TypeError, ValueError) as error:
-        raise PlgsError(f"a frame cannot be read ({error})", path, _FIX) from error
+    return content
 
 
 def _content(frame: Frame, scene: Path) -> dict[str, object]:

@@ -36,7 +36,7 @@ def run_engine(
         if not (folder.path / "request.json").exists():
             raise PlgsError("was removed meanwhile", folder.path, "Lift the scene again.")
         state = folder.state_at_rest()
-        if state is LiftState.FINISHED and resume and folder.is_whole():
+        if state is LiftState.FINISHED and resume and folder.is_whole() and not _have_masks_changed(folder):
             print(f"This lift is finished already: {folder.result_path}")
             return ExitCode.FINISHED
         if state is not LiftState.NOT_STARTED and not resume:
@@ -60,6 +60,12 @@ def run_engine(
                 with_less_memory="Resume after closing other programs, or lift anew with a smaller --size.",
             )
             return run_at(task, folder.place, terminal, parent_pipe=parent_pipe)
+
+
+def _have_masks_changed(folder: LiftFolder) -> bool:
+    from ..scene_of_lift import have_masks_changed  # late: it needs numpy
+
+    return have_masks_changed(folder)
 
 
 def run_bake(

@@ -37,9 +37,9 @@ from ..scene import (
     read_ahead,
     size_within,
 )
-from ..scene_of_lift import remember_scene
+from ..scene_of_lift import have_masks_changed, remember_scene
 from ..train.progress import StageReporter
-from ..train.state import restore, trainer_state
+from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .device import be_repeatable, refuse_missing_device
@@ -69,6 +69,7 @@ NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
     'votes need objects = "agreement" and one_class_an_object = true'
 )
+TRAINED_ANEW = "it is trained anew, from the first step"
 LEAST_STEPS = 100
 """Steps from which their pace is remembered. Fewer measure the first compilation, not the computer."""
 
@@ -99,6 +100,7 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method:
         if preset.labels == "votes" and not preset.can_vote:
             events.warning(NO_VOTES)
         whole = open_scene_to_lift(request)
+        masks_changed = have_masks_changed(folder, whole)
         remember_scene(folder, whole)
         earlier = None if request.names_from is None else read_earlier(request.names_from)
         scene = scene_to_lift(whole, request, checkpoint, progress, events)
@@ -116,7 +118,10 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method:
     prepared = method.prepare(views, scene.classes, preset, request.seed, stages, folder.path, others)
     trainer = method.trainer(prepared, views, preset, request.seed)
     if checkpoint is not None:
-        take_up(trainer, checkpoint)
+        if masks_changed and not preset.shows_votes:
+            events.warning(f"the masks have changed, which the finished scene shows by training: {TRAINED_ANEW}")
+        else:
+            take_up(trainer, checkpoint, events)
         log.info("resuming after step %d", trainer.step_number)
     names: Mapping[int, str] = instance_names(prepared.instances, scene.classes)
     previews = LivePreviews(folder, whole, shown_instances(prepared, names), events)
@@ -158,11 +163,14 @@ def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
         raise PlgsError(what, request.names_from, fix, option="--names-from")
 
 
-def take_up(trainer: Trainer, checkpoint: Checkpoint) -> None:
-    """Continue from a checkpoint. Raises PlgsError for one that is damaged, or another lift's."""
+def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter) -> None:
+    """Continue from a checkpoint, or begin anew where the masks give other objects or classes than they did. Raises
+    PlgsError for a checkpoint that is damaged, or another lift's."""
     path = checkpoint.path / "trainer.safetensors"
     try:
         restore(trainer, read_tensors(path)[0], checkpoint.state)
+    except OtherLabels:
+        events.warning(f"the masks give other objects or classes than when the lift was begun: {TRAINED_ANEW}")
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         fix = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
         raise PlgsError(f"the checkpoint cannot be used ({error})", path, fix) from error

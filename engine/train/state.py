@@ -17,6 +17,10 @@ from .self_training import PseudoLabels
 from .trainer import Trainer
 
 
+class OtherLabels(ValueError):
+    """A state whose labels are not those that the masks give."""
+
+
 def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Everything that ``restore`` needs to go on bit for bit."""
     model, facts = to_tensors(trainer.scene)
@@ -53,7 +57,7 @@ def _check(
 ) -> None:
     """Raises ValueError unless all but the model fits too."""
     if (scene.channels, scene.decoders.shape) != (trainer.scene.channels, trainer.scene.decoders.shape):
-        raise ValueError("it belongs to a lift with other labels")
+        raise OtherLabels("it belongs to a lift with other labels")
     if type(facts["step"]) is not int or not 0 <= facts["step"] <= trainer.preset.steps:
         raise ValueError("its step is none of this lift")
     if type(facts["optimiser_steps"]) is not int or facts["optimiser_steps"] < 0:

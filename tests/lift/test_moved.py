@@ -1,4 +1,4 @@
-"""A lift that is moved, with its scene and without, and a scene that is moved alone."""
+"""A lift that is moved, with its scene and without; a scene that is moved alone; masks that are edited afterwards."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from engine.export.run import export
 from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, StopSignal
 from engine.lift import run_lift
 from engine.presets.preset import PRESETS
+from engine.result_files import read_instances
 from engine.scene_of_lift import relink, scene_of_lift
-from tests.tiny_scene import write_tiny_scene
+from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY
 
 
@@ -75,3 +76,28 @@ def test_the_scene_is_found(place: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert relink(LiftFolder.open(lift), found).request.scene == found
     assert LiftFolder.open(lift).request.scene == found
     assert json.loads((lift / "request.json").read_text())["relative"]["scene"] == "../../found"
+
+
+def test_edited_masks_are_taken(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(PRESETS, "preview", TINY)
+    lift = relink(LiftFolder.open(place / "lift"), place.parent / "found").path
+    assert main(["lift", str(lift), "--resume"]) == ExitCode.FINISHED
+    assert "finished already" in capsys.readouterr().out
+    before = {one.class_name for one in read_instances(lift / "result" / "instances.json")[1]}
+    table = place.parent / "found" / "panoptic.json"
+    content = json.loads(table.read_text())
+    for entry in content["annotations"]:
+        for segment in entry["segments_info"]:
+            segment["category_id"] = CABINET_ID if segment["category_id"] == CHAIR_ID else segment["category_id"]
+    table.write_text(json.dumps(content))
+    assert main(["lift", str(lift), "--resume"]) == ExitCode.FINISHED
+    after = {one.class_name for one in read_instances(lift / "result" / "instances.json")[1]}
+    assert before == {"chair", "cabinet"} and after == {"cabinet"}
+    told = [event["message"] for event in read_events(lift) if event["event"] == "warning"]
+    assert any("trained anew" in line for line in told)
+
+
+def read_events(lift: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (lift / "events.jsonl").read_text().splitlines()]
