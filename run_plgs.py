@@ -8,8 +8,8 @@ named otherwise; frames that are baked are kept):
 
     python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST]
 
-Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 4 another engine is at work
-there, 130 Ctrl-C. What was cancelled or interrupted goes on with --resume.
+Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is at work
+there (try again), 130 Ctrl-C, 141 nobody reads the output any more (the lift is finished). What was cancelled or interrupted goes on with --resume.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # until `Interrupts` is there, Ctrl-C just ends it
 
 ROOT = Path(__file__).resolve().parent
+READER_GONE = 141
+"""The shell's exit status of a command whose reader has ended, such as ``head``."""
 
 
 def load_package() -> None:
@@ -80,6 +82,9 @@ def main(arguments: Sequence[str]) -> int:
     except PlgsError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes what is left at its end
+        return READER_GONE
     except Interrupted as interrupted:
         again = "with --resume to go on" if options.scene is not None else "to go on"
         print(f"Stopped. Give the same command {again}: {options.output}", file=sys.stderr)
@@ -191,6 +196,7 @@ def finished_lift(folder: Path) -> LiftFolder:
 
 def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:
     """Bake the camera that the options name; the lift's own .blend then shows the passes. Raises PlgsError."""
+    lift.refuse_read_only()
     from plgs.plgs_blender.shots import bake_shot_in_terminal  # brings bpy
 
     if options.blend is None and not blend.exists():

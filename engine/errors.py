@@ -6,7 +6,7 @@ import errno
 from enum import IntEnum, StrEnum
 from pathlib import Path
 
-from .gates import printable
+from .gates import one_line
 
 _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
 
@@ -66,7 +66,7 @@ class PlgsError(Exception):
     ) -> None:
         self.what, self.where, self.fix, self.code, self.option = what, str(where), fix, code, option
         subject = f"{what}: {where}" if self.where else what
-        super().__init__(printable(f"{subject}. {fix}" if fix else subject).replace("\n", " "))
+        super().__init__(one_line(f"{subject}. {fix}" if fix else subject))
 
     @property
     def exit_code(self) -> ExitCode:

@@ -103,6 +103,16 @@ def printable(text: object) -> str:
     return "".join(each if each.isprintable() or each in "\n\t" else "?" for each in str(text))
 
 
+def one_line(text: object) -> str:
+    """``printable`` in one line."""
+    return " ".join(printable(text).split("\n"))
+
+
+def table_cell(value: object) -> object:
+    """A value of a CSV table. A text that a spreadsheet would take for a formula gets an apostrophe before it."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+
+
 def without_credentials(text: str) -> str:
     """The text with ``****`` where an address names a user or a password."""
     return _USER.sub("****@", text)

@@ -55,7 +55,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
         "passes",
     },
     "diagnosis": {"errors", "scene", "job"},
-    "export": {"corrections", "errors", "scene_of_lift", "result_files", "scene", "job", "passes", "lift"},
+    "export": {"corrections", "errors", "gates", "scene_of_lift", "result_files", "scene", "job", "passes", "lift"},
     "frames": {"errors", "scene_source", "scene", "job"},
     "poses": {"errors", "json_file", "scene", "job"},
     "segment": {"errors", "json_file", "scene", "job"},

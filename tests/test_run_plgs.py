@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from engine.errors import PlgsError
 from engine.job import LiftFolder, LiftState
+from engine.job.events import last_run
 from tests.tiny_scene import write_tiny_scene
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
@@ -260,3 +264,77 @@ def test_without_bpy_anywhere_says_what_to_do(root: Path, tmp_path: Path) -> Non
     said = subprocess.run(command, capture_output=True, text=True, timeout=60, env=env)
     assert said.returncode == 2 and "bpy" in said.stderr and "make set-up" in said.stderr
     assert len(said.stderr.splitlines()) == 1
+
+
+def test_a_folder_that_is_deleted_during_the_lift_is_told_in_a_line(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = run("patient", tmp_path / "scene", "-o", out)
+    wait_for(process, has_begun(out))
+    while out.exists():  # the engine writes meanwhile
+        shutil.rmtree(out, ignore_errors=True)
+    _, stderr = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1 and "Traceback" not in stderr
+    assert stderr.splitlines()[-1].startswith("error: ") and str(out) in stderr.splitlines()[-1]
+
+
+def test_who_holds_a_lift_is_told(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first = run("patient", tmp_path / "scene", "-o", out)
+    wait_for(first, has_begun(out))
+    engine = next(event.data["pid"] for event in last_run(out / "events.jsonl"))
+    told = run("patient", tmp_path / "scene", "-o", out, "--resume").communicate(timeout=20)[1]
+    assert f"(process {engine} on {platform.node()}, since 2" in told and "'cancel'" in told
+
+
+def test_an_engine_that_was_stopped_ends_with_its_parent_when_it_goes_on(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = run("patient", tmp_path / "scene", "-o", out)
+    wait_for(process, has_begun(out))
+    engine = int(str(next(event.data["pid"] for event in last_run(out / "events.jsonl"))))
+    os.kill(engine, signal.SIGSTOP)
+    process.kill()
+    process.wait()
+    assert LiftFolder.open(out).is_running
+    os.kill(engine, signal.SIGCONT)
+    began = time.monotonic()
+    while LiftFolder.open(out).is_running:
+        assert time.monotonic() - began < PATIENCE_S
+        time.sleep(0.02)
+    assert LiftFolder.open(out).state() is LiftState.CANCELLED
+
+
+def test_a_lift_goes_on_without_its_terminal_and_says_so_in_its_log(root: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    script = root / "tests" / "job" / "run_plgs_with_fake_engine.py"
+    command = [sys.executable, script, "patient", tmp_path / "scene", "-o", out]
+    process = subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=env())
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.stdout.close()  # as `2>&1 | head -1` does
+    wait_for(process, has_begun(out))
+    (began, log) = (time.monotonic(), out / "log.txt")
+    while "The terminal is gone. The work goes on." not in log.read_text():
+        assert process.poll() is None and time.monotonic() - began < PATIENCE_S
+        time.sleep(0.05)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(PATIENCE_S) == 129
+    lift = LiftFolder.open(out)
+    assert not lift.is_running and lift.state() is LiftState.CANCELLED
+
+
+def test_a_reader_that_is_gone_at_the_end_has_a_code_of_its_own(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = run("short", tmp_path / "scene", "-o", out)
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    stderr = process.stderr.read()
+    assert process.wait(PATIENCE_S) == 141 and "Traceback" not in stderr
+    assert LiftFolder.open(out).state() is LiftState.FINISHED
+
+
+def test_a_read_only_lift_is_refused(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    run("short", tmp_path / "scene", "-o", out).communicate(timeout=60)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may write everywhere
+    with pytest.raises(PlgsError, match="this lift is read-only"):
+        LiftFolder.open(out).refuse_read_only()

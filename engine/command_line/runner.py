@@ -25,6 +25,8 @@ from .log_output import output_to
 
 Work = Callable[[EventWriter, StopSignal], object]
 
+_NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator: not enough memory", "std::bad_alloc")
+
 
 @dataclass(frozen=True)
 class Task:
@@ -123,7 +125,7 @@ def _failure(error: Exception, task: Task, place: TaskPlace | None) -> PlgsError
     if isinstance(error, ModuleNotFoundError):
         fix = f"Set the environment up anew with 'make set-up', then {task.again}."
         return PlgsError(str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or _is_of_lacking_memory(error):
         return PlgsError("memory ran out", where.parent, task.with_less_memory, code=ErrorCode.INTERNAL)
     if _is_of_a_full_disk(error):
         return PlgsError(
@@ -134,6 +136,12 @@ def _failure(error: Exception, task: Task, place: TaskPlace | None) -> PlgsError
     what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
     fix = f"The log has the details. When the cause is gone, {task.again}."
     return PlgsError(what, where, fix, code=ErrorCode.INTERNAL)
+
+
+def _is_of_lacking_memory(error: Exception) -> bool:
+    """Libraries in C++ have errors of their own: torch on the CPU and the GPU, OpenCV."""
+    said = str(error)
+    return type(error).__name__ == "OutOfMemoryError" or any(words in said for words in _NO_MEMORY)
 
 
 def _is_of_a_full_disk(error: Exception) -> bool:

@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from ..gates import table_cell
 from ..job import write_atomically
 from .source import FinishedLift
 
@@ -26,6 +27,7 @@ def export_boxes(lift: FinishedLift, output: Path) -> None:
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow([f"{field}_{axis}" if axis else field for field in FIELDS for axis in _AXES.get(field, ("",))])
     writer.writerows(
-        [number for field in FIELDS for number in (box[field] if field in _AXES else [box[field]])] for box in boxes
+        [number for field in FIELDS for number in (box[field] if field in _AXES else [table_cell(box[field])])]
+        for box in boxes
     )
     write_atomically(output / "boxes.csv", table.getvalue())

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .. import __version__
-from ..errors import PlgsError
+from ..errors import ErrorCode, PlgsError
 from ..gates import open_plain, open_to_append
 from ..json_file import Json, to_line
 
@@ -81,7 +81,12 @@ class EventWriter:
 
     def hello(self, *, threads: int, resumed: bool, task: str = "lift") -> None:
         """A run of ``task`` ("lift", "bake", "inspect" …) begins, which may use this many compute threads."""
-        about = {"engine_version": __version__, "pid": os.getpid(), "python": platform.python_version()}
+        about = {
+            "engine_version": __version__,
+            "pid": os.getpid(),
+            "machine": platform.node(),
+            "python": platform.python_version(),
+        }
         self._write("hello", task=task, **about, threads=threads, resumed=resumed)
 
     def stage(self, name: str, index: int, count: int, label: str) -> None:
@@ -215,6 +220,22 @@ def _without_outdated(lines: list[bytes]) -> list[bytes]:
 def last_run(path: Path) -> list[Event]:
     """The events of the latest run: from the last hello on. Empty when no run began."""
     return _since_hello(EventReader(path).poll())
+
+
+def at_work(path: Path) -> PlgsError:
+    """The error of a lock on the events ``path`` that another process holds: which one, on which machine, since when,
+    as far as its events say.
+    """
+    try:
+        hello = next((event for event in last_run(path) if event.kind == "hello"), None)
+    except (OSError, PlgsError):  # a lock that nobody may read is a lock all the same
+        hello = None
+    who = ""
+    if hello is not None:
+        since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(hello.time))
+        who = f" (process {hello.data.get('pid')} on {hello.data.get('machine', 'a machine not named')}, since {since})"
+    fix = "Wait until it is done, or stop it by making a file named 'cancel' there; end that process if it hangs."
+    return PlgsError(f"another engine is at work here{who}", path.parent, fix, code=ErrorCode.BUSY)
 
 
 def last_events(path: Path) -> list[Event]:

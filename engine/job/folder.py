@@ -140,6 +140,12 @@ class LiftFolder:
         """
         refuse_foreign_below(self.path)
 
+    def refuse_read_only(self) -> None:
+        """Raise PlgsError when nothing can be written here: before any work starts."""
+        if not os.access(self.path, os.W_OK | os.X_OK):
+            fix = "Copy the lift to a place that you may write to, and give that."
+            raise PlgsError("this lift is read-only", self.path, fix)
+
     def state(self) -> LiftState:
         """How far the lift is. Raises PlgsError when the file system knows no locks."""
         return LiftState.RUNNING if self.is_running else self.state_at_rest()

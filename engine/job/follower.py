@@ -215,7 +215,8 @@ class TaskFollower:
         elif self._was_cancelled(code):
             self.state = TaskState.CANCELLED
         elif code is not None and code < 0:
-            what = f"the engine was ended by signal {-code} (9 often means: out of memory)"
+            hint = " (often: out of memory)" if code == -9 else ""
+            what = f"the engine was ended by signal {-code}{hint}"
             self._fail(PlgsError(what, self.place.events.parent, self._what_is_left(), code=ErrorCode.INTERNAL))
         else:
             self._fail(self._error_of_output(code))

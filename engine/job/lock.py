@@ -15,8 +15,9 @@ from pathlib import Path
 from types import TracebackType
 from uuid import uuid4
 
-from ..errors import ErrorCode, PlgsError
+from ..errors import PlgsError
 from ..gates import open_plain, open_to_append
+from .events import at_work
 from .system import OPEN_FILES_KEEP_NAMES, try_lock
 
 MANIFEST_S = 60.0
@@ -40,8 +41,7 @@ class FileLock:
         while not self._try():
             if time.monotonic() > give_up:
                 os.close(self._descriptor)
-                fix = "Wait until it is done, or stop it by making a file named 'cancel' there."
-                raise PlgsError("another engine is at work here", self._path.parent, fix, code=ErrorCode.BUSY)
+                raise at_work(self._path)
             time.sleep(0.05)
         return self
 

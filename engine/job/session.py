@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..errors import ErrorCode, ExitCode, PlgsError
+from ..errors import ExitCode
+from .events import at_work
 from .folder import LiftFolder, LiftState
 from .follower import TaskFollower
 from .options import request_from, resumable
@@ -41,6 +42,7 @@ def lift_in_terminal(
     elif _state_when_left_alone(lift) is LiftState.FINISHED and lift.is_whole():
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
         return lift, ExitCode.FINISHED
+    lift.refuse_read_only()
     try:
         program = getattr(options, "program", "engine")
         command = engine_command(python, lift.path, resume=not is_new, program=program)
@@ -59,8 +61,7 @@ def _state_when_left_alone(lift: LiftFolder) -> LiftState:
     give_up = time.monotonic() + _ENDING_S
     while (state := lift.state()) is LiftState.RUNNING:
         if time.monotonic() > give_up:
-            fix = "Wait until it is done, or stop it by making a file named 'cancel' there."
-            raise PlgsError("another engine is at work here", lift.path, fix, code=ErrorCode.BUSY)
+            raise at_work(lift.events_path)
         time.sleep(0.05)
     return state
 
@@ -78,6 +79,8 @@ def _run(lift: LiftFolder, interrupts: Interrupts, command: Sequence[str | Path]
 
 def _came_to_nothing(lift: LiftFolder) -> bool:
     """No engine got as far as a checkpoint: it never started, or refused the input."""
+    if not lift.path.is_dir():  # somebody deleted it during the lift, as the error says
+        return False
     if lift.is_running or lift.checkpoints.exists:
         return False
     state = lift.state_at_rest()

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from ..gates import printable
+from ..gates import open_to_append, printable
 from ..json_file import to_line
 from .events import Event, EventWriter
 from .follower import TaskFollower
@@ -79,7 +80,7 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine) -> No
 
     A signal cancels the task; an engine that does not stop is killed. A lift can then be resumed.
     """
-    is_asked, warned = False, 0
+    is_asked, is_told, warned = False, False, 0
     try:
         while follower.is_running:
             follower.poll()
@@ -87,6 +88,9 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine) -> No
                 line.say(f"warning: {warning}")
             warned = len(follower.progress.warnings)
             line.show(follower.progress)
+            if line.is_lost and not is_told:
+                is_told = True
+                _tell_log(follower, "The terminal is gone. The work goes on.")
             if interrupts.pending is not None and not is_asked:
                 is_asked = True
                 line.say("Stopping ...")
@@ -98,6 +102,11 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine) -> No
         if follower.is_running:  # a full disk, say: never leave an engine behind
             follower.kill()
         follower.close()
+
+
+def _tell_log(follower: TaskFollower, text: str) -> None:
+    with suppress(OSError), os.fdopen(open_to_append(follower.place.log), "a", encoding="utf-8") as log:
+        log.write(text + "\n")  # best effort: a full disk is no reason to end the work
 
 
 class ShownEvents(EventWriter):
@@ -112,7 +121,11 @@ class ShownEvents(EventWriter):
     def answer(self, answer: Mapping[str, object], text: str = "") -> None:
         self._line.end()
         sys.stdout.flush()
-        said = (text + "\n").encode(errors="backslashreplace") if text and not self._as_json else to_line(answer)
+        said = (
+            (printable(text) + "\n").encode(errors="backslashreplace")
+            if text and not self._as_json
+            else to_line(answer)
+        )
         sys.stdout.buffer.write(said)  # UTF-8 on every system, as a path may need
         sys.stdout.flush()
 
@@ -131,10 +144,15 @@ class ShownEvents(EventWriter):
 
 
 class LiveLine:
-    """Progress on one line that is written over and over; where that cannot be, a line every few seconds."""
+    """Progress on one line that is written over and over; where that cannot be, a line every few seconds.
+
+    ``is_lost`` says that nobody reads the stream any more: a closed terminal, or ``| head``. What it is told then, and
+    what anybody else writes there, goes nowhere, so that work of hours does not end by it.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+        self.is_lost = False
         self._live = stream.isatty()
         self._newest = ""
         self._shown = ""
@@ -159,28 +177,35 @@ class LiveLine:
         """A line of its own, above the live one."""
         if self._live and self._shown:
             self._overwrite("")
-        print(printable(text), file=self._stream, flush=True)
+        self._write(printable(text) + "\n")
 
     def end(self) -> None:
         """Leave the last state standing; what follows begins a new line."""
         if not self._live:
             self._print_newest()
         elif self._shown:
-            print(file=self._stream, flush=True)
+            self._write("\n")
             self._shown = ""
 
     def _print_newest(self) -> None:
         if self._newest and self._newest != self._shown:
-            print(self._newest, file=self._stream, flush=True)
+            self._write(self._newest + "\n")
             self._shown, self._next = self._newest, time.monotonic() + _PLAIN_LINE_S
 
     def _overwrite(self, text: str) -> None:
         text = text[: shutil.get_terminal_size().columns - 1]
-        self._stream.write("\r" + text + " " * max(0, len(self._shown) - len(text)))
-        if not text:
-            self._stream.write("\r")
-        self._stream.flush()
+        self._write("\r" + text + " " * max(0, len(self._shown) - len(text)) + ("" if text else "\r"))
         self._shown = text
+
+    def _write(self, text: str) -> None:
+        try:
+            self._stream.write(text)
+            self._stream.flush()
+        except OSError:
+            self.is_lost = True
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
 
 
 def describe(progress: TaskProgress) -> str:

@@ -6,6 +6,8 @@ import colorsys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ..gates import one_line
+
 LARGEST_ID = 65535
 """Largest id of a class or of a result's instance: tables by id (palettes, label images of 16 bits) stay small."""
 VOID = 0
@@ -16,22 +18,31 @@ LARGEST_CLASS_ID = LARGEST_ID - 1
 
 @dataclass(frozen=True)
 class ClassLabel:
-    """A class with its number in the masks' own files: ``id`` may be 0 there, and ``colour`` None."""
+    """A class with its number in the masks' own files: ``id`` may be 0 there, and ``colour`` None.
+
+    The ``name`` is that of the file in one printable line, wherever it is shown or written later.
+    """
 
     id: int
     name: str
     is_thing: bool
     colour: tuple[int, int, int] | None = None
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", one_line(self.name))
+
 
 @dataclass(frozen=True)
 class Category:
-    """One class: ``id`` >= 1 as in the masks' own table, an sRGB ``colour`` of three bytes."""
+    """One class: ``id`` >= 1 as in the masks' own table, an sRGB ``colour`` of three bytes. ``name`` as a label's."""
 
     id: int
     name: str
     is_thing: bool
     colour: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", one_line(self.name))
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from .depth import DepthMap, in_metres, read_depth_array
 from .frame import Frame, SparsePoints
 from .image_header import read_image_header
 from .layout import files_by_stem, listed, require_all
+from .limits import depth_check
 from .pixels import decode
 
 LEAST_POINTS = 12
@@ -166,7 +167,9 @@ def with_estimated_depth(
 
 
 def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.float32]]) -> Frame:
-    return replace(frame, depth_path=path, read_depth=DepthMap(path, partial(read, path)))
+    return replace(
+        frame, depth_path=path, read_depth=DepthMap(path, partial(read, path)).through(depth_check(frame.name, path))
+    )
 
 
 def _seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -24,6 +24,7 @@ from .formats.lens import UNDISTORTED, undistorted
 from .frame import Frame, Scene, Size
 from .ground_truth import open_ground_truth
 from .layout import listed, same_shape, shown_size
+from .limits import check_camera, depth_check
 from .masks import MaskSet, find_masks, no_masks
 from .pixels import ColourReader, decode
 from .splits import find_split
@@ -60,6 +61,8 @@ def open_asked(source: SceneSource) -> Scene:
     except OSError as error:
         raise PlgsError(f"this cannot be read ({error.strerror})", error.filename or place, _READABLE) from error
     _refuse_repeated_names(capture.shots, place)
+    for shot in capture.shots:
+        check_camera(shot.name, shot.camera, shot.colour_path)
     beside = place if place.is_dir() else place.with_suffix("")
     split = capture.split or find_split(beside, [shot.name for shot in capture.shots], capture.lost)
     chosen, held_out = {*split.train, *split.test}, frozenset(split.test)
@@ -121,6 +124,8 @@ def _frame(shot: Shot, camera: Camera, held_out: bool) -> Frame:
         read = lambda: undistorted(bent(), lens, bend, path, smooth=True)  # noqa: E731
         if depth is not None:
             depth = depth.through(lambda values: undistorted(values, lens, bend, path, smooth=False))
+    if depth is not None:
+        depth = depth.through(depth_check(shot.name, depth.path))
     return Frame(
         name=shot.name,
         camera=camera,

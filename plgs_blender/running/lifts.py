@@ -9,6 +9,7 @@ from typing import Any
 
 from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job import LiftFolder, LiftState
+from ...engine.job.events import at_work
 from ...engine.job.follower import TaskFollower, start_bake
 from ...engine.job.process import engine_command
 from ...engine.job.recent import RecentLift, recent_lifts
@@ -214,8 +215,7 @@ def show_lift(scene: Any, lift: LiftFolder) -> Any:
 
 def _refuse_running(lift: LiftFolder) -> None:
     if lift.is_running:
-        fix = "Watch it, or cancel it first."
-        raise PlgsError("another engine is at work here", lift.path, fix, code=ErrorCode.BUSY)
+        raise at_work(lift.events_path)
 
 
 def _follow(task: Lift) -> Lift:

@@ -23,6 +23,11 @@ MADE_BY = "made_by.json"
 """A file in a model that `python -m engine poses` made: whether its lengths are metres, by the depth beside it."""
 _SUFFIXES = ("bin", "txt")
 _MOST_BYTES = 1 << 31
+_MOST_POINTS = 4_000_000
+"""Points of a model, at most: as many take ten seconds. Models of rooms have some hundred thousand."""
+_POINT_BYTES = 51
+"""Bytes of a point in a binary file, at least."""
+_MOST_POINT_BYTES = 1 << 29
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 _FIX = "Let COLMAP export the model again."
 
@@ -82,8 +87,8 @@ def read_model(folder: Path) -> ColmapModel:
 class _Bytes:
     """A binary file read from front to back. Raises PlgsError when it is shorter than it says."""
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.position, self.data = path, 0, read_file(path, _MOST_BYTES)
+    def __init__(self, path: Path, most_bytes: int = _MOST_BYTES) -> None:
+        self.path, self.position, self.data = path, 0, read_file(path, most_bytes)
 
     def take(self, layout: str) -> tuple[float, ...]:
         """The next values, as ``struct`` calls them."""
@@ -93,8 +98,12 @@ class _Bytes:
         self.position += size
         return struct.unpack_from(layout, self.data, self.position - size)
 
-    def count(self) -> int:
-        return int(self.take("<Q")[0])
+    def count(self, least_bytes: int) -> int:
+        """How many things follow, of ``least_bytes`` each at least."""
+        count = int(self.take("<Q")[0])
+        if count > (len(self.data) - self.position) // least_bytes:
+            raise self._cut_off()
+        return count
 
     def text(self) -> str:
         """Up to the next zero."""
@@ -121,7 +130,7 @@ class _Bytes:
 
 def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
     file, cameras = _Bytes(path), {}
-    for _ in range(file.count()):
+    for _ in range(file.count(48)):
         camera, model, width, height = (int(value) for value in file.take("<IiQQ"))
         if not 0 <= model < len(_MODELS):
             raise PlgsError(f"camera {camera} has the model number {model}, which is not known", path, _FIX)
@@ -132,24 +141,30 @@ def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def _binary_images(path: Path) -> tuple[ColmapImage, ...]:
     file, images = _Bytes(path), []
-    for _ in range(file.count()):
+    for _ in range(file.count(73)):
         _, w, x, y, z, *translation, camera = file.take("<I7dI")
         name = file.text()
-        points = file.array(_POINTS_2D, file.count())["point"]
+        points = file.array(_POINTS_2D, file.count(_POINTS_2D.itemsize))["point"]
         images.append(ColmapImage(name, int(camera), (w, x, y, z), tuple(translation), points[points >= 0]))
     return tuple(images)
 
 
 def _binary_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
-    file = _Bytes(path)
-    ids, xyz, rgb = [], [], []
-    for _ in range(file.count()):
-        point, x, y, z, red, green, blue, _, track = file.take("<q3d3BdQ")
-        ids.append(int(point))
-        xyz.append((x, y, z))
-        rgb.append((red, green, blue))
+    file = _Bytes(path, _MOST_POINT_BYTES)
+    count = file.count(_POINT_BYTES)
+    _refuse_more_points(count, path)
+    ids, xyz, rgb = np.empty(count, np.int64), np.empty((count, 3)), np.empty((count, 3), np.uint8)
+    for row in range(count):
+        ids[row], *xyz[row], red, green, blue, _, track = file.take("<q3d3BdQ")
+        rgb[row] = red, green, blue
         file.skip(8 * int(track))
-    return _as_points(ids, xyz, rgb)
+    return ids, SparsePoints(xyz, rgb)
+
+
+def _refuse_more_points(count: int, path: Path) -> None:
+    if count > _MOST_POINTS:
+        what = f"the model has more than {_MOST_POINTS // 10**6} million points"
+        raise PlgsError(what, path, "Filter its points in COLMAP, or take the file away: a lift can do without.")
 
 
 def _as_points(
@@ -221,6 +236,7 @@ def _text_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
             x, y, z = (float(word) for word in words[1:4])
             red, green, blue = (float(int(word) & 255) for word in words[4:7])
             ids.append(int(np.int64(int(words[0]))))
+            _refuse_more_points(len(ids), path)
         except (ValueError, OverflowError) as error:
             raise _broken(path, number) from error
         xyz.append((x, y, z))

@@ -15,6 +15,8 @@ from ..camera import Camera
 from ..image_header import read_image_header
 from ..layout import same_shape, shown_size
 
+_LEAST_SEEN = 0.1
+"""Share of an undistorted picture that the distorted one shows, at least. Wide fisheyes show all of it."""
 UNDISTORTED = "the lens bends: pictures are undistorted on reading, and masks must be of the undistorted pictures"
 
 
@@ -74,7 +76,11 @@ def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path
     height, width = pixels.shape[:2]
     own = lens.resized(width, height)
     try:
-        maps = _source_pixels(width, height, own.fx, own.fy, own.cx, own.cy, distortion)
+        *maps, share = _source_pixels(width, height, own.fx, own.fy, own.cx, own.cy, distortion)
+        if share < _LEAST_SEEN:
+            values = ", ".join(f"{value:.4g}" for value in distortion.coefficients)
+            what = f"the lens bends so much that {share:.0%} of the picture is left (its distortion: {values})"
+            raise PlgsError(what, path, "Correct the distortion, or undistort the pictures before.")
         return cv2.remap(pixels, *maps, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
     except cv2.error as error:
         fix = "Undistort the pictures before, and give pinhole cameras."
@@ -84,12 +90,15 @@ def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path
 @lru_cache(maxsize=4)
 def _source_pixels(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: Distortion
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Where each pixel of the undistorted picture lies in the distorted one, float32 [H, W] x and y."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
+    """Where each pixel of the undistorted picture lies in the distorted one, float32 [H, W] x and y, and the share of
+    those that lie in it.
+    """
     import cv2
 
     # OpenCV counts pixels from their centres.
     K = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
     build = cv2.fisheye.initUndistortRectifyMap if distortion.model == "fisheye" else cv2.initUndistortRectifyMap
     coefficients = np.array(distortion.coefficients)
-    return build(K, coefficients, np.eye(3), K, (width, height), cv2.CV_32FC1)  # type: ignore[return-value]
+    x, y = build(K, coefficients, np.eye(3), K, (width, height), cv2.CV_32FC1)
+    return x, y, float(np.mean((x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)))  # type: ignore[return-value]

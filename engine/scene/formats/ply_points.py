@@ -12,6 +12,8 @@ from ..frame import SparsePoints
 from ..layout import read_file
 
 _MOST_BYTES = 1 << 30
+_MOST_IN_TEXT = 1_000_000
+"""Vertices as text, at most: as many take some seconds."""
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"),
     **dict.fromkeys(("short", "int16"), "i2"), **dict.fromkeys(("ushort", "uint16"), "u2"),
@@ -68,7 +70,12 @@ def _vertices(body: bytes, form: str, count: int, fields: np.dtype[np.void], pat
         if len(body) < count * fields.itemsize:
             raise cut_off
         return np.frombuffer(body, fields, count)
-    rows = [line.split() for line in body.decode("ascii", "replace").splitlines()[:count]]
+    if count > _MOST_IN_TEXT:
+        what = f"the PLY has more than {_MOST_IN_TEXT // 10**6} million vertices as text"
+        raise PlgsError(what, path, "Write it as a binary PLY.")
+    if count * 2 * len(fields) > len(body):  # a digit and what parts it from the next
+        raise cut_off
+    rows = [line.decode("ascii", "replace").split() for line in body.split(b"\n", count)[:count]]
     if len(rows) < count:
         raise cut_off
     try:

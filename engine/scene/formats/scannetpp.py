@@ -41,6 +41,8 @@ _TABLE = "pose_intrinsic_imu.json"
 _WIDTH, _HEIGHT = 256, 192
 _PIXELS = _WIDTH * _HEIGHT
 _CHUNK = 1 << 16
+_MOST_FRAMES = 1 << 19
+"""Two hours at 60 frames a second."""
 
 
 def _recognises(place: Path) -> bool:
@@ -159,6 +161,8 @@ def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
             length = int.from_bytes(file.read(4), "little")
             if not 0 < length <= 8 * _PIXELS or start + 4 + length > end:
                 return None
+            if len(blocks) == _MOST_FRAMES:
+                raise PlgsError(f"the depth has more than {_MOST_FRAMES} frames", path, _FIX)
             blocks.append((start + 4, length))
             start += 4 + length
     return blocks

@@ -19,6 +19,8 @@ from ..frame import Size
 _BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
 """An MP4 or MOV begins with one of these."""
 _MATROSKA = b"\x1a\x45\xdf\xa3"
+_MOST_BOXES = 1 << 17
+"""Boxes of one level. Films that are written in parts have two for each part, of some seconds."""
 _FIX = "Copy or record it again, or take its pictures out with another tool."
 
 
@@ -117,18 +119,21 @@ def mp4_size(path: Path) -> Size | None:
 
 def _boxes(file: BinaryIO, wanted: bytes, start: int, stop: int) -> Iterator[tuple[int, int]]:
     """Where the content of each box of the kind ``wanted`` starts and ends, between two places of an MP4."""
-    while start + 8 <= stop:
+    for _ in range(_MOST_BOXES):
+        if start + 8 > stop:
+            return
         file.seek(start)
         head = file.read(16)
         if len(head) < 8:
-            break
+            return
         length, kind, begin = int.from_bytes(head[:4], "big"), head[4:8], start + 8
         if length == 1 and len(head) == 16:
             length, begin = int.from_bytes(head[8:], "big"), start + 16
         elif length == 0:
             length = stop - start
         if length < begin - start:
-            break
+            return
         if kind == wanted:
             yield begin, start + length
         start += length
+    raise PlgsError(f"the video has more than {_MOST_BOXES} parts", file.name, _FIX)

@@ -1,0 +1,119 @@
+"""What no camera makes, and counts that no file can hold, are refused by a line that names the frame or the file."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.errors import PlgsError
+from engine.scene import open_scene
+from engine.scene.camera import Camera
+from engine.scene.classes import Category, ClassLabel
+from engine.scene.formats.colmap_model import _binary_points
+from engine.scene.formats.lens import Distortion, undistorted
+from engine.scene.formats.ply_points import read_ply_points
+from engine.scene.formats.scannetpp import _find_blocks
+from engine.scene.formats.video import mp4_size
+from engine.scene.limits import depth_check
+from tests.scene.refusing import refuses
+from tests.tiny_scene import write_tiny_scene
+
+
+def sparse(path: Path, head: bytes, size: int) -> Path:
+    """A file that begins with ``head`` and goes on with holes, which take no room on a disk."""
+    with path.open("wb") as file:
+        file.write(head)
+        file.truncate(size)
+    return path
+
+
+def test_points_of_holes(tmp_path: Path) -> None:
+    with pytest.raises(PlgsError, match="larger than"):
+        _binary_points(sparse(tmp_path / "a.bin", struct.pack("<Q", 40_000_000), 1 << 31))
+    with pytest.raises(PlgsError, match="cut off"):
+        _binary_points(sparse(tmp_path / "b.bin", struct.pack("<Q", 1 << 62), 1000))
+    with pytest.raises(PlgsError, match="more than 4 million points"):
+        _binary_points(sparse(tmp_path / "c.bin", struct.pack("<Q", 5_000_000), 51 * 5_000_000 + 8))
+
+
+@pytest.mark.parametrize(("count", "told"), [(60_000_000, "1 million vertices as text"), (900_000, "cut off")])
+def test_ply_of_text(tmp_path: Path, count: int, told: str) -> None:
+    fields = "".join(f"property float {axis}\n" for axis in "xyz")
+    head = f"ply\nformat ascii 1.0\nelement vertex {count}\n{fields}end_header\n"
+    path = tmp_path / "points.ply"
+    path.write_bytes(head.encode() + b"\n" * 4_000_000)
+    with pytest.raises(PlgsError, match=told):
+        read_ply_points(path)
+
+
+def test_a_video_of_empty_boxes(tmp_path: Path) -> None:
+    path = tmp_path / "rgb.mp4"
+    path.write_bytes(struct.pack(">I4s", 8, b"ftyp") + struct.pack(">I4s", 8, b"free") * 200_000)
+    with pytest.raises(PlgsError, match="more than 131072 parts"):
+        mp4_size(path)
+
+
+def test_depth_of_empty_blocks(tmp_path: Path) -> None:
+    path = tmp_path / "depth.bin"
+    path.write_bytes(struct.pack("<IB", 1, 0) * 600_000)
+    with pytest.raises(PlgsError, match="more than 524288 frames"):
+        _find_blocks(path)
+
+
+@pytest.mark.parametrize("size", [(6500, 2), (2, 6500), (3, 3), (640, 16)])
+def test_pictures_that_no_camera_makes(tmp_path: Path, size: tuple[int, int]) -> None:
+    scene = write_tiny_scene(tmp_path, frames=3)
+    for path in (scene / "color").iterdir():
+        cv2.imwrite(str(path), np.zeros((size[1], size[0], 3), np.uint8))
+    (scene / "intrinsic" / "intrinsic_color.txt").write_text("4 0 1 0\n0 4 1 0\n0 0 1 0\n0 0 0 1\n")
+    for path in (scene / "depth").iterdir():
+        cv2.imwrite(str(path), np.full((size[1], size[0]), 1000, np.uint16))
+    refuses("the picture of frame .* which no camera makes", scene)
+
+
+@pytest.mark.parametrize("focal", [1e30, 1e299, 1e-300, 1e-30])
+def test_focal_lengths_that_no_lens_has(tmp_path: Path, focal: float) -> None:
+    scene = write_tiny_scene(tmp_path, frames=3)
+    (scene / "intrinsic" / "intrinsic_color.txt").write_text(f"{focal} 0 8 0\n0 {focal} 6 0\n0 0 1 0\n0 0 0 1\n")
+    refuses("frame .* has focal lengths of", scene)
+
+
+@pytest.mark.parametrize("metres", [1e-30, 1e6, 1e38])
+def test_depth_that_no_sensor_measures(tmp_path: Path, metres: float) -> None:
+    with pytest.raises(PlgsError, match="the largest depth of frame 0001 is .* which no sensor measures"):
+        depth_check("0001", tmp_path)(np.full((12, 16), metres, np.float32))
+
+
+def test_estimated_depth_has_the_same_limits(tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path, frames=3)
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    for path in (scene / "color").iterdir():
+        np.save(maps / f"{path.stem}.npy", np.ones((1, 5000), np.float32))
+    with pytest.raises(PlgsError, match=r"5000x1|another shape|does not fit"):
+        for frame in open_scene(scene, depth=maps).frames:
+            frame.depth()
+
+
+def test_depth_of_one_row(tmp_path: Path) -> None:
+    with pytest.raises(PlgsError, match="depth of frame 0001 is 50000x1"):
+        depth_check("0001", tmp_path)(np.ones((1, 50_000), np.float32))
+
+
+@pytest.mark.parametrize(
+    "lens", [Distortion("brown", (1e20, 0.0, 0.0, 0.0)), Distortion("fisheye", (1e10, 0.0, 0.0, 0.0))]
+)
+def test_a_lens_that_leaves_no_picture_is_what_is_wrong(tmp_path: Path, lens: Distortion) -> None:
+    camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
+    with pytest.raises(PlgsError, match="the lens bends so much"):
+        undistorted(np.ones((48, 64), np.float32), camera, lens, tmp_path, smooth=False)
+
+
+def test_class_names_are_one_printable_line() -> None:
+    name = "chair\u202egnp.exe\u2028\x1b[2J\n"
+    for one in (ClassLabel(1, name, True), Category(1, name, True, (1, 2, 3))):
+        assert one.name.isprintable() and one.name.startswith("chair?gnp.exe")
