@@ -8,8 +8,9 @@ named otherwise; frames that are baked are kept):
 
     python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST]
 
-Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is at work
-there (try again), 130 Ctrl-C, 141 nobody reads the output any more (the lift is finished). What was cancelled or interrupted goes on with --resume.
+Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is at work there
+(try again), 129 the terminal was closed, 130 Ctrl-C, 141 finished, but nobody read the output to its end. What was
+cancelled or interrupted goes on with --resume.
 """
 
 from __future__ import annotations

@@ -56,6 +56,10 @@ class Pretence:
                 raise ZeroDivisionError("no such luck")
             case "memory":
                 raise MemoryError
+            case "memory of torch":
+                import torch
+
+                torch.empty(1 << 50)
             case "segfault":
                 ctypes.string_at(0)
             case "exits":

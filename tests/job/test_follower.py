@@ -117,7 +117,7 @@ def test_a_killed_engine_is_told_and_can_be_resumed(folder: LiftFolder, start: S
     follower.kill()
     follow(follower)
     assert follower.state is TaskState.FAILED
-    assert "signal 9" in str(follower.error)
+    assert "signal 9 (often: out of memory)" in str(follower.error)
     assert folder.state() is LiftState.INTERRUPTED
     again = start("short", resume=True)
     follow(again)
@@ -130,7 +130,8 @@ def test_a_killed_engine_is_told_and_can_be_resumed(folder: LiftFolder, start: S
         ("bad input", ErrorCode.BAD_INPUT, "is too dark: {scene}. Switch the light on.", "python talks"),
         ("broken", ErrorCode.INTERNAL, "ZeroDivisionError: no such luck", "Traceback"),
         ("memory", ErrorCode.INTERNAL, "memory ran out", "MemoryError"),
-        ("segfault", ErrorCode.INTERNAL, "signal 11", "Segmentation fault"),
+        ("memory of torch", ErrorCode.INTERNAL, "memory ran out", "DefaultCPUAllocator"),
+        ("segfault", ErrorCode.INTERNAL, "signal 11: ", "Segmentation fault"),
         ("exits", ErrorCode.INTERNAL, "{log}", "python talks"),
     ],
 )

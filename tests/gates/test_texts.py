@@ -1,0 +1,26 @@
+"""Texts of other people, fit for a terminal, a panel, a log and a table."""
+
+from __future__ import annotations
+
+import pytest
+
+from engine.gates import one_line, printable, table_cell
+
+MARKS = [*range(0x00, 0x09), *range(0x0B, 0x20), 0x7F, *range(0x80, 0xA0), 0x200E, 0x200F, *range(0x2028, 0x202F),
+         *range(0x2066, 0x206A), 0xFEFF]  # fmt: skip
+
+
+@pytest.mark.parametrize("code", MARKS, ids=hex)
+def test_marks_that_a_terminal_obeys_are_gone(code: int) -> None:
+    assert printable(f"a{chr(code)}b") == one_line(f"a{chr(code)}b") == "a?b"
+
+
+def test_letters_of_all_scripts_stay() -> None:
+    assert one_line("Stuhl, 椅子, כיסא, كرسي, 🪑") == "Stuhl, 椅子, כיסא, كرسي, 🪑"
+    assert one_line("two\nlines") == "two lines"
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)"])
+def test_no_cell_of_a_table_is_a_formula(text: str) -> None:
+    assert table_cell(text) == "'" + text
+    assert table_cell("chair") == "chair" and table_cell(-1.5) == -1.5
