@@ -76,12 +76,12 @@ def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path
     height, width = pixels.shape[:2]
     own = lens.resized(width, height)
     try:
-        *maps, share = _source_pixels(width, height, own.fx, own.fy, own.cx, own.cy, distortion)
+        x, y, share = _source_pixels(width, height, own.fx, own.fy, own.cx, own.cy, distortion)
         if share < _LEAST_SEEN:
             values = ", ".join(f"{value:.4g}" for value in distortion.coefficients)
             what = f"the lens bends so much that {share:.0%} of the picture is left (its distortion: {values})"
             raise PlgsError(what, path, "Correct the distortion, or undistort the pictures before.")
-        return cv2.remap(pixels, *maps, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
+        return cv2.remap(pixels, x, y, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
     except cv2.error as error:
         fix = "Undistort the pictures before, and give pinhole cameras."
         raise PlgsError(f"the lens cannot be undistorted ({error.err})", path, fix) from error

@@ -73,7 +73,7 @@ def _vertices(body: bytes, form: str, count: int, fields: np.dtype[np.void], pat
     if count > _MOST_IN_TEXT:
         what = f"the PLY has more than {_MOST_IN_TEXT // 10**6} million vertices as text"
         raise PlgsError(what, path, "Write it as a binary PLY.")
-    if count * 2 * len(fields) > len(body):  # a digit and what parts it from the next
+    if count * 2 * len(fields.names or ()) > len(body):  # a digit and what parts it from the next
         raise cut_off
     rows = [line.decode("ascii", "replace").split() for line in body.split(b"\n", count)[:count]]
     if len(rows) < count:

@@ -154,7 +154,8 @@ class _DepthStream:
 
 def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
     """Where each frame's block starts and how long it is; None when the sizes do not lead to the file's end."""
-    end, blocks, start = path.stat().st_size, [], 0
+    blocks: list[tuple[int, int]] = []
+    end, start = path.stat().st_size, 0
     with open_plain(path) as file:
         while start < end:
             file.seek(start)
