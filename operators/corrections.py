@@ -322,7 +322,22 @@ class PLGS_OT_answer_proposal(OnProposal, bpy.types.Operator):
         return FINISHED
 
 
+class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
+    """Look from the frame that sees the most uncertain points, then from the next one"""
+
+    bl_idname, bl_label, bl_options = "plgs.next_uncertain_frame", "Next Uncertain Frame", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        frame, visited, frames = corrections.next_uncertain(root)
+        views.look_from_frame(root, frame, context.scene, view_of(context)[0])
+        self.report({"INFO"}, f"Frame {frame}, {visited} of {frames} looked at")
+        return FINISHED
+
+
 CLASSES = (
+    PLGS_OT_next_uncertain_frame,
     PLGS_OT_propose_corrections,
     PLGS_OT_go_to_proposal,
     PLGS_OT_answer_proposal,

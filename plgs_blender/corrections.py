@@ -23,6 +23,7 @@ from ..engine.corrections import (
     Proposal,
     Proposals,
     correct,
+    entropy_of_views,
     making,
     proposals_of,
     read_corrected,
@@ -32,6 +33,8 @@ from ..engine.corrections import (
 )
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
+from ..engine.job import LiftFolder
+from ..engine.scene_of_lift import scene_of_lift
 from .boxes import INSTANCE, place_boxes
 from .clouds import place_anchors, place_semantic_points
 from .errors import EXPECTED
@@ -47,6 +50,8 @@ EDITS = "plgs_edits"
 """Property of a lift's collection: the uids of the edits that the scene shows, in one text."""
 PROPOSALS = "plgs_proposals"
 """Property of a lift's collection: what may be wrong with it, JSON."""
+VISITED = "plgs_visited"
+"""Property of a lift's collection: the uncertain frames that were looked at, a line each."""
 CUT = "cut"
 """Key of the plane that splits an object."""
 _CUT_LARGER = 1.2
@@ -154,6 +159,20 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
         case "split":
             return split_parts(root, one.instance)
     return delete(root, one.instance, around=True)
+
+
+def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
+    """The frame whose points are the most uncertain of those not visited, how many are visited then, and of how many.
+    After the last it begins anew. Raises PlgsError."""
+    frames = scene_of_lift(LiftFolder.open(folder_of(root))).frames
+    entropy = entropy_of_views(read_corrected(folder_of(root)).points, [frame.camera for frame in frames])
+    ranked = [frames[number].name for number in np.argsort(-entropy, kind="stable")]
+    visited = set(text_of(root, VISITED).split("\n")).intersection(ranked)
+    if len(visited) == len(ranked):
+        visited = set()
+    chosen = next(name for name in ranked if name not in visited)
+    root[VISITED] = "\n".join(sorted({*visited, chosen}))
+    return chosen, len(visited) + 1, len(ranked)
 
 
 def remember(root: bpy.types.Collection, edits: tuple[Edit, ...]) -> None:

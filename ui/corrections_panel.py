@@ -50,6 +50,7 @@ def _draw_proposals(layout: bpy.types.UILayout, root: bpy.types.Collection) -> N
     """The most doubtful objects, each with its reason and its one-press answers."""
     proposals, progress = corrections.kept_proposals(root)
     layout.operator("plgs.propose_corrections", text=progress or "What May Be Wrong?", icon="VIEWZOOM")
+    layout.operator("plgs.next_uncertain_frame", icon="CAMERA_DATA")
     for one in proposals[:_SHOWN]:
         box = layout.box().column(align=True)
         look = box.operator("plgs.go_to_proposal", text=f"{one.name}: {one.reason}", emboss=False)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.corrections import CORRECTIONS, read_corrected, read_edits
+from plgs.engine.corrections import CORRECTIONS, entropy_of_views, read_corrected, read_edits
+from plgs.engine.job import LiftFolder
+from plgs.engine.result_files import write_arrays
+from plgs.engine.scene_of_lift import scene_of_lift
 from plgs.plgs_blender import corrections, lift_scene
 from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.lift_collection import lifts_in
@@ -187,3 +191,21 @@ def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Pat
     bpy.ops.plgs.answer_proposal(keep=True)
     assert [row.class_name for row in root.plgs.instances] == ["chair", "cabinet"]
     assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
+
+
+def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> None:
+    points = read_corrected(mine).points
+    frames = [ob for ob in root.all_objects if ob.type == "CAMERA" and "frame" in ob]
+    chair = points.instance_id == CHAIR
+    doubtful = replace(points, confidence=np.where(chair, 0.5, 1.0).astype(np.float32))
+    write_arrays(mine / "result" / "semantic_points.npz", doubtful)
+    visited = []
+    for _ in range(len(frames)):
+        assert bpy.ops.plgs.next_uncertain_frame() == {"FINISHED"}
+        visited.append(bpy.context.scene.camera["frame"])
+    assert sorted(visited) == sorted(ob["frame"] for ob in frames)
+    cameras = {frame.name: frame.camera for frame in scene_of_lift(LiftFolder.open(mine)).frames}
+    entropy = entropy_of_views(doubtful, [cameras[name] for name in visited])
+    assert (np.diff(entropy) <= 0).all() and entropy[0] > entropy[-1] >= 0
+    bpy.ops.plgs.next_uncertain_frame()
+    assert bpy.context.scene.camera["frame"] == visited[0], "after the last it begins anew"

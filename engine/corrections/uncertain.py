@@ -1,0 +1,38 @@
+"""Where the views are least sure: how uncertain the points are that each camera sees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..result_files import SemanticPoints
+from ..scene import Camera
+
+_CELLS = 48
+"""Cells across the picture: in each the nearest point hides what lies behind it."""
+_BEHIND = 0.15
+"""Metres that a point may lie behind the nearest one and still be seen."""
+
+
+def entropy_of(confidence: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Bits of doubt [N] between the winner, with this share of the votes, and all else: 0 sure, 1 undecided."""
+    share = np.clip(confidence.astype(np.float64), 1e-6, 1 - 1e-6)
+    return np.asarray(np.where(share < 0.5, 1.0, -share * np.log2(share) - (1 - share) * np.log2(1 - share)))
+
+
+def entropy_of_views(points: SemanticPoints, cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """The mean ``entropy_of`` the points that each camera sees, float64 [V]; 0 where it sees none."""
+    doubt, found = entropy_of(points.confidence), np.zeros(len(cameras))
+    for number, camera in enumerate(cameras):
+        pixel, depth = camera.project(points.xyz)
+        inside = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < np.array(camera.size)).all(axis=1)
+        rows = np.flatnonzero(inside)
+        column, row = (pixel[rows] * (_CELLS / camera.width)).astype(np.int64).T
+        cell = row * _CELLS + column
+        nearest = np.full(int(cell.max(initial=0)) + 1, np.inf)
+        np.minimum.at(nearest, cell, depth[rows])
+        seen = rows[depth[rows] <= nearest[cell] + _BEHIND]
+        found[number] = doubt[seen].mean() if len(seen) else 0.0
+    return found
