@@ -58,6 +58,9 @@ def make_parser() -> argparse.ArgumentParser:
     known = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_experiments(known.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     _add_bench(known.add_parser("bench", help="measure this machine"))
+    weighing = known.add_parser("evidence", help="what a view's word should count, measured without training")
+    weighing.add_argument("scenes", nargs="+", metavar="SCENE[:up=AXIS]", help="scenes' folders, with ground truth")
+    weighing.set_defaults(run=run_evidence)
     correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
     correcting.set_defaults(run=run_correct)
@@ -114,6 +117,16 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=run_bench)
+
+
+def run_evidence(options: argparse.Namespace) -> int:
+    """Print the table of the kinds of evidence, at ``preview``. Raises PlgsError, OSError."""
+    from .experiments.scenes import scenes_from
+    from .labelled_cloud import evidence_table
+
+    for line in evidence_table(scenes_from(options.scenes), PRESETS["preview"]):
+        print(line, flush=True)
+    return ExitCode.FINISHED
 
 
 def run_correct(options: argparse.Namespace) -> int:
