@@ -163,7 +163,7 @@ def pieces_in_space(
     rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
     owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seen, rules)
     members = masks_of_pieces([masks for masks, _ in things], views, seen, owner, len(origin))
-    owner, members, origin = without_fragments(owner, members, origin)
+    owner, members, origin = without_maskless(owner, members, origin)
     return owner, [(masks, classes[number - 1]) for masks, number in zip(members, origin, strict=True)]
 
 
@@ -188,16 +188,11 @@ def masks_of_pieces(
     return [[mask for _, mask in sorted(group, key=lambda each: each[0])] for group in members]
 
 
-def without_fragments(
+def without_maskless(
     owner: NDArray[np.int32], members: list[list[MemberMask]], origin: list[int]
 ) -> tuple[NDArray[np.int32], list[list[MemberMask]], list[int]]:
-    """The objects that have masks enough, numbered anew from 1. A piece that was split off needs as many masks as any
-    object, or as the best piece of its ``origin`` has. Else it is the ragged edge of a few masks."""
-    most: dict[int, int] = {}
-    for masks, source in zip(members, origin, strict=True):
-        most[source] = max(most.get(source, 0), len(masks))
-    least = [max(1, min(CONSENSUS.min_masks, most[source])) for source in origin]
-    kept = [place for place, masks in enumerate(members) if len(masks) >= least[place]]
+    """The objects that have masks, numbered anew from 1."""
+    kept = [place for place, masks in enumerate(members) if masks]
     number = np.zeros(len(members) + 1, np.int32)
     number[[place + 1 for place in kept]] = np.arange(1, len(kept) + 1)
     return number[owner], [members[place] for place in kept], [origin[place] for place in kept]
