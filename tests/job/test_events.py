@@ -34,7 +34,7 @@ def test_writes_what_the_contract_says(tmp_path: Path) -> None:
     written = lines(path)
     assert [entry.pop("seq") for entry in written] == list(range(1, 10))
     assert all(isinstance(entry.pop("time"), float) for entry in written)
-    assert set(written[0]) == {"event", "task", "engine_version", "pid", "python", "threads", "resumed"}
+    assert set(written[0]) == {"event", "task", "engine_version", "pid", "machine", "python", "threads", "resumed"}
     assert written[1] == {"event": "stage", "name": "train", "index": 2, "count": 3, "label": "Training"}
     assert written[2] == {"event": "progress", "stage": "train", "step": 5, "steps": 10, "loss": None, "eta_s": 1.5}
     assert written[3] == {"event": "metric", "name": "lifted", "values": {"miou": 0.5, "psnr": None}}
