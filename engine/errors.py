@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import sys
 from enum import IntEnum, StrEnum
 from pathlib import Path
 
@@ -75,7 +76,7 @@ class PlgsError(Exception):
 
 def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
     """The error of an engine without the packages of ``name``, one that `python -m engine add` knows."""
-    fix = f"Add it to the engine: python -m engine add {name}."
+    fix = f"Add it to the engine: {sys.executable} -m engine add {name}."
     return PlgsError(what, where, fix, code=ErrorCode.LACKS_PART, option=name)
 
 

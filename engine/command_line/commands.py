@@ -24,34 +24,17 @@ def lift(options: argparse.Namespace) -> int:
         if options.relink is not None:
             fix = "Give LIFT, --scene and --resume, without -o."
             raise PlgsError("tells where the scene of a lift folder is", "--scene", fix)
-        return _lift_photos_in_terminal(options) if options.poses else _lift_in_terminal(options)
+        return _lift_in_terminal(options)
     from .run_engine import run_engine
 
     if options.relink is not None:
         _opened(options.scene, options.relink)
-    given = [*given_lift_options(options), *(["--poses"] if options.poses else [])]
+    given = given_lift_options(options)
     if given:
         fix = "Leave them out, or lift a scene into a new folder with -o."
         raise PlgsError("a lift's request never changes", ", ".join(given), fix)
     folder = LiftFolder.open(options.scene)
     return run_engine(folder, resume=options.resume, parent_pipe=_parent_pipe(options, folder))
-
-
-def _lift_photos_in_terminal(options: argparse.Namespace) -> int:
-    """Make the poses of photos first, where an earlier call has not, and lift the scene that they make."""
-    from ..scene.formats.colmap_model import MADE_BY
-    from ..scene.formats.photos import is_film
-    from .runner import Task, run_task
-
-    place: Path = options.scene
-    folder = place.with_suffix("") if is_film(place) else place
-    if not (folder / "sparse" / "0" / MADE_BY).is_file():
-        given = argparse.Namespace(scene=place, pictures=None)
-        code = run_task(Task("poses", lambda events, stop: poses(given, events, stop)), None)
-        if code is not ExitCode.FINISHED:
-            return code
-    options.scene = folder
-    return _lift_in_terminal(options)
 
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:
@@ -186,10 +169,9 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
     from ..poses.making import FILM_PICTURES
 
     made = make_poses(options.scene, events, stop, options.pictures or FILM_PICTURES)
-    answer: dict[str, Json] = {"folder": str(made.folder), "posed": made.posed, "photos": made.photos}
-    answer |= {"points": made.points, "scale": None if made.scale is None else made.scale.metres}
-    unit = "" if made.scale is None else f", in metres by the depth of {made.scale.points} points"
-    events.answer(answer, f"Poses of {made.posed} of {made.photos} photos{unit}: {made.folder}")
+    unit = "" if made.scale is None else ", in metres by the depth beside them"
+    text = f"Poses of {made.posed} of {made.photos} photos{unit}: {made.folder}"
+    events.answer({"folder": str(made.folder), **made.to_json()}, text)
 
 
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:

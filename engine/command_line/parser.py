@@ -59,9 +59,6 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path, metavar="SCENE|LIFT", help="the scene (with -o), or a lift folder")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="the lift folder to make")
     add_lift_options(parser)
-    parser.add_argument(
-        "--poses", choices=("colmap",), help="SCENE is photos or a film: find their poses first (see 'poses')"
-    )
     parser.add_argument("--resume", action="store_true", help="go on with a lift that was stopped")
     _add_relink(parser)
     _add_stay_with_parent(parser)

@@ -29,8 +29,8 @@ _IN_REQUEST = (
 
 
 def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
-    """Everything that ends up in the request. What is not given is None, so that --resume can tell. ``more_bakes``:
-    what else --bake may name, and what that means; the caller has to take it out of the options.
+    """Everything that ends up in the request, and --poses. What is not given is None, so that --resume can tell.
+    ``more_bakes``: what else --bake may name, and what that means; the caller has to take it out of the options.
     """
     parser.add_argument(
         "--preset",
@@ -53,6 +53,10 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         "--seed", type=int, metavar="N", help=f"start of all chance: same seed, same result (default: {DEFAULTS.seed})"
     )
     add_scene_options(parser)
+    parser.add_argument(
+        "--poses", choices=("colmap",),
+        help="SCENE is photos or a film: let COLMAP find their poses first, beside the photos",
+    )  # fmt: skip
     parser.add_argument(
         "--names-from", type=Path, metavar="LIFT",
         help="an earlier lift of the same scene: objects that are still there keep their names and ids",
@@ -141,7 +145,7 @@ def source_of(options: argparse.Namespace) -> SceneSource:
 
 def given_lift_options(options: argparse.Namespace) -> list[str]:
     """Those of `add_lift_options` that were given, as a command line has them."""
-    given = [name for name in _IN_REQUEST if getattr(options, name) is not None]
+    given = [name for name in (*_IN_REQUEST, "poses") if getattr(options, name) is not None]
     return [f"--{name.removeprefix('scene_').replace('_', '-')}" for name in given]
 
 

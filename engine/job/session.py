@@ -13,9 +13,9 @@ from .events import at_work
 from .folder import LiftFolder, LiftState
 from .follower import TaskFollower
 from .options import request_from, resumable
-from .process import engine_command, engine_python
+from .process import engine_call, engine_command, engine_python
 from .request import LiftRequest
-from .task import LIFT, TaskState
+from .task import LIFT, TaskPlace, TaskState
 from .terminal import Interrupts, LiveLine, follow
 
 _ENDING_S = 2.0
@@ -33,6 +33,8 @@ def lift_in_terminal(
     has ended.
     """
     python = engine_python()
+    if options.poses is not None:
+        options.scene = _posed(options.scene, python, interrupts)
     lift = resumable(options)
     is_new = lift is None
     if lift is None:
@@ -51,6 +53,18 @@ def lift_in_terminal(
         if is_new and _came_to_nothing(lift):
             lift.discard()
     return lift, code
+
+
+def _posed(photos: Path, python: Path, interrupts: Interrupts) -> Path:
+    """The scene of photos or a film, whose poses an engine finds where an earlier one has not. Raises PlgsError;
+    Interrupted.
+    """
+    with interrupts.deferred():
+        follower = TaskFollower.start([*engine_call(python), "poses", photos], TaskPlace.temporary(), kind="poses")
+        follow(follower, interrupts, LiveLine(sys.stderr))
+    if follower.error is not None or follower.answer is None:
+        raise follower.error or PlgsError("no poses were found", photos, "Give the same command again.")
+    return Path(str(follower.answer["folder"]))
 
 
 def _state_when_left_alone(lift: LiftFolder) -> LiftState:

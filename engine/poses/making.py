@@ -7,19 +7,21 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal
-from ..json_file import to_line
+from ..json_file import Json, read_object, to_line
 from ..scene.formats import FORMATS
 from ..scene.formats.colmap_model import MADE_BY, read_model
 from ..scene.formats.photos import LEAST, SUFFIXES, is_film, photos_in
 from ..scene.layout import files_if_any
 from .film import write_pictures
-from .mapping import map_photos
-from .scale import Scale, metres_per_length
+from .mapping import colmap, map_photos
+from .scale import metres_per_length
 
 STAGE = "poses"
 FILM_PICTURES = 150
@@ -33,22 +35,54 @@ _WITHOUT_DEPTH = (
 
 @dataclass(frozen=True)
 class Made:
-    """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is None without measured depth."""
+    """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres that a length of the
+    reconstruction was, None without measured depth.
+    """
 
     folder: Path
     posed: int
     photos: int
     points: int
-    scale: Scale | None
+    scale: float | None
+
+    def to_json(self) -> dict[str, Json]:
+        """What is kept beside the model."""
+        return {"posed": self.posed, "photos": self.photos, "points": self.points, "scale": self.scale}
+
+    @classmethod
+    def read(cls, folder: Path) -> Made | None:
+        """What an earlier call made of a folder; None where it made nothing. Raises PlgsError."""
+        path = folder / "sparse" / "0" / MADE_BY
+        if not path.is_file():
+            return None
+        fix = "Move the folder sparse away, and make the poses again."
+        data: Mapping[str, Any] = read_object(path, fix)
+        try:
+            return cls(folder, int(data["posed"]), int(data["photos"]), int(data["points"]), data["scale"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise PlgsError("this is no note of made poses", path, fix) from error
 
 
 def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int = FILM_PICTURES) -> Made:
     """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos.
 
-    A film's pictures go into a folder of the film's name. What is there already is never written over. Raises
-    PlgsError, OSError; Cancelled.
+    A film's pictures go into a folder of the film's name. What is there already is never written over; poses that an
+    earlier call made are taken. Raises PlgsError, OSError; Cancelled.
     """
+    made = Made.read(place.with_suffix("") if is_film(place) else place)
+    if made is not None:
+        return made
+    colmap(place)  # before minutes of work
     folder, photos = _photos_of(place, events, stop, pictures)
+    try:
+        return _map(folder, photos, events, stop)
+    except BaseException:
+        if is_film(place):  # its pictures, which this call wrote
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _map(folder: Path, photos: Path, events: EventWriter, stop: StopSignal) -> Made:
     names = sorted(path.name for path in photos.iterdir() if path.suffix.lower() in SUFFIXES)
     with tempfile.TemporaryDirectory(prefix=".poses-", dir=folder) as workplace:
         model = map_photos(photos, names, Path(workplace), events, stop)
@@ -65,14 +99,16 @@ def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int
         out = Path(workplace) / "sparse" / "0"
         out.mkdir(parents=True)
         model.write(out)
-        (out / MADE_BY).write_bytes(to_line({"by": "plgs", "scale": None if scale is None else scale.metres}))
+        metres = None if scale is None else scale.metres
+        made = Made(folder, model.num_reg_images(), len(names), model.num_points3D(), metres)
+        (out / MADE_BY).write_bytes(to_line(made.to_json()))
         read_model(out)  # what a lift will read
         if (folder / "sparse").exists():
             raise PlgsError("there is a folder of this name already", folder / "sparse", "Move it away.")
         out.parent.rename(folder / "sparse")
     if scale is None:
         events.warning(_WITHOUT_DEPTH + ".")
-    return Made(folder, model.num_reg_images(), len(names), model.num_points3D(), scale)
+    return made
 
 
 def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int) -> tuple[Path, Path]:

@@ -18,15 +18,21 @@ _NEAR = 20
 _POLL_S = 0.1
 
 
+def colmap(photos: Path) -> Any:
+    """The package pycolmap. Raises PlgsError where it is not there."""
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise lacks_part("poses of photos are made with the package pycolmap", photos, "colmap") from error
+    return pycolmap
+
+
 def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: EventWriter, stop: StopSignal) -> Any:
     """The largest reconstruction of photos that one camera took (pycolmap's Reconstruction); None when there is none.
 
     Same photos, same poses, but for what threads change. Raises PlgsError without pycolmap; Cancelled.
     """
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise lacks_part("poses of photos are made with the package pycolmap", photos, "colmap") from error
+    pycolmap = colmap(photos)
     pycolmap.logging.minloglevel = 2
     pycolmap.set_random_seed(0)
     database, token = workplace / "photos.db", pycolmap.CancellationToken()

@@ -209,6 +209,7 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
         depth=output.with_name(f"{output.name}-maps") if row.depth_from else None,
         device=None,
         names_from=None,
+        poses=None,
         bake="none",
         resume=True,
     )

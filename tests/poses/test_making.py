@@ -15,7 +15,7 @@ import pytest
 from engine.command_line.main import main
 from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, StopSignal
-from engine.poses import make_poses
+from engine.poses import make_poses, making
 from engine.poses.film import write_pictures
 from engine.poses.scale import _median
 from engine.scene import open_scene
@@ -41,7 +41,7 @@ def test_without_pycolmap_the_part_is_named_and_nothing_is_written(
     photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = {path.name for path in photos.iterdir()}
-    with pytest.raises(PlgsError, match="python -m engine add colmap") as caught:
+    with pytest.raises(PlgsError, match="-m engine add colmap") as caught:
         find_poses(photos, tmp_path)
     assert caught.value.code is ErrorCode.LACKS_PART and caught.value.option == "colmap"
     assert {path.name for path in photos.iterdir()} == before
@@ -59,7 +59,10 @@ def test_photos_are_refused_in_two_lines_with_the_way_to_poses(photos: Path, tmp
     assert other.value.code is ErrorCode.BAD_INPUT
 
 
-def test_a_scene_with_poses_and_one_without_photos_are_left_alone(tmp_path: Path) -> None:
+def test_a_scene_with_poses_and_one_without_photos_are_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(making, "colmap", lambda photos: None)  # it is not asked for anything
     write_text(tmp_path / "walk")
     with pytest.raises(PlgsError, match="has poses already"):
         find_poses(tmp_path / "walk", tmp_path)
@@ -104,6 +107,8 @@ def test_the_samples_photos_get_the_samples_poses(has_depth: bool, root: Path, t
     )  # fmt: skip
     assert said.returncode == 0, said.stderr
     answer = json.loads(said.stdout.splitlines()[-1])
+    again = main(["poses", str(tmp_path / "photos")])
+    assert again == 0, "what an earlier call made is taken"
     assert answer["posed"] == answer["photos"] == 72 and (answer["scale"] is not None) is has_depth
     made, true = open_scene(tmp_path / "photos"), open_scene(sample)
     assert made.has_depth is has_depth

@@ -92,7 +92,7 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
     monkeypatch.setitem(sys.modules, "liblzfse", None)
     scene = open_scene(write_r3d(tmp_path / "a.r3d"))
     scene.frames[0].read_colour(None)
-    with pytest.raises(PlgsError, match=r"needs the package pyliblzfse.*python -m engine add record3d"):
+    with pytest.raises(PlgsError, match=r"needs the package pyliblzfse.*-m engine add record3d"):
         scene.frames[0].depth()
 
 
