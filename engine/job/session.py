@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..errors import ExitCode
+from ..errors import ExitCode, PlgsError
 from .events import at_work
 from .folder import LiftFolder, LiftState
 from .follower import TaskFollower
