@@ -9,12 +9,16 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProperty, StringProperty
 
 from ..plgs_blender import corrections
+from ..plgs_blender.engine_environment import why_no_engine
 from ..plgs_blender.errors import EXPECTED, PlgsError
 from ..plgs_blender.inspecting import selection, views
 from ..plgs_blender.inspecting.lookup import chosen_row, find_lift, row_of
 from ..plgs_blender.painting import painted
+from ..plgs_blender.running.splitting import SplitByViews, split_by_views
+from ..plgs_blender.tasks import registry
+from ..plgs_blender.tasks.registry import Task
 from ..plgs_blender.viewport import view_of
-from .base import CANCELLED, FINISHED, PASSED_ON, RUNNING, reporting, reporting_events
+from .base import CANCELLED, FINISHED, PASSED_ON, RUNNING, StartsTask, panel_of, reporting, reporting_events
 from .inspect import OnInstance, OnLift
 
 _UNDOABLE = {"REGISTER", "UNDO"}
@@ -152,6 +156,23 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
             edit = corrections.split_parts(root, number)
         self.report({"INFO"}, f"New: {', '.join(one.name for one in edit.made)}")
         return FINISHED
+
+
+class PLGS_OT_split_by_views(OnInstance, StartsTask, bpy.types.Operator):
+    """Split the object into what the masks of at least two frames show apart, each part of the class that they say"""
+
+    bl_idname, bl_label = "plgs.split_by_views", "Split by Views"
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        if registry.running(SplitByViews):
+            return "The engine is asking the masks already"
+        # A script waits for the engine's answer; a button is grey until there is one.
+        return super().why_not(context) or (why_no_engine() if panel_of(context) is not None else None)
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        root = self.root(context)
+        return split_by_views(root, row_of(root, self.instance).instance_id)
 
 
 class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
@@ -346,6 +367,7 @@ CLASSES = (
     PLGS_OT_merge_instances,
     PLGS_OT_delete_instance,
     PLGS_OT_split_instance,
+    PLGS_OT_split_by_views,
     PLGS_OT_place_cut,
     PLGS_OT_crop_instance,
     PLGS_OT_accept_instances,

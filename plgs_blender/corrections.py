@@ -74,11 +74,15 @@ def folder_of(root: bpy.types.Collection) -> Path:
 
 def edit(root: bpy.types.Collection, make: Make) -> Edit:
     """Make an edit of a placed lift, and show it. Raises PlgsError, OSError."""
-    lift = folder_of(root)
-    made = correct(lift, make)
-    _mine.setdefault(str(lift), set()).add(made.uid)
-    show_corrections(root)
+    made = correct(folder_of(root), make)
+    show_edit(root, made.uid)
     return made
+
+
+def show_edit(root: bpy.types.Collection, uid: str) -> None:
+    """Show an edit that was made from this Blender, whose undo takes it back. Raises PlgsError."""
+    _mine.setdefault(str(folder_of(root)), set()).add(uid)
+    show_corrections(root)
 
 
 def undo_last(root: bpy.types.Collection) -> Edit:

@@ -6,8 +6,10 @@ import bpy
 
 from ..plgs_blender import corrections
 from ..plgs_blender.inspecting.lookup import active_lift
+from ..plgs_blender.running.splitting import SplitByViews
+from ..plgs_blender.tasks import registry
 from .result_panel import OfResult
-from .sidebar import from_panel, tell
+from .sidebar import draw_task, from_panel, tell
 
 _SHOWN = 4
 """Proposals that the panel shows at a time."""
@@ -33,6 +35,11 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row.operator("plgs.delete_instance", text="Delete", icon="TRASH").becomes = "AROUND"
         row = layout.row(align=True)
         row.operator("plgs.split_instance", text="Split Parts", icon="MOD_EXPLODE").by = "PARTS"
+        row.operator("plgs.split_by_views", text="Split by Views", icon="CAMERA_STEREO")
+        split = registry.latest(SplitByViews)
+        if split is not None:
+            draw_task(layout, context, split)
+        row = layout.row(align=True)
         row.operator("plgs.place_cut", text="Add Plane", icon="MESH_PLANE")
         row.operator("plgs.split_instance", text="Split", icon="MOD_BOOLEAN").by = "CUT"
         row = layout.row(align=True)

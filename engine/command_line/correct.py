@@ -43,6 +43,7 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
     split.add_argument("id", type=int, metavar="ID", help=one)
     how = split.add_mutually_exclusive_group(required=True)
     how.add_argument("--parts", action="store_true", help="its connected parts, the largest keeps the id")
+    how.add_argument("--views", action="store_true", help="what the masks of at least two frames show apart")
     how.add_argument(
         "--plane", type=float, nargs=6, metavar=("X", "Y", "Z", "NX", "NY", "NZ"),
         help="by the plane through a point, metres; what lies in the direction of the normal is the new object",
@@ -72,7 +73,7 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         answer = {"looked_at": found.looked_at, "all": found.all, "open": [asdict(one) for one in found.open]}
         events.answer(answer, "\n".join([*lines, found.progress]))
         return
-    edit = undo(folder.path) if options.edit == "undo" else correct(folder.path, partial(_edit, options))
+    edit = undo(folder.path) if options.edit == "undo" else correct(folder.path, partial(_edit, options, folder))
     corrected = read_corrected(folder.path)
     for line in corrected.warnings:
         events.warning(line)
@@ -80,7 +81,7 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     events.answer(answer, _told(edit, corrected))
 
 
-def _edit(options: argparse.Namespace, state: Replay, first_id: int) -> Edit:
+def _edit(options: argparse.Namespace, folder: LiftFolder, state: Replay, first_id: int) -> Edit:
     """The edit that the options name. Raises PlgsError."""
     from ..corrections import making
 
@@ -96,6 +97,10 @@ def _edit(options: argparse.Namespace, state: Replay, first_id: int) -> Edit:
         case "accept":
             return making.accept(state, options.id)
     xyz = state.points_of(options.id)
+    if options.views:
+        from ..lift.separating import split_by_views
+
+        return split_by_views(folder, state, options.id, first_id)
     part = making.parts_of(xyz) if options.parts else making.sides_of(xyz, options.plane[:3], options.plane[3:])
     return making.split(state, options.id, part, first_id)
 

@@ -5,7 +5,7 @@ All take the replayed state, and raise PlgsError for what makes no sense.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,9 +66,11 @@ def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
     return Edit("delete", (mark,), moved=moved, rest=-state.class_of(number))
 
 
-def split(state: Replay, number: int, part: NDArray[np.integer], first_id: int) -> Edit:
+def split(
+    state: Replay, number: int, part: NDArray[np.integer], first_id: int, class_of: Mapping[int, int] | None = None
+) -> Edit:
     """Split an object: ``part`` int [n] is the part of each of its points in their order, 0 for what stays. The others
-    are new objects from the id ``first_id`` on.
+    are new objects from the id ``first_id`` on, of the class ``class_of`` the part, else of the object's.
 
     Raises PlgsError where it would leave one part alone.
     """
@@ -82,8 +84,10 @@ def split(state: Replay, number: int, part: NDArray[np.integer], first_id: int) 
         part = np.where(np.isin(part, parts), part, 0)
     else:
         parts.remove(0)
+    kinds = [(class_of or {}).get(each, one.class_id) for each in parts]
     made = tuple(
-        NewObject(first_id + place, _new_name(state, one.class_id, place), one.class_id) for place in range(len(parts))
+        NewObject(first_id + place, _new_name(state, kind, kinds[:place].count(kind)), kind)
+        for place, kind in enumerate(kinds)
     )
     label = np.full(len(part), number, np.int32)
     for new, each in zip(made, parts, strict=True):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import bpy
@@ -14,10 +16,11 @@ from plgs.engine.corrections import CORRECTIONS, entropy_of_views, read_correcte
 from plgs.engine.job import LiftFolder
 from plgs.engine.result_files import write_arrays
 from plgs.engine.scene_of_lift import scene_of_lift
-from plgs.plgs_blender import corrections, lift_scene
+from plgs.plgs_blender import corrections, engine_environment, lift_scene
 from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.painting import painted
+from plgs.plgs_blender.tasks import registry
 
 CHAIR, CABINET = 1, 2
 
@@ -209,3 +212,28 @@ def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> Non
     assert (np.diff(entropy) <= 0).all() and entropy[0] > entropy[-1] >= 0
     bpy.ops.plgs.next_uncertain_frame()
     assert bpy.context.scene.camera["frame"] == visited[0], "after the last it begins anew"
+
+
+@pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
+def test_masks_split_what_was_merged(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
+    mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
+    root = lift_scene.place_lift(mine, bpy.context.scene)
+    count = points_of(root, CHAIR)
+    bpy.ops.plgs.merge_instances(instances=f"{CABINET} {CHAIR}")
+    bpy.ops.ed.undo_push(message="merged")
+    assert bpy.ops.plgs.split_by_views(instance=CABINET) == {"FINISHED"}
+    bpy.ops.ed.undo_push(message="split")
+    (new,) = [row for row in root.plgs.instances if row.instance_id != CABINET]
+    assert new.class_name == "chair" and abs(points_of(root, new.instance_id) / count - 1) < 0.05
+    bpy.ops.ed.undo()
+    assert [*boxes_of(again())] == [CABINET] and [edit.undone for edit in read_edits(mine)] == [False, True]
+    bpy.ops.ed.redo()
+    with pytest.raises(RuntimeError, match="does not fall into parts"):
+        bpy.ops.plgs.split_by_views(instance=new_id(again()))
+    registry.forget_all()
+
+
+def new_id(root: bpy.types.Collection) -> int:
+    """The object that an edit made."""
+    return max(row.instance_id for row in root.plgs.instances)

@@ -1,0 +1,152 @@
+"""Which parts of an object the masks of the views show apart: what splits it where its points all touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..corrections import Edit, making
+from ..corrections.nearest import nearest
+from ..corrections.replay import Replay
+from ..instances.consensus import join
+from ..job import LiftFolder
+from ..scene import Frame
+from ..scene.evidence import resolution_on
+from ..scene_of_lift import scene_of_lift
+
+MOST_FRAMES = 80
+"""Those are asked that see the most of the object."""
+SEEN_WITHIN = 0.05
+"""Metres between a point and a frame's depth there within which the frame sees the point."""
+LEAST_SHARE = 0.05
+"""Of the object's points: smaller parts stay with the nearest larger one, and segments with less say nothing."""
+ALIKE = 0.5
+"""Segments of two frames show one part when they share more than this of the points that both frames show."""
+LEAST_FRAMES = 2
+"""Frames that must show two parts apart: a single mask may be wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class PartsSeen:
+    """``part`` int64 [n]: that of each point, the largest 0. ``class_of``: the class that the masks give each part
+    most often. ``frames``: how many show parts apart."""
+
+    part: NDArray[np.int64]
+    class_of: dict[int, int]
+    frames: int
+
+
+NOTHING_SEEN = PartsSeen(np.zeros(0, np.int64), {}, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Segment:
+    """What one segment of a frame holds of the object. ``holds``, ``seen`` float32 [n]: how much the frame's word
+    counts on each point in the segment, and on each point in any of its segments."""
+
+    frame: int
+    class_id: int
+    holds: NDArray[np.float32]
+    seen: NDArray[np.float32]
+
+
+def split_by_views(folder: LiftFolder, state: Replay, number: int, first_id: int) -> Edit:
+    """Split an object of a lift into what the masks that it was made from show apart, each part of the class that its
+    masks say. Raises PlgsError where they show one thing, or the scene is gone."""
+    frames = scene_of_lift(folder).train_frames
+    seen = parts_by_views(frames, state.points_of(number)) if number in state.objects else NOTHING_SEEN
+    return making.split(state, number, seen.part, first_id, seen.class_of)
+
+
+def parts_by_views(frames: Sequence[Frame], xyz: NDArray[np.floating]) -> PartsSeen:
+    """The parts of an object with the points ``xyz`` [n, 3] that masks of at least `LEAST_FRAMES` frames show as
+    different things. Points that no such frame sees belong to the nearest part. Raises PlgsError when pixels cannot be
+    read."""
+    segments = _segments(frames, xyz)
+    cluster = join(_likeness(segments)) if segments else np.zeros(0, np.int64)
+    apart = _frames_apart(segments, cluster)
+    members: dict[int, list[_Segment]] = {}
+    for segment, own in zip(segments, cluster.tolist(), strict=True):
+        if segment.frame in apart:
+            members.setdefault(own, []).append(segment)
+    shown = [own for own in members.values() if len({segment.frame for segment in own}) >= LEAST_FRAMES]
+    if len(shown) < 2:
+        return PartsSeen(np.zeros(len(xyz), np.int64), {}, 0)
+    part = _voted(np.stack([sum(segment.holds for segment in own) for own in shown]), xyz)
+    counts = np.bincount(part, minlength=len(shown))
+    order = [each for each in np.argsort(-counts, kind="stable").tolist() if counts[each]]
+    rank = np.zeros(len(shown), np.int64)
+    rank[order] = np.arange(len(order))
+    return PartsSeen(rank[part], {place: _class_of(shown[each]) for place, each in enumerate(order)}, len(apart))
+
+
+def _class_of(segments: Sequence[_Segment]) -> int:
+    """The class that most of the segments' points have."""
+    votes: dict[int, float] = {}
+    for segment in segments:
+        votes[segment.class_id] = votes.get(segment.class_id, 0.0) + float(segment.holds.sum())
+    return max(sorted(votes), key=lambda kind: votes[kind])
+
+
+def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating]) -> list[_Segment]:
+    """The things' segments that hold the object's points, of the frames that see the most of them."""
+    inside = []
+    for number, frame in enumerate(frames):
+        pixel, far = frame.camera.project(xyz)
+        count = ((far > 0) & (pixel >= 0).all(axis=1) & (pixel < np.array(frame.size)).all(axis=1)).sum()
+        inside.append((-int(count), number))
+    best = sorted(number for count, number in sorted(inside)[:MOST_FRAMES] if count)
+    return [segment for number in best for segment in _of_frame(number, frames[number], xyz)]
+
+
+def _of_frame(number: int, frame: Frame, xyz: NDArray[np.floating]) -> list[_Segment]:
+    pixel, far = frame.camera.project(xyz)
+    column, row = np.floor(pixel).astype(np.int64).T
+    rows = np.flatnonzero((far > 0) & (column >= 0) & (column < frame.size[0]) & (row >= 0) & (row < frame.size[1]))
+    depth, mask = frame.depth(frame.size), frame.mask(frame.size)
+    rows = rows[np.abs(depth[row[rows], column[rows]] - far[rows]) < SEEN_WITHIN]
+    shown = mask.ids[row[rows], column[rows]]
+    word = resolution_on(frame.camera, far.astype(np.float32), 1.0) ** 2  # as many votes as pixels
+    things = {one.id: one.class_id for one in mask.segments if one.is_thing and not one.is_group}
+    seen = np.zeros(len(xyz), np.float32)
+    known = np.isin(shown, [*things])
+    seen[rows[known]] = word[rows[known]]
+    found = []
+    for one, count in zip(*np.unique(shown[known], return_counts=True), strict=True):
+        if count >= LEAST_SHARE * len(rows):
+            holds = np.zeros(len(xyz), np.float32)
+            holds[rows[shown == one]] = word[rows[shown == one]]
+            found.append(_Segment(number, things[int(one)], holds, seen))
+    return found
+
+
+def _likeness(segments: Sequence[_Segment]) -> NDArray[np.float64]:
+    """How much more than `ALIKE` of their points two segments share, in points; below 0 where less. [S, S]."""
+    # What two views say of one point counts as much as the geometric mean of their words.
+    holds, seen = (np.sqrt(np.stack([getattr(each, name) for each in segments])) for name in ("holds", "seen"))
+    shared, in_both_frames = holds @ holds.T, holds @ seen.T
+    union = in_both_frames + in_both_frames.T - shared
+    return np.asarray(shared - ALIKE * union, np.float64)
+
+
+def _frames_apart(segments: Sequence[_Segment], cluster: NDArray[np.int64]) -> set[int]:
+    """The frames that show the object as two things or more."""
+    shown: dict[int, set[int]] = {}
+    for segment, own in zip(segments, cluster.tolist(), strict=True):
+        shown.setdefault(segment.frame, set()).add(own)
+    return {frame for frame, owners in shown.items() if len(owners) > 1}
+
+
+def _voted(votes: NDArray[np.float32], xyz: NDArray[np.floating]) -> NDArray[np.int64]:
+    """The winner of ``votes`` [P, n] at each point, int64 [n]; parts below `LEAST_SHARE` and points without a vote
+    follow the nearest point of the others."""
+    part = votes.argmax(axis=0)
+    known = votes.any(axis=0)
+    large = np.bincount(part[known], minlength=len(votes)) >= LEAST_SHARE * len(xyz)
+    known &= large[part]
+    if known.any() and not known.all():
+        part[~known] = part[known][nearest(xyz[~known], xyz[known])[0]]
+    return np.asarray(part, np.int64)

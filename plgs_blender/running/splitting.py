@@ -1,0 +1,46 @@
+"""Splitting an object by the views that separate it: an engine reads the masks, and makes the edit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ...engine.job.follower import TaskFollower
+from .. import corrections, engine_environment
+from ..lift_collection import FOLDER, is_same_place, lifts_in
+from ..owned import text_of
+from ..tasks import registry, timer
+from ..tasks.registry import Task, start_engine
+
+
+class SplitByViews(Task):
+    """The split of one object of a placed lift. The edit is in the lift's file when it is done, and then shown."""
+
+    kind, label = "split", "Asking the masks"
+
+    def __init__(self, lift: Path, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self._lift = lift
+
+    @property
+    def message(self) -> str:
+        """One line about what it made."""
+        return f"{len((self.answer or {}).get('made', ()))} new objects"
+
+    def done(self, scene: Any) -> None:
+        if not self.has_finished or self.answer is None:
+            return
+        for root in {root for each in bpy.data.scenes for root in lifts_in(each)}:
+            if is_same_place(text_of(root, FOLDER), self._lift):
+                corrections.show_edit(root, str(self.answer["uid"]))
+        self.undo_step = "Split by Views"
+
+
+def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:
+    """Start to split an object of a placed lift into what the masks show apart. Raises PlgsError, OSError."""
+    registry.refuse_second(SplitByViews)
+    lift, python = corrections.folder_of(root), engine_environment.usable_python()
+    follower = start_engine("correct", python, lift, "split", str(instance), "--views")
+    return timer.begin(SplitByViews(lift, follower))
