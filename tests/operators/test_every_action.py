@@ -13,6 +13,7 @@ import pytest
 from plgs.engine.job.capabilities import ADDED
 from plgs.operators.base import StartsTask
 from plgs.plgs_blender.engine_environment import EngineState, choices, status, tasks
+from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.running import adding
 from plgs.plgs_blender.running.exports import FORMS
 from plgs.plgs_blender.tasks import registry
@@ -74,7 +75,9 @@ def test_every_action_works_with_the_engine_that_the_buttons_made(online: None, 
     lift = tmp_path / "lift"
     called.add(do("lift_scene", scene_folder=str(folder), lift_folder=str(lift), steps=20, bake="none"))
     called |= {do("bake_passes", frames="test"), do("bake_camera", frame_start=1, frame_end=1)}
-    called.add(do("make_meshes"))
+    one, other = [row.instance_id for row in lifts_in(bpy.context.scene)[0].plgs.instances][:2]
+    do("merge_instances", instances=f"{one} {other}")
+    called |= {do("split_by_views", instance=one), do("make_meshes")}
     for form in FORMS:
         called.add(do("export_lift", form=form, directory=str(tmp_path / form), frames="test"))
         assert any((tmp_path / form).iterdir()), form
