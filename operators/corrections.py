@@ -8,12 +8,12 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProperty, StringProperty
 
-from ..plgs_blender import corrections
+from ..plgs_blender import corrections, painting
 from ..plgs_blender.engine_environment import why_no_engine
 from ..plgs_blender.errors import EXPECTED, PlgsError
 from ..plgs_blender.inspecting import selection, views
 from ..plgs_blender.inspecting.lookup import chosen_row, find_lift, row_of
-from ..plgs_blender.painting import painted
+from ..plgs_blender.painting import Painting
 from ..plgs_blender.running.splitting import SplitByViews, split_by_views
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
@@ -22,8 +22,6 @@ from .base import CANCELLED, FINISHED, PASSED_ON, RUNNING, StartsTask, panel_of,
 from .inspect import OnInstance, OnLift
 
 _UNDOABLE = {"REGISTER", "UNDO"}
-_RADIUS = 24
-"""Pixels of the brush, at first."""
 _STEP = 1.2
 """Factor by which the wheel changes the brush."""
 
@@ -246,41 +244,59 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.region:
             return self.execute(context)
-        if context.region_data is None:
+        if context.area is None or context.area.type != "VIEW_3D":
             raise PlgsError("points are painted in a 3D view", "", "Press the button in a 3D view's sidebar.")
-        if self.to != "INSTANCE":  # what is missing is told before anything is painted
-            corrections.class_named(self.root(context), self.class_name)
-        self._stroke: list[tuple[float, float]] = []
-        self._radius, self._is_down = float(_RADIUS), False
+        root = self.root(context)
+        if self.to == "INSTANCE":  # what is missing is told before anything is painted
+            row_of(root, self.instance)
+        else:
+            corrections.class_named(root, self.class_name)
+        painting.now[:] = [Painting.of(corrections.read_corrected(corrections.folder_of(root)).points.xyz)]
+        context.window.cursor_modal_set("PAINT_BRUSH")
         context.window_manager.modal_handler_add(self)
         self._say(context)
         return RUNNING
 
     @reporting_events
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        place = (float(event.mouse_region_x), float(event.mouse_region_y))
-        if event.type == "LEFTMOUSE":
-            self._is_down = event.value == "PRESS"
-        if event.type in ("LEFTMOUSE", "MOUSEMOVE") and self._is_down:
-            self._stroke.append(place)
+        if not painting.now or context.area is None:  # another file was opened, or the view closed
+            self.cancel(context)
+            return CANCELLED
+        now = painting.now[0]
+        view = next(region for region in context.area.regions if region.type == "WINDOW")
+        place = (float(event.mouse_x - view.x), float(event.mouse_y - view.y))
+        context.area.tag_redraw()
+        if event.type == "MOUSEMOVE":
+            now.move(place)
+        elif event.type == "LEFTMOUSE" and event.value == "PRESS" and _is_over(context.area, event):
+            now.press(place, is_box=event.shift, is_eraser=event.ctrl)
+        elif event.type == "LEFTMOUSE" and event.value == "RELEASE" and now.places:
+            now.move(place)
+            matrix = np.array(context.area.spaces.active.region_3d.perspective_matrix)
+            now.release(matrix, (view.width, view.height))
         elif event.type in ("WHEELUPMOUSE", "WHEELDOWNMOUSE") and event.ctrl:
-            self._radius *= _STEP if event.type == "WHEELUPMOUSE" else 1.0 / _STEP
+            now.radius *= _STEP if event.type == "WHEELUPMOUSE" else 1.0 / _STEP
             self._say(context)
         elif event.type in ("RET", "NUMPAD_ENTER") and event.value == "PRESS":
-            context.area.header_text_set(None)
-            matrix = np.array(context.region_data.perspective_matrix)
-            size = (context.region.width, context.region.height)
-            self._assign(context, lambda xyz: painted(xyz, matrix, size, self._stroke, self._radius))
+            self.cancel(context)
+            self._assign(context, now.choose)
             return FINISHED
         elif event.type in ("ESC", "RIGHTMOUSE"):
-            context.area.header_text_set(None)
+            self.cancel(context)
             return CANCELLED
-        elif event.type not in ("LEFTMOUSE", "MOUSEMOVE"):
-            return PASSED_ON  # the view may be turned meanwhile
+        else:
+            return PASSED_ON  # the view may be turned meanwhile, and the panel be used
         return RUNNING
 
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender calls this, too, where it ends the painting itself."""
+        painting.now.clear()
+        context.window.cursor_modal_restore()
+        if context.area is not None:
+            context.area.header_text_set(None)
+
     def _say(self, context: bpy.types.Context) -> None:
-        line = f"Brush of {self._radius:.0f} pixels. Drag over points; Ctrl wheel: size; Enter: assign; Esc: leave"
+        line = "Drag: paint points; Shift: rectangle; Ctrl: take away; Ctrl wheel: brush; Enter: assign; Esc: leave"
         context.area.header_text_set(line)
 
     @reporting
@@ -292,6 +308,16 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         root = self.root(context)
         number = row_of(root, self.instance).instance_id if self.to == "INSTANCE" else 0
         corrections.assign(root, choose, number, self.class_name, is_new=self.to == "NEW")
+
+
+def _is_over(area: bpy.types.Area, event: bpy.types.Event) -> bool:
+    """Whether the mouse is over an area's view, not over a bar or the sidebar that covers it."""
+
+    def holds(region: bpy.types.Region) -> bool:
+        inside = 0 <= event.mouse_x - region.x < region.width and 0 <= event.mouse_y - region.y < region.height
+        return inside and min(region.width, region.height) > 1
+
+    return {region.type for region in area.regions if holds(region)} == {"WINDOW"}
 
 
 class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):

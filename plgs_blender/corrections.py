@@ -34,6 +34,8 @@ from ..engine.corrections import (
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
+from ..engine.result_files import INSTANCES, read_instances
+from ..engine.scene import ClassTable
 from ..engine.scene_of_lift import scene_of_lift
 from .boxes import INSTANCE, place_boxes
 from .clouds import place_anchors, place_semantic_points
@@ -200,7 +202,7 @@ def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.
 
 def class_named(root: bpy.types.Collection, name: str) -> int:
     """The id of the class of this name among those of the lift. Raises PlgsError."""
-    classes = read_corrected(folder_of(root)).classes
+    classes = _classes_of(root)
     for one in classes.categories:
         if one.id and one.name.casefold() == name.strip().casefold():
             return one.id
@@ -216,8 +218,12 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
         if row.instance_id == instance:
             for mask in row.masks:
                 votes[mask.class_name] = votes.get(mask.class_name, 0.0) + mask.score
-    names = [one.name for one in read_corrected(folder_of(root)).classes.categories if one.id]
+    names = [one.name for one in _classes_of(root).categories if one.id]
     return sorted(names, key=lambda name: (-votes.get(name, 0.0), name))
+
+
+def _classes_of(root: bpy.types.Collection) -> ClassTable:
+    return read_instances(folder_of(root) / "result" / INSTANCES)[0]
 
 
 def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:

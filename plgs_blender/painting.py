@@ -1,27 +1,102 @@
-"""Which points a brush paints in a 3D view."""
+"""Which points somebody paints in a 3D view, with a brush or a rectangle, and what the view shows of it meanwhile."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
+import bpy
 import numpy as np
 from numpy.typing import NDArray
+
+from ..engine.errors import PlgsError
+from .inspecting.drawing import draw_highlight, draw_outline
+from .inspecting.highlight import Highlight
 
 _CELL = 8
 """Pixels: in each such square the nearest point hides what lies behind it."""
 _BEHIND = 0.15
 """Metres that a point may lie behind the nearest one and still be painted."""
+_RADIUS = 24.0
+"""Pixels of the brush, at first."""
+_COLOUR = (1.0, 0.55, 0.1)
+_POINT = 0.01
+"""Radius in metres of a painted point as it is shown."""
+
+Place = tuple[float, float]
 
 
-def painted(
-    xyz: NDArray[np.float32],
-    to_view: NDArray[np.float64],
-    size: tuple[int, int],
-    stroke: Sequence[tuple[float, float]],
-    radius: float,
-) -> NDArray[np.bool_]:
-    """The points [N, 3] under a stroke, bool [N]. ``to_view`` [4, 4] is the view's perspective matrix, ``size`` its
-    width and height in pixels, ``stroke`` the brush's places in pixels, y up, and ``radius`` its own."""
+@dataclass(eq=False)
+class Painting:
+    """One painting, until Enter. ``xyz`` float32 [N, 3]: the lift's points, ``chosen`` bool [N]: those that are
+    painted. ``places``: where the mouse was since its button went down, pixels of the view, y up; ``mouse``: where it
+    is. The drag is a rectangle where it ``is_box``, and takes points away where it ``is_eraser``.
+    """
+
+    xyz: NDArray[np.float32]
+    chosen: NDArray[np.bool_]
+    radius: float = _RADIUS
+    places: list[Place] = field(default_factory=list)
+    mouse: Place = (0.0, 0.0)
+    is_box: bool = False
+    is_eraser: bool = False
+    _shown: Highlight | None = None
+
+    @classmethod
+    def of(cls, xyz: NDArray[np.float32]) -> Painting:
+        """Nothing is painted yet."""
+        return cls(xyz, np.zeros(len(xyz), bool))
+
+    def press(self, place: Place, *, is_box: bool, is_eraser: bool) -> None:
+        self.places, self.is_box, self.is_eraser = [place], is_box, is_eraser
+
+    def move(self, place: Place) -> None:
+        """The mouse moves; with its button down the stroke goes on."""
+        self.mouse = place
+        if self.places:
+            self.places.append(place)
+
+    def release(self, to_view: NDArray[np.float64], size: tuple[int, int]) -> None:
+        """End the drag. Its points are found at once, so the view may be turned before the next one."""
+        if self.places:
+            pick = boxed if self.is_box else painted
+            self.chosen[pick(self.xyz, to_view, size, self.places, self.radius)] = not self.is_eraser
+            self.places, self._shown = [], None
+
+    def choose(self, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """What was chosen of a result's points [N, 3], bool [N]. Raises PlgsError when these are others."""
+        if xyz.shape != self.xyz.shape:
+            raise PlgsError("the lift has other points now", "Paint Points", "Show its result again, then paint.")
+        return self.chosen
+
+    def draw(self, view: bpy.types.RegionView3D, size: tuple[int, int]) -> None:
+        """In a view's space: the chosen points."""
+        if self._shown is None:
+            xyz = self.xyz[self.chosen]
+            self._shown = Highlight((), xyz, np.ones(len(xyz), np.float32), _POINT)
+        draw_highlight(view, size, self._shown, None, _COLOUR, dim=False)
+
+    def draw_brush(self) -> None:
+        """In pixels: the brush, or the rectangle that is dragged."""
+        x, y = self.mouse
+        if self.is_box and self.places:
+            left, low = self.places[0]
+            draw_outline([(left, low), (x, low), (x, y), (left, y)], _COLOUR)
+        else:
+            turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+            circle = np.array(self.mouse) + self.radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+            draw_outline([(float(u), float(v)) for u, v in circle], _COLOUR)
+
+
+now: list[Painting] = []
+"""The painting that goes on, for the overlay; at most one."""
+
+
+def visible(
+    xyz: NDArray[np.float32], to_view: NDArray[np.float64], size: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The points of [N, 3] that nothing hides in a view: int64 [n], and their pixels, float64 [n, 2], y up.
+    ``to_view`` [4, 4] is the view's perspective matrix, ``size`` its width and height in pixels."""
     seen = np.c_[xyz, np.ones(len(xyz))] @ to_view.T
     depth = seen[:, 3]
     pixel = (seen[:, :2] / np.where(depth > 1e-6, depth, np.inf)[:, None] * 0.5 + 0.5) * np.array(size)
@@ -31,9 +106,35 @@ def painted(
     nearest = np.full(int(cell.max(initial=0)) + 1, np.inf)
     np.minimum.at(nearest, cell, depth[rows])
     rows = rows[depth[rows] <= nearest[cell] + _BEHIND]
+    return rows, pixel[rows]
+
+
+def painted(
+    xyz: NDArray[np.float32],
+    to_view: NDArray[np.float64],
+    size: tuple[int, int],
+    stroke: Sequence[Place],
+    radius: float,
+) -> NDArray[np.bool_]:
+    """The ``visible`` points under a stroke, bool [N]. ``stroke``: the brush's places in pixels, and ``radius`` its
+    own."""
+    rows, pixel = visible(xyz, to_view, size)
     under = np.zeros(len(rows), bool)
     for place in stroke:
-        under |= ((pixel[rows] - np.array(place)) ** 2).sum(axis=1) <= radius**2
-    chosen = np.zeros(len(xyz), bool)
-    chosen[rows[under]] = True
+        under |= ((pixel - np.array(place)) ** 2).sum(axis=1) <= radius**2
+    return _chosen(rows[under], len(xyz))
+
+
+def boxed(
+    xyz: NDArray[np.float32], to_view: NDArray[np.float64], size: tuple[int, int], drag: Sequence[Place], _: float = 0.0
+) -> NDArray[np.bool_]:
+    """The ``visible`` points in the rectangle between the ends of a drag, bool [N]."""
+    rows, pixel = visible(xyz, to_view, size)
+    low, high = np.sort([drag[0], drag[-1]], axis=0)
+    return _chosen(rows[((pixel >= low) & (pixel <= high)).all(axis=1)], len(xyz))
+
+
+def _chosen(rows: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
+    chosen = np.zeros(count, bool)
+    chosen[rows] = True
     return chosen

@@ -5,7 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender import corrections
-from ..plgs_blender.inspecting.lookup import active_lift
+from ..plgs_blender.errors import EXPECTED
+from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from ..plgs_blender.running.splitting import SplitByViews
 from ..plgs_blender.tasks import registry
 from .result_panel import OfResult
@@ -43,8 +44,10 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row.operator("plgs.place_cut", text="Add Plane", icon="MESH_PLANE")
         row.operator("plgs.split_instance", text="Split", icon="MOD_BOOLEAN").by = "CUT"
         row = layout.row(align=True)
-        row.operator("plgs.assign_points", icon="BRUSH_DATA").to = "INSTANCE"
-        row.operator("plgs.crop_instance", icon="CUBE")
+        row.operator("plgs.assign_points", text="Paint", icon="BRUSH_DATA").to = "INSTANCE"
+        row.menu(PLGS_MT_paint_new.bl_idname)
+        row.menu(PLGS_MT_paint_class.bl_idname)
+        layout.operator("plgs.crop_instance", icon="CUBE")
         row = layout.row(align=True)
         row.operator("plgs.accept_instances", icon="CHECKMARK")
         row.operator("plgs.undo_correction", text="Undo Last", icon="LOOP_BACK")
@@ -68,4 +71,37 @@ def _draw_proposals(layout: bpy.types.UILayout, root: bpy.types.Collection) -> N
         keep.keep = True
 
 
-CLASSES = (PLGS_PT_corrections,)
+class OfClasses:
+    """A menu of the lift's classes, which the painted points go to."""
+
+    to: str
+    layout: bpy.types.UILayout
+
+    def draw(self, context: bpy.types.Context) -> None:
+        root, chosen = (find(context.scene, context.active_object) for find in (active_lift, chosen_row))
+        if root is None:
+            return
+        try:
+            names = corrections.class_choices(root, 0 if chosen is None else chosen.instance_id)
+        except EXPECTED as error:
+            self.layout.label(text=str(error), icon="ERROR")
+            return
+        self.layout.operator_context = "INVOKE_DEFAULT"
+        for name in names:
+            paint = self.layout.operator("plgs.assign_points", text=name.capitalize())
+            paint.to, paint.class_name = self.to, name
+
+
+class PLGS_MT_paint_new(OfClasses, bpy.types.Menu):
+    """Paint the points of a new object"""
+
+    bl_idname, bl_label, to = "PLGS_MT_paint_new", "New Object", "NEW"
+
+
+class PLGS_MT_paint_class(OfClasses, bpy.types.Menu):
+    """Paint points of a class that are no object's"""
+
+    bl_idname, bl_label, to = "PLGS_MT_paint_class", "Class", "CLASS"
+
+
+CLASSES = (PLGS_MT_paint_new, PLGS_MT_paint_class, PLGS_PT_corrections)

@@ -1,5 +1,5 @@
 """What is drawn over the 3D views: the growing model before the camera, the selected instance's points, the rectangle
-of a mask, labels and a legend.
+of a mask, what is painted, labels and a legend.
 
 Each view is drawn many times a second, so everything is read from Blender's data: nothing from disk, nothing written.
 """
@@ -10,11 +10,12 @@ from typing import Any
 
 import bpy
 
+from ..plgs_blender import painting
 from ..plgs_blender.inspecting import highlight
 from ..plgs_blender.inspecting.drawing import (
     draw_highlight,
+    draw_outline,
     draw_picture,
-    draw_rectangle,
     draw_text_boxes,
     forget_picture,
 )
@@ -42,6 +43,8 @@ def _lifts(context: bpy.types.Context) -> list[bpy.types.Collection]:
 def _draw_in_space() -> None:
     """POST_VIEW: in the scene's space, behind what is nearer."""
     context = bpy.context
+    for each in painting.now if _is_wanted(context) else ():
+        each.draw(context.region_data, _size(context))
     for root in _lifts(context):
         lists = root.plgs
         number = selected_instance(root, context.view_layer.objects.active)
@@ -64,6 +67,8 @@ def _draw_on_top() -> None:
     context = bpy.context
     if _is_wanted(context):
         _draw_preview(context)
+        for each in painting.now:
+            each.draw_brush()
     for root in _lifts(context):
         lists = root.plgs
         region = ViewRegion.of(context)
@@ -106,7 +111,8 @@ def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, region: V
     if camera is None or objects_by_key(root).get(f"frame:{mask.frame}") != camera or mask.rectangle[2] <= 0.0:
         return
     corners = [region.pixel_of(corner) for corner in highlight.rectangle_in_space(camera, tuple(mask.rectangle))]
-    draw_rectangle([corner for corner in corners if corner is not None], tuple(row.colour))
+    if None not in corners:
+        draw_outline([corner for corner in corners if corner is not None], tuple(row.colour))
 
 
 def _size(context: bpy.types.Context) -> tuple[int, int]:
@@ -127,3 +133,4 @@ def unregister() -> None:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
     highlight.forget()
     forget_picture()
+    painting.now.clear()

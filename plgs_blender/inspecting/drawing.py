@@ -60,13 +60,14 @@ def draw_highlight(
     gpu.state.blend_set("NONE")
 
 
-def draw_rectangle(corners: Sequence[tuple[float, float]], colour: Colour) -> None:
-    """The outline of four corners in pixels, white on dark with the colour inside."""
-    if len(corners) != 4:
+def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None:
+    """A closed line through corners in pixels, the colour on dark; nothing where there are fewer than three."""
+    if len(corners) < 3:
         return
+    edges = [end for first in range(len(corners)) for end in (first, (first + 1) % len(corners))]
     gpu.state.blend_set("ALPHA")
     for width, ink in ((5.0, (0.0, 0.0, 0.0, 0.5)), (2.5, (*_brightened(colour), 1.0))):
-        _draw_lines([Vector((x, y, 0.0)) for x, y in corners], (0, 1, 1, 2, 2, 3, 3, 0), ink, width)
+        _draw_lines([Vector((x, y, 0.0)) for x, y in corners], edges, ink, width)
     gpu.state.blend_set("NONE")
 
 

@@ -13,13 +13,14 @@ import bpy
 import numpy as np
 import pytest
 from plgs.engine.corrections import CORRECTIONS, entropy_of_views, read_corrected, read_edits
+from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
 from plgs.engine.result_files import write_arrays
 from plgs.engine.scene_of_lift import scene_of_lift
 from plgs.plgs_blender import corrections, engine_environment, lift_scene
 from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.lift_collection import lifts_in
-from plgs.plgs_blender.painting import painted
+from plgs.plgs_blender.painting import Painting, painted
 from plgs.plgs_blender.tasks import registry
 
 CHAIR, CABINET = 1, 2
@@ -173,6 +174,28 @@ def test_the_brush_takes_what_is_in_front() -> None:
     to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
     chosen = painted(np.concatenate([near, far]).astype(np.float32), to_view, (200, 100), [(100.0, 50.0)], 10.0)
     assert chosen.tolist() == [True, True, False, False]
+
+
+def test_strokes_rectangles_and_what_is_taken_away_again() -> None:
+    xyz = np.array([[x, 0.0, -1.0] for x in (-0.5, 0.0, 0.5)], np.float32)
+    to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
+    one = Painting.of(xyz)
+
+    def drag(*places: tuple[float, float], is_box: bool = False, is_eraser: bool = False) -> list[bool]:
+        one.press(places[0], is_box=is_box, is_eraser=is_eraser)
+        for place in places[1:]:
+            one.move(place)
+        one.release(to_view, (200, 100))
+        return one.chosen.tolist()
+
+    assert drag((50.0, 50.0), (51.0, 50.0)) == [True, False, False]
+    assert drag((90.0, 90.0), (160.0, 10.0), is_box=True) == [True, True, True]
+    assert drag((100.0, 50.0), is_eraser=True) == [True, False, True]
+    one.move((150.0, 50.0))  # without the button
+    one.release(to_view, (200, 100))
+    assert one.choose(xyz).tolist() == [True, False, True]
+    with pytest.raises(PlgsError, match="other points now"):
+        one.choose(xyz[:2])
 
 
 def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Path) -> None:

@@ -150,6 +150,26 @@ class Window:
         self._input("sleep", str(_PRESSED_S), "click", str(button))
         self._wait_for_events()
 
+    def drag(self, start: tuple[int, int], end: tuple[int, int], *held: str) -> None:
+        """Press the left button at the start, move to the end, and let it go, with keys held down: `shift`.
+
+        Step by step: Blender takes the mouse to be where it is when it gets to a press.
+        """
+        self.move(*start)
+        for each in held:
+            self._input("keydown", each)
+        self._wait_for_events()
+        self._input("mousedown", "1", "sleep", str(_PRESSED_S))
+        self._wait_for_events()
+        for share in (0.25, 0.5, 0.75, 1.0):
+            x, y = (round(a + share * (b - a)) for a, b in zip(start, end, strict=True))
+            self._input("mousemove", str(x), str(y), "sleep", str(_MOVED_S))
+            self._wait_for_events()
+        self._input("mouseup", "1")
+        for each in held:
+            self._input("keyup", each)
+        self._wait_for_events()
+
     def key(self, *keys: str) -> None:
         """Press keys one after the other where the mouse is: `Escape`, `n`, `ctrl+z`."""
         self._input("key", "--delay", "30", *keys)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Matrix, Vector
 from plgs.plgs_blender.inspecting import highlight
-from plgs.plgs_blender.inspecting.drawing import draw_highlight, draw_rectangle, draw_text_boxes
+from plgs.plgs_blender.inspecting.drawing import draw_highlight, draw_outline, draw_text_boxes
 from plgs.plgs_blender.inspecting.lookup import boxes_of
 from plgs.plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes, legend_text_boxes, stack_labels
 
@@ -125,7 +125,7 @@ def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
         in_pixels()
         draw_text_boxes(label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region))
         draw_text_boxes(legend_text_boxes(root.plgs.classes, seen.region))
-        draw_rectangle([(300, 20), (400, 20), (400, 90), (300, 90)], (0.2, 0.9, 0.3))
+        draw_outline([(300, 20), (400, 20), (400, 90), (300, 90)], (0.2, 0.9, 0.3))
 
     drawn = picture(draw)[..., :3].astype(int)
     if "PLGS_PICTURES" in os.environ:
