@@ -56,11 +56,11 @@ load_package()
 from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
 from plgs.engine.job import FURTHER_LAYERS, LiftFolder, LiftRequest, read_manifest
-from plgs.engine.job.options import add_lift_options, given_lift_options, readable
+from plgs.engine.job.options import add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
 from plgs.engine.job.report import made_files, metrics_text, read_metrics
 from plgs.engine.job.session import lift_in_terminal
-from plgs.engine.job.terminal import Interrupted, Interrupts
+from plgs.engine.job.terminal import Interrupted, Interrupts, stdout_for_events
 
 
 def script_arguments(argv: Sequence[str]) -> list[str]:
@@ -127,6 +127,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         action="store_true",
         help="go on with the lift in OUT that was stopped or killed; start it when there is none",
     )
+    add_progress_option(parser)
     options = parser.parse_args(readable(arguments))
     options.bakes_camera = options.bake == "camera"
     if options.bakes_camera:
@@ -172,6 +173,7 @@ def run_again(python: Path, arguments: Sequence[str]) -> int:
 
 def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     """Lift, then build the .blend, then print what was made. Raises PlgsError, Interrupted."""
+    options.echo = stdout_for_events(options.progress)
     blend = blend_path(options)
     refuse_no_blend(options.blend)
     if options.scene is None:
@@ -203,7 +205,7 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)
     shot = options.camera, options.camera_frames, options.layers
-    code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts)
+    code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts, options.echo)
     if code != ExitCode.FINISHED:
         return code
     return build_blend(lift, blend) if options.blend is None else code

@@ -11,12 +11,12 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
 
-from ..engine.errors import PlgsError
+from ..engine.errors import ErrorCode, PlgsError
 from ..engine.job import BakeCamera, ExitCode, LiftFolder
 from ..engine.job.cameras import LARGEST_SIDE, PreviewCamera, safe_name, write_cameras
 from ..engine.job.follower import start_bake
@@ -102,7 +102,9 @@ class ShotReader:
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
         self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames
         self._read: list[BakeCamera] = []
-        self._file = f"{safe_name(shot.camera.name)}.{shot.first}-{shot.last}.json"
+        self._first, self._last = min(shot.first, scene.frame_start), max(shot.last, scene.frame_end)
+        self._file = f"{safe_name(shot.camera.name)}.{shot.first}-{shot.last}x{shot.step}.json"
+        self._stands_still: bool | None = None
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -111,9 +113,10 @@ class ShotReader:
 
     @property
     def cameras(self) -> list[BakeCamera]:
-        """The cameras that were read. A camera that stands still is one camera, at the first frame."""
-        stands_still = len({camera.fingerprint for camera in self._read}) == 1
-        return self._read[:1] if stands_still else self._read
+        """The cameras that were read. A camera that stands still, also before and after, over the scene's whole range,
+        is one camera under the name of the first frame there: so all parts of a shot name it alike.
+        """
+        return [replace(self._read[0], name=self._name(self._first))] if self._stands_still else self._read
 
     def read_for(self, seconds: float) -> bool:
         """Read on for at least a frame and about ``seconds``. Returns whether all frames are read. Raises PlgsError for
@@ -126,11 +129,22 @@ class ShotReader:
             raise PlgsError("is gone", f"{self._scene}: {self._camera}", "Bake it again.")
         with _frame_kept(scene):
             for frame in self._frames[len(self._read) :]:
-                name = f"{safe_name(self._camera)}.{frame:0{DIGITS}d}"
-                self._read.append(_camera_at(scene, ob, frame, name))
+                self._read.append(_camera_at(scene, ob, frame, self._name(frame)))
                 if time.monotonic() >= end:
                     break
-        return len(self._read) == len(self._frames)
+            is_done = len(self._read) == len(self._frames)
+            if is_done and self._stands_still is None:
+                self._stands_still = self._stands_still_in(scene, ob)
+        return is_done
+
+    def _name(self, frame: int) -> str:
+        return f"{safe_name(self._camera)}.{frame:0{DIGITS}d}"
+
+    def _stands_still_in(self, scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
+        """Frames outside of those that were read are looked at until one shows something else."""
+        seen = {camera.fingerprint for camera in self._read}
+        others = (frame for frame in range(self._first, self._last + 1) if frame not in self._frames)
+        return len(seen) == 1 and all(_camera_at(scene, ob, frame, "").fingerprint in seen for frame in others)
 
     def write(self, lift: Path) -> Path:
         """As `write_shot`, once all frames are read."""
@@ -184,9 +198,10 @@ def bake_shot_in_terminal(
     frames: tuple[int | None, int | None, int | None],
     layers: Sequence[str],
     interrupts: Interrupts,
+    echo: int | None = None,
 ) -> ExitCode:
     """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (first, last, step; None: the file's),
-    with these of FURTHER_LAYERS and progress on stderr. The file is only read.
+    with these of FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The file is only read.
 
     Raises PlgsError, and Interrupted after Ctrl-C, when the engine has ended.
     """
@@ -194,8 +209,12 @@ def bake_shot_in_terminal(
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
     cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames))
     with interrupts.deferred():
-        follower = start_bake(lift, python, cameras=cameras, layers=layers)
-        follow(follower, interrupts, LiveLine(sys.stderr))
+        while True:
+            follower = start_bake(lift, python, cameras=cameras, layers=layers)
+            follow(follower, interrupts, LiveLine(sys.stderr), echo)
+            is_busy = follower.error is not None and follower.error.code is ErrorCode.BUSY
+            if not is_busy or follower.place != lift.place or interrupts.pending is not None:
+                break  # else another bake took the lift's own place first: bake beside it
     if follower.error is not None:
         print(f"error: {follower.error}", file=sys.stderr)
     elif follower.state is TaskState.CANCELLED:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -64,12 +66,23 @@ def test_frames_are_baked_and_those_that_are_done_are_kept(lift: LiftFolder, ble
     assert np.median(depths[0]) > np.median(depths[1]) > np.median(depths[2])  # it goes nearer
     written = [path.stat().st_mtime_ns for path in baked]
 
-    again = run_script(root, *command, "--range", "1-4")
+    again = run_script(root, *command, "--range", "1-4", "--progress", "json")
     assert again.returncode == 0, again.stderr
+    told = [json.loads(line) for line in again.stdout.splitlines()]
+    assert told[0]["event"] == "hello" and told[-1]["state"] == "finished"
     assert [path.stat().st_mtime_ns for path in baked] == written
     listed = {file.path.name for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
     assert listed == {*(path.name for path in baked), "dolly.0004.exr"}
     assert blend.read_bytes() == before and not (lift.path / "lift.blend").exists()
+
+
+def test_four_commands_at_once_all_end_with_all_frames(lift: LiftFolder, blend: Path, root: Path) -> None:
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-4"]
+    with ThreadPoolExecutor(4) as pool:
+        ended = [*pool.map(lambda _: run_script(root, *command), range(4))]
+    assert [each.returncode for each in ended] == [0] * 4, [each.stderr for each in ended]
+    listed = [file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"]
+    assert listed == [f"dolly.{frame:04d}" for frame in range(1, 5)]
 
 
 def test_what_cannot_be_baked_is_told_in_a_line(lift: LiftFolder, blend: Path, root: Path, tmp_path: Path) -> None:

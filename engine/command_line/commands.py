@@ -34,7 +34,8 @@ def lift(options: argparse.Namespace) -> int:
         fix = "Leave them out, or lift a scene into a new folder with -o."
         raise PlgsError("a lift's request never changes", ", ".join(given), fix)
     folder = LiftFolder.open(options.scene)
-    return run_engine(folder, resume=options.resume, parent_pipe=_parent_pipe(options, folder))
+    pipe = _parent_pipe(options, folder)
+    return run_engine(folder, resume=options.resume, parent_pipe=pipe, echo=options.echo)
 
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:
@@ -70,7 +71,7 @@ def bake(options: argparse.Namespace) -> ExitCode:
     pipe = _parent_pipe(options, folder)
     return run_bake(
         folder, frames, cameras=options.cameras, layers=options.layers, output=options.output, parent_pipe=pipe,
-        place=place,
+        place=place, echo=options.echo,
     )  # fmt: skip
 
 

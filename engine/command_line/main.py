@@ -13,6 +13,7 @@ from ..gates import printable
 from ..job import ExitCode
 from ..job.options import readable
 from ..job.task import TaskPlace
+from ..job.terminal import stdout_for_events
 from .parser import make_parser
 from .runner import Task, run_task
 
@@ -38,6 +39,7 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
 
 def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
     options = parser.parse_args(readable(arguments))
+    options.echo = stdout_for_events(vars(options).get("progress", "text"))
     try:
         code: int = _run_task(options) if vars(options).get("is_task") else options.run(options)
     except PlgsError as error:
@@ -53,4 +55,4 @@ def _run_task(options: argparse.Namespace) -> int:
     place = None if options.events is None else TaskPlace.at(options.events)
     task = Task(options.command, partial(options.run, options), when_stopped=options.when_stopped)
     pipe = sys.stdin.fileno() if options.stay_with_parent else None
-    return run_task(task, place, as_json=options.json, parent_pipe=pipe)
+    return run_task(task, place, as_json=options.json, parent_pipe=pipe, echo=options.echo)

@@ -12,6 +12,7 @@ from ..job.capabilities import ADDED, CAPABILITIES
 from ..job.options import (
     add_capture_options,
     add_lift_options,
+    add_progress_option,
     add_scene_options,
     add_set_option,
     number_of_frames,
@@ -60,6 +61,7 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="the lift folder to make")
     add_lift_options(parser)
     parser.add_argument("--resume", action="store_true", help="go on with a lift that was stopped")
+    add_progress_option(parser)
     _add_relink(parser)
     _add_stay_with_parent(parser)
     parser.set_defaults(run=commands.lift)
@@ -81,7 +83,8 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument(
         "--frames", nargs="+", metavar="FRAME",
-        help="names of frames, test (those held out), or all (default, without --cameras)",
+        help="names of frames, ranges of the numbers in their names (10-200 or 10-200:2), test (those held out), or "
+        "all (default, without --cameras)",
     )  # fmt: skip
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")
     parser.add_argument(
@@ -109,7 +112,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", required=True, choices=EXPORTS, help="what to write")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where to")
     parser.add_argument(
-        "--frames", nargs="+", default=["all"], metavar="FRAME", help="names of frames, test (those held out), or all"
+        "--frames", nargs="+", default=["all"], metavar="FRAME", help="as for bake: names, ranges, test, or all"
     )
     _add_relink(parser)
     _make_task(parser, commands.export, "What was exported so far is there.")
@@ -134,6 +137,7 @@ def _add_place_options(parser: argparse.ArgumentParser) -> None:
         "--events", type=Path, metavar="FILE.jsonl",
         help="write progress and the answer there as events, and all output to FILE.log; FILE.cancel stops it",
     )  # fmt: skip
+    add_progress_option(parser)
     _add_stay_with_parent(parser)
 
 

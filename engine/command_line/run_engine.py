@@ -24,9 +24,15 @@ class Lift(Protocol):
 
 
 def run_engine(
-    folder: LiftFolder, *, resume: bool = False, parent_pipe: int | None = None, lift: Lift | None = None
+    folder: LiftFolder,
+    *,
+    resume: bool = False,
+    parent_pipe: int | None = None,
+    lift: Lift | None = None,
+    echo: int | None = None,
 ) -> ExitCode:
-    """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is run in place of `run_lift`.
+    """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is run in place of `run_lift`. ``echo``:
+    see EventWriter.
 
     Raises PlgsError before anything is changed: another engine is at work, or the folder was used and ``resume`` is
     not given. Later every error is an event, a line on standard error and an exit code.
@@ -59,7 +65,7 @@ def run_engine(
                 again="resume",
                 with_less_memory="Resume after closing other programs, or lift anew with a smaller --size.",
             )
-            return run_at(task, folder.place, terminal, parent_pipe=parent_pipe)
+            return run_at(task, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
 
 
 def _have_masks_changed(folder: LiftFolder) -> bool:
@@ -77,6 +83,7 @@ def run_bake(
     output: Path | None = None,
     parent_pipe: int | None = None,
     place: TaskPlace | None = None,
+    echo: int | None = None,
 ) -> ExitCode:
     """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras of a file, and return how it
     ended. ``layers`` and ``output`` are those of ``BakeOptions``.
@@ -105,15 +112,17 @@ def run_bake(
     folder.refuse_foreign()
     if place is not None:
         _refuse_unfinished(folder)
-        return _bake_beside(folder, task, place, parent_pipe)
+        return _bake_beside(folder, task, place, parent_pipe, echo)
     try:
         lock = folder.lock().__enter__()
-    except PlgsError:
+    except PlgsError as error:
+        if error.code is not ErrorCode.BUSY:
+            raise
         if parent_pipe is not None or folder.state_at_rest() is not LiftState.FINISHED:
             raise
         (folder.path / "bake").mkdir(exist_ok=True)
         beside = TaskPlace.temporary(folder.path / "bake")
-        code = _bake_beside(folder, task, beside, None)
+        code = _bake_beside(folder, task, beside, None, echo)
         if code is ExitCode.FINISHED:
             beside.discard()
         return code
@@ -121,13 +130,15 @@ def run_bake(
         _refuse_unfinished(folder)
         with output_to(folder.log_path) as terminal:
             folder.prepare_bake()
-            return run_at(task, folder.place, terminal, parent_pipe=parent_pipe)
+            return run_at(task, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
     finally:
         lock.__exit__(None, None, None)
 
 
-def _bake_beside(folder: LiftFolder, task: Task, place: TaskPlace, parent_pipe: int | None) -> ExitCode:
-    return run_task(task, place, parent_pipe=parent_pipe, also_stops=(folder.place.cancel,))
+def _bake_beside(
+    folder: LiftFolder, task: Task, place: TaskPlace, parent_pipe: int | None, echo: int | None
+) -> ExitCode:
+    return run_task(task, place, parent_pipe=parent_pipe, also_stops=(folder.place.cancel,), echo=echo)
 
 
 def _do_in(folder: LiftFolder, events: EventWriter, stop: StopSignal, work: Work) -> None:

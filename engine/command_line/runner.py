@@ -58,12 +58,19 @@ def run_in_terminal(task: Task, *, as_json: bool = False, parent_pipe: int | Non
 
 
 def run_at(
-    task: Task, place: TaskPlace, terminal: TextIO, *, parent_pipe: int | None = None, also_stops: tuple[Path, ...] = ()
+    task: Task,
+    place: TaskPlace,
+    terminal: TextIO,
+    *,
+    parent_pipe: int | None = None,
+    also_stops: tuple[Path, ...] = (),
+    echo: int | None = None,
 ) -> ExitCode:
     """Do it with events in ``place``, whose lock this process holds and to whose log all output goes. ``terminal`` is
-    for the few lines that are for people. The files ``also_stops`` stop it as the place's own cancel file does.
+    for the few lines that are for people. The files ``also_stops`` stop it as the place's own cancel file does. Events
+    go to the descriptor ``echo``, too.
     """
-    events = EventWriter(place.events)
+    events = EventWriter(place.events, echo)
     try:
         events.hello(task=task.kind, threads=_threads(), resumed=task.resumed)
         stop = StopSignal(place.cancel, *also_stops)
@@ -86,12 +93,19 @@ def run_task(
     as_json: bool = False,
     parent_pipe: int | None = None,
     also_stops: tuple[Path, ...] = (),
+    echo: int | None = None,
 ) -> ExitCode:
     """Do it in the terminal or, where a place is given, there. Raises PlgsError when another process uses the place."""
-    if place is None:
+    if place is not None:
+        with FileLock(place.events), output_to(place.log) as terminal:
+            return run_at(task, place, terminal, parent_pipe=parent_pipe, also_stops=also_stops, echo=echo)
+    if echo is None:
         return run_in_terminal(task, as_json=as_json, parent_pipe=parent_pipe)
-    with FileLock(place.events), output_to(place.log) as terminal:
-        return run_at(task, place, terminal, parent_pipe=parent_pipe, also_stops=also_stops)
+    own = TaskPlace.temporary()
+    try:
+        return run_at(task, own, sys.stderr, parent_pipe=parent_pipe, echo=echo)
+    finally:
+        own.discard()
 
 
 def _do(task: Task, events: EventWriter, stop: StopSignal, terminal: TextIO, place: TaskPlace | None) -> ExitCode:

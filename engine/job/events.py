@@ -53,16 +53,21 @@ class Event:
     kind: str
     data: Mapping[str, Json]
 
+    @property
+    def line(self) -> bytes:
+        """As it stands in the file."""
+        return to_line({"seq": self.seq, "time": self.time, "event": self.kind, **self.data})
+
 
 class EventWriter:
     """Appends events. Only the process that holds the lock on the file may do so. Safe in several threads.
 
     ``seq`` continues where an earlier run ended; a line that a kill tore in two is cut off first. Raises
-    OSError when the disk is full.
+    OSError when the disk is full. ``echo`` is a descriptor to which each line goes, too, as long as somebody reads it.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._folder = path.parent
+    def __init__(self, path: Path, echo: int | None = None) -> None:
+        self._folder, self._echo = path.parent, echo
         self._lock = threading.Lock()
         self._done = False
         self._began = time.monotonic()
@@ -142,6 +147,8 @@ class EventWriter:
             head = {"seq": self._seq + 1, "time": round(time.time(), 3), "event": event}
             line = to_line(head | data)
             self._append(b"\n" + line if self._torn else line)
+            if self._echo is not None and not echoed(line, self._echo):
+                self._echo = None
             self._seq += 1
             self._done = event == "done"
 
@@ -220,6 +227,16 @@ def _without_outdated(lines: list[bytes]) -> list[bytes]:
 def last_run(path: Path) -> list[Event]:
     """The events of the latest run: from the last hello on. Empty when no run began."""
     return _since_hello(EventReader(path).poll())
+
+
+def echoed(line: bytes, descriptor: int) -> bool:
+    """Whether the whole line was written there: False when nobody reads it any more."""
+    try:
+        while line:
+            line = line[os.write(descriptor, line) :]
+    except OSError:
+        return False
+    return True
 
 
 def at_work(path: Path) -> PlgsError:

@@ -36,7 +36,7 @@ class TaskFollower:
 
     ``kind`` names the task, ``progress`` says how far it is. When ``state`` is no longer RUNNING, ``answer`` is what
     the command answered (None when nothing), ``error`` why it failed, and ``log_lines`` the end of its log when the
-    cause is no input of the user's.
+    cause is no input of the user's. ``on_event`` is called with each event.
     """
 
     def __init__(
@@ -58,6 +58,7 @@ class TaskFollower:
         self.answer: Mapping[str, Json] | None = None
         self.error: PlgsError | None = None
         self.log_lines: tuple[str, ...] = ()
+        self.on_event: Callable[[Event], object] | None = None
         self._process, self._clock = process, clock
         self._reader = reader or EventReader(place.events, hurried=True)
         self._kill_at: float | None = None
@@ -172,6 +173,8 @@ class TaskFollower:
 
     def _take(self, event: Event) -> None:
         data = event.data
+        if self.on_event is not None:
+            self.on_event(event)
         match event.kind:
             case "hello":
                 self.kind, self.progress = str(data.get("task", LIFT)), TaskProgress()

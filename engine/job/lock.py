@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from uuid import uuid4
 
-from ..errors import PlgsError
+from ..errors import ErrorCode, PlgsError
 from ..gates import open_plain, open_to_append
 from .events import at_work
 from .system import OPEN_FILES_KEEP_NAMES, try_lock
@@ -129,11 +129,15 @@ class BakeLocks:
 
     @contextmanager
     def claim(self, view: str) -> Iterator[bool]:
-        """Whether this process may bake the view until the ``with`` ends. Another process may be baking it."""
+        """Whether this process may bake the view until the ``with`` ends. Another process may be baking it. Raises
+        PlgsError when the file system knows no locks.
+        """
         name = sha256(view.encode()).hexdigest()[:16]  # any text becomes the name of a file
         try:
             lock = FileLock(self._folder / f"view-{name}.lock", wait_s=0.0).__enter__()
-        except PlgsError:
+        except PlgsError as error:
+            if error.code is not ErrorCode.BUSY:
+                raise
             yield False
             return
         try:

@@ -74,6 +74,14 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     )
 
 
+def add_progress_option(parser: argparse.ArgumentParser) -> None:
+    """--progress."""
+    parser.add_argument(
+        "--progress", choices=("text", "json"), default="text",
+        help="json: the run's events on standard output, one line of JSON each, and all else on standard error",
+    )  # fmt: skip
+
+
 def add_set_option(parser: argparse.ArgumentParser) -> None:
     """--set: any choice of the preset."""
     parser.add_argument(

@@ -25,7 +25,8 @@ _ENDING_S = 2.0
 def lift_in_terminal(
     options: argparse.Namespace, interrupts: Interrupts, check: Callable[[LiftRequest], object]
 ) -> tuple[LiftFolder, ExitCode]:
-    """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask, showing it on stderr.
+    """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask, showing it on stderr, with
+    its events on the descriptor ``echo`` where the options have one.
 
     ``check`` looks at the scene before any folder is made, and raises when it is bad. A folder that was made
     here and came to nothing is removed, so that the corrected command works. Where the options have a
@@ -40,7 +41,12 @@ def lift_in_terminal(
     if lift is None:
         request = request_from(options)
         check(request)
-        lift = LiftFolder.create(options.output, request)
+        try:
+            lift = LiftFolder.create(options.output, request)
+        except PlgsError:
+            lift, is_new = resumable(options), False  # the same command may have been given twice at once
+            if lift is None:
+                raise
     elif _state_when_left_alone(lift) is LiftState.FINISHED and lift.is_whole():
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
         return lift, ExitCode.FINISHED
@@ -48,7 +54,7 @@ def lift_in_terminal(
     try:
         program = getattr(options, "program", "engine")
         command = engine_command(python, lift.path, resume=not is_new, program=program)
-        code = _run(lift, interrupts, command)
+        code = _run(lift, interrupts, command, getattr(options, "echo", None))
     finally:
         if is_new and _came_to_nothing(lift):
             lift.discard()
@@ -80,10 +86,10 @@ def _state_when_left_alone(lift: LiftFolder) -> LiftState:
     return state
 
 
-def _run(lift: LiftFolder, interrupts: Interrupts, command: Sequence[str | Path]) -> ExitCode:
+def _run(lift: LiftFolder, interrupts: Interrupts, command: Sequence[str | Path], echo: int | None) -> ExitCode:
     with interrupts.deferred():
         follower = TaskFollower.start(command, lift.place, kind=LIFT, lift=lift)
-        follow(follower, interrupts, LiveLine(sys.stderr))
+        follow(follower, interrupts, LiveLine(sys.stderr), echo)
     if follower.error is not None:
         print(f"error: {follower.error}", file=sys.stderr)
     elif follower.state is TaskState.CANCELLED:

@@ -15,7 +15,7 @@ from typing import Any, TextIO
 
 from ..gates import open_to_append, printable
 from ..json_file import to_line
-from .events import Event, EventWriter
+from .events import Event, EventWriter, echoed
 from .follower import TaskFollower
 from .task import TaskProgress
 
@@ -75,12 +75,15 @@ class Interrupts:
             raise Interrupted(self.pending)
 
 
-def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine) -> None:
-    """Show the task until it ends. Call it inside `interrupts.deferred()`, as the start of the engine, too.
+def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo: int | None = None) -> None:
+    """Show the task until it ends. Call it inside `interrupts.deferred()`, as the start of the engine, too. Its events
+    go to the descriptor ``echo``, if there is one.
 
     A signal cancels the task; an engine that does not stop is killed. A lift can then be resumed.
     """
     is_asked, is_told, warned = False, False, 0
+    if echo is not None:
+        follower.on_event = lambda event: echoed(event.line, echo)
     try:
         while follower.is_running:
             follower.poll()
@@ -107,6 +110,18 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine) -> No
 def _tell_log(follower: TaskFollower, text: str) -> None:
     with suppress(OSError), os.fdopen(open_to_append(follower.place.log), "a", encoding="utf-8") as log:
         log.write(text + "\n")  # best effort: a full disk is no reason to end the work
+
+
+def stdout_for_events(progress: str) -> int | None:
+    """With --progress json: a descriptor of standard output, which is for events alone from now on. What is printed
+    goes to standard error instead. None without it.
+    """
+    if progress != "json":
+        return None
+    sys.stdout.flush()
+    events = os.dup(1)
+    os.dup2(2, 1)
+    return events
 
 
 class ShownEvents(EventWriter):

@@ -6,6 +6,7 @@ They become part of the result, or go into a folder of their own, where they bel
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,6 +40,8 @@ from .scene_files import MODEL
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
 KEEP_EVERY_S = 20.0
 """Seconds between two times that baked views are taken into the manifest: the most work that a kill loses."""
+WAIT_S = 0.2
+"""Seconds between two looks at views that other processes bake."""
 CAMERA_NOTE = "plgs/camera"
 """Attribute in the header of a view that is no frame's: the fingerprint of its camera."""
 
@@ -128,12 +131,21 @@ def _bake(
         wanted = [view for view in views_in(scene) if not place.has(view, notes)]
         baker = read_baker(folder, scene.classes)
     with stages.stage("bake") as progress:
+        left = wanted
         try:
-            for done, view in enumerate(wanted, start=1):
-                with locks.claim(place.claim_of(view)) as is_ours:
-                    if is_ours and not place.has(view, {CORRECTIONS_NOTE: baker.corrections}):
-                        place.write(view, baker, events)
-                progress(done, len(wanted))
+            while left:
+                others = list[WantedView]()
+                for number, view in enumerate(left, start=1):
+                    with locks.claim(place.claim_of(view)) as is_ours:
+                        if not is_ours:
+                            others.append(view)
+                        elif not place.has(view, {CORRECTIONS_NOTE: baker.corrections}):
+                            place.write(view, baker, events)
+                    progress(len(wanted) - len(left) + number - len(others), len(wanted))
+                place.keep()
+                # Only what is there is done: a process that bakes one of these now may yet be killed.
+                time.sleep(WAIT_S if others else 0.0)
+                left = others
         finally:
             place.keep()
 
@@ -149,15 +161,28 @@ def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) ->
 
 
 def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
-    """In recording order, each once. Raises PlgsError for a name that no frame has."""
-    known = {frame.name: frame for frame in scene.frames}
-    groups = {"all": scene.frames, "test": scene.test_frames}
-    unknown = [name for name in names if name not in known and name not in groups]
-    if unknown:
-        fix = f"Give all, test, or names of frames, such as {scene.frames[0].name}."
-        raise PlgsError(f"the scene has no frame {unknown[0]}", scene.folder, fix)
-    wanted = {frame.name for name in names for frame in ((known[name],) if name in known else groups[name])}
+    """In recording order, each once. "10-200:2" is a range of the last numbers in the frames' names, as 0010 or
+    frame_0010.colour has the number 10: from the first to the last, every second one. Raises PlgsError for a name, or a
+    range, that no frame has.
+    """
+    groups = {"all": scene.frames, "test": scene.test_frames, **{frame.name: [frame] for frame in scene.frames}}
+    wanted = set[str]()
+    for name in names:
+        found = groups[name] if name in groups else _in_range(scene, name)
+        if not found and name not in groups:
+            fix = f"Give all, test, names of frames, such as {scene.frames[0].name}, or a range of numbers: 10-200:2."
+            raise PlgsError(f"the scene has no frame {name}", scene.folder, fix)
+        wanted.update(frame.name for frame in found)
     return [frame for frame in scene.frames if frame.name in wanted]
+
+
+def _in_range(scene: Scene, text: str) -> list[Frame]:
+    found = re.fullmatch(r"(\d{1,9})-(\d{1,9})(?::([1-9]\d{0,8}))?", text)
+    if found is None:
+        return []
+    numbers = range(int(found[1]), int(found[2]) + 1, int(found[3] or 1))
+    last = ((frame, re.findall(r"\d+", frame.name)[-1:]) for frame in scene.frames)
+    return [frame for frame, number in last if number and int(number[0]) in numbers]
 
 
 def _notes_of(view: WantedView) -> dict[str, str]:
@@ -203,6 +228,7 @@ class _Result:
     def __init__(self, folder: LiftFolder, locks: BakeLocks, options: BakeOptions) -> None:
         self._folder, self._locks, self._layers = folder, locks, options.layers
         self._views, self._kept_at = list[WantedView](), time.monotonic()
+        self._read: tuple[tuple[int, int, int], frozenset[Path]] | None = None
 
     def claim_of(self, view: WantedView) -> str:
         return view.name
@@ -210,8 +236,7 @@ class _Result:
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
         """Whether the result has this view, from this camera, with these notes. Raises PlgsError, OSError."""
         files = baked_files(self._folder, view.name)
-        listed = {self._folder.result_path / file.path for file in read_manifest(self._folder.result_path).files}
-        return listed.issuperset(files) and is_whole(files[0], {**notes, **_notes_of(view)}, self._layers)
+        return self._listed().issuperset(files) and is_whole(files[0], {**notes, **_notes_of(view)}, self._layers)
 
     def write(self, view: WantedView, baker: FrameBaker, events: EventWriter) -> None:
         """Bake a view, in place of one from another camera. Raises OSError."""
@@ -223,11 +248,23 @@ class _Result:
     def _make_room(self, view: WantedView) -> None:
         """Take a view that is baked anew out of the manifest, so that the result is whole without it. Raises
         OSError."""
-        listed = {self._folder.result_path / file.path for file in read_manifest(self._folder.result_path).files}
-        old = listed.intersection(baked_files(self._folder, view.name))
+        old = self._listed().intersection(baked_files(self._folder, view.name))
         if old:
             with self._locks.manifest():
                 drop_files(self._folder.result_path, sorted(old))
+
+    def _listed(self) -> frozenset[Path]:
+        """The files in the manifest, which is read again only when it was replaced: with thousands of views a read
+        takes a large part of a second. Raises PlgsError, OSError.
+        """
+        result = self._folder.result_path
+        if not self._folder.manifest_path.is_file():
+            read_manifest(result)  # which says what is wrong
+        state = self._folder.manifest_path.stat()
+        version = (state.st_ino, state.st_mtime_ns, state.st_size)
+        if self._read is None or self._read[0] != version:
+            self._read = version, frozenset(result / file.path for file in read_manifest(result).files)
+        return self._read[1]
 
     def _add(self, view: WantedView, *, at_once: bool) -> None:
         """``at_once``: keep the view before another process looks for views that are left to bake."""

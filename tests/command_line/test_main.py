@@ -256,3 +256,24 @@ def test_what_a_parent_asked_for_ends_with_it(root: Path, tmp_path: Path, comman
     asked = [sys.executable, "-m", "engine", *command, room, "-o", tmp_path / "out", "--stay-with-parent"]
     ended = subprocess.run(asked, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120)
     assert ended.returncode == 3 and not ended.stdout and not (tmp_path / "out").exists()
+
+
+def test_events_on_standard_output(root: Path, tmp_path: Path) -> None:
+    """They are all that stands there, and the same as in a file of events."""
+    file = tmp_path / "events.jsonl"
+    command = [sys.executable, "-m", "engine", "handshake", "--progress", "json"]
+    for more in ([], ["--events", str(file)]):
+        said = subprocess.run([*command, *more], cwd=root, capture_output=True, text=True, timeout=120)
+        assert said.returncode == 0, said.stderr
+        told = [json.loads(line) for line in said.stdout.splitlines()]
+        assert [each["event"] for each in told] == ["hello", "answer", "done"]
+        assert [each["seq"] for each in told] == [1, 2, 3]
+    assert file.read_text() == said.stdout
+
+
+def test_an_error_is_an_event_on_standard_output(root: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "engine", "inspect", str(tmp_path), "--progress", "json"]
+    said = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=120)
+    told = [json.loads(line) for line in said.stdout.splitlines()]
+    assert said.returncode == 2 and told[-1]["event"] == "error" and told[-1]["exit_code"] == 2
+    assert said.stderr.startswith("error: ")

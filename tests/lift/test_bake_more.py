@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +21,24 @@ from engine.command_line.main import main
 from engine.command_line.run_engine import run_bake
 from engine.corrections import read_corrected
 from engine.errors import Cancelled, PlgsError
-from engine.job import BakeLocks, EventWriter, ExitCode, LiftFolder, LiftRequest, LiftState, StopSignal, verify
+from engine.job import (
+    BakeLocks,
+    EventWriter,
+    ExitCode,
+    LiftFolder,
+    LiftRequest,
+    LiftState,
+    Manifest,
+    StopSignal,
+    read_manifest,
+    verify,
+)
 from engine.lift import bake_frames, bake_more, run_lift
+from engine.lift.bake_more import frames_named
 from engine.lift.baking import FrameBaker
 from engine.passes.exr import further_layers, read_exr
 from engine.presets.preset import PRESETS
+from engine.scene_of_lift import scene_of_lift
 from tests.lift.test_lift import files_of
 from tests.passes.read_ply import read_ply
 from tests.tiny_scene import tiny_pose, write_tiny_scene
@@ -202,9 +217,9 @@ def test_beside_another_process(lift: LiftFolder, tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(FrameBaker, "render", render)
     with lift.lock(), BakeLocks(lift.path) as others, others.claim("0001") as is_ours:
         assert is_ours
-        assert run_bake(lift, ["0000", "0001"]) is ExitCode.FINISHED
+        assert run_bake(lift, ["0000"]) is ExitCode.FINISHED
     assert lift.events_path.read_bytes() == seen
-    assert {path.stem for path in lift.passes_path.glob("[0-9]*.exr")} == {"0000", "0004"}  # 0001 is the other one's
+    assert {path.stem for path in lift.passes_path.glob("[0-9]*.exr")} == {"0000", "0004"}
     assert (lift.passes_path / ".part-another.exr").exists()
     assert not [*lift.path.glob("bake-*"), *(lift.path / "bake").glob("process-*")]
     verify(lift.result_path)
@@ -296,3 +311,42 @@ def test_what_is_deleted_is_shown_nowhere(lift: LiftFolder) -> None:
     assert not (after.instance == one.id).any()
     gone = before.instance == one.id
     assert (after.semantic[gone] == one.class_id).mean() > 0.9
+
+
+def test_ranges_are_of_the_numbers_in_the_names(finished: dict[str, LiftFolder], tmp_path: Path) -> None:
+    scene = scene_of_lift(finished["test"])
+    assert [frame.name for frame in frames_named(scene, ["1-4:2", "0000"])] == ["0000", "0001", "0003"]
+    renamed = replace(scene, frames=tuple(replace(each, name=f"cam2_{each.name}.colour") for each in scene.frames))
+    assert [frame.name for frame in frames_named(renamed, ["3-9"])] == [f"cam2_000{n}.colour" for n in (3, 4, 5)]
+    for wrong in ("7-9", "4-1", "1-4:0", "1-"):
+        with pytest.raises(PlgsError, match=f"no frame {wrong}"):
+            frames_named(scene, [wrong])
+
+
+def test_a_shot_that_is_done_is_found_done_by_one_read(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    bake(lift, "all")
+    reads = list[Path]()
+
+    def counted(result: Path) -> Manifest:
+        reads.append(result)
+        return read_manifest(result)
+
+    monkeypatch.setattr(bake_more, "read_manifest", counted)
+    bake(lift, "all")
+    assert len(reads) == 1
+
+
+def test_a_bake_is_done_when_all_views_are_there(lift: LiftFolder) -> None:
+    """A view that another process has taken is waited for, and baked here when that process ends without it."""
+    with ThreadPoolExecutor(1) as pool:
+        with BakeLocks(lift.path) as other, other.claim("0001") as is_ours:
+            assert is_ours
+            run = pool.submit(bake, lift, "0001", "0002")
+            while "0002.exr" not in {file.path.name for file in read_manifest(lift.result_path).files}:
+                with pytest.raises(TimeoutError):
+                    run.result(0.05)
+            with pytest.raises(TimeoutError):
+                run.result(3 * bake_more.WAIT_S)
+            assert not (lift.passes_path / "0001.exr").exists()
+        run.result()
+    assert "0001.exr" in {file.path.name for file in verify(lift.result_path).files}

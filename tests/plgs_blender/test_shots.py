@@ -179,3 +179,18 @@ def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> 
             shot_of(scene, name)
     scene.camera = bpy.data.objects["Cube"]
     refused("is no camera")
+
+
+def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    scene.frame_end = 8
+    moving = cameras_of(scene, shot_of(scene, first=5, last=8))
+    assert [camera.name for camera in moving] == [f"dolly.{frame:04d}" for frame in range(5, 9)], "it moved before"
+    scene.camera.animation_data_clear()
+    scene.camera.data.animation_data_clear()
+    for first, last in ((1, 4), (5, 8), (7, 7)):
+        assert [camera.name for camera in cameras_of(scene, shot_of(scene, "", first, last))] == ["dolly.0001"]
+
+
+def test_shots_that_differ_in_their_step_have_files_of_their_own(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    files = {write_shot(tmp_path, scene, shot_of(scene, "", 1, 4, step)).name for step in (1, 2)}
+    assert files == {"dolly.1-4x1.json", "dolly.1-4x2.json"}
