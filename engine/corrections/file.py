@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..errors import ErrorCode, PlgsError
 from ..job import write_atomically
-from ..job.lock import FileLock
+from ..job.lock import lock_on
 from ..json_file import read_object, take_objects, take_whole_number, to_text
 from .edits import CORRECTIONS, Edit, edit_of
 
@@ -49,7 +49,7 @@ def editing(lift: Path) -> Iterator[list[Edit]]:
     folder = lift / "bake"
     folder.mkdir(exist_ok=True)
     try:
-        lock = FileLock(folder / "corrections.lock", _WAIT_S).__enter__()
+        lock = lock_on(folder / "corrections.lock", _WAIT_S, brief=True).__enter__()
     except PlgsError as error:
         if error.code is not ErrorCode.BUSY:
             raise

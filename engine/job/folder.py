@@ -13,7 +13,8 @@ from ..gates import create_plain
 from .atomic import PART, flush_to_disk, remove_parts
 from .checkpoint import CheckpointStore
 from .events import last_events
-from .lock import BakeLocks, FileLock, is_locked
+from .lease import Lease
+from .lock import BakeLocks, FileLock, is_worked_on, lock_on
 from .manifest import changed_files, check_sizes, verify
 from .own_files import refuse_foreign, refuse_foreign_below
 from .request import LiftRequest, refuse_unwritable_name
@@ -128,11 +129,11 @@ class LiftFolder:
     @property
     def is_running(self) -> bool:
         """Whether an engine works in this folder now."""
-        return is_locked(self.events_path)
+        return is_worked_on(self.events_path)
 
-    def lock(self) -> FileLock:
+    def lock(self) -> FileLock | Lease:
         """The engine's exclusive right to write here; for ``with``. Raises PlgsError when another has it, OSError."""
-        return FileLock(self.events_path)
+        return lock_on(self.events_path)
 
     def refuse_foreign(self) -> None:
         """Raise PlgsError when a link, or anything else that no lift has, lies in the place of one of its files: before
@@ -223,7 +224,7 @@ class LiftFolder:
         For whoever created it just now. Raises PlgsError when there is something in it that cost time to make.
         """
         self.refuse_foreign()
-        with FileLock(self.events_path, wait_s=0.0):  # nobody begins meanwhile
+        with lock_on(self.events_path, wait_s=0.0, brief=True):  # nobody begins meanwhile
             self._discard()
         self.events_path.unlink(missing_ok=True)  # now that it is closed: Windows deletes no open file
         if not any(self.path.iterdir()):

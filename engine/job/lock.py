@@ -1,4 +1,5 @@
-"""Advisory locks of the operating system: they end with the process that holds them, however that ends.
+"""Advisory locks of the operating system: they end with the process that holds them, however that ends. On a disk that
+machines share, leases stand in their place (see `lease`).
 
 Several processes may bake one lift at once. Their locks are empty files in bake/ in the lift folder: who is at work,
 which view is whose, whose turn it is at the manifest.
@@ -18,6 +19,7 @@ from uuid import uuid4
 from ..errors import ErrorCode, PlgsError
 from ..gates import open_plain, open_to_append
 from .events import at_work
+from .lease import Lease, is_leased, is_on_shared_disk
 from .system import OPEN_FILES_KEEP_NAMES, try_lock
 
 MANIFEST_S = 60.0
@@ -103,17 +105,30 @@ def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
         raise PlgsError(f"its file system cannot lock files ({error.strerror})", path, fix) from error
 
 
+def lock_on(path: Path, wait_s: float = 1.0, *, brief: bool = False) -> FileLock | Lease:
+    """The right to work on a file of a lift; for ``with``. ``brief``: for some seconds at most, as in Blender. Raises
+    PlgsError when another process has it, OSError.
+    """
+    return Lease(path, wait_s, beats=not brief) if is_on_shared_disk(path) else FileLock(path, wait_s)
+
+
+def is_worked_on(path: Path) -> bool:
+    """Whether a process holds what `lock_on` gives. Raises PlgsError as `is_locked`, OSError."""
+    return is_leased(path) if is_on_shared_disk(path) else is_locked(path)
+
+
 class BakeLocks:
     """The locks of one process that bakes. For ``with``, around all of its work. Raises OSError."""
 
     def __init__(self, lift: Path) -> None:
         self._folder = lift / "bake"
         self._own = self._folder / f"process-{uuid4().hex}.lock"
-        self._held: FileLock | None = None
+        self._held: FileLock | Lease | None = None
 
     def __enter__(self) -> BakeLocks:
         self._folder.mkdir(exist_ok=True)
-        self._held = FileLock(self._own).__enter__()
+        self._own.touch()
+        self._held = lock_on(self._own).__enter__()
         return self
 
     def __exit__(
@@ -125,7 +140,7 @@ class BakeLocks:
 
     def others_at_work(self) -> bool:
         """Whether another process bakes this lift now."""
-        return any(is_locked(path) for path in self._folder.glob("process-*.lock") if path != self._own)
+        return any(is_worked_on(path) for path in self._folder.glob("process-*.lock") if path != self._own)
 
     @contextmanager
     def claim(self, view: str) -> Iterator[bool]:
@@ -134,7 +149,7 @@ class BakeLocks:
         """
         name = sha256(view.encode()).hexdigest()[:16]  # any text becomes the name of a file
         try:
-            lock = FileLock(self._folder / f"view-{name}.lock", wait_s=0.0).__enter__()
+            lock = lock_on(self._folder / f"view-{name}.lock", wait_s=0.0).__enter__()
         except PlgsError as error:
             if error.code is not ErrorCode.BUSY:
                 raise
@@ -145,6 +160,6 @@ class BakeLocks:
         finally:
             lock.__exit__(None, None, None)
 
-    def manifest(self) -> FileLock:
+    def manifest(self) -> FileLock | Lease:
         """The right to change the manifest; for ``with``."""
-        return FileLock(self._folder / "manifest.lock", MANIFEST_S)
+        return lock_on(self._folder / "manifest.lock", MANIFEST_S)

@@ -16,6 +16,7 @@ try_lock = system.try_lock
 flush_folder = system.flush_folder
 start_options = system.start_options
 kill_with_children = system.kill_with_children
+is_alive = system.is_alive
 usable_cpus = system.usable_cpus
 peak_bytes = system.peak_bytes
 OPEN_FILES_KEEP_NAMES = system.OPEN_FILES_KEEP_NAMES
@@ -23,6 +24,7 @@ OPEN_FILES_KEEP_NAMES = system.OPEN_FILES_KEEP_NAMES
 __all__ = [
     "OPEN_FILES_KEEP_NAMES",
     "flush_folder",
+    "is_alive",
     "kill_with_children",
     "peak_bytes",
     "start_options",

@@ -1,0 +1,239 @@
+"""Leases: who works where on a disk that machines share, whose file system may know no locks across machines.
+
+A lease is a file beside the one that it guards. Its holder writes a new beat into it every few seconds. Whoever wants
+it watches the beats by a clock of its own, so that the machines' clocks need not agree, and takes the lease over when
+they have stopped for long.
+
+What this needs of the disk, NFS's promises among it: a link to a name that is taken fails, a rename is whole, and a
+file that is opened anew shows what another machine wrote before (close-to-open). What no file system promises: that a
+process which stood still for longer than STALE_S and wakes writes nothing before its next beat. It finds its lease gone
+then, and ends. All files of a lift are put in place by rename, with the same content by everybody.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import TracebackType
+from uuid import getnode, uuid4
+
+from ..errors import ExitCode
+from ..gates import create_plain, open_plain
+from .atomic import PART
+from .events import at_work
+from .system import is_alive
+
+VARIABLE = "PLGS_SHARED_DISK"
+"""1: every disk is taken for shared; 0: none. Else Linux's table of mounts tells, and Windows' \\\\server\\share."""
+BEAT_S = 5.0
+"""Seconds between two beats of a holder."""
+STALE_S = 30.0
+"""Seconds without a beat after which a lease is nobody's."""
+_SHARED_KINDS = frozenset(
+    "nfs nfs4 cifs smb3 smbfs afs ceph lustre gpfs beegfs glusterfs panfs orangefs gfs2 ocfs2 9p fuse.glusterfs "
+    "fuse.sshfs fuse.ceph fuse.juicefs fuse.s3fs".split()
+)
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+_LARGEST = 4096
+_PROCESSES = Path("/proc/self/ns/pid")
+
+
+@dataclass
+class _Watched:
+    """A holder's last beat, when it was first seen by this process's own clock, and whether one came before it."""
+
+    beat: str
+    since: float
+    lives: bool = False
+
+
+_watched: dict[tuple[Path, str], _Watched] = {}
+"""By lease and its holder."""
+
+
+def machine_id() -> str:
+    """Another one on each machine, after each start of it, and where processes are counted anew, as in a container."""
+    try:
+        return f"{platform.node()} {_BOOT_ID.read_text().strip()} {os.readlink(_PROCESSES)}"
+    except OSError:
+        return f"{platform.node()} {getnode():x}"
+
+
+MACHINE = machine_id()
+
+
+def is_on_shared_disk(path: Path) -> bool:
+    """Whether other machines may work in the folder of ``path``."""
+    said = os.environ.get(VARIABLE, "")
+    return said == "1" if said in ("0", "1") else _is_shared(path.absolute().parent)
+
+
+@lru_cache(maxsize=256)
+def _is_shared(folder: Path) -> bool:
+    if os.name == "nt":
+        return str(folder).startswith("\\\\")
+    try:
+        mounts = [line.split() for line in Path("/proc/self/mounts").read_text().splitlines()]
+        place = folder.resolve()
+    except OSError:
+        return False
+    under = [(point, kind) for _, point, kind, *_ in mounts if place.is_relative_to(_unescaped(point))]
+    return bool(under) and max(under, key=lambda each: len(each[0]))[1] in _SHARED_KINDS
+
+
+def _unescaped(point: str) -> str:
+    return point.replace("\\040", " ")
+
+
+class Lease:
+    """The right to work on a file of a shared disk, from ``with`` to its end.
+
+    With ``beats`` a thread keeps it, and ends this process with `ExitCode.BUSY` when another one has taken it: for the
+    engine. Without, it is for work of less than STALE_S, such as Blender's. With a ``wait_s`` of 0 nothing is waited
+    for; else what may be left by a crash is watched until it has beaten, or is stale. Raises PlgsError when another
+    process holds it, OSError.
+    """
+
+    def __init__(self, path: Path, wait_s: float = 1.0, *, beats: bool = True) -> None:
+        self._path, self._lease, self._wait_s, self._beats = path, lease_of(path), wait_s, beats
+        self._id, self._descriptor, self._over = uuid4().hex, -1, threading.Event()
+
+    def __enter__(self) -> Lease:
+        began = time.monotonic()
+        while not self._taken():
+            state = _holder(self._lease)
+            if state is None:
+                continue
+            if _is_stale(self._lease, state):
+                _set_aside(self._lease, state["id"])
+                continue
+            waited = time.monotonic() - began
+            if not self._wait_s or (waited > self._wait_s and _watched[self._lease, state["id"]].lives):
+                raise at_work(self._path)
+            time.sleep(min(0.05, BEAT_S / 4))
+        if self._beats:
+            threading.Thread(target=self._beat, name="plgs-lease", daemon=True).start()
+        return self
+
+    def _taken(self) -> bool:
+        """Whether the file is made, which it can be once only, with its content."""
+        part = self._lease.with_name(f"{PART}{self._id}.lease")
+        try:
+            with create_plain(part) as file:
+                file.write(self._content(0))
+                file.flush()
+                os.fsync(file.fileno())
+            try:
+                os.link(part, self._lease)
+            except FileExistsError:
+                # A server whose answer was lost is asked again, and says that the name is taken: by this very file.
+                if os.stat(part).st_nlink != 2:
+                    return False
+            except OSError:  # a file system without links
+                if not self._taken_without_link():
+                    return False
+            self._descriptor = os.open(self._lease, os.O_WRONLY)
+        finally:
+            part.unlink(missing_ok=True)
+        return True
+
+    def _taken_without_link(self) -> bool:
+        try:
+            descriptor = os.open(self._lease, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        except FileExistsError:
+            return False
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(self._content(0))
+        return True
+
+    def _content(self, beat: int) -> bytes:
+        """Always of one length, so that it is written in place."""
+        about = {"id": self._id, "machine": MACHINE, "pid": os.getpid(), "since": time.time(), "beat": f"{beat:012d}"}
+        return json.dumps(about).encode().ljust(512) + b"\n"
+
+    def _beat(self) -> None:
+        beat = 0
+        while not self._over.wait(BEAT_S):
+            beat += 1
+            with suppress(OSError):  # a server that does not answer now; whether the lease is lost, the next look shows
+                os.lseek(self._descriptor, 0, os.SEEK_SET)
+                os.write(self._descriptor, self._content(beat))
+                os.fsync(self._descriptor)
+            if not self._is_ours():
+                what = f"error: another machine took this over, as nothing was heard from here: {self._path}"
+                print(what, file=sys.stderr, flush=True)
+                os._exit(ExitCode.BUSY)
+
+    def _is_ours(self) -> bool:
+        """True also where nothing can be found out."""
+        try:
+            state = _holder(self._lease)
+        except OSError:
+            return True
+        return state is not None and state["id"] == self._id
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        with suppress(OSError):
+            if self._is_ours():
+                self._lease.unlink()
+        os.close(self._descriptor)
+
+
+def lease_of(path: Path) -> Path:
+    """The lease's file."""
+    return path.with_name(path.name + ".lease")
+
+
+def is_leased(path: Path) -> bool:
+    """Whether a process holds the lease of ``path``. One whose machine may have crashed counts until this process has
+    watched it for STALE_S. Raises OSError."""
+    state = _holder(lease_of(path))
+    return state is not None and not _is_stale(lease_of(path), state)
+
+
+def _holder(lease: Path) -> dict[str, str] | None:
+    """What stands in a lease; None where there is none. Raises OSError."""
+    try:
+        with open_plain(lease, follow_link=False) as file:
+            content = file.read(_LARGEST)
+    except FileNotFoundError:
+        return None
+    try:
+        told = json.loads(content)
+        return {name: str(told[name]) for name in ("id", "machine", "pid", "beat")}
+    except (ValueError, KeyError, TypeError):  # by something else, or cut off when power was
+        return {"id": content.hex(), "machine": "", "pid": "0", "beat": ""}
+
+
+def _is_stale(lease: Path, state: dict[str, str]) -> bool:
+    seen = _watched.setdefault((lease, state["id"]), _Watched(state["beat"], time.monotonic()))
+    if seen.beat != state["beat"]:
+        seen.beat, seen.since, seen.lives = state["beat"], time.monotonic(), True
+    if state["machine"] == MACHINE and state["pid"].isdecimal():
+        seen.lives = is_alive(int(state["pid"]))
+        if not seen.lives:
+            return True
+    return time.monotonic() - seen.since > STALE_S
+
+
+def _set_aside(lease: Path, stale: str) -> None:
+    """Take a stale lease away. One that somebody else took meanwhile is put back. Raises OSError."""
+    aside = lease.with_name(f"{PART}{uuid4().hex}.stale")
+    with suppress(FileNotFoundError):
+        os.rename(lease, aside)
+        found = _holder(aside)
+        if found is not None and found["id"] != stale:
+            with suppress(FileExistsError):
+                os.link(aside, lease)
+        aside.unlink()

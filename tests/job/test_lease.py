@@ -1,0 +1,164 @@
+"""Leases, between real processes with lock tables of their own: what one locks, the other does not see."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from engine.errors import ErrorCode, ExitCode, PlgsError
+from engine.job import BakeLocks, LiftState, lease
+from engine.job.lease import Lease, is_leased, is_on_shared_disk, lease_of
+from tests.job.lift_folders import new_lift
+
+BEAT_S, STALE_S = 0.1, 0.6
+HOLDER = f"""
+import sys, time
+from pathlib import Path
+from engine.job import lease
+real = time.time
+time.time = lambda: real() + 3600.0  # a clock an hour ahead
+lease.MACHINE, lease.BEAT_S, lease.STALE_S = sys.argv[2], {BEAT_S}, {STALE_S}
+with lease.Lease(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.readline()
+"""
+Hold = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture(autouse=True)
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lease, "BEAT_S", BEAT_S)
+    monkeypatch.setattr(lease, "STALE_S", STALE_S)
+    monkeypatch.setenv(lease.VARIABLE, "1")
+
+
+@pytest.fixture
+def hold(root: Path, tmp_path: Path) -> Iterator[Hold]:
+    """Start a process that holds the lease of a file, on another machine unless said otherwise."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(machine: str = "another") -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", HOLDER, str(tmp_path / "work"), machine]
+        process = subprocess.Popen(
+            command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        started.append(process)
+        assert process.stdout is not None and process.stdout.readline() == "held\n"
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_who_beats_keeps_it(hold: Hold, tmp_path: Path) -> None:
+    holder = hold()
+    for wait_s in (0.0, 0.2):
+        with pytest.raises(PlgsError) as refused, Lease(tmp_path / "work", wait_s):
+            pass
+        assert refused.value.code is ErrorCode.BUSY
+    time.sleep(2 * STALE_S)
+    assert is_leased(tmp_path / "work")
+    holder.communicate("\n", timeout=10)
+    assert not is_leased(tmp_path / "work") and not lease_of(tmp_path / "work").exists()
+    with Lease(tmp_path / "work"):
+        pass
+
+
+def test_after_a_kill_on_another_machine_it_is_taken_over_when_it_is_stale(hold: Hold, tmp_path: Path) -> None:
+    hold().kill()
+    assert is_leased(tmp_path / "work")  # nothing shows yet that its holder is gone
+    began = time.monotonic()
+    with Lease(tmp_path / "work"):
+        assert STALE_S - 0.1 < time.monotonic() - began < 5 * STALE_S
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_after_a_kill_on_this_machine_it_is_taken_over_at_once(hold: Hold, tmp_path: Path) -> None:
+    holder = hold(lease.MACHINE)
+    holder.kill()
+    holder.wait()
+    assert not is_leased(tmp_path / "work")
+    with Lease(tmp_path / "work", 0.0):
+        pass
+
+
+def test_one_that_stood_still_ends_when_it_wakes(hold: Hold, tmp_path: Path) -> None:
+    holder = hold()
+    holder.send_signal(signal.SIGSTOP)
+    with Lease(tmp_path / "work"):
+        holder.send_signal(signal.SIGCONT)
+        assert holder.wait(10) == ExitCode.BUSY
+        assert is_leased(tmp_path / "work") and str(os.getpid()) in lease_of(tmp_path / "work").read_text()
+    assert "another machine took this over" in holder.communicate()[1]
+
+
+def test_of_many_that_want_what_is_stale_one_gets_it(hold: Hold, tmp_path: Path) -> None:
+    hold().kill()
+    held: list[int] = []
+
+    def take(number: int) -> bool:
+        try:
+            with Lease(tmp_path / "work", 0.2):
+                held.append(number)
+                assert held == [number], "two at once"
+                time.sleep(4 * BEAT_S)
+                held.remove(number)
+        except PlgsError as error:
+            assert error.code is ErrorCode.BUSY
+            return False
+        return True
+
+    with ThreadPoolExecutor(8) as pool:
+        assert any(pool.map(take, range(8)))
+
+
+def test_what_is_no_lease_is_taken_over_too(tmp_path: Path) -> None:
+    lease_of(tmp_path / "work").write_text("cut o")
+    with Lease(tmp_path / "work"):
+        pass
+
+
+def test_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "no links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    with Lease(tmp_path / "work"), pytest.raises(PlgsError), Lease(tmp_path / "work", 0.0):
+        pass
+
+
+def test_a_lift_on_a_shared_disk_has_leases(tmp_path: Path) -> None:
+    lift = new_lift(tmp_path)
+    with lift.lock():
+        assert lift.state() is LiftState.RUNNING and lease_of(lift.events_path).exists()
+        with pytest.raises(PlgsError), lift.lock():
+            pass
+    with BakeLocks(lift.path) as locks, BakeLocks(lift.path) as others:
+        assert locks.others_at_work()
+        with locks.claim("a") as ours, others.claim("a") as theirs:
+            assert (ours, theirs) == (True, False)
+    assert not [*lift.path.rglob("*.lease")]
+    lift.discard()
+    assert not lift.path.exists()
+
+
+def test_which_disks_are_shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(lease.VARIABLE, "0")
+    assert not is_on_shared_disk(tmp_path / "work")
+    monkeypatch.delenv(lease.VARIABLE)
+    table = tmp_path / "mounts"
+    table.write_text(f"disk / ext4 rw 0 0\nserver:/farm {tmp_path}/the\\040farm nfs4 rw 0 0\n")
+    read = Path.read_text
+    monkeypatch.setattr(Path, "read_text", lambda path: read(table if str(path) == "/proc/self/mounts" else path))
+    assert is_on_shared_disk(tmp_path / "the farm" / "lift" / "work")
+    assert not is_on_shared_disk(tmp_path / "lift" / "work")
