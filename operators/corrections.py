@@ -19,20 +19,11 @@ from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
 from ..plgs_blender.viewport import view_of
 from .base import CANCELLED, FINISHED, PASSED_ON, RUNNING, StartsTask, panel_of, reporting, reporting_events
-from .inspect import OnInstance, OnLift
+from .inspect import OnInstance, OnInstances, OnLift
 
 _UNDOABLE = {"REGISTER", "UNDO"}
 _STEP = 1.2
 """Factor by which the wheel changes the brush."""
-
-
-class OnInstances(OnLift):
-    """An operator on several instances."""
-
-    instances: StringProperty(  # type: ignore[valid-type]
-        name="Instances", options={"SKIP_SAVE"},
-        description="Their ids, such as 3 5; empty: the selected boxes, the active one first, else the row of the list",
-    )  # fmt: skip
 
 
 def _class_choices(self: Any, context: bpy.types.Context, _text: str) -> list[str]:

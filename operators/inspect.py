@@ -45,6 +45,15 @@ class OnInstance(OnLift):
     )
 
 
+class OnInstances(OnLift):
+    """An operator on several instances."""
+
+    instances: StringProperty(  # type: ignore[valid-type]
+        name="Instances", options={"SKIP_SAVE"},
+        description="Ids such as 3 5, or all; empty: the selected boxes, the active first, else the row of the list",
+    )  # fmt: skip
+
+
 class OnClass(OnLift):
     """An operator on one class of a lift."""
 

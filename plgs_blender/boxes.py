@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion, Vector
+from numpy.typing import NDArray
 
 from ..engine.result_files import Instance
 from .materials import box_material, object_colour
@@ -30,6 +31,11 @@ def place_boxes(
     return [_place(owned, parent, instance) for instance in instances]
 
 
+def corners_of(size: Sequence[float]) -> tuple[NDArray[np.float64], list[tuple[int, int, int, int]]]:
+    """The corners [8, 3] of a box of this size around its middle, and its faces."""
+    return _CORNERS * size, _FACES
+
+
 def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance) -> bpy.types.Object:
     key, placed = f"{INSTANCE}{instance.id}", [*instance.centre, *instance.size, *instance.rotation]
     before, name, where = owned.known(key), instance.name, None
@@ -37,7 +43,8 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
         name, where = before.name, before.matrix_world.copy()
     mesh = owned.data(key, lambda: bpy.data.meshes.new(instance.name))
     mesh.clear_geometry()
-    mesh.from_pydata((_CORNERS * instance.size).tolist(), [], _FACES)
+    corners, faces = corners_of(instance.size)
+    mesh.from_pydata(corners.tolist(), [], faces)
     mesh.update()
     mesh.materials.clear()
     mesh.materials.append(box_material(owned))

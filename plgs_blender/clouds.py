@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..engine.corrections import entropy_of
 from ..engine.result_files import Anchors, SemanticPoints
 from ..engine.scene import VOID, ClassTable
 from .compat import new_point_cloud
@@ -35,7 +36,8 @@ def place_semantic_points(
     normals: NDArray[np.float32],
     classes: ClassTable,
 ) -> list[bpy.types.Object]:
-    """One cloud for each class that has points, with Col, class_id, instance_id, confidence and normal [N, 3]."""
+    """One cloud for each class that has points, with Col, class_id, instance_id, confidence, entropy (bits of doubt
+    between the winner and all else) and normal [N, 3]."""
     radius = grid.radii(_SMALLEST, _LARGEST)
     placed = []
     for class_id, chosen in _groups(points.class_id):
@@ -45,6 +47,7 @@ def place_semantic_points(
             ("class_id", "INT", points.class_id[chosen]),
             ("instance_id", "INT", points.instance_id[chosen]),
             ("confidence", "FLOAT", points.confidence[chosen]),
+            ("entropy", "FLOAT", entropy_of(points.confidence[chosen]).astype(np.float32)),
             ("normal", "FLOAT_VECTOR", normals[chosen]),
         ]
         ob = _place(owned, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes)

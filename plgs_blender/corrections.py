@@ -187,8 +187,10 @@ def remember(root: bpy.types.Collection, edits: tuple[Edit, ...]) -> None:
 
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
-    """The ids in a text such as "3 5"; without one those of the selected boxes, the active one first; else that of the
-    list's active row. Raises PlgsError."""
+    """The ids in a text such as "3 5"; those of all for "all"; without one those of the selected boxes, the active one
+    first; else that of the list's active row. Raises PlgsError."""
+    if named.strip() == "all":
+        return [row.instance_id for row in root.plgs.instances]
     if named.strip():
         try:
             return [int(each) for each in named.replace(",", " ").split()]

@@ -37,6 +37,7 @@ from .open_room import open_room
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import check_layers, place_passes, place_shots
 from .results import LiftResult, read_result
+from .reuse import leave_holes
 from .splats import gaussians_of, has_native_splats, place_gaussians
 from .surfaces import SurfaceGrid
 from .viewport import colour_views, look_from, show_room, start_file
@@ -83,6 +84,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     _choose_what_is_shown(root)
     fill_lists(root, result)
     fill_not_shown(root, result)
+    leave_holes(root)
     remember(root, result.edits)
     owned.sweep()
     if bpy.data.filepath:

@@ -20,6 +20,10 @@ class PLGS_PT_export(Step, bpy.types.Panel):
             draw_task(layout, context, export)
             return
         layout.operator("plgs.make_meshes", icon="MESH_DATA")
+        row = layout.row(align=True)
+        row.operator("plgs.make_objects", icon="OUTLINER_COLLECTION")
+        row.operator("plgs.make_objects", text="As Assets", icon="ASSET_MANAGER").as_assets = True
+        layout.operator("plgs.key_visibility", icon="KEY_HLT")
         _draw_forms(layout.column(align=True))
         if export is not None:
             draw_task(layout, context, export)

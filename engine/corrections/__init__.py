@@ -12,7 +12,7 @@ from .edits import CORRECTIONS, Edit
 from .file import editing, read_edits
 from .proposals import Proposal, Proposals, proposals_of
 from .result import CorrectedResult, correct, read_corrected, set_undone, undo
-from .uncertain import entropy_of_views
+from .uncertain import entropy_of, entropy_of_views
 
 __all__ = [
     "CORRECTIONS",
@@ -22,6 +22,7 @@ __all__ = [
     "Proposals",
     "correct",
     "editing",
+    "entropy_of",
     "entropy_of_views",
     "making",
     "proposals_of",

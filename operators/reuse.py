@@ -1,0 +1,45 @@
+"""Objects of a lift for other uses: as collections and assets, and keyed visible where frames show them."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import BoolProperty
+
+from ..plgs_blender import corrections, reuse
+from .base import FINISHED, reporting
+from .inspect import OnInstances
+
+
+class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
+    """Make the selected objects collections of their own, with points, mesh and box, to be moved and used elsewhere.
+    Where they stood a hole is left"""
+
+    bl_idname, bl_label, bl_options = "plgs.make_objects", "Make Objects", {"REGISTER", "UNDO"}
+
+    as_assets: BoolProperty(  # type: ignore[valid-type]
+        name="As Assets", options={"SKIP_SAVE"}, description="Mark them as assets, each with a preview picture"
+    )
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        numbers = corrections.chosen_instances(root, self.instances, context)
+        made = reuse.make_objects(root, numbers, as_assets=self.as_assets)
+        self.report({"INFO"}, f"Made: {', '.join(each.name for each in made)}")
+        return FINISHED
+
+
+class PLGS_OT_key_visibility(OnInstances, bpy.types.Operator):
+    """Let the selected objects be visible in those frames of the timeline alone whose masks show them"""
+
+    bl_idname, bl_label, bl_options = "plgs.key_visibility", "Key Visibility", {"REGISTER", "UNDO"}
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        numbers = corrections.chosen_instances(root, self.instances, context)
+        self.report({"INFO"}, f"{reuse.key_visibility(root, numbers, context.scene)} objects have keys")
+        return FINISHED
+
+
+CLASSES = (PLGS_OT_make_objects, PLGS_OT_key_visibility)

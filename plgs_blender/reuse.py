@@ -1,0 +1,225 @@
+"""Objects of a lift to be used elsewhere: each in a collection of its own, which can be moved, and be an asset.
+
+A collection has a pivot at the foot of the object's box, and under it the object's points, its surface where meshes
+were made, and its box. All of it is the user's: no lift touches it again, and making it again keeps where it stands.
+What the lift shows of the object is hidden, so a hole is left where it stood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Quaternion, Vector
+from numpy.typing import NDArray
+
+from ..engine.corrections import read_corrected
+from ..engine.errors import PlgsError
+from ..engine.result_files import Instance
+from .boxes import corners_of
+from .compat import add_keys, new_point_cloud
+from .corrections import folder_of
+from .inspecting.lists import registered
+from .inspecting.lookup import boxes_of, clouds_of, ids_of, surfaces_of
+from .inspecting.visibility import HIDDEN, apply_visibility
+from .materials import object_colour
+from .owned import LIFT, text_of, untag
+
+OBJECTS, INSTANCE, PLACED = "plgs_objects_of", "plgs_instance", "plgs_placed"
+"""Properties: of the collection of all made objects, the lift that they are of; of each object's collection, its
+instance; of each pivot, the pose that it was placed with."""
+_COLUMNS = {"FLOAT": ("value", 1), "INT": ("value", 1), "FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4)}
+_PICTURE = 128
+"""Pixels of a side of an asset's preview picture."""
+_DOT = 2
+"""Pixels around a point that its colour fills there."""
+
+
+def make_objects(root: bpy.types.Collection, numbers: Sequence[int], *, as_assets: bool) -> list[bpy.types.Collection]:
+    """Make these instances of a placed lift, or make them anew, as collections. With ``as_assets`` they are marked as
+    assets with a preview picture. Raises PlgsError when one is not there."""
+    known = {one.id: one for one in read_corrected(folder_of(root)).instances}
+    lost = [number for number in numbers if number not in known]
+    if lost:
+        ids = ", ".join(map(str, known)) or "none"
+        raise PlgsError(f"has no instance {lost[0]}", root.name, f"Its instances are {ids}.")
+    top = _top(root)
+    made = [_fill(root, top, known[number]) for number in numbers]
+    for collection in made if as_assets else ():
+        _mark_as_asset(collection, known[collection[INSTANCE]])
+    leave_holes(root)
+    return made
+
+
+def leave_holes(root: bpy.types.Collection) -> None:
+    """Hide what the lift shows of instances that were made."""
+    made = {number for number, _ in _made(root)}
+    if not made:
+        return
+    with registered(), apply_visibility.at_once(root):
+        for row in root.plgs.instances:
+            if row.instance_id in made:
+                row.visible = False
+
+
+def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bpy.types.Scene) -> int:
+    """Let instances be visible, in views and renders, in those frames of the timeline alone whose masks show them: what
+    was made of them, else their boxes. Returns how many objects have keys. Raises PlgsError without frames."""
+    place_of = {marker.name: marker.frame for marker in scene.timeline_markers if marker.camera is not None}
+    showing = {row.instance_id: {mask.frame for mask in row.masks} for row in root.plgs.instances}
+    objects = {number: [box] for number, box in boxes_of(root).items()}
+    objects |= {number: [*collection.objects] for number, collection in _made(root)}
+    keyed = 0
+    for number in numbers:
+        frames = sorted(place_of[name] for name in place_of if name in showing.get(number, ()))
+        if not frames:
+            raise PlgsError(f"no frame shows instance {number}", root.name, "Show the result, or choose another one.")
+        every = np.array(sorted(place_of.values()), float)
+        hidden = ~np.isin(every, frames)
+        for ob in objects.get(number, ()):
+            action = bpy.data.actions.new(f"{ob.name} visibility")
+            for path in ("hide_viewport", "hide_render"):
+                add_keys(ob, action, path, every, hidden.astype(float), "CONSTANT")
+            keyed += 1
+    return keyed
+
+
+def _made(root: bpy.types.Collection) -> Iterable[tuple[int, bpy.types.Collection]]:
+    """The instances of a lift that were made, with their collections."""
+    for top in bpy.data.collections:
+        if text_of(top, OBJECTS) == root[LIFT]:
+            yield from ((child[INSTANCE], child) for child in top.children if type(child.get(INSTANCE)) is int)
+
+
+def _top(root: bpy.types.Collection) -> bpy.types.Collection:
+    """The collection of what was made of a lift, in the scene that is worked in."""
+    scene = bpy.context.scene
+    for top in scene.collection.children_recursive:
+        if text_of(top, OBJECTS) == root[LIFT]:
+            return top
+    top = bpy.data.collections.new(f"{root.name} objects")
+    top[OBJECTS] = root[LIFT]
+    scene.collection.children.link(top)
+    return top
+
+
+def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) -> bpy.types.Collection:
+    placed, pose = foot_of(one), None
+    collection = next((each for number, each in _made(root) if number == one.id and each.name in top.children), None)
+    if collection is None:
+        collection = bpy.data.collections.new(one.name)
+        top.children.link(collection)
+    for ob in [*collection.objects]:
+        if ob.type == "EMPTY" and PLACED in ob and not np.allclose(ob[PLACED], np.ravel(ob.matrix_world), atol=1e-5):
+            pose = ob.matrix_world.copy()  # the user moved it
+        bpy.data.objects.remove(ob)
+    collection.name, collection[INSTANCE] = one.name, one.id
+    collection.instance_offset = placed.translation
+    pivot = bpy.data.objects.new(f"{one.name} pivot", None)
+    pivot.empty_display_type, pivot.empty_display_size = "ARROWS", 0.2
+    pivot.matrix_world = pose or placed
+    pivot[PLACED] = [value for row in placed for value in row]
+    inverse = placed.inverted()
+    for part, data in (("points", _points(root, one, inverse)), ("surface", _surface(root, one, inverse)),
+                       ("box", _box(one))):  # fmt: skip
+        if data is not None:
+            ob = bpy.data.objects.new(f"{one.name} {part}", data)
+            ob.parent, ob.color = pivot, object_colour(one.colour)
+            ob["class"], ob["instance_id"] = one.class_name, one.id
+            collection.objects.link(ob)
+            if part == "box":
+                ob.display_type, ob.hide_render = "WIRE", True
+    collection.objects.link(pivot)
+    return collection
+
+
+def foot_of(one: Instance) -> Matrix:
+    """The pose of an instance's pivot: the middle of its box's lower side, with the box's axes."""
+    turned = Matrix.LocRotScale(Vector(one.centre), Quaternion(one.rotation), None)
+    return turned @ Matrix.Translation((0.0, 0.0, -one.size[2] / 2.0))
+
+
+def _box(one: Instance) -> bpy.types.Mesh:
+    mesh = bpy.data.meshes.new(f"{one.name} box")
+    corners, faces = corners_of(one.size)
+    mesh.from_pydata((corners + [0.0, 0.0, one.size[2] / 2.0]).tolist(), [], faces)
+    return mesh
+
+
+def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.PointCloud | None:
+    """The instance's semantic points, with all their attributes, in the pivot's space."""
+    for cloud in clouds_of(root):
+        rows = ids_of(cloud.data, "instance_id") == one.id
+        if "class_id" not in cloud or not rows.any():
+            continue
+        turn = np.array(inverse @ cloud.matrix_world)
+        xyz = _column(cloud.data, "position", "FLOAT_VECTOR")[rows] @ turn[:3, :3].T + turn[:3, 3]
+        new = new_point_cloud(f"{one.name} points", xyz.astype(np.float32))
+        for layer in cloud.data.attributes:
+            if layer.name in ("position", HIDDEN) or layer.data_type not in _COLUMNS:
+                continue
+            values = _column(cloud.data, layer.name, layer.data_type)[rows]
+            if layer.name == "normal":
+                values = values @ turn[:3, :3].T
+            own = new.attributes.get(layer.name) or new.attributes.new(layer.name, layer.data_type, "POINT")
+            own.data.foreach_set(_COLUMNS[layer.data_type][0], np.ascontiguousarray(values).ravel())
+        for material in cloud.data.materials:
+            new.materials.append(material)
+        return new
+    return None
+
+
+def _column(data: bpy.types.PointCloud, name: str, kind: str) -> NDArray[Any]:
+    field, width = _COLUMNS[kind]
+    values = np.empty(len(data.points) * width, np.int32 if kind == "INT" else np.float32)
+    data.attributes[name].data.foreach_get(field, values)
+    return values.reshape(-1, width) if width > 1 else values
+
+
+def _surface(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.Mesh | None:
+    """The instance's mesh, where meshes were made, in the pivot's space."""
+    for ob in surfaces_of(root):
+        if ob.get("instance_id") == one.id:
+            mesh = ob.data.copy()
+            untag(mesh)
+            mesh.name = f"{one.name} surface"
+            if HIDDEN in mesh.attributes:
+                mesh.attributes.remove(mesh.attributes[HIDDEN])
+            mesh.transform(inverse @ ob.matrix_world)
+            return mesh
+    return None
+
+
+def _mark_as_asset(collection: bpy.types.Collection, one: Instance) -> None:
+    collection.asset_mark()
+    collection.asset_data.description = f"{one.class_name} of {collection.name}, lifted by PLGS"
+    if one.class_name not in {tag.name for tag in collection.asset_data.tags}:
+        collection.asset_data.tags.new(one.class_name)
+    cloud = next((ob.data for ob in collection.objects if ob.type == "POINTCLOUD"), None)
+    if cloud is None or not len(cloud.points):
+        return
+    rgba = _column(cloud, "Col", "FLOAT_COLOR") if "Col" in cloud.attributes else np.ones((len(cloud.points), 4))
+    preview = collection.preview_ensure()
+    preview.image_size = (_PICTURE, _PICTURE)
+    picture = picture_of_points(_column(cloud, "position", "FLOAT_VECTOR"), rgba[:, :3])
+    preview.image_pixels_float.foreach_set(picture.ravel())
+
+
+def picture_of_points(xyz: NDArray[np.floating], rgb: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Points [N, 3] with linear colours [N, 3] as seen from above at the front and the right: a picture float32 [H, W,
+    4], sRGB, lowest row first, transparent where nothing is."""
+    right, to_eye = np.array([[0.8, 0.6, 0.0], [0.54, -0.72, 0.44]])
+    up = np.cross(to_eye, right)
+    seen = (xyz - (xyz.min(axis=0) + xyz.max(axis=0)) / 2.0) @ np.stack([right, up, to_eye], axis=1)
+    scale = (_PICTURE / 2.0 - _DOT - 1) / max(float(np.abs(seen[:, :2]).max()), 1e-6)
+    place = np.rint(seen[:, :2] * scale + _PICTURE / 2.0).astype(np.int64)
+    order = np.argsort(seen[:, 2], kind="stable")  # the nearest is painted last
+    picture = np.zeros((_PICTURE, _PICTURE, 4), np.float32)
+    srgb = np.clip(rgb[order], 0.0, 1.0) ** (1.0 / 2.2)
+    for dy in range(-_DOT, _DOT + 1):
+        for dx in range(-_DOT, _DOT + 1):
+            column, row = (place[order] + (dx, dy)).clip(0, _PICTURE - 1).T
+            picture[row, column, :3], picture[row, column, 3] = srgb, 1.0
+    return picture

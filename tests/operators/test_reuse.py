@@ -1,0 +1,131 @@
+"""Objects of a lift as collections of their own: their parts, where they stand, the hole, assets, and keys."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix, Vector
+from plgs.engine.corrections import read_corrected
+from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
+from plgs.plgs_blender.inspecting.visibility import HIDDEN
+from plgs.plgs_blender.meshes import mesh_folder
+from plgs.plgs_blender.reuse import picture_of_points
+from surface_file import write_surface
+
+CHAIR, CABINET = 1, 2
+
+
+@pytest.fixture
+def mine(lift: Path, tmp_path: Path) -> Path:
+    copy = Path(shutil.copytree(lift, tmp_path / "mine"))
+    write_surface(mesh_folder(copy) / "mesh.ply")
+    return copy
+
+
+@pytest.fixture
+def root(mine: Path) -> bpy.types.Collection:
+    placed = lift_scene.place_lift(mine, bpy.context.scene)
+    bpy.context.view_layer.update()
+    return placed
+
+
+def hidden(root: bpy.types.Collection, instance: int) -> bool:
+    """Whether all points of an instance in the lift's own clouds are hidden."""
+    for cloud in clouds_of(root):
+        own = ids_of(cloud.data, "instance_id") == instance
+        if "class_id" in cloud and own.any():
+            flags = np.zeros(len(own), bool)
+            if HIDDEN in cloud.data.attributes:
+                cloud.data.attributes[HIDDEN].data.foreach_get("value", flags)
+            return bool(flags[own].all())
+    raise AssertionError("it has no points")
+
+
+def test_an_object_stands_on_its_foot_and_leaves_a_hole(root: bpy.types.Collection, mine: Path) -> None:
+    before = {ob.name for ob in bpy.data.objects}
+    assert bpy.ops.plgs.make_objects(instances=str(CHAIR)) == {"FINISHED"}
+    made = bpy.data.collections["chair 1"]
+    assert {ob.name for ob in bpy.data.objects} - before == {f"chair 1 {part}" for part in
+                                                             ("pivot", "points", "surface", "box")}  # fmt: skip
+    assert not [name for name in (ob.name for ob in bpy.data.objects) if ".0" in name]
+    one = next(each for each in read_corrected(mine).instances if each.id == CHAIR)
+    foot = Vector(one.centre) - Vector((0, 0, one.size[2] / 2))
+    pivot = bpy.data.objects["chair 1 pivot"]
+    bpy.context.view_layer.update()
+    assert np.allclose(pivot.matrix_world.translation, foot, atol=1e-5)
+    assert np.allclose(made.instance_offset, foot, atol=1e-5)
+    points = bpy.data.objects["chair 1 points"]
+    xyz = np.array([points.matrix_world @ point.co for point in points.data.points])
+    result = read_corrected(mine).points
+    assert np.allclose(np.sort(xyz, axis=0), np.sort(result.xyz[result.instance_id == CHAIR], axis=0), atol=1e-4)
+    assert {"Col", "confidence", "entropy", "normal", "radius"} <= {each.name for each in points.data.attributes}
+    box = bpy.data.objects["chair 1 box"]
+    corners = np.array([box.matrix_world @ Vector(corner) for corner in box.bound_box])
+    assert np.allclose(np.ptp(corners, axis=0), one.size, atol=1e-4) and corners[:, 2].min() == pytest.approx(foot.z)
+    assert hidden(root, CHAIR) and not hidden(root, CABINET)
+
+
+def test_moved_and_made_again_it_stays_where_it_was_moved(root: bpy.types.Collection, mine: Path) -> None:
+    bpy.ops.plgs.make_objects(instances="all")
+    pivot = bpy.data.objects["chair 1 pivot"]
+    pivot.location.x += 2.0
+    bpy.context.view_layer.update()
+    where = pivot.matrix_world.copy()
+    lift_scene.place_lift(mine, bpy.context.scene)
+    assert bpy.data.objects["chair 1 pivot"].matrix_world == where and hidden(root, CHAIR)  # no lift touches it
+    bpy.ops.plgs.make_objects(instances=str(CHAIR))
+    bpy.context.view_layer.update()
+    assert np.allclose(bpy.data.objects["chair 1 pivot"].matrix_world, where)
+    assert "chair 1.001" not in bpy.data.collections and len(bpy.data.collections["chair 1"].objects) == 4
+
+
+def test_made_and_undone(root: bpy.types.Collection) -> None:
+    bpy.ops.ed.undo_push(message="placed")
+    bpy.ops.plgs.make_objects(instances=str(CHAIR))
+    bpy.ops.ed.undo_push(message="made")
+    bpy.ops.ed.undo()
+    assert "chair 1" not in bpy.data.collections and "chair 1 pivot" not in bpy.data.objects
+
+
+def test_assets_have_a_picture(root: bpy.types.Collection) -> None:
+    bpy.ops.plgs.make_objects(instances=str(CHAIR), as_assets=True)
+    made = bpy.data.collections["chair 1"]
+    assert made.asset_data is not None and "chair" in {tag.name for tag in made.asset_data.tags}
+    pixels = np.array(made.preview.image_pixels_float).reshape(128, 128, 4)
+    assert 0.1 < (pixels[..., 3] > 0).mean() < 0.95 and pixels[..., :3].max() > 0.1
+
+
+def test_the_picture_shows_what_is_in_front() -> None:
+    eye = np.array([0.54, -0.72, 0.44])
+    side = np.array([0.8, 0.6, 0.0])
+    points = np.stack([eye, -eye, 3 * side, -3 * side])
+    picture = picture_of_points(points, np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0], [0, 1.0, 0]]))
+    assert picture[64, 64].tolist() == [1.0, 0.0, 0.0, 1.0]
+    assert picture[64, 124].tolist() == [0.0, 1.0, 0.0, 1.0] and picture[20, 64, 3] == 0.0
+
+
+def test_visible_where_frames_show_it(root: bpy.types.Collection) -> None:
+    scene = bpy.context.scene
+    (row,) = [row for row in root.plgs.instances if row.instance_id == CHAIR]
+    shown = {mask.frame for mask in row.masks}
+    markers = {marker.name: marker.frame for marker in scene.timeline_markers if marker.camera is not None}
+    row.masks.remove(0)
+    lost = (shown - {mask.frame for mask in row.masks}).pop()
+    assert bpy.ops.plgs.key_visibility(instances=str(CHAIR)) == {"FINISHED"}
+    for name, frame in markers.items():
+        scene.frame_set(frame)
+        assert boxes_of(root)[CHAIR].hide_render == (name not in shown or name == lost)
+    row.masks.clear()
+    with pytest.raises(RuntimeError, match="no frame shows instance 1"):
+        bpy.ops.plgs.key_visibility(instances=str(CHAIR))
+
+
+def test_what_is_not_there_is_a_line(root: bpy.types.Collection) -> None:
+    with pytest.raises(RuntimeError, match="has no instance 77"):
+        bpy.ops.plgs.make_objects(instances="77")
+    assert Matrix() == bpy.data.objects["chair 1"].matrix_parent_inverse and len(bpy.data.collections) > 0
