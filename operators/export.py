@@ -77,6 +77,17 @@ class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
         return lifting.make_meshes(context.scene, self.frames, self.lift_of(context))
 
 
+class PLGS_OT_make_depth_cloud(Exports, bpy.types.Operator):
+    """Put what a frame's camera sees of the lift into the scene as points, one a pixel, with class and instance"""
+
+    bl_idname, bl_label = "plgs.make_depth_cloud", "Depth Cloud"
+
+    frame: StringProperty(name="Frame", options={"SKIP_SAVE"}, description="Empty: that of the active camera")  # type: ignore[valid-type]
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        return lifting.make_depth_cloud(context.scene, self.frame, self.lift_of(context))
+
+
 class PLGS_OT_cancel_export(CancelsTask, bpy.types.Operator):
     """Stop the export; what was written so far stays"""
 
@@ -84,4 +95,4 @@ class PLGS_OT_cancel_export(CancelsTask, bpy.types.Operator):
     cancelled_kind = exports.Export
 
 
-CLASSES = (PLGS_OT_export_lift, PLGS_OT_make_meshes, PLGS_OT_cancel_export)
+CLASSES = (PLGS_OT_export_lift, PLGS_OT_make_meshes, PLGS_OT_make_depth_cloud, PLGS_OT_cancel_export)

@@ -7,6 +7,7 @@ photo's colours are in the attribute Col, which the material shows in Cycles and
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -14,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.corrections import entropy_of
-from ..engine.result_files import Anchors, SemanticPoints
+from ..engine.result_files import Anchors, SemanticPoints, read_arrays
 from ..engine.scene import VOID, ClassTable
 from .compat import new_point_cloud
+from .lift_collection import child_collection
 from .materials import UNKNOWN, linear_rgba, object_colour, point_material
 from .owned import OwnedDataBlocks, tag
 from .surfaces import SurfaceGrid
@@ -25,6 +27,7 @@ _SMALLEST, _LARGEST = 0.002, 0.03
 """Limits to the radius of a point, metres."""
 _SHADE = 86
 """Values of a colour channel that make one shade where a cloud is cut by its colours: three shades a channel."""
+Attributes = list[tuple[str, str, NDArray[Any]]]
 _FOREACH = {"FLOAT_COLOR": "color", "FLOAT_VECTOR": "vector", "INT": "value", "FLOAT": "value"}
 
 
@@ -42,14 +45,7 @@ def place_semantic_points(
     placed = []
     for class_id, chosen in _groups(points.class_id):
         name, srgb = _name_and_colour(class_id, classes)
-        attributes = [
-            ("Col", "FLOAT_COLOR", linear_rgba(points.rgb[chosen])),
-            ("class_id", "INT", points.class_id[chosen]),
-            ("instance_id", "INT", points.instance_id[chosen]),
-            ("confidence", "FLOAT", points.confidence[chosen]),
-            ("entropy", "FLOAT", entropy_of(points.confidence[chosen]).astype(np.float32)),
-            ("normal", "FLOAT_VECTOR", normals[chosen]),
-        ]
+        attributes = [*_label_attributes(points, chosen), ("normal", "FLOAT_VECTOR", normals[chosen])]
         ob = _place(owned, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes)
         ob.color = object_colour(srgb)
         ob["class"], ob["class_id"], ob["points"] = name, class_id, len(chosen)
@@ -71,6 +67,37 @@ def place_anchors(owned: OwnedDataBlocks, parent: bpy.types.Collection, anchors:
     ob.color = (0.8, 0.8, 0.8, 1.0)
     ob["points"] = len(anchors.xyz)
     return ob
+
+
+def cloud_folder(lift: Path) -> Path:
+    """The folder into which the engine exports depth clouds for Blender."""
+    return lift / "exports" / "clouds"
+
+
+def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift: Path) -> int:
+    """Place the depth clouds that were made of the lift, one object a frame. Returns the number of points. Raises
+    PlgsError for a damaged file."""
+    count = 0
+    for path in sorted(cloud_folder(lift).glob("*.npz")):
+        points = read_arrays(path, SemanticPoints)
+        radius = SurfaceGrid.of(points.xyz).radii(_SMALLEST, _LARGEST)
+        parent, key = child_collection(root, "Depth clouds"), f"depth_cloud:{path.stem}"
+        attributes = _label_attributes(points)
+        ob = _place(owned, parent, key, f"depth of {path.stem}", points.xyz, radius, attributes)
+        ob["frame"], ob["points"] = path.stem, len(points.xyz)
+        count += len(points.xyz)
+    return count
+
+
+def _label_attributes(points: SemanticPoints, rows: NDArray[np.int64] | slice = slice(None)) -> Attributes:
+    """What every labelled point carries."""
+    return [
+        ("Col", "FLOAT_COLOR", linear_rgba(points.rgb[rows])),
+        ("class_id", "INT", points.class_id[rows]),
+        ("instance_id", "INT", points.instance_id[rows]),
+        ("confidence", "FLOAT", points.confidence[rows]),
+        ("entropy", "FLOAT", entropy_of(points.confidence[rows]).astype(np.float32)),
+    ]
 
 
 def place_points(
@@ -112,7 +139,7 @@ def _place(
     name: str,
     xyz: NDArray[np.float32],
     radius: NDArray[np.float32],
-    attributes: list[tuple[str, str, NDArray[Any]]],
+    attributes: Attributes,
 ) -> bpy.types.Object:
     """Our cloud object `key` with these points, radii float32 [N] in metres, and attributes (name, type, values [N,
     ...]).

@@ -17,7 +17,7 @@ from ..engine.errors import PlgsError
 from . import compat
 from .boxes import place_boxes
 from .cameras import overview_camera
-from .clouds import place_anchors, place_semantic_points
+from .clouds import place_anchors, place_depth_clouds, place_semantic_points
 from .corrections import remember
 from .frames import mark_timeline, place_camera, place_camera_path, place_frames
 from .inspecting.lists import fill_lists, fill_not_shown, registered
@@ -70,6 +70,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
     place_boxes(owned, child_collection(root, "Instances"), result.instances)
     place_meshes(owned, root, result)
+    place_depth_clouds(owned, root, result.folder)
     if not has_native_splats() and gaussians_of(root).is_file():
         place_gaussians(root, scene, owned)
     # A new lift moves the overview back, where a user moved it.
@@ -114,6 +115,17 @@ def place_meshes_anew(lift: Path, scene: bpy.types.Scene) -> list[bpy.types.Obje
         apply_look(root)
     colour_views(scene, vertex=True)
     return placed
+
+
+def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:
+    """After a depth cloud was made: put it beside the lift that is placed in `scene`, in place of an earlier one.
+    Returns the number of points. Raises PlgsError."""
+    scene = scene_to_fill(scene)
+    root = root_of_placed(lift, scene)
+    owned = OwnedDataBlocks(root[LIFT], scene)
+    count = place_depth_clouds(owned, root, lift)
+    owned.sweep_only("depth_cloud:")
+    return count
 
 
 def _read(lift: Path) -> LiftResult:

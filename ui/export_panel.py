@@ -23,7 +23,9 @@ class PLGS_PT_export(Step, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("plgs.make_objects", icon="OUTLINER_COLLECTION")
         row.operator("plgs.make_objects", text="As Assets", icon="ASSET_MANAGER").as_assets = True
-        layout.operator("plgs.key_visibility", icon="KEY_HLT")
+        row = layout.row(align=True)
+        row.operator("plgs.key_visibility", icon="KEY_HLT")
+        row.operator("plgs.make_depth_cloud", icon="OUTLINER_DATA_POINTCLOUD")
         _draw_forms(layout.column(align=True))
         if export is not None:
             draw_task(layout, context, export)

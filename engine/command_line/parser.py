@@ -25,7 +25,7 @@ from .correct import add_correct
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
 SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
 Run = Callable[[argparse.Namespace, EventWriter, StopSignal], object]
-EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh", "depth")
+EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh", "depth", "clouds")
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -105,7 +105,8 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
         "coco: COCO panoptic (panoptic.json, panoptic/). instances: 16-bit PNGs of classes and instances, and in "
         "colours. scannet: label-filt/ and instance-filt/. points: the labelled points and Gaussians (PLY). boxes: the "
         "objects' boxes (JSON, CSV). mesh: the surface, cut into a mesh an instance and one a stuff class (PLY, GLB). "
-        "depth: a map of metres a frame (NPY), as lift --depth takes it. "
+        "depth: a map of metres a frame (NPY), as lift --depth takes it. clouds: a frame's pixels as labelled points "
+        "(NPZ). "
         "Frames that are not baked are rendered."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from ..job import write_atomically
 from ..passes.ply import columns_of, relabelled_splats, write_ply_table
+from ..passes.previews import colour_picture
+from ..result_files import SemanticPoints, write_arrays
+from .frame_images import LEAST_COVERAGE
 from .source import FinishedLift
 
 NEIGHBOURS = 30
@@ -34,6 +37,17 @@ def export_points(lift: FinishedLift, output: Path) -> None:
     if lift.corrected.changes_labels:
         content = relabelled_splats(content, lift.corrected.ids)
     write_atomically(output / "gaussians.ply", content)
+
+
+def export_clouds(lift: FinishedLift, output: Path) -> None:
+    """<frame>.npz: what the frame's camera sees of the lift, pixel by pixel in the world, as semantic points. Raises
+    OSError."""
+    for frame, layers in lift.views():
+        height, width = layers.depth.shape
+        seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)
+        xyz = frame.camera.resized(width, height).unproject(layers.depth)[seen].astype(np.float32)
+        labels = (layers.semantic[seen], layers.instance[seen], layers.confidence[seen])
+        write_arrays(output / f"{frame.name}.npz", SemanticPoints(xyz, colour_picture(layers)[seen], *labels))
 
 
 def point_normals(xyz: NDArray[np.float32], centres: NDArray[np.float64]) -> NDArray[np.float32]:

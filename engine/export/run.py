@@ -11,7 +11,7 @@ from ..errors import PlgsError
 from ..job import LiftFolder, verify_lifted, write_atomically
 from .boxes import export_boxes
 from .frame_images import export_coco, export_depth, export_label_images, export_scannet
-from .points import export_points
+from .points import export_clouds, export_points
 from .source import FinishedLift, Progress
 
 NOTE = "export.json"
@@ -60,5 +60,6 @@ KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
     "boxes": export_boxes,
     "mesh": _export_mesh,
     "depth": export_depth,
+    "clouds": export_clouds,
 }
 """What writes each form."""

@@ -1,4 +1,4 @@
-"""Exports of finished lifts, and the meshes among them that are put into the scene."""
+"""Exports of finished lifts, and the meshes and clouds among them that are put into the scene."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import bpy
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
-from ..lift_scene import place_meshes_anew
+from ..lift_scene import place_depth_clouds_anew, place_meshes_anew
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 
@@ -21,47 +21,50 @@ FORMS = {
     "points": ("Labelled points", "PLY of the semantic points, and of the Gaussians"),
     "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
-    "depth": ("Depth maps", "The lifted surface's depth as 16-bit PNGs in millimetres"),
+    "depth": ("Depth maps", "The lifted surface's depth in metres, one NPY a frame"),
+    "clouds": ("Depth clouds", "Each frame's pixels as labelled points in the world, one NPZ a frame"),
 }
 """Label and description of each form that the engine exports to."""
 
 
 class Export(Task):
-    """One export. What was written stays when it is cancelled. ``mesh_scene`` names the scene that its meshes are put
-    into."""
+    """One export. What was written stays when it is cancelled. ``shown_in`` names the scene that its meshes or clouds
+    are put into."""
 
     kind, label, cancel_operator = "export", "Exporting", "plgs.cancel_export"
 
-    def __init__(self, lift: Path, form: str, output: Path, mesh_scene: str, follower: TaskFollower) -> None:
+    def __init__(self, lift: Path, form: str, output: Path, shown_in: str, follower: TaskFollower) -> None:
         super().__init__(follower)
         self.form, self.output = form, output
         self.label = f"Exporting {FORMS[form][0]}"
-        self._lift, self._mesh_scene = lift, mesh_scene
-        self._meshes = 0
+        self._lift, self._shown_in = lift, shown_in
+        self._placed = 0
 
     @property
     def message(self) -> str:
         """One line about how it ended well, or was cancelled."""
         if self.was_cancelled:
             return "The export was cancelled"
-        if self._mesh_scene:
-            return f"{self._meshes} meshes are in the scene"
+        if self._shown_in:
+            return f"{self._placed} {'meshes are' if self.form == 'mesh' else 'points are'} in the scene"
         return f"{FORMS[self.form][0]} are in {self.output}"
 
     def done(self, scene: Any) -> None:
-        if not self.has_finished or not self._mesh_scene:
+        if not self.has_finished or not self._shown_in:
             return
-        target = bpy.data.scenes.get(self._mesh_scene)
+        target = bpy.data.scenes.get(self._shown_in)
         if target is None:
-            raise PlgsError("the scene is gone", self._mesh_scene, "Make the meshes again.")
-        self._meshes = len(place_meshes_anew(self._lift, target))
-        self.undo_step = "Make Meshes"
+            raise PlgsError("the scene is gone", self._shown_in, "Make it again.")
+        if self.form == "mesh":
+            self._placed, self.undo_step = len(place_meshes_anew(self._lift, target)), "Make Meshes"
+        else:
+            self._placed, self.undo_step = place_depth_clouds_anew(self._lift, target), "Depth Cloud"
 
 
 def export(
-    lift: Path, form: str, output: Path, python: Path, frames: Sequence[str] = ("all",), *, mesh_scene: str = ""
+    lift: Path, form: str, output: Path, python: Path, frames: Sequence[str] = ("all",), *, shown_in: str = ""
 ) -> Export:
     """Start an export of a finished lift into the folder ``output``. Raises PlgsError, OSError."""
     registry.refuse_second(Export)
     arguments: list[str | Path] = [lift, "--to", form, "-o", output, "--frames", *frames]
-    return timer.begin(Export(lift, form, output, mesh_scene, start_engine("export", python, *arguments)))
+    return timer.begin(Export(lift, form, output, shown_in, start_engine("export", python, *arguments)))

@@ -12,6 +12,7 @@ from ...engine.job import LiftFolder
 from ...engine.scene import open_scene_to_lift
 from ...engine.scene_of_lift import relink
 from .. import engine_environment
+from ..clouds import cloud_folder
 from ..engine_environment import why_no_engine
 from ..errors import with_field_names
 from ..lift_collection import FOLDER, is_same_place, lift_of_scene, lifts_in, root_of_placed
@@ -199,7 +200,19 @@ def make_meshes(scene: bpy.types.Scene, frames: str, folder: str = "") -> export
     lift = lift_at(scene.plgs, folder).path
     root_of_placed(lift, scene)  # raises now what would else be raised when the meshes are made
     python = engine_environment.usable_python()
-    return exports.export(lift, "mesh", mesh_folder(lift), python, [frames], mesh_scene=scene.name)
+    return exports.export(lift, "mesh", mesh_folder(lift), python, [frames], shown_in=scene.name)
+
+
+def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> exports.Export:
+    """Let an engine unproject what a frame's camera sees of a placed lift, and put the labelled points into the scene;
+    the frame of the active camera where ``frame`` is empty. Raises PlgsError, OSError."""
+    lift = lift_at(scene.plgs, folder).path
+    root_of_placed(lift, scene)
+    seen = frame or ("" if scene.camera is None else text_of(scene.camera, "frame"))
+    if not seen:
+        raise PlgsError("the active camera is no frame's", scene.name, "Go to a frame first, or name one.")
+    python = engine_environment.usable_python()
+    return exports.export(lift, "clouds", cloud_folder(lift), python, [seen], shown_in=scene.name)
 
 
 def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:

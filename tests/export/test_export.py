@@ -19,6 +19,7 @@ from engine.export.source import FinishedLift
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.lift import run_lift
 from engine.presets.preset import PRESETS
+from engine.result_files import SemanticPoints, read_arrays
 from tests.conftest import HAS_BLENDER
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY
@@ -54,6 +55,21 @@ def run(lift: LiftFolder, kind: str, output: Path, *more: str) -> None:
 
 def test_the_command_knows_every_kind() -> None:
     assert tuple(KINDS) == EXPORTS
+
+
+def test_clouds_hold_each_pixel_in_the_world(
+    lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path
+) -> None:
+    run(lift, "clouds", tmp_path, "--frames", "test")
+    (path,) = tmp_path.glob("*.npz")
+    points = read_arrays(path, SemanticPoints)
+    frame, layers = next(iter(FinishedLift(lift, ["test"]).views()))
+    semantic, instance = truth[path.stem]
+    pixel, depth = frame.camera.project(points.xyz)
+    column, row = np.floor(pixel).astype(int).T
+    assert path.stem == frame.name and len(points.xyz) == ((layers.combined[..., 3] >= 0.5) & (layers.depth > 0)).sum()
+    assert (points.class_id == semantic[row, column]).all() and (points.instance_id == instance[row, column]).all()
+    assert np.allclose(depth, layers.depth[row, column], atol=1e-4)
 
 
 def test_coco(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:

@@ -78,6 +78,7 @@ def test_every_action_works_with_the_engine_that_the_buttons_made(online: None, 
     one, other = [row.instance_id for row in lifts_in(bpy.context.scene)[0].plgs.instances][:2]
     do("merge_instances", instances=f"{one} {other}")
     called |= {do("split_by_views", instance=one), do("make_meshes")}
+    called.add(do("make_depth_cloud", frame="0000"))
     for form in FORMS:
         called.add(do("export_lift", form=form, directory=str(tmp_path / form), frames="test"))
         assert any((tmp_path / form).iterdir()), form

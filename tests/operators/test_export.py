@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
 from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.process import EngineProcess
@@ -93,6 +94,28 @@ def test_meshes_are_made_and_placed(lift: Path, tmp_path: Path, monkeypatch: pyt
     assert arguments[0] == str(lift) and arguments[1:3] == ["--to", "mesh"] and arguments[-2:] == ["--frames", "all"]
     names = {ob.name for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")}
     assert len(names) == 2
+
+
+@needs_engine
+def test_what_a_frame_sees_becomes_points(lift: Path, tmp_path: Path) -> None:
+    mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
+    bpy.ops.plgs.place_lift(lift_folder=str(mine))
+    scene = bpy.context.scene
+    scene.plgs.lift_folder = str(mine)
+    scene.camera = bpy.data.objects["Overview"]
+    with pytest.raises(RuntimeError, match="no frame's"):
+        bpy.ops.plgs.make_depth_cloud()
+    frame = next(path.stem for path in sorted((mine / "result" / "passes").glob("*.exr")))
+    bpy.ops.plgs.go_to_frame(frame=frame)
+    assert bpy.ops.plgs.make_depth_cloud() == {"FINISHED"}
+    (cloud,) = [ob for ob in scene.objects if ob.get("plgs_key") == f"depth_cloud:{frame}"]
+    assert len(cloud.data.points) == cloud["points"] > 1000
+    assert {"Col", "class_id", "instance_id", "confidence", "entropy"} <= {each.name for each in cloud.data.attributes}
+    seen = np.array([scene.camera.matrix_world.inverted() @ point.co for point in cloud.data.points])
+    across = np.abs(seen[:, 0] / seen[:, 2]) * scene.camera["fx"] / scene.camera["width"]
+    assert (seen[:, 2] < 0).all() and 0.4 < across.max() <= 0.51  # before the camera, to the edges of its picture
+    bpy.ops.plgs.place_lift(lift_folder=str(mine))
+    assert cloud.name in scene.objects
 
 
 def test_a_cancelled_export_is_no_error(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
