@@ -6,7 +6,7 @@
 Passes of a finished lift from a camera of a .blend, frame by frame (the lift's own .blend and its active camera unless
 named otherwise; frames that are baked are kept):
 
-    python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST]
+    python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST] [--scene SCENE]
 
 Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is at work there
 (try again), 129 the terminal was closed, 130 Ctrl-C, 141 finished, but nobody read the output to its end. What was
@@ -121,6 +121,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
         help=f"layers beside those that are always there: {', '.join(FURTHER_LAYERS)}",
     )  # fmt: skip
+    shot.add_argument(
+        "--scene", type=Path, metavar="SCENE", dest="relink",
+        help="where the scene of the lift in OUT now is, if it was moved; the lift remembers it",
+    )  # fmt: skip
     parser.add_argument("--save", type=Path, metavar="FILE.blend", help="the .blend (default: OUT/lift.blend)")
     parser.add_argument(
         "--resume",
@@ -130,6 +134,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     add_progress_option(parser)
     options = parser.parse_args(readable(arguments))
     options.bakes_camera = options.bake == "camera"
+    if options.relink is not None and (not options.bakes_camera or options.scene is not None):
+        parser.error("--scene belongs to --bake camera without SCENE")
     if options.bakes_camera:
         options.bake = None  # of the lift itself, that is as it was, or the default
         given = given_lift_options(options)
@@ -177,7 +183,7 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     blend = blend_path(options)
     refuse_no_blend(options.blend)
     if options.scene is None:
-        return bake_camera(finished_lift(options.output), blend, options, interrupts)
+        return bake_camera(finished_lift(options.output, options.relink), blend, options, interrupts)
     lift, code = lift_in_terminal(options, interrupts, check_scene_folder)
     if code != ExitCode.FINISHED:
         return code
@@ -190,11 +196,15 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     return code
 
 
-def finished_lift(folder: Path) -> LiftFolder:
-    """Raises PlgsError when there is none."""
+def finished_lift(folder: Path, scene: Path | None) -> LiftFolder:
+    """The lift in a folder, with its scene in another place where ``scene`` names one. Raises PlgsError."""
     lift = LiftFolder.open(folder)
     read_manifest(lift.result_path)
-    return lift
+    if scene is None:
+        return lift
+    from plgs.engine.scene_of_lift import relink
+
+    return relink(lift, scene)
 
 
 def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:

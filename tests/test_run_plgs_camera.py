@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.corrections import correct, making
 from engine.job import LiftFolder, LiftRequest, verify
 from engine.passes.exr import read_exr
 from tests.test_run_plgs import run_script
@@ -74,6 +75,31 @@ def test_frames_are_baked_and_those_that_are_done_are_kept(lift: LiftFolder, ble
     listed = {file.path.name for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
     assert listed == {*(path.name for path in baked), "dolly.0004.exr"}
     assert blend.read_bytes() == before and not (lift.path / "lift.blend").exists()
+
+
+def test_corrections_are_seen_and_the_lifts_own_file_stays(lift: LiftFolder, blend: Path, root: Path) -> None:
+    own = Path(shutil.copy(blend, lift.path / "lift.blend"))
+    before = own.read_bytes()
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-1"]
+    assert run_script(root, *command).returncode == 0
+    baked = lift.passes_path / "dolly.0001.exr"
+    shown = read_exr(baked).instance
+    one = int(shown[shown > 0][0])
+    correct(lift.path, lambda state, _: making.delete(state, one, around=False))
+    assert run_script(root, *command).returncode == 0
+    assert not (read_exr(baked).instance == one).any() and own.read_bytes() == before
+
+
+def test_a_scene_that_was_moved_is_found(lift: LiftFolder, blend: Path, root: Path, tmp_path: Path) -> None:
+    moved = Path(shutil.copytree(lift.request.scene, tmp_path / "moved"))
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--range", "1-1", "--scene"]
+    said = run_script(root, *command, tmp_path / "gone")
+    assert said.returncode == 2 and "gone" in said.stderr and "Traceback" not in said.stderr
+    said = run_script(root, *command, moved)
+    assert said.returncode == 0, said.stderr
+    assert LiftFolder.open(lift.path).request.scene == moved
+    said = run_script(root, moved, "-o", lift.path, "--scene", moved)
+    assert said.returncode == 2 and "--scene belongs to --bake camera without SCENE" in said.stderr
 
 
 def test_four_commands_at_once_all_end_with_all_frames(lift: LiftFolder, blend: Path, root: Path) -> None:

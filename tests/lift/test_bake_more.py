@@ -196,6 +196,18 @@ def test_into_a_folder_of_its_own(lift: LiftFolder, tmp_path: Path) -> None:
     verify(lift.result_path)
 
 
+def test_a_folder_of_its_own_shows_the_corrections(lift: LiftFolder, tmp_path: Path) -> None:
+    shown = read_exr(lift.passes_path / "0004.exr").instance
+    one = next(each for each in read_corrected(lift.path).instances if (shown == each.id).any())
+    assert main(["correct", str(lift.path), "delete", str(one.id), "--no-object"]) == 0
+    before, output = files_of(lift), tmp_path / "passes"
+    assert run_bake(lift, ["0004"], output=output) is ExitCode.FINISHED
+    assert not (read_exr(output / "0004.exr").instance == one.id).any() and files_of(lift) == before
+    assert main(["correct", str(lift.path), "undo"]) == 0
+    assert run_bake(lift, ["0004"], output=output) is ExitCode.FINISHED  # anew, as it shows what was undone
+    assert (read_exr(output / "0004.exr").instance == shown).all()
+
+
 def test_a_camera_does_not_take_a_frames_place(
     lift: LiftFolder, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import pytest
 import torch
 
@@ -97,6 +98,21 @@ def test_edited_masks_are_taken(
     assert before == {"chair", "cabinet"} and after == {"cabinet"}
     told = [event["message"] for event in read_events(lift) if event["event"] == "warning"]
     assert any("trained anew" in line for line in told)
+
+
+def test_masks_with_the_same_objects_reuse_the_checkpoint(place: Path) -> None:
+    lift = LiftFolder.open(relink(LiftFolder.open(place / "lift"), place.parent / "found").path)
+    points, checkpoint = lift.result_path / "semantic_points.npz", lift.path / "checkpoint" / "trainer.safetensors"
+    before, trained, told = points.read_bytes(), checkpoint.read_bytes(), len(read_events(lift.path))
+    for path in sorted((place.parent / "found" / "panoptic").glob("*.png"))[::2]:
+        mask = cv2.imread(str(path))
+        mask[:, : mask.shape[1] // 3] = 0  # void
+        cv2.imwrite(str(path), mask)
+    assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
+    events = read_events(lift.path)[told:]
+    assert not [event for event in events if event["event"] == "progress" and event.get("stage") == "train"]
+    assert not [event for event in events if event["event"] == "warning" and "anew" in str(event["message"])]
+    assert checkpoint.read_bytes() == trained and points.read_bytes() != before  # not a step, but other votes
 
 
 def read_events(lift: Path) -> list[dict[str, object]]:
