@@ -60,7 +60,9 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "poses": {"errors", "json_file", "scene", "job"},
     "segment": {"errors", "json_file", "scene", "job"},
     "set_up": {"errors", "gates", "job"},
+    "batch": {"errors", "gates", "json_file", "scene_of_lift", "job"},
     "command_line": {
+        "batch",
         "scene_of_lift",
         "corrections",
         "errors",

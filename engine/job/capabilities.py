@@ -33,6 +33,9 @@ CAPABILITIES: dict[str, Capability] = {
     "record3d": Capability("Record3D's depth (.r3d)", {"pyliblzfse": "liblzfse"}, 1_000_000),
     "hypersim": Capability("Hypersim", {"h5py": "h5py"}, 16_000_000),
     "colmap": Capability("Poses of photos and films", {"pycolmap": "pycolmap"}, 134_000_000),
+    "farm": Capability(
+        "Batches on many machines", {"distributed": "distributed", "dask-jobqueue": "dask_jobqueue"}, 20_000_000
+    ),
     "cuda": Capability("Lift on a GPU", {"gsplat": "gsplat"}, needs_cuda=True),
 }
 """By the name that the command line and scripts give them. Sizes are those of Linux."""

@@ -90,7 +90,7 @@ class Watchdog:
 
     def _await_parent(self) -> None:
         assert self._parent_pipe is not None
-        _await_end(self._parent_pipe)
+        await_end(self._parent_pipe)
         self._stop.ask("the process that started the engine is gone")
         self._asked.set()
 
@@ -105,6 +105,6 @@ class Watchdog:
             self._end_process(self._stop.exit_code)
 
 
-def _await_end(pipe: int) -> None:
+def await_end(pipe: int) -> None:
     while os.read(pipe, 4096):
         pass

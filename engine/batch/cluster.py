@@ -1,0 +1,157 @@
+"""Where a batch runs: on workers of its own on this machine, at a scheduler that is there, or on Slurm."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..errors import PlgsError
+from ..job.process import ROOT, EngineProcess, engine_call
+from .piece import GIGABYTES, engine_tag
+from .worker import require_dask, resources
+
+NO_WORKER_S = 10.0
+"""Seconds after which a scheduler without workers is an error."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """``workers`` on this machine, unless there is the ``scheduler`` of an address, or ``slurm`` with its options.
+
+    ``gigabytes`` and ``threads`` are one worker's.
+    """
+
+    workers: int = 1
+    scheduler: str = ""
+    slurm: Mapping[str, str] | None = None
+    gigabytes: float = 1.0
+    threads: int = 1
+
+
+@dataclass
+class Farm:
+    """A connection. ``own`` are the workers that this process started; one that ends is started again."""
+
+    client: Any
+    address: str
+    place: Place
+    own: list[EngineProcess] = field(default_factory=list)
+
+    def tend(self) -> None:
+        """Start own workers again that have ended. Raises PlgsError."""
+        for number, worker in enumerate(self.own):
+            if worker.exit_code() is not None:
+                worker.close()
+                self.own[number] = _start_worker(self.address, self.place)
+
+    def workers(self) -> dict[str, dict[str, Any]]:
+        """The workers that run this very engine, by address."""
+        known = self.client.scheduler_info(n_workers=-1)["workers"]
+        return {address: told for address, told in known.items() if engine_tag() in told.get("resources", {})}
+
+    def strangers(self) -> list[str]:
+        """What other engines the other workers have."""
+        known = self.client.scheduler_info(n_workers=-1)["workers"].values()
+        tags = {name for told in known for name in told.get("resources", {}) if name.startswith("plgs-")}
+        return sorted(tags - {engine_tag()})
+
+    def largest(self) -> float:
+        """GB of memory of the largest worker."""
+        return max((told["resources"].get(GIGABYTES, 0.0) for told in self.workers().values()), default=0.0)
+
+
+@contextmanager
+def opened(place: Place) -> Iterator[Farm]:
+    """Connect, and start what the place says. Raises PlgsError, also where no worker comes within NO_WORKER_S (on
+    Slurm a job may wait for as long as the queue is)."""
+    distributed = require_dask()
+    with ExitStack() as stack:
+        if place.scheduler:
+            address = place.scheduler
+        elif place.slurm is not None:
+            cluster = stack.enter_context(slurm_cluster(place))
+            cluster.scale(place.workers)
+            address = cluster.scheduler_address
+        else:
+            local = distributed.LocalCluster(
+                n_workers=0, host="127.0.0.1", protocol="tcp://", dashboard_address="127.0.0.1:0", silence_logs=50
+            )
+            address = stack.enter_context(local).scheduler_address
+        farm = Farm(_client(address), address, place)
+        stack.callback(_close, farm)
+        if not place.scheduler and place.slurm is None:
+            farm.own += [_start_worker(address, place) for _ in range(place.workers)]
+        if place.slurm is None:
+            wait_for_workers(farm, NO_WORKER_S if place.scheduler else 6 * NO_WORKER_S)
+        yield farm
+
+
+def _client(address: str) -> Any:
+    distributed = require_dask()
+    try:
+        return distributed.Client(address, timeout=NO_WORKER_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        fix = "Start one (dask scheduler), or give its address, such as tcp://machine:8786."
+        raise PlgsError("no scheduler answers", address, fix, option="--scheduler") from error
+
+
+def reconnected(farm: Farm) -> None:
+    """Connect again to a scheduler that was restarted, and wait for its workers. Raises PlgsError."""
+    with suppress(Exception):  # the old connection is broken: how does not matter
+        farm.client.close(timeout=1)
+    farm.client = _client(farm.address)
+    wait_for_workers(farm, 3 * NO_WORKER_S)
+
+
+def wait_for_workers(farm: Farm, seconds: float) -> None:
+    """Raises PlgsError when no worker with this engine is there within so many seconds."""
+    give_up = time.monotonic() + seconds
+    while not farm.workers():
+        if time.monotonic() > give_up:
+            others = farm.strangers()
+            has = f"its workers have other engines ({', '.join(others)})" if others else "it has no workers"
+            fix = f"Start some with this engine: python -m engine worker {farm.address}"
+            raise PlgsError(f"{has}; this one is {engine_tag()}", farm.address, fix, option="--scheduler")
+        farm.tend()
+        time.sleep(0.2)
+
+
+def _start_worker(address: str, place: Place) -> EngineProcess:
+    options = ["--memory", str(place.gigabytes), "--threads", str(place.threads), "--stay-with-parent"]
+    return EngineProcess([*engine_call(Path(sys.executable)), "worker", address, *options])
+
+
+def _close(farm: Farm) -> None:
+    with suppress(Exception):  # a scheduler that is gone
+        farm.client.close(timeout=2)
+    for worker in farm.own:
+        worker.kill()
+        worker.close()
+
+
+def slurm_cluster(place: Place) -> Any:
+    """dask-jobqueue's, whose jobs run one worker each. Raises PlgsError."""
+    jobqueue = require_dask("dask_jobqueue")
+    assert place.slurm is not None
+    offered = ",".join(f"{name}={value:g}" for name, value in resources(place.gigabytes, place.threads).items())
+    options = {name: value for name, value in place.slurm.items() if value}
+    try:
+        return jobqueue.SLURMCluster(
+            cores=1,
+            job_cpu=place.threads,
+            processes=1,
+            memory=f"{place.gigabytes:g}GB",
+            python=sys.executable,
+            nanny=False,
+            worker_extra_args=["--resources", offered, "--no-dashboard"],
+            job_script_prologue=[f'export PYTHONPATH="{ROOT}"'],
+            job_directives_skip=["--mem"] if not place.gigabytes else [],
+            **options,
+        )
+    except (OSError, ValueError) as error:
+        raise PlgsError(f"Slurm cannot be used ({error})", "sbatch", "Correct the options of --slurm.") from error

@@ -1,0 +1,215 @@
+"""One piece of work, as a worker does it: an engine that is started, followed and, when the worker ends, gone."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cache
+from pathlib import Path
+
+from .. import __version__
+from ..errors import ErrorCode, ExitCode, PlgsError
+from ..job import LiftFolder, LiftRequest, LiftState
+from ..job.follower import TaskFollower
+from ..job.process import ROOT, engine_call, engine_command
+from ..job.task import BAKE, LIFT, TaskPlace, TaskProgress
+from ..json_file import Json
+
+POLL_S = 0.1
+TELL_S = 1.0
+"""Seconds between two times that a piece tells how far it is."""
+BUSY_S = 1.0
+"""Seconds between two tries where another engine is at work, such as that of a worker which does not answer."""
+_PLACE_CODES = (ErrorCode.DISK_FULL, ErrorCode.NO_ENGINE, ErrorCode.LACKS_PART)
+"""Errors that say something about the worker rather than about the scene."""
+
+
+class Kind(StrEnum):
+    LIFT = "lift"
+    BAKE = "bake"
+    EXPORT = "export"
+    SCORE = "score"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Work on the lift of one scene. ``engine`` is the `engine_tag` that a worker must have.
+
+    ``names`` are the frames of a BAKE, or the form of an EXPORT.
+    """
+
+    kind: Kind
+    scene: str
+    lift: Path
+    request: LiftRequest
+    engine: str
+    names: tuple[str, ...] = ()
+
+    def needs_engine(self) -> list[str | Path]:
+        """The engine's command, but for a lift's."""
+        call: list[str | Path] = [*engine_call(Path(sys.executable))]
+        match self.kind:
+            case Kind.BAKE:
+                return [*call, "bake", self.lift, "--frames", *self.names]
+            case Kind.EXPORT:
+                (form,) = self.names
+                return [*call, "export", self.lift, "--to", form, "-o", self.lift / "exports" / form]
+        return [*call, "evaluate", self.lift]
+
+
+class Ended(StrEnum):
+    DONE = "done"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+    ELSEWHERE = "elsewhere"  # this worker cannot: the scene is not there, its disk is full, its engine is another one
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a piece ended, with its ``answer`` (of a lift: its frames; of a score: the metrics)."""
+
+    piece: Piece
+    ended: Ended
+    seconds: float
+    reason: str = ""
+    exit_code: int = 0
+    worker: str = ""
+    answer: Mapping[str, Json] = field(default_factory=dict)
+
+
+Tell = Callable[[TaskProgress], object]
+
+
+@cache
+def engine_tag(root: Path = ROOT) -> str:
+    """Names this very engine: its version and its code."""
+    digest = hashlib.sha256()
+    for path in sorted((root / "engine").rglob("*.py")):
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    return f"plgs-{__version__}-{digest.hexdigest()[:8]}"
+
+
+def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "") -> Outcome:
+    """Do it, with so many ``threads`` (0: all). What is done already ends at once. Never raises for what a scene or a
+    machine lacks: the outcome says it.
+    """
+    began = time.monotonic()
+
+    def outcome(ended: Ended, error: PlgsError | None = None, answer: Mapping[str, Json] | None = None) -> Outcome:
+        reason, code = ("", 0) if error is None else (str(error), int(error.exit_code))
+        code = ExitCode.CANCELLED if ended is Ended.CANCELLED else code
+        return Outcome(piece, ended, time.monotonic() - began, reason, code, worker, answer or {})
+
+    try:
+        _refuse_unfit_place(piece)
+        follower = _followed(piece, tell, threads)
+    except PlgsError as error:
+        return outcome(Ended.ELSEWHERE if error.code in _PLACE_CODES else Ended.FAILED, error)
+    except OSError as error:
+        what = f"cannot be used ({error.strerror})"
+        where = error.filename or piece.lift
+        return outcome(Ended.FAILED, PlgsError(what, where, "See to it, then start the batch again."))
+    if follower is not None and follower.error is not None:
+        is_of_place = follower.error.code in _PLACE_CODES
+        return outcome(Ended.ELSEWHERE if is_of_place else Ended.FAILED, follower.error)
+    if follower is not None and follower.exit_code is not ExitCode.FINISHED:
+        return outcome(Ended.CANCELLED)
+    if piece.kind is Kind.LIFT:
+        return outcome(Ended.DONE, answer={"frames": list(_frames_of(piece.lift))})
+    return outcome(Ended.DONE, answer=follower.answer if follower is not None else None)
+
+
+def _refuse_unfit_place(piece: Piece) -> None:
+    """Raises PlgsError with a code that says that another worker may do it."""
+    if engine_tag() != piece.engine:
+        fix = f"Start workers of {piece.engine}."
+        raise PlgsError(f"this worker has {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)
+    place = piece.request.scene if piece.kind is Kind.LIFT else piece.lift
+    if not place.exists() or not piece.lift.parent.is_dir():
+        missing = piece.lift.parent if place.exists() else place
+        fix = "Mount it there, under the same path."
+        raise PlgsError("is not there on this worker", missing, fix, code=ErrorCode.NO_ENGINE)
+
+
+def _followed(piece: Piece, tell: Tell, threads: int) -> TaskFollower | None:
+    """The piece's engine, when it has ended; None where there was nothing to do. While another engine is at work there,
+    it is waited for.
+    """
+    told = 0.0
+    while True:
+        follower = _started(piece, threads)
+        if follower is None:
+            return None
+        try:
+            while follower.is_running:
+                follower.poll()
+                if time.monotonic() - told > TELL_S:
+                    told = time.monotonic()
+                    tell(follower.progress)
+                time.sleep(POLL_S)
+        finally:
+            follower.kill()
+            follower.close()
+        if follower.error is None or follower.error.code is not ErrorCode.BUSY:
+            return follower
+        time.sleep(BUSY_S)
+
+
+def _started(piece: Piece, threads: int) -> TaskFollower | None:
+    variables = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)} if threads else {}
+    if piece.kind is Kind.LIFT:
+        lift, is_new = _lift_folder(piece)
+        if not is_new and not lift.is_running and lift.state_at_rest() is LiftState.FINISHED and lift.is_whole():
+            return None
+        command = engine_command(Path(sys.executable), lift.path, resume=not is_new)
+        return TaskFollower.start(command, lift.place, kind=LIFT, lift=lift, variables=variables)
+    lift = LiftFolder.open(piece.lift)
+    kind = BAKE if piece.kind is Kind.BAKE else str(piece.kind)
+    return TaskFollower.start(piece.needs_engine(), TaskPlace.temporary(), kind=kind, lift=lift, variables=variables)
+
+
+def _lift_folder(piece: Piece) -> tuple[LiftFolder, bool]:
+    """The lift's folder, and whether it was made now. Raises PlgsError."""
+    if not (piece.lift / "request.json").exists():
+        try:
+            return LiftFolder.create(piece.lift, piece.request), True
+        except PlgsError:
+            if not (piece.lift / "request.json").exists():  # else two workers had it at once
+                raise
+    lift = LiftFolder.open(piece.lift)
+    differing = piece.request.differences(lift.request)
+    if differing:
+        fix = "Leave these options as they were, or choose another output folder."
+        raise PlgsError(f"holds a lift with another {', '.join(differing)}", lift.path, fix)
+    return lift, False
+
+
+def _frames_of(lift: Path) -> Sequence[str]:
+    from ..scene_of_lift import scene_of_lift
+
+    return [frame.name for frame in scene_of_lift(LiftFolder.open(lift)).frames]
+
+
+def do_on_dask(piece: Piece) -> Outcome:
+    """`do` on a Dask worker, whose events with the topic TOPIC tell how far it is."""
+    from distributed import get_worker
+
+    from ..job.terminal import describe
+
+    worker = get_worker()
+
+    def tell(progress: TaskProgress) -> None:
+        worker.log_event(TOPIC, {"scene": piece.scene, "kind": str(piece.kind), "text": describe(progress)})
+
+    threads = int(worker.state.total_resources.get(THREADS, 0))
+    return do(piece, tell, threads, f"{os.uname().nodename if hasattr(os, 'uname') else ''} {worker.name}".strip())
+
+
+TOPIC = "plgs-batch"
+THREADS, GIGABYTES = "PLGS_THREADS", "PLGS_GB"
+"""The resources of a worker: compute threads, and memory in GB."""

@@ -1,0 +1,97 @@
+"""What a batch has to do: one job a scene, and which of them an earlier batch did."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from ..errors import PlgsError
+from ..job import LiftRequest, write_atomically
+from ..json_file import Json, read_object
+
+RECORDS = ".batch"
+"""The folder in OUT that says of each scene what was done, and from which result."""
+
+
+@dataclass(frozen=True)
+class SceneJob:
+    """A scene to lift into ``lift``. ``problem``: why that cannot be; ``gigabytes``: memory that the lift is said to
+    need."""
+
+    name: str
+    lift: Path
+    request: LiftRequest
+    gigabytes: float = 1.0
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class BatchPlan:
+    """``chunk`` frames are baked as one piece; 0: only what the lift itself bakes. ``exports`` are forms."""
+
+    output: Path
+    jobs: tuple[SceneJob, ...]
+    chunk: int = 0
+    exports: tuple[str, ...] = ()
+
+    def asked(self, job: SceneJob) -> str:
+        """Names what is asked of a scene."""
+        about = {"request": job.request.to_json(job.lift), "bakes": bool(self.chunk), "exports": sorted(self.exports)}
+        return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Row:
+    """A scene's row of the table; ``metrics`` are the lift's own, strictly scored."""
+
+    scene: str
+    state: str
+    seconds: float
+    reason: str
+    exit_code: int
+    metrics: Mapping[str, Json]
+
+
+def names_of(scenes: Sequence[Path]) -> list[str]:
+    """A name for each scene: that of its folder or file. Raises PlgsError for two of one name."""
+    names = [scene.resolve().name if scene.is_dir() else scene.stem for scene in scenes]
+    for name, scene in zip(names, scenes, strict=True):
+        if names.count(name) > 1 or name in (RECORDS, "table.csv", "table.md"):
+            raise PlgsError(f"two scenes, or files of the batch, are named {name!r}", scene, "Rename the scene.")
+    return names
+
+
+def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
+    """The row of an earlier batch that was asked the same, if its result is the one that is there."""
+    path = _record(plan, job)
+    if not path.is_file():
+        return None
+    try:
+        told = read_object(path, "Delete it: the batch then looks at the lift itself.")
+        row = told["row"]
+        assert isinstance(row, dict)
+        is_same = told["asked"] == plan.asked(job) and told["result"] == _result(job)
+        return Row(**row) if is_same and row["state"] == "done" else None  # type: ignore[arg-type]
+    except (PlgsError, KeyError, TypeError, AssertionError):
+        return None  # damaged: the pieces find out what is done
+
+
+def remember(plan: BatchPlan, job: SceneJob, row: Row) -> None:
+    """Raises OSError."""
+    _record(plan, job).parent.mkdir(exist_ok=True)
+    told = {"asked": plan.asked(job), "result": _result(job), "row": asdict(row)}
+    write_atomically(_record(plan, job), json.dumps(told, indent=1) + "\n")
+
+
+def _record(plan: BatchPlan, job: SceneJob) -> Path:
+    return plan.output / RECORDS / f"{job.name}.json"
+
+
+def _result(job: SceneJob) -> str:
+    """Names the result that is there and its corrections: empty without a result."""
+    files = [job.lift / "result" / "manifest.json", job.lift / "corrections.json"]
+    there = [path.read_bytes() for path in files if path.is_file()]
+    return hashlib.sha256(b"\n".join(there)).hexdigest() if files[0].is_file() else ""

@@ -1,0 +1,252 @@
+"""A batch from its plan to its table."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from ..errors import ErrorCode, ExitCode, PlgsError
+from ..job import LiftFolder
+from ..job.report import read_metrics
+from ..job.task import TaskProgress
+from ..job.terminal import Interrupts, LiveLine
+from ..json_file import Json
+from .cluster import Farm, Place, opened, reconnected
+from .piece import GIGABYTES, TOPIC, Ended, Kind, Outcome, Piece, do_on_dask, engine_tag
+from .plan import BatchPlan, Row, SceneJob, done_before, remember
+from .table import write_tables
+
+_POLL_S = 0.2
+_ENDING_S = 10.0
+"""Seconds that engines may take to stop on Ctrl-C."""
+_PRIORITY = {Kind.LIFT: 0, Kind.BAKE: 1, Kind.EXPORT: 2, Kind.SCORE: 3}
+"""What was begun is finished first."""
+LIFTED, STRICT = "lifted", "strict"
+
+
+@dataclass
+class _Scene:
+    """How far a scene is: the stages that follow, the pieces out there, and the workers that cannot do it."""
+
+    job: SceneJob
+    stages: Iterator[list[Piece]]
+    out: int = 0
+    seconds: float = 0.0
+    unfit: dict[str, str] = field(default_factory=dict)
+    metrics: Mapping[str, Json] = field(default_factory=dict)
+    frames: Sequence[str] = ()
+
+
+def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts) -> ExitCode:
+    """Do what is missing, show it on standard error, write the table and print it. Failed scenes are rows with their
+    reason; the exit code is that of the first of them. Call it inside `interrupts.deferred()`.
+
+    Raises PlgsError where nothing can begin, OSError.
+    """
+    plan.output.mkdir(parents=True, exist_ok=True)
+    rows = {job.name: row for job in plan.jobs if (row := done_before(plan, job)) is not None}
+    for job in plan.jobs:
+        if job.problem:
+            rows[job.name] = Row(job.name, Ended.FAILED, 0.0, job.problem, ExitCode.BAD_INPUT, {})
+    missing = [job for job in plan.jobs if job.name not in rows]
+    line = LiveLine(sys.stderr)
+    if missing:
+        with opened(place) as farm:
+            dashboard = "" if _has_module("bokeh") else " (its pages need the package bokeh)"
+            line.say(f"Scheduler: {farm.address}. Dashboard: {farm.client.dashboard_link}{dashboard}")
+            batch = _Batch(plan, farm, line, rows)
+            batch.run(missing, interrupts)
+    line.end()
+    ordered = [rows[job.name] for job in plan.jobs if job.name in rows]
+    print(write_tables(plan.output, ordered), plan.output / "table.csv", sep="\n", flush=True)
+    return ExitCode(next((row.exit_code for row in ordered if row.exit_code), 0))
+
+
+def _has_module(name: str) -> bool:
+    from importlib.util import find_spec
+
+    return find_spec(name) is not None
+
+
+class _Batch:
+    """The pieces that are out there, and what becomes of them."""
+
+    def __init__(self, plan: BatchPlan, farm: Farm, line: LiveLine, rows: dict[str, Row]) -> None:
+        self._plan, self._farm, self._line, self._rows = plan, farm, line, rows
+        self._scenes: dict[str, _Scene] = {}
+        self._out: dict[Any, Piece] = {}
+        self._told: dict[str, str] = {}
+
+    def run(self, jobs: Sequence[SceneJob], interrupts: Interrupts) -> None:
+        self._listen()
+        for job in jobs:
+            _clear_cancel(job)
+            self._scenes[job.name] = _Scene(job, iter(()))
+            self._scenes[job.name].stages = self._stages(self._scenes[job.name])
+            self._next_stage(self._scenes[job.name])
+        while self._out:
+            if interrupts.pending is not None:
+                self._stop()
+                return
+            self._farm.tend()
+            self._take_in()
+            self._show()
+            time.sleep(_POLL_S)
+
+    def _stages(self, scene: _Scene) -> Iterator[list[Piece]]:
+        job, plan = scene.job, self._plan
+
+        def piece(kind: Kind, *names: str) -> Piece:
+            return Piece(kind, job.name, job.lift, job.request, engine_tag(), names)
+
+        yield [piece(Kind.LIFT)]
+        if plan.chunk:
+            starts = range(0, len(scene.frames), plan.chunk)
+            yield [piece(Kind.BAKE, *scene.frames[start : start + plan.chunk]) for start in starts]
+        if plan.exports:
+            yield [piece(Kind.EXPORT, form) for form in plan.exports]
+        yield [piece(Kind.SCORE)]
+
+    def _next_stage(self, scene: _Scene) -> None:
+        for stage in scene.stages:
+            if stage:
+                scene.out = len(stage)
+                for piece in stage:
+                    self._submit(piece)
+                return
+        self._end(scene, Row(scene.job.name, Ended.DONE, scene.seconds, "", 0, scene.metrics))
+
+    def _submit(self, piece: Piece) -> None:
+        scene = self._scenes[piece.scene]
+        wanted = {engine_tag(): 1.0}
+        if piece.kind is Kind.LIFT:
+            largest = self._farm.largest()
+            if largest and scene.job.gigabytes > largest:
+                what = f"the lift needs about {scene.job.gigabytes:.1f} GB, the largest worker has {largest:.1f} GB"
+                self._fail(scene, PlgsError(what, scene.job.request.scene, "Add --fit, or a larger worker."))
+                return
+            wanted[GIGABYTES] = scene.job.gigabytes
+        fit = [address for address in self._farm.workers() if address not in scene.unfit] if scene.unfit else None
+        if fit == []:
+            why = "; ".join(sorted(set(scene.unfit.values())))
+            self._fail(scene, PlgsError(f"no worker can do it: {why}", "", "Mend them, then start the batch again."))
+            return
+        future = self._farm.client.submit(
+            do_on_dask, piece, key=f"{piece.kind}-{piece.scene}-{uuid4().hex}", pure=False, resources=wanted,
+            priority=_PRIORITY[piece.kind], workers=fit,
+        )  # fmt: skip
+        self._out[future] = piece
+
+    def _take_in(self) -> None:
+        """What ended. Where the scheduler was lost, all that is out is asked for anew, and goes on where it was."""
+        if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
+            self._line.say("The scheduler is gone: waiting for its return.")
+            reconnected(self._farm)
+            self._listen()
+            pieces, self._out = [*self._out.values()], {}
+            for piece in pieces:
+                self._submit(piece)
+            return
+        for future in [future for future in self._out if future.done()]:
+            piece = self._out.pop(future)
+            scene = self._scenes[piece.scene]
+            if piece.scene in self._rows:
+                continue  # another piece of the scene has failed
+            if future.status == "error":
+                what = f"its workers ended with it ({type(future.exception()).__name__}: {future.exception()})"
+                error = PlgsError(what, scene.job.lift, "Their logs may say more.", code=ErrorCode.INTERNAL)
+                self._fail(scene, error)
+            else:
+                self._take(scene, future.result())
+
+    def _take(self, scene: _Scene, outcome: Outcome) -> None:
+        piece = outcome.piece
+        scene.seconds += outcome.seconds
+        if outcome.ended is Ended.ELSEWHERE:
+            self._line.say(f"{piece.scene}: not on {outcome.worker}: {outcome.reason}")
+            workers = self._farm.workers()
+            unfit = [each for each, told in workers.items() if str(told["name"]) == outcome.worker.split()[-1]]
+            scene.unfit |= {each: f"{outcome.worker}: {outcome.reason}" for each in unfit}
+            self._submit(piece)
+            return
+        if outcome.ended is not Ended.DONE:
+            self._end(scene, _row(scene, outcome.ended, outcome.reason, outcome.exit_code))
+            return
+        if piece.kind is Kind.LIFT:
+            frames = outcome.answer.get("frames")
+            scene.frames = [str(name) for name in frames] if isinstance(frames, list) else []
+        if piece.kind is Kind.SCORE:
+            scene.metrics = lifted_metrics(outcome.answer)
+        scene.out -= 1
+        if not scene.out:
+            self._next_stage(scene)
+
+    def _fail(self, scene: _Scene, error: PlgsError) -> None:
+        self._end(scene, _row(scene, Ended.FAILED, str(error), error.exit_code))
+
+    def _end(self, scene: _Scene, row: Row) -> None:
+        name = scene.job.name
+        self._rows[name] = row
+        self._told.pop(name, None)
+        if row.state == Ended.DONE:
+            remember(self._plan, scene.job, row)
+        self._line.say(
+            f"{name}: {row.state}" + (f": {row.reason}" if row.reason else f" in {row.seconds / 60:.1f} min")
+        )
+
+    def _show(self) -> None:
+        left = [scene for name, scene in self._scenes.items() if name not in self._rows]
+        running = "; ".join(self._told.values())
+        progress = TaskProgress(label="scenes", step=len(self._scenes) - len(left), steps=len(self._scenes))
+        progress.label = f"Batch ({running})" if running else "Batch"
+        self._line.show(progress)
+
+    def _listen(self) -> None:
+        def hear(event: tuple[float, Mapping[str, str]]) -> None:
+            self._told[event[1]["scene"]] = f"{event[1]['scene']}: {event[1]['text']}"
+
+        self._farm.client.subscribe_topic(TOPIC, hear)
+
+    def _stop(self) -> None:
+        """Let all engines stop at their next step."""
+        self._line.say("Stopping ...")
+        lifts = {self._scenes[piece.scene].job.lift for piece in self._out.values()}
+        with suppress(Exception):  # the scheduler may be gone
+            self._farm.client.cancel([*self._out], asynchronous=False)
+        folders = [LiftFolder.open(lift) for lift in lifts if (lift / "request.json").exists()]
+        for folder in folders:
+            folder.place.ask_to_cancel()
+        give_up = time.monotonic() + _ENDING_S
+        while any(folder.is_running for folder in folders) and time.monotonic() < give_up:
+            time.sleep(_POLL_S)
+
+
+def _row(scene: _Scene, state: Ended, reason: str, code: int) -> Row:
+    return Row(scene.job.name, state, scene.seconds, reason, code or ExitCode.INTERNAL_ERROR, {})
+
+
+def lifted_metrics(metrics: Mapping[str, Json]) -> dict[str, Json]:
+    """The row of a metrics.json that scores the lift itself, without its classes; empty where there is none."""
+    tables = metrics.get("tables")
+    for table in tables if isinstance(tables, list) else []:
+        if isinstance(table, dict) and table.get("name") == LIFTED and table.get("mode") in (STRICT, None):
+            return {key: value for key, value in table.items() if key != "per_class"}
+    return {}
+
+
+def _clear_cancel(job: SceneJob) -> None:
+    """An earlier batch's cancel file would stop a bake."""
+    cancel: Path = job.lift / "cancel"
+    if cancel.exists() and not LiftFolder.open(job.lift).is_running:
+        cancel.unlink()
+
+
+def metrics_of(lift: Path) -> dict[str, Json]:
+    """As `lifted_metrics`, of a finished lift. Raises PlgsError."""
+    return lifted_metrics(read_metrics(LiftFolder.open(lift)))

@@ -1,0 +1,132 @@
+"""`python -m engine batch` and `python -m engine worker`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import ExitCode, PlgsError
+from ..job.options import add_lift_options, request_from
+
+if TYPE_CHECKING:
+    from ..batch import SceneJob
+    from ..batch.cluster import Place
+
+SLURM = {"queue": "--queue", "account": "--account", "walltime": "--walltime"}
+
+
+def add_batch(parser: argparse.ArgumentParser, exports: Sequence[str]) -> None:
+    parser.description = (
+        "Lift many scenes, bake, export and score them, on workers of this machine, of a Dask scheduler, or of Slurm. "
+        "Results go to OUT/NAME, NAME being that of the scene's folder or file, and to OUT/table.csv and OUT/table.md. "
+        "The same command goes on with what is missing. Docs: docs/farms.md."
+    )
+    parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="scenes, as lift takes them")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the folder for all results")
+    add_lift_options(parser)
+    parser.add_argument("--chunk", type=positive, default=50, metavar="N", help="with --bake all: frames a piece (50)")
+    parser.add_argument("--export", nargs="+", choices=exports, default=(), metavar="FORM", help="forms to export")
+    place = parser.add_argument_group("where", "Without any of these: workers on this machine, within its memory.")
+    place.add_argument("--workers", type=positive, metavar="N", help="workers on this machine, or jobs of Slurm")
+    place.add_argument(
+        "--scheduler", default="", metavar="ADDRESS", help="a Dask scheduler, such as tcp://machine:8786"
+    )
+    place.add_argument("--slurm", action="store_true", help="let Slurm start the workers, by dask-jobqueue")
+    place.add_argument("--memory", type=float, default=0.0, metavar="GB", help="memory of one worker")
+    place.add_argument("--threads", type=positive, metavar="N", help="compute threads of one worker")
+    for name, option in SLURM.items():
+        place.add_argument(option, default="", metavar=name.upper(), help=f"with --slurm: sbatch's {name}")
+    parser.set_defaults(run=batch)
+
+
+def add_worker(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Work for the scheduler of batches: one piece at a time. Ends when the scheduler has been gone for a minute. "
+        "The scenes and the folder of the batch have to be mounted here under the same paths."
+    )
+    parser.add_argument("address", metavar="ADDRESS", help="the scheduler's, such as tcp://machine:8786")
+    parser.add_argument("--memory", type=float, default=0.0, metavar="GB", help="memory to use (default: all)")
+    parser.add_argument("--threads", type=positive, metavar="N", help="compute threads to use (default: all)")
+    parser.add_argument(
+        "--stay-with-parent", action="store_true", help="end when standard input ends (a parent holds it open)"
+    )
+    parser.set_defaults(run=worker)
+
+
+def positive(text: str) -> int:
+    """For argparse, so it raises ArgumentTypeError."""
+    if not text.isdecimal() or not 0 < int(text) < 10**6:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number from 1 on")
+    return int(text)
+
+
+def worker(options: argparse.Namespace) -> ExitCode:
+    from ..batch import run_worker
+
+    pipe = sys.stdin.fileno() if options.stay_with_parent else None
+    return run_worker(options.address, options.memory, options.threads or 0, pipe)
+
+
+def batch(options: argparse.Namespace) -> int:
+    from ..batch import BatchPlan, run_batch
+    from ..batch.plan import names_of
+    from ..job.terminal import Interrupted, Interrupts
+
+    if options.poses is not None:
+        raise PlgsError("finds poses of one scene", "--poses", "Find them first: python -m engine poses.")
+    names = names_of(options.scenes)
+    bakes_all = options.bake == "all"
+    jobs = tuple(_job(options, scene, name, bakes_all) for scene, name in zip(options.scenes, names, strict=True))
+    plan = BatchPlan(options.output.absolute(), jobs, options.chunk if bakes_all else 0, tuple(options.export))
+    try:
+        with Interrupts() as interrupts, interrupts.deferred():
+            return run_batch(plan, _place(options, [job.gigabytes for job in jobs]), interrupts)
+    except Interrupted as error:
+        print(f"Stopped. The same command goes on: {options.output}", file=sys.stderr)
+        return error.exit_code
+
+
+def _job(options: argparse.Namespace, scene: Path, name: str, bakes_all: bool) -> SceneJob:
+    from ..batch import SceneJob
+    from ..job.prediction import USUAL_MASKS
+    from ..lift.fitting import predicted_lift
+    from ..scene import open_scene_to_lift
+
+    own = copy(options)
+    own.scene, lift = scene, options.output.absolute() / name
+    request = request_from(own)
+    if bakes_all:
+        request = replace(request, bake="none")  # in pieces, when it is lifted
+    if not scene.exists():
+        return SceneJob(name, lift, request)  # a worker may have it
+    try:
+        opened = open_scene_to_lift(request)
+    except PlgsError as error:
+        return SceneJob(name, lift, request, problem=str(error))
+    peak = predicted_lift(opened, request.chosen_preset, USUAL_MASKS).peak_bytes
+    return SceneJob(name, lift, request, round(peak / 1e9, 2))
+
+
+def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
+    """As many workers on this machine as its memory and its processors allow, unless the options say it."""
+    from ..batch.cluster import Place
+    from ..job.main_memory import main_memory
+    from ..job.system import usable_cpus
+
+    slurm = {name: getattr(options, name) for name in SLURM} if options.slurm else None
+    if options.slurm and options.scheduler:
+        raise PlgsError("names another place than --scheduler", "--slurm", "Give one of them.")
+    memory = main_memory()
+    total, cpus = (memory.total / 1e9 if memory is not None else 4.0), usable_cpus()
+    fits = math.floor(total / max(max(gigabytes), 1.0))
+    workers = options.workers or max(1, min(fits, cpus // 2, len(gigabytes)))
+    is_here = slurm is None and not options.scheduler
+    share = total / workers if is_here else max([*gigabytes, 4.0])
+    threads = options.threads or (max(1, cpus // workers) if is_here else 4)
+    return Place(workers, options.scheduler, slurm, round(options.memory or share, 2), threads)
