@@ -15,8 +15,10 @@ from ..job.process import ROOT, EngineProcess, engine_call
 from .piece import GIGABYTES, engine_tag
 from .worker import require_dask, resources
 
-NO_WORKER_S = 10.0
+NO_WORKER_S = 5.0
 """Seconds after which a scheduler without workers is an error."""
+CONNECT_S = 5.0
+"""Seconds within which a scheduler answers."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def opened(place: Place) -> Iterator[Farm]:
 def _client(address: str) -> Any:
     distributed = require_dask()
     try:
-        return distributed.Client(address, timeout=NO_WORKER_S, set_as_default=False)
+        return distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         fix = "Start one (dask scheduler), or give its address, such as tcp://machine:8786."
         raise PlgsError("no scheduler answers", address, fix, option="--scheduler") from error

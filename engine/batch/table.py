@@ -60,7 +60,8 @@ def _figure(row: Row, key: str) -> float | None:
 def _means(rows: Sequence[Row]) -> list[float | None]:
     """Over the scenes that are done, and have the figure."""
     done = [row for row in rows if row.state == "done"]
-    columns = [[row.seconds for row in done], *([_figure(row, key) for row in done] for key in COLUMNS)]
+    seconds: list[float | None] = [row.seconds for row in done]
+    columns = [seconds, *([_figure(row, key) for row in done] for key in COLUMNS)]
     return [_mean([value for value in column if value is not None]) for column in columns]
 
 

@@ -34,7 +34,7 @@ CAPABILITIES: dict[str, Capability] = {
     "hypersim": Capability("Hypersim", {"h5py": "h5py"}, 16_000_000),
     "colmap": Capability("Poses of photos and films", {"pycolmap": "pycolmap"}, 134_000_000),
     "farm": Capability(
-        "Batches on many machines", {"distributed": "distributed", "dask-jobqueue": "dask_jobqueue"}, 20_000_000
+        "Batches on many machines", {"distributed": "distributed", "dask-jobqueue": "dask_jobqueue"}, 38_000_000
     ),
     "cuda": Capability("Lift on a GPU", {"gsplat": "gsplat"}, needs_cuda=True),
 }

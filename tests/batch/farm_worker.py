@@ -1,0 +1,70 @@
+"""A worker whose lifts are pretended: the real `run_engine` and checkpoints around some counting. Run as a script:
+
+farm_worker.py lift LIFT [--resume] [--stay-with-parent]     such a lift
+farm_worker.py KIND ADDRESS                                  a worker: usual, another-engine, unmounted or full
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+# ruff: noqa: E402 - what follows is found only now
+
+from engine.batch import piece, worker
+from engine.command_line.run_engine import run_engine
+from engine.errors import ErrorCode, PlgsError
+from engine.job import EventWriter, LiftFolder, StopSignal
+from tests.job.lift_folders import tiny_lift
+
+STEPS, STEP_S = 60, 0.03
+
+
+def lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+    if (folder.request.scene / "dark").exists():
+        raise PlgsError("is too dark", folder.request.scene, "Switch the light on.")
+    events.stage("train", 1, 2, "Training")
+    checkpoint = folder.checkpoints.latest() if resume else None
+    step = 0 if checkpoint is None else int(str(checkpoint.state["step"]))
+    while step < STEPS:
+        step += 1
+        events.progress("train", step, STEPS, loss=1.0 / step, eta_s=STEP_S * (STEPS - step))
+        folder.checkpoints.save({"step": step}, lambda path: (path / "model").write_bytes(b"model"))
+        stop.check()
+        time.sleep(STEP_S)
+    tiny_lift(folder, events, stop, resume=resume)
+
+
+def pretend(kind: str) -> None:
+    """In place of what lifts, and of what looks at the machine."""
+
+    def command(python: Path, lift: Path, *, resume: bool, program: str = "engine") -> list[str | Path]:
+        return [sys.executable, Path(__file__), "lift", lift, *(["--resume"] if resume else [])]
+
+    def full(*_: object) -> object:
+        raise PlgsError("the disk is full", "/scratch", "Make room there.", code=ErrorCode.DISK_FULL)
+
+    started = piece._started
+    piece._started = lambda each, threads: started(each, threads) if each.kind is piece.Kind.LIFT else None
+    piece.engine_command = command
+    piece._frames_of = lambda lift: ["0000"]
+    if kind == "another-engine":
+        worker.engine_tag = lambda: "plgs-0.0.0-00000000"
+    if kind == "full":
+        piece._followed = full
+    if kind == "unmounted":
+        is_there = Path.exists
+        Path.exists = lambda path, **more: "scenes" not in path.parts and is_there(path, **more)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "lift":
+        pipe = 0 if "--stay-with-parent" in sys.argv else None
+        sys.exit(
+            run_engine(LiftFolder.open(Path(sys.argv[2])), resume="--resume" in sys.argv, parent_pipe=pipe, lift=lift)
+        )
+    pretend(sys.argv[1])
+    sys.exit(worker.run_worker(sys.argv[2], threads=1, patience_s=20.0))

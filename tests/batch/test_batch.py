@@ -1,0 +1,257 @@
+"""Batches on a real scheduler and real workers, in processes of their own. Most lifts are pretended: `farm_worker`."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from engine.batch import BatchPlan, SceneJob, cluster, run_batch
+from engine.batch.cluster import Place
+from engine.errors import ExitCode, PlgsError
+from engine.job import LiftFolder, LiftRequest, verify
+from engine.job.terminal import Interrupted, Interrupts
+from tests.tiny_scene import write_tiny_scene
+
+dask = pytest.importorskip("dask", reason="distributed is not installed: python -m engine add farm")
+distributed = pytest.importorskip("distributed", reason="distributed is not installed: python -m engine add farm")
+FARM_WORKER = Path(__file__).with_name("farm_worker.py")
+PATIENCE_S = 60.0
+Start = Callable[..., subprocess.Popen[bytes]]
+
+
+@pytest.fixture
+def start(root: Path) -> Iterator[Start]:
+    """Start programs, which end with the test."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def begin(*command: str | Path) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen([sys.executable, *map(str, command)], cwd=root, stderr=subprocess.DEVNULL)
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def address(start: Start) -> str:
+    return f"tcp://127.0.0.1:{started_scheduler(start)[1]}"
+
+
+def started_scheduler(start: Start, port: int = 0, ttl: str = "3s") -> tuple[subprocess.Popen[bytes], int]:
+    if not port:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+    os.environ["DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL"] = ttl
+    try:
+        command = ("-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--no-dashboard", "--port", str(port))
+        return start(*command), port
+    finally:
+        del os.environ["DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL"]
+
+
+def plan_of(folder: Path, *names: str) -> BatchPlan:
+    jobs = []
+    for name in names:
+        scene = folder / "scenes" / name
+        scene.mkdir(parents=True)
+        if name == "dark":
+            (scene / "dark").touch()
+        jobs.append(SceneJob(name, folder / "out" / name, LiftRequest(scene=scene)))
+    return BatchPlan(folder / "out", tuple(jobs))
+
+
+def run(plan: BatchPlan, place: Place) -> ExitCode:
+    with Interrupts() as interrupts, interrupts.deferred():
+        return run_batch(plan, place, interrupts)
+
+
+def rows_of(plan: BatchPlan) -> dict[str, dict[str, str]]:
+    with (plan.output / "table.csv").open() as file:
+        return {row["scene"]: row for row in csv.DictReader(file)}
+
+
+def hellos(lift: Path) -> list[dict[str, object]]:
+    lines = (lift / "events.jsonl").read_text().splitlines() if (lift / "events.jsonl").exists() else []
+    return [told for line in lines if (told := json.loads(line))["event"] == "hello"]
+
+
+def in_the_middle(lift: Path) -> int:
+    """Wait until a lift trains, and return the number of the worker's process."""
+    give_up = time.monotonic() + PATIENCE_S
+    while not (lift / "events.jsonl").exists() or '"step": 10,' not in (lift / "events.jsonl").read_text():
+        assert time.monotonic() < give_up
+        time.sleep(0.02)
+    status = Path(f"/proc/{hellos(lift)[-1]['pid']}/status").read_text()
+    return int(status.split("PPid:")[1].split()[0])
+
+
+def meanwhile(act: Callable[[], object]) -> threading.Thread:
+    thread = threading.Thread(target=act)
+    thread.start()
+    return thread
+
+
+def test_scenes_are_shared_and_a_failed_one_is_a_row(
+    tmp_path: Path, start: Start, address: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = plan_of(tmp_path, "a", "b", "dark", "c")
+    for _ in range(2):
+        start(FARM_WORKER, "usual", address)
+    assert run(plan, Place(scheduler=address)) is ExitCode.BAD_INPUT
+    rows = rows_of(plan)
+    assert [row["state"] for row in rows.values()] == ["done", "done", "failed", "done", ""]
+    assert "is too dark" in rows["dark"]["reason"] and "| dark | failed |" in capsys.readouterr().out
+    assert (plan.output / "table.md").read_text().count("\n") == 7
+    began = {name: hellos(plan.output / name) for name in ("a", "b", "c", "dark")}
+    (plan.jobs[2].request.scene / "dark").unlink()
+    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED  # what was missing, and no more
+    assert [row["state"] for row in rows_of(plan).values()] == ["done"] * 4 + [""]
+    again = {name: hellos(plan.output / name) for name in began}
+    assert {name for name in began if again[name] != began[name]} == {"dark"}
+
+
+def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path, start: Start, address: str) -> None:
+    plan = plan_of(tmp_path, "a", "b")
+    for _ in range(2):
+        start(FARM_WORKER, "usual", address)
+    killing = meanwhile(lambda: os.kill(in_the_middle(plan.output / "a"), signal.SIGKILL))
+    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    killing.join()
+    assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
+    assert len(hellos(plan.output / "b")) == 1
+    verify(plan.output / "a" / "result")
+
+
+def test_a_worker_that_hangs(tmp_path: Path, start: Start, address: str) -> None:
+    """The scheduler gives it up. Its engine lives, so the other worker waits for that, and finds the lift finished."""
+    plan = plan_of(tmp_path, "a")
+    for _ in range(2):
+        start(FARM_WORKER, "usual", address)
+    hanging = meanwhile(lambda: os.kill(in_the_middle(plan.output / "a"), signal.SIGSTOP))
+    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    hanging.join()
+    assert rows_of(plan)["a"]["state"] == "done" and len(hellos(plan.output / "a")) == 1
+
+
+def test_a_scheduler_that_is_restarted(tmp_path: Path, start: Start) -> None:
+    scheduler, port = started_scheduler(start)
+    address = f"tcp://127.0.0.1:{port}"
+    plan = plan_of(tmp_path, "a", "b", "c")
+    for _ in range(2):
+        start(FARM_WORKER, "usual", address)
+
+    def restart() -> None:
+        in_the_middle(plan.output / "a")
+        scheduler.kill()
+        scheduler.wait()
+        started_scheduler(start, port)
+
+    restarting = meanwhile(restart)
+    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    restarting.join()
+    assert {row["state"] for row in rows_of(plan).values()} == {"done", ""}
+
+
+def test_ctrl_c_leaves_all_resumable(tmp_path: Path, start: Start, address: str) -> None:
+    plan = plan_of(tmp_path, "a", "b")
+    start(FARM_WORKER, "usual", address)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    stopping = meanwhile(lambda: (in_the_middle(plan.output / "a"), os.kill(os.getpid(), signal.SIGINT)))
+    with pytest.raises(Interrupted):
+        run(plan, Place(scheduler=address))
+    stopping.join()
+    assert not LiftFolder.open(plan.output / "a").is_running
+    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
+
+
+@pytest.mark.parametrize("unfit", ["unmounted", pytest.param("full", marks=pytest.mark.slow)])
+def test_what_one_worker_cannot_do_another_does(
+    unfit: str, tmp_path: Path, start: Start, address: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = plan_of(tmp_path, "a", "b")
+    start(FARM_WORKER, unfit, address)
+    start(FARM_WORKER, "usual", address)
+    with distributed.Client(address) as client:
+        client.wait_for_workers(2, timeout=PATIENCE_S)
+    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    said = {"unmounted": "is not there on this worker", "full": "the disk is full"}[unfit]
+    assert said in capsys.readouterr().err
+
+
+def test_what_no_worker_can_do_is_told(tmp_path: Path, start: Start, address: str) -> None:
+    plan = plan_of(tmp_path, "a")
+    start(FARM_WORKER, "unmounted", address)
+    assert run(plan, Place(scheduler=address)) is not ExitCode.FINISHED
+    reason = rows_of(plan)["a"]["reason"]
+    assert "no worker can do it" in reason and "is not there on this worker" in reason
+
+
+def test_a_scheduler_without_workers_says_so_within_ten_seconds(tmp_path: Path, address: str) -> None:
+    distributed.Client(address).close()  # it has begun
+    began = time.monotonic()
+    with pytest.raises(PlgsError, match="it has no workers.*python -m engine worker"):
+        run(plan_of(tmp_path, "a"), Place(scheduler=address))
+    assert time.monotonic() - began < 10.0
+
+
+def test_workers_with_another_engine_get_nothing(
+    tmp_path: Path, start: Start, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "NO_WORKER_S", 4.0)
+    start(FARM_WORKER, "another-engine", address)
+    plan = plan_of(tmp_path, "a")
+    with pytest.raises(PlgsError, match="other engines .plgs-0.0.0-00000000.; this one is plgs-"):
+        run(plan, Place(scheduler=address))
+    assert not (plan.output / "a").exists()
+
+
+def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    with pytest.raises(PlgsError, match="no scheduler answers"):
+        run(plan_of(tmp_path, "a"), Place(scheduler="tcp://127.0.0.1:9"))
+
+
+def test_a_lift_for_which_no_worker_is_large_enough(tmp_path: Path, start: Start, address: str) -> None:
+    plan = plan_of(tmp_path, "a")
+    job = SceneJob("a", plan.jobs[0].lift, plan.jobs[0].request, gigabytes=1e6)
+    start(FARM_WORKER, "usual", address)
+    large = BatchPlan(plan.output, (job,))
+    assert run(large, Place(scheduler=address)) is not ExitCode.FINISHED
+    assert "needs about 1000000.0 GB" in rows_of(large)["a"]["reason"]
+
+
+@pytest.mark.slow
+def test_from_the_command_line_on_this_machine(tmp_path: Path, root: Path) -> None:
+    """Real lifts, bakes in pieces, an export and scores, by workers that the batch starts."""
+    write_tiny_scene(tmp_path / "room", frames=8, noise=0.1)
+    (tmp_path / "empty").mkdir()
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "engine", "batch", tmp_path / "room", tmp_path / "empty", "-o", out]
+    command += "--workers 2 --preset preview --steps 10 --bake all --chunk 4 --export boxes".split()
+    said = subprocess.run([*map(str, command)], cwd=root, capture_output=True, text=True, timeout=200)
+    assert said.returncode == ExitCode.BAD_INPUT, said.stderr
+    assert "Dashboard: http://127.0.0.1:" in said.stderr and "| room | done |" in said.stdout
+    files = {file.path.name for file in verify(out / "room" / "result").files}
+    assert {f"{frame:04d}.exr" for frame in range(8)} <= files
+    assert (out / "room" / "exports" / "boxes" / "boxes.csv").exists()
+    rows = list(csv.DictReader((out / "table.csv").open()))
+    assert float(rows[0]["miou"]) > 0.2 and rows[2] | {"seconds": ""} == rows[0] | {
+        "scene": "mean", "state": "", "seconds": "",
+    }  # fmt: skip
+    assert "no scene of a known format" in rows[1]["reason"]
