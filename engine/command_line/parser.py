@@ -37,7 +37,7 @@ def make_parser() -> argparse.ArgumentParser:
     known = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_lift(known.add_parser("lift", help="lift posed RGB-D frames and their masks"))
     _add_bake(known.add_parser("bake", help="render more frames of a finished lift, or any cameras, as passes"))
-    add_batch(known.add_parser("batch", help="lift, bake, export and score many scenes, also on many machines"), EXPORTS)
+    add_batch(known.add_parser("batch", help="lift, bake and score many scenes, also on many machines"), EXPORTS)
     add_worker(known.add_parser("worker", help="work for the scheduler of batches on this machine"))
     add_correct(known.add_parser("correct", help="mend what a finished lift got wrong, without training"), _make_task)
     _add_export(known.add_parser("export", help="write a finished lift in a form that other programs read"))
