@@ -51,6 +51,10 @@ class ConsensusOptions:
     tracker: float = 1.0
     evidence: EvidenceKind = "views"
 
+    def least_masks(self, seeing: int) -> int:
+        """Masks that an object needs which so many views see."""
+        return min(self.min_masks, max(2, seeing - 1))
+
 
 @dataclass(frozen=True)
 class MemberMask:
@@ -266,8 +270,7 @@ def _is_supported(space: MasksInSpace, members: NDArray[np.intp], options: Conse
     resolved = space.word @ own / np.maximum(seen, 1)
     resolved = np.minimum(resolved / resolved[masking].mean(), 1.0)
     seeing = float(resolved[seen >= 0.5 * own.sum()].sum())
-    least = min(options.min_masks, max(2, int(seeing) - 1))
-    return len(masking) >= least and resolved[masking].sum() >= options.support * seeing
+    return len(masking) >= options.least_masks(int(seeing)) and resolved[masking].sum() >= options.support * seeing
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:

@@ -7,6 +7,7 @@ about the connected pieces of each object.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -163,7 +164,7 @@ def pieces_in_space(
     rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
     owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seen, rules)
     members = masks_of_pieces([masks for masks, _ in things], views, seen, owner, len(origin))
-    owner, members, origin = without_maskless(owner, members, origin)
+    owner, members, origin = without_fragments(owner, members, origin, seen)
     return owner, [(masks, classes[number - 1]) for masks, number in zip(members, origin, strict=True)]
 
 
@@ -188,11 +189,16 @@ def masks_of_pieces(
     return [[mask for _, mask in sorted(group, key=lambda each: each[0])] for group in members]
 
 
-def without_maskless(
-    owner: NDArray[np.int32], members: list[list[MemberMask]], origin: list[int]
+def without_fragments(
+    owner: NDArray[np.int32], members: list[list[MemberMask]], origin: list[int], seen: Sequence[ViewPoints]
 ) -> tuple[NDArray[np.int32], list[list[MemberMask]], list[int]]:
-    """The objects that have masks, numbered anew from 1."""
-    kept = [place for place, masks in enumerate(members) if masks]
+    """The objects with masks enough, numbered anew from 1: as many as an object needs that is seen by the same views.
+    The piece of a split object needs as many as one that all views see: else it is the ragged edge of a few masks."""
+    pieces, size = Counter(origin), np.bincount(owner, minlength=len(members) + 1)
+    shares = (np.bincount(owner[one.row], minlength=len(size)) / np.maximum(size, 1) for one in seen)
+    seeing = sum((share >= 0.5 for share in shares), np.zeros(len(size), np.int64))[1:]
+    seeing[[pieces[source] > 1 for source in origin]] = len(seen)
+    kept = [place for place, masks in enumerate(members) if len(masks) >= CONSENSUS.least_masks(int(seeing[place]))]
     number = np.zeros(len(members) + 1, np.int32)
     number[[place + 1 for place in kept]] = np.arange(1, len(kept) + 1)
     return number[owner], [members[place] for place in kept], [origin[place] for place in kept]

@@ -138,6 +138,8 @@ def test_a_killed_engine_is_told_and_can_be_resumed(folder: LiftFolder, start: S
 def test_every_end_is_told(
     folder: LiftFolder, start: Start, behaviour: str, code: ErrorCode, told: str, logged: str
 ) -> None:
+    if behaviour == "memory of torch":
+        pytest.importorskip("torch")
     follower = start(behaviour)
     follow(follower)
     assert follower.state is TaskState.FAILED and follower.error is not None and follower.error.code is code

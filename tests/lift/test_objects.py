@@ -1,0 +1,47 @@
+"""Which pieces of the objects stay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.instances.agreement import ViewPoints
+from engine.instances.consensus import MemberMask
+from engine.lift.objects import without_fragments
+from engine.scene import Segment
+
+
+def views_of(points: int, count: int) -> list[ViewPoints]:
+    """Views that see all points."""
+    ones = np.ones(points, np.float32)
+    return [ViewPoints(np.arange(points, dtype=np.int32), ones.astype(np.int32), ones, ones) for _ in range(count)]
+
+
+def masks(count: int) -> list[MemberMask]:
+    return [MemberMask(f"{number:04}", Segment(1, 5, True), None) for number in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("views", "of_first", "of_second", "origin", "owners"),
+    [
+        pytest.param(8, 6, 2, [1, 1], [1, 0], id="the edge of two masks goes"),
+        pytest.param(8, 6, 3, [1, 1], [1, 2], id="a piece with three masks stays"),
+        pytest.param(3, 2, 2, [1, 1], [1, 2], id="three views give no more than two"),
+        pytest.param(8, 0, 4, [1, 2], [0, 1], id="without masks there is no object"),
+    ],
+)
+def test_fragments_of_a_few_masks_go(
+    views: int, of_first: int, of_second: int, origin: list[int], owners: list[int]
+) -> None:
+    owner = np.array([1, 1, 2, 2], np.int32)
+    found, members, kept = without_fragments(owner, [masks(of_first), masks(of_second)], origin, views_of(4, views))
+    assert found[[0, 2]].tolist() == owners
+    assert len(members) == len(kept) == max(owners)
+
+
+def test_an_object_in_one_piece_needs_no_more_masks_than_the_views_that_see_it() -> None:
+    owner = np.array([1, 1, 2, 2], np.int32)
+    views = [*views_of(2, 6), *views_of(4, 2)]  # two views see the second object
+    found, _, _ = without_fragments(owner, [masks(6), masks(2)], [1, 2], views)
+    assert found.tolist() == owner.tolist()
+    assert without_fragments(owner, [masks(6), masks(2)], [1, 1], views)[0].tolist() == [1, 1, 0, 0]
