@@ -20,6 +20,9 @@ from .own_files import refuse_foreign, refuse_foreign_below
 from .request import LiftRequest, refuse_unwritable_name
 from .task import LIVE_PREVIEW, TaskPlace
 
+BLOCKS = "blocks"
+"""Folder of a building's lift with those of its blocks, by their numbers."""
+
 
 class LiftState(Enum):
     """How far a lift is. All but RUNNING and FINISHED can be resumed."""
@@ -263,7 +266,8 @@ def refuse_used(path: Path) -> None:
         fix = "Add --resume to go on with it, or choose another output folder."
         raise PlgsError("already holds a lift", path, fix, option="--resume")
     for entry in path.iterdir():
-        if not entry.name.startswith(PART):  # a kill inside this very function leaves such a name
+        # A kill inside this very function leaves such a name, and blocks may be lifted before their building.
+        if not entry.name.startswith(PART) and entry.name != BLOCKS:
             what = f"is not empty (it holds '{entry.name}') and is no lift folder"
             raise PlgsError(what, path, "Choose another output folder.")
 

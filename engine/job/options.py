@@ -24,7 +24,7 @@ DEFAULTS = LiftRequest(scene=Path.cwd())
 """The request whose values hold for options that are not given; its scene is none."""
 _IN_REQUEST = (
     "preset", "steps", "size", "frames", "fit", "seed", "masks", "mask_format", "classes", "up", "scene_format",
-    "depth", "bake", "device", "names_from", "set",
+    "depth", "bake", "device", "names_from", "set", "blocks", "block",
 )  # fmt: skip
 
 
@@ -57,6 +57,11 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         "--poses", choices=("colmap",),
         help="SCENE is photos or a film: let COLMAP find their poses first, beside the photos",
     )  # fmt: skip
+    parser.add_argument(
+        "--blocks", type=int, metavar="N",
+        help="cut a building into N blocks of about as many points, lift one after the other, and join them",
+    )  # fmt: skip
+    parser.add_argument("--block", type=int, metavar="I", help="lift only this one of the blocks, counted from 1")
     parser.add_argument(
         "--names-from", type=Path, metavar="LIFT",
         help="an earlier lift of the same scene: objects that are still there keep their names and ids",
@@ -192,7 +197,7 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 
     Raises PlgsError when a value is out of range.
     """
-    names = ("fit", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device")
+    names = ("fit", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device", "blocks", "block")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     for name in ("masks", "depth", "names_from"):
         if getattr(options, name) is not None:

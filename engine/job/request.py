@@ -41,7 +41,11 @@ _KEYS = {
     "device",
     "names_from",
     "relative",
+    "blocks",
+    "block",
 }
+MOST_BLOCKS = 1000
+_BLOCKS = ("blocks", "block")
 _PLACES = ("scene", "masks", "depth", "names_from")
 _FIX = "Mend it, or delete the folder and lift again."
 
@@ -52,7 +56,8 @@ class LiftRequest(SceneSource):
 
     ``options`` are those of the preset that are changed, by name (see ``engine/presets``). ``fit`` takes fewer frames
     when memory is short. ``device`` draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects
-    keep their names and ids.
+    keep their names and ids. A building is lifted in so many ``blocks`` (0: it is none); ``block`` is the one of them,
+    from 1, that this lift is of (0: it is of all).
 
     Raises PlgsError when a value is out of range. Files are not looked at: that is the scene's part.
     """
@@ -64,6 +69,8 @@ class LiftRequest(SceneSource):
     bake: Bake = "test"
     device: Device = "cpu"
     names_from: Path | None = None
+    blocks: int = 0
+    block: int = 0
     engine_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:
@@ -83,6 +90,14 @@ class LiftRequest(SceneSource):
         object.__setattr__(self, "options", changed)
         if not isinstance(self.seed, int) or isinstance(self.seed, bool) or not 0 <= self.seed < 2**32:
             raise PlgsError("is no seed", f"seed = {self.seed!r}", "Give a whole number from 0 to 4294967295.")
+        self._check_blocks()
+
+    def _check_blocks(self) -> None:
+        if type(self.blocks) is not int or self.blocks == 1 or not 0 <= self.blocks <= MOST_BLOCKS:
+            raise PlgsError("is no number of blocks", f"blocks = {self.blocks!r}", f"Give one from 2 to {MOST_BLOCKS}.")
+        if type(self.block) is not int or not 0 <= self.block <= self.blocks:
+            fix = f"Give one from 1 to {self.blocks}." if self.blocks else "Say with --blocks how many there are."
+            raise PlgsError("is no block of the building", f"block = {self.block!r}", fix)
 
     @property
     def chosen_preset(self) -> Preset:
@@ -100,6 +115,8 @@ class LiftRequest(SceneSource):
             "device": None if self.device == "cpu" else self.device,
             "names_from": None if self.names_from is None else str(self.names_from),
             "relative": None if lift is None else _relative(self, lift),
+            "blocks": self.blocks or None,
+            "block": self.block or None,
         }
         return to_text(
             {
@@ -137,7 +154,7 @@ class LiftRequest(SceneSource):
         mine, theirs = self.chosen_preset, other.chosen_preset
         options = [name for name in preset_options() if option_value(mine, name) != option_value(theirs, name)]
         first = ("scene", "masks", "preset", "fit", "seed")
-        last = ("up", "scene_format", "depth", "mask_format", "classes", "bake", "device", "names_from")
+        last = ("up", "scene_format", "depth", "mask_format", "classes", "bake", "device", "names_from", *_BLOCKS)
         differing = [name for name in (*first, *last) if getattr(self, name) != getattr(other, name)]
         return [*differing, *([] if "preset" in differing else options)]
 
@@ -168,6 +185,7 @@ def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path:
         **{name: content.get(name) for name in ("scene_format", "mask_format", "classes")},
         "fit": overrides.get("fit", False),
         "seed": content.get("seed"),
+        **{name: content.get(name, 0) for name in _BLOCKS},
         "device": device,
         **{name: content[name] for name in ("preset", "up", "bake", "engine_version")},
     }

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..errors import ExitCode, PlgsError
 from .events import at_work
-from .folder import LiftFolder, LiftState
+from .folder import BLOCKS, LiftFolder, LiftState
 from .follower import TaskFollower
 from .options import request_from, resumable
 from .process import engine_call, engine_command, engine_python
@@ -101,7 +101,7 @@ def _came_to_nothing(lift: LiftFolder) -> bool:
     """No engine got as far as a checkpoint: it never started, or refused the input."""
     if not lift.path.is_dir():  # somebody deleted it during the lift, as the error says
         return False
-    if lift.is_running or lift.checkpoints.exists:
+    if lift.is_running or lift.checkpoints.exists or (lift.path / BLOCKS).exists():
         return False
     state = lift.state_at_rest()
     return state is LiftState.NOT_STARTED or (state is LiftState.FAILED and lift.last_exit_code() == ExitCode.BAD_INPUT)

@@ -37,6 +37,7 @@ from ..scene import (
     read_ahead,
     size_within,
 )
+from ..scene.blocks import scene_of_block
 from ..scene_of_lift import have_masks_changed, remember_scene
 from ..train.progress import StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
@@ -102,6 +103,8 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method:
         whole = open_scene_to_lift(request)
         masks_changed = have_masks_changed(folder, whole)
         remember_scene(folder, whole)
+        if request.block:
+            whole = scene_of_block(whole, request.blocks, request.block, progress)
         earlier = None if request.names_from is None else read_earlier(request.names_from)
         scene = scene_to_lift(whole, request, checkpoint, progress, events)
         for warning in (*scene.warnings, *check_scene(scene, progress)):

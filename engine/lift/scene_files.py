@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from safetensors.torch import save
 
 from ..corrections import CorrectedResult
@@ -48,13 +49,28 @@ def write_scene_files(
     """Write everything of the result that needs no rendering. ``views`` are those it was lifted from; ``names`` are the
     instances'. Raises OSError when the disk is full.
     """
-    result = folder.result_path
     cloud = prepared.cloud
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
-    gaussians, anchors = bake(lifted, viewpoint, scene.classes.thing_ids)
     points = SemanticPoints(cloud.xyz, cloud.rgb, cloud.class_id, prepared.instance_of_point, cloud.confidence)
+    instances = listed_instances(views, prepared, scene.classes, names)
+    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events)
+
+
+def write_lifted(
+    folder: LiftFolder,
+    classes: ClassTable,
+    viewpoint: NDArray[np.float64],
+    points: SemanticPoints,
+    instances: Sequence[Instance],
+    lifted: StructuredScene,
+    events: EventWriter,
+) -> None:
+    """The same, of what is listed already. ``viewpoint`` float64 [3] metres: where the Gaussians' colours are seen
+    from (see ``bake``). Raises OSError."""
+    result = folder.result_path
+    gaussians, anchors = bake(lifted, viewpoint, classes.thing_ids)
     write_arrays(result / SEMANTIC_POINTS, points)
-    write_instances(result / INSTANCES, scene.classes, listed_instances(views, prepared, scene.classes, names))
+    write_instances(result / INSTANCES, classes, instances)
     write_arrays(result / ANCHORS, anchors)
     write_splats(result / "gaussians.ply", gaussians)
     write_model(folder, lifted)

@@ -67,6 +67,7 @@ def wanted_of_model(facts: Mapping[str, Any], anchors: int, labels: int | None) 
         raise ValueError("class_of_slot does not fit the slots")
     if not 0 <= anchors <= MOST_ANCHORS:
         raise ValueError(f"there are {anchors} anchors, at most {MOST_ANCHORS} may be")
+    kind.check_anchors(shape, anchors)
     k = shape.gaussians_per_anchor
     wanted = {
         "anchors.position": Wanted((anchors, 3), least=-FARTHEST, most=FARTHEST),

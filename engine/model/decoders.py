@@ -133,6 +133,10 @@ class Decoders(nn.Module):
         if not 1 <= shape.features <= MOST_FEATURES:
             raise ValueError(f"features of the decoders is no number from 1 to {MOST_FEATURES}")
 
+    @classmethod
+    def check_anchors(cls, shape: Any, anchors: int) -> None:
+        """Raises ValueError for a number of anchors that these decoders cannot have."""
+
     @property
     def facts(self) -> dict[str, object]:
         """The shape and the kind, in the form of a file."""

@@ -1,0 +1,158 @@
+"""The lift of a building: its blocks one after the other, each an ordinary lift in a process of its own, then the join.
+
+A block's lift lies in ``blocks/<number>`` of the lift folder. It may have been made elsewhere before, by
+`engine lift SCENE -o OUT/blocks/2 --blocks 5 --block 2`: what is finished is taken as it is.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import Cancelled, ErrorCode, PlgsError
+from ..job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, write_manifest
+from ..job.folder import BLOCKS
+from ..job.follower import TaskFollower
+from ..job.process import engine_command
+from ..job.task import LIFT, TaskState
+from ..lift.baking import FrameBaker, bake_and_evaluate
+from ..lift.device import be_repeatable, refuse_missing_device
+from ..lift.run import frames_to_bake, library_versions
+from ..lift.scene_files import read_model, write_lifted
+from ..passes.baked_view import ShownInstances
+from ..presets.preset import Preset
+from ..raster import drawing_on
+from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
+from ..scene import StoredViews, check_scene, load_view, open_scene_to_lift, size_within
+from ..scene.blocks import Cell, cells_of
+from ..scene_of_lift import remember_scene
+from ..train.progress import StageProgress, StageReporter
+from .joining import JoinedScene, LiftedBlock, join
+
+STAGES = {
+    "check": "Checking the scene",
+    "cut": "Cutting the scene into blocks",
+    "blocks": "Lifting the blocks",
+    "join": "Joining the blocks",
+    "bake": "Baking panoptic passes",
+    "evaluate": "Evaluating the held-out frames",
+}
+LOOK_EVERY_S = 0.1
+JUDGES = 100
+"""Frames trained on whose masks judge the whole, at most, evenly spread."""
+
+
+def run_building(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+    """As `run_lift`, of a building: do what is left of it, whether it is resumed or not."""
+    request, preset = folder.request, folder.request.chosen_preset
+    refuse_missing_device(request.device)
+    if not preset.shows_votes or request.names_from is not None:
+        what = "blocks are joined by the views' votes, and take no names from an earlier lift"
+        raise PlgsError(what, folder.path, "Lift without --blocks.", option="--blocks")
+    be_repeatable(request.device)
+    with drawing_on(request.device):
+        _do_stages(folder, preset, StageReporter(events, stop, STAGES))
+
+
+def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> None:
+    """``STAGES``, one after another."""
+    request, events = folder.request, stages.events
+    with stages.stage("check") as progress:
+        scene = open_scene_to_lift(request)
+        remember_scene(folder, scene)
+        for warning in (*scene.warnings, *check_scene(scene, progress)):
+            events.warning(warning)
+    with stages.stage("cut") as progress:
+        cells, _ = cells_of(scene, request.blocks, progress)
+    with stages.stage("blocks") as progress:
+        lifts = [lift_block(folder, number, progress) for number in range(1, request.blocks + 1)]
+    with stages.stage("join") as progress:
+        whole = join([read_block(lift, cell) for lift, cell in zip(lifts, cells, strict=True)], scene.classes)
+        viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
+        write_lifted(folder, scene.classes, viewpoint, whole.points, whole.instances, whole.model, events)
+        progress(1, 1)
+    baker = FrameBaker(scene.classes, whole.model, shown_of(whole))
+    every = -(-len(scene.train_frames) // JUDGES)
+    judges = (load_view(frame, size_within(frame.size, preset.size)) for frame in scene.train_frames[::every])
+    views = StoredViews(judges, folder.path)
+    wanted = frames_to_bake(scene, request.bake)
+    bake_and_evaluate(folder, scene, baker, wanted, views, preset.size, events, stages)
+    write_manifest(
+        folder.result_path,
+        versions=library_versions(),
+        seed=request.seed,
+        settings=asdict(preset),
+        timings=stages.timings,
+    )
+
+
+def shown_of(whole: JoinedScene) -> ShownInstances:
+    """The names of the objects, and their classes."""
+    named = {one.id: one.name for one in whole.instances}
+    return ShownInstances(named, {one.id: one.class_id for one in whole.instances})
+
+
+def request_of_block(request: LiftRequest, number: int) -> LiftRequest:
+    """What a block's lift is asked for."""
+    return replace(request, block=number, bake="none")
+
+
+def lift_block(folder: LiftFolder, number: int, progress: StageProgress) -> LiftFolder:
+    """The finished lift of a block. Another process that lifts it is waited for. Raises PlgsError, Cancelled."""
+    path, request = folder.path / BLOCKS / str(number), request_of_block(folder.request, number)
+    if not (path / "request.json").exists():
+        LiftFolder.create(path, request)
+    lift = LiftFolder.open(path)
+    differing = request.differences(lift.request)
+    if differing:
+        what = f"the block was lifted otherwise: {', '.join(differing)}"
+        raise PlgsError(what, path, "Delete this folder, then resume.")
+    while not (lift.state() is LiftState.FINISHED and lift.is_whole()):
+        _let_lift(lift, number, progress)
+    return lift
+
+
+def _let_lift(lift: LiftFolder, number: int, progress: StageProgress) -> None:
+    """Start an engine for a block, or follow the one that is at work there, to its end."""
+    command = engine_command(Path(sys.executable), lift.path, resume=lift.state() is not LiftState.NOT_STARTED)
+    is_running = lift.is_running
+    follower = (
+        TaskFollower.attach(lift.place, lift=lift)
+        if is_running
+        else TaskFollower.start(command, lift.place, kind=LIFT, lift=lift)
+    )
+    blocks, hundredths = lift.request.blocks, 0
+    try:
+        while follower.is_running:
+            follower.poll()
+            done = follower.progress
+            share = done.step / max(done.steps, 1)
+            within = (max(done.stage_index, 1) - 1 + min(share, 1.0)) / max(done.stage_count, 1)
+            hundredths = max(hundredths, round(100 * within))
+            progress(100 * (number - 1) + hundredths, 100 * blocks)
+            time.sleep(LOOK_EVERY_S)
+    except Cancelled:
+        if not is_running:
+            follower.cancel()
+            while follower.is_running:
+                follower.poll()
+                time.sleep(LOOK_EVERY_S)
+        raise
+    finally:
+        follower.close()
+    error = follower.error
+    if error is not None and error.code is not ErrorCode.BUSY:
+        raise PlgsError(f"block {number}: {error.what}", error.where, error.fix, code=error.code, option=error.option)
+    if follower.state is TaskState.CANCELLED and not is_running:
+        raise PlgsError(f"block {number} was cancelled", lift.path, "Resume the lift.")
+
+
+def read_block(lift: LiftFolder, cell: Cell) -> LiftedBlock:
+    """What a finished lift of a block has. Raises PlgsError."""
+    points = read_arrays(lift.result_path / SEMANTIC_POINTS, SemanticPoints)
+    _, instances = read_instances(lift.result_path / INSTANCES)
+    return LiftedBlock(cell, read_model(lift), points, instances)

@@ -1,0 +1,102 @@
+"""A building is lifted block by block; what is there already is taken; it stops and goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from engine.building import run
+from engine.errors import Cancelled, PlgsError
+from engine.job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, verify
+from engine.lift import bake_frames, run_lift
+from engine.result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
+from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
+
+OPTIONS = {"steps": 4, "steps_a_view": 0.0, "voxel_size": 0.2}
+
+
+def lift(folder: LiftFolder, *, resume: bool = False) -> None:
+    if resume:
+        folder.prepare_run()
+    events = EventWriter(folder.events_path)
+    try:
+        work = run_lift if folder.request.block else run.run_building
+        work(folder, events, StopSignal(folder.cancel_path), resume=resume)
+    finally:
+        events.close()
+
+
+@pytest.fixture(autouse=True)
+def again_as_before() -> Iterator[None]:
+    yield
+    torch.use_deterministic_algorithms(False)
+
+
+@pytest.fixture
+def building(tmp_path: Path) -> LiftFolder:
+    scene = write_tiny_scene(tmp_path / "room", frames=8, noise=0.1)
+    return LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, options=OPTIONS, blocks=2, bake="none"))
+
+
+def test_a_building_in_two_blocks(building: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    elsewhere = LiftFolder.create(building.path / "blocks" / "2", run.request_of_block(building.request, 2))
+    lift(elsewhere)
+    made = elsewhere.manifest_path.stat().st_mtime_ns
+
+    with monkeypatch.context() as patch:
+        patch.setattr("engine.building.run.LOOK_EVERY_S", 0.0)
+        patch.setattr("engine.building.run._let_lift", stop_at_once)
+        with pytest.raises(Cancelled):
+            lift(building)
+    lift(building, resume=True)
+
+    verify(building.result_path)
+    assert elsewhere.manifest_path.stat().st_mtime_ns == made
+    points = read_arrays(building.result_path / SEMANTIC_POINTS, SemanticPoints)
+    _, instances = read_instances(building.result_path / INSTANCES)
+    assert {CHAIR_ID, CABINET_ID} <= {one.class_id for one in instances}
+    assert set(points.instance_id[points.instance_id > 0]) <= {one.id for one in instances}
+    events = EventWriter(building.events_path)
+    bake_frames(building, ["0001"], events, StopSignal(building.cancel_path))
+    events.close()
+    assert (building.passes_path / "0001.exr").is_file() and building.is_whole()
+
+
+def stop_at_once(block: LiftFolder, number: int, progress: object) -> None:
+    """In place of the engine that lifts a block: somebody cancels the building."""
+    assert number == 1 and block.request.block == 1 and not block.is_running
+    raise Cancelled
+
+
+def test_a_cancel_ends_the_engine_of_the_block(building: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    block = building.path / "blocks" / "1"
+
+    def sleep(seconds: float) -> None:
+        time.sleep(seconds)
+        if (block / "events.jsonl").exists():  # its engine has begun
+            building.cancel_path.touch()
+
+    monkeypatch.setattr(run, "time", SimpleNamespace(sleep=sleep))
+    with pytest.raises(Cancelled):
+        lift(building)
+    lifted = LiftFolder.open(block)
+    assert not lifted.is_running and lifted.state() not in (LiftState.FINISHED, LiftState.NOT_STARTED)
+
+
+def test_a_block_that_was_lifted_otherwise_is_told(building: LiftFolder) -> None:
+    other = replace(run.request_of_block(building.request, 1), seed=5)
+    LiftFolder.create(building.path / "blocks" / "1", other)
+    with pytest.raises(PlgsError, match="lifted otherwise: seed"):
+        lift(building)
+
+
+def test_labels_that_are_not_voted_cannot_be_joined(building: LiftFolder) -> None:
+    request = replace(building.request, options={**OPTIONS, "labels": "decoders"})
+    with pytest.raises(PlgsError, match="joined by the views' votes"):
+        lift(replace(building, request=request))
