@@ -63,6 +63,7 @@ def make_parser() -> argparse.ArgumentParser:
     weighing.set_defaults(run=run_evidence)
     correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
+    correcting.add_argument("--film", type=Path, metavar="FOLDER", help="write five pictures of it there, from above")
     correcting.set_defaults(run=run_correct)
     return parser
 
@@ -132,9 +133,13 @@ def run_evidence(options: argparse.Namespace) -> int:
 def run_correct(options: argparse.Namespace) -> int:
     """Make the edits, and print them with PQ before and after. Raises PlgsError, OSError."""
     from .correcting import before_and_after, correct_by_truth
+    from .correction_film import Film
 
-    for number, said in enumerate(correct_by_truth(options.lift), start=1):
+    film = Film(options.lift)
+    for number, said in enumerate(correct_by_truth(options.lift, after_each=film.take), start=1):
         print(f"{number:3}  {said}")
+    for path in film.write(options.film) if options.film is not None else ():
+        print(path)
     before, after = before_and_after(options.lift)
     print(f"PQ {100 * before:.1f} % -> {100 * after:.1f} %")
     return ExitCode.FINISHED

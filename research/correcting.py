@@ -1,8 +1,8 @@
 """How much an artist who sees what is wrong mends with few corrections: edits that the truth suggests, scored.
 
-The true label of each point is what most frames that are not held out show there. The held-out frames score. Whole
-objects are corrected as a person would, the largest mistake first: another class, one object out of several, and back
-into the stuff that it is of.
+The true label of each point is what most frames that are not held out show there. The held-out frames score. Objects
+are corrected as a person would, the largest mistake first: another class, one object out of several, several out of one
+by the views, back into the stuff that it is of, and points painted. The truth paints better than a hand does.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ from engine.errors import PlgsError
 from engine.job import LiftFolder
 from engine.job.report import read_metrics
 from engine.lift.baking import score_corrected
+from engine.lift.separating import parts_by_views, split_by_views
+from engine.result_files import Instance
 from engine.scene import Scene, open_asked
+from engine.scene_of_lift import scene_of_lift
 
 MOST_EDITS = 19
 SEEN_WITHIN = 0.05
@@ -30,6 +33,10 @@ EVERY = 4
 """Every n-th frame speaks."""
 LEAST_SHARE = 0.5
 """Share of an object's points that have one true label: below it a person would not say what the object is."""
+MIXED = 0.15
+"""Share of an object's points of a second true thing from which a person sees that it is several."""
+WORTH_PAINTING = 100
+"""Points of an object that nobody has, from which somebody would paint them."""
 MANY = 1 << 16
 """Factor of the class in a true label, which is class * this + instance."""
 
@@ -69,26 +76,62 @@ def true_labels(scene: Scene, xyz: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.where(table.any(axis=0), known[table.argmax(axis=0)], 0)
 
 
-def mistakes(corrected: CorrectedResult, truth: NDArray[np.int64]) -> list[Mistake]:
-    """What is wrong with whole objects, the most points first."""
-    found, holders = [], dict[int, tuple[int, int]]()
-    things = corrected.classes.thing_ids
+def mistakes(folder: LiftFolder, corrected: CorrectedResult, truth: NDArray[np.int64]) -> list[Mistake]:
+    """What is wrong with objects, the most points first: their class, two that are one, one that is two which the views
+    show apart, and points of an object that something else has, as somebody would paint them."""
+    found, holders = [], dict[int, Instance]()
+    things, points = corrected.classes.thing_ids, corrected.points
     for one in sorted(corrected.instances, key=lambda each: -each.points):
-        own = truth[corrected.points.instance_id == one.id]
+        own = truth[points.instance_id == one.id]
         labels, counts = np.unique(own[own > 0], return_counts=True)
-        if not len(labels) or counts.max() < LEAST_SHARE * len(own):
+        if not len(labels):
             continue
         label, count = int(labels[counts.argmax()]), int(counts.max())
+        others = [n for each, n in zip(labels.tolist(), counts.tolist(), strict=True) if each // MANY in things]
+        rest = sum(others) - max(others, default=0)
+        if rest >= MIXED * len(own):
+            found.append(Mistake(rest, f"{one.name} is several things", _split(folder, one.id, truth)))
+        if count < LEAST_SHARE * len(own):
+            continue
         class_id = label // MANY
         if class_id in corrected.classes and class_id and class_id != one.class_id:
             said = f"{one.name} is {corrected.classes[class_id].name}"
             found.append(Mistake(count, said, _reclass(one.id, class_id)))
         if class_id in things and label in holders:
-            kept = holders[label][0]
-            found.append(Mistake(count, f"{one.name} is a part of object {kept}", _merge(kept, one.id)))
+            whole = holders[label]
+            found.append(Mistake(count, f"{one.name} is a part of {whole.name}", _merge(whole.id, one.id)))
         elif class_id in things:
-            holders[label] = one.id, count
+            holders[label] = one
+    for label, one in holders.items():
+        astray = (truth == label) & (points.instance_id == 0)
+        if astray.sum() >= WORTH_PAINTING:
+            said = f"points of {one.name} are nobody's"
+            found.append(Mistake(int(astray.sum()), said, _paint(one.id, astray)))
     return sorted(found, key=lambda each: -each.points)
+
+
+def _split(folder: LiftFolder, number: int, truth: NDArray[np.int64]) -> Make:
+    """A split by views, which is not made where the parts are no purer than the whole."""
+
+    def make(state: Replay, first_id: int) -> Edit:
+        edit = split_by_views(folder, state, number, first_id)
+        own = truth[state.label == number]
+        part = parts_by_views(scene_of_lift(folder).train_frames, state.points_of(number)).part
+        if sum(_most(own[part == each]) for each in np.unique(part)) < _most(own) + MIXED * len(own):
+            raise PlgsError("the parts are no purer", folder.path, "Leave it.")
+        return edit
+
+    return make
+
+
+def _most(labels: NDArray[np.int64]) -> int:
+    """How many points have the commonest true label."""
+    known = labels[labels > 0]
+    return int(np.unique(known, return_counts=True)[1].max(initial=0))
+
+
+def _paint(number: int, chosen: NDArray[np.bool_]) -> Make:
+    return lambda state, _: making.assign(state, chosen, number)
 
 
 def _reclass(number: int, class_id: int) -> Make:
@@ -99,17 +142,27 @@ def _merge(kept: int, other: int) -> Make:
     return lambda state, _: making.merge(state, [kept, other])
 
 
-def correct_by_truth(lift: Path, most: int = MOST_EDITS) -> list[str]:
-    """Make at most ``most`` edits of a finished lift. Returns what each says. Raises PlgsError, OSError."""
+def correct_by_truth(
+    lift: Path, most: int = MOST_EDITS, after_each: Callable[[list[str]], object] = lambda said: None
+) -> list[str]:
+    """Make at most ``most`` edits of a finished lift; ``after_each`` is called with what all of them say, at
+    first with nothing. Returns what each says. Raises PlgsError, OSError."""
     folder = LiftFolder.open(lift)
     truth = true_labels(open_asked(folder.request), read_corrected(folder.path).points.xyz)
     said: list[str] = []
+    left_alone = set[str]()
+    after_each(said)
     while len(said) < most:
-        left = mistakes(read_corrected(folder.path), truth)
+        left = [each for each in mistakes(folder, read_corrected(folder.path), truth) if each.said not in left_alone]
         if not left:
             break
-        correct(folder.path, left[0].make)
-        said.append(left[0].said)
+        try:
+            correct(folder.path, left[0].make)
+        except PlgsError:  # what the views do not show apart stays together
+            left_alone.add(left[0].said)
+        else:
+            said.append(left[0].said)
+            after_each(said)
     return said
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import pytest
 
 from engine.corrections import correct, making, read_corrected
@@ -27,9 +28,26 @@ def test_what_is_wrong_is_mended_and_scored(tmp_path: Path, capsys: pytest.Captu
     correct(lift, lambda state, _: making.reclass(state, [one.id], other.id))
     assert before_and_after(lift)[1] < best
     capsys.readouterr()
-    assert main(["correct", str(lift)]) == 0
+    stills = tmp_path / "stills"
+    assert main(["correct", str(lift), "--film", str(stills)]) == 0
     said = capsys.readouterr().out
     assert f"{one.name} is {one.class_name}" in said and f"-> {100 * best:.1f} %" in said
+    first, *_, last = (cv2.imread(str(path)) for path in sorted(stills.iterdir()))
+    assert first.shape == last.shape and (first != last).any()
+
+
+def test_what_was_merged_is_split_and_what_was_deleted_is_painted(tmp_path: Path) -> None:
+    with presets_as(preview=TINY):
+        lift = lift_into(tmp_path / "lift", LiftRequest(scene=write_tiny_scene(tmp_path / "room", frames=6))).path
+    correct_by_truth(lift)
+    one, other = read_corrected(lift).instances[:2]
+    _, best = before_and_after(lift)
+    correct(lift, lambda state, _: making.merge(state, [one.id, other.id]))
+    _, merged = before_and_after(lift)
+    said = correct_by_truth(lift)
+    _, after = before_and_after(lift)
+    assert f"{one.name} is several things" in said and len(said) < 20
+    assert merged < best and after > 0.9 * best
 
 
 def test_without_truth_it_is_a_line(tmp_path: Path) -> None:
