@@ -14,12 +14,12 @@ from engine.corrections import CorrectedResult, read_corrected
 
 Picture = NDArray[np.uint8]
 STILLS = 5
-WIDTH = 900
+WIDTH = 720
 """Pixels."""
 CUT = 1.9
 """Metres above the floor at which the room is cut open."""
 _LINE, _TEXT, _DOT = 26, 0.5, 1
-_GROUND, _INK = (255, 255, 255), (30, 30, 30)
+_GROUND, _INK, _EDITED = (255, 255, 255), (30, 30, 30), (200, 0, 0)
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Film:
         paths = []
         for number, place in enumerate(places.tolist(), start=1):
             path = folder / f"still_{number}.jpg"
-            done, content = cv2.imencode(".jpg", self.pictures[place][..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 60])
+            done, content = cv2.imencode(".jpg", self.pictures[place][..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 55])
             assert done  # a picture of bytes
             path.write_bytes(content.tobytes())
             paths.append(path)
@@ -49,8 +49,8 @@ class Film:
 
 
 def seen_from_above(result: CorrectedResult) -> Picture:
-    """The points below `CUT`, the longer side of the room across: objects in their colours with their names, all else
-    in the photos' grey. uint8 [H, W, 3]."""
+    """The points below `CUT`, the longer side of the room across: objects in their colours with their names, red
+    where they were edited, all else in the photos' grey. uint8 [H, W, 3]."""
     points = result.points
     floor = np.percentile(points.xyz[:, 2], 2)
     low = np.flatnonzero(points.xyz[:, 2] < floor + CUT)
@@ -76,9 +76,12 @@ def seen_from_above(result: CorrectedResult) -> Picture:
             column, row = (where + (dx, dy)).T
             inside = (column >= 0) & (column < WIDTH) & (row >= 0) & (row < height)
             picture[row[inside], column[inside]] = colours[inside]
+    edited = {each.id for edit in result.edits if not edit.undone for each in (*edit.objects, *edit.made)}
+    edited |= {group.label for edit in result.edits if not edit.undone for group in edit.moved}
     for one in result.instances:
-        if one.points > 100:
-            _write(picture, one.name, place(np.array(one.centre)))
+        if one.points > 100 or one.id in edited:
+            name = one.name if one.class_name in one.name else f"{one.name} ({one.class_name})"
+            _write(picture, name, place(np.array(one.centre)), _EDITED if one.id in edited else _INK)
     return picture
 
 
@@ -89,8 +92,8 @@ def captioned(picture: Picture, text: str) -> Picture:
     return np.concatenate([picture, strip])
 
 
-def _write(picture: Picture, text: str, at: NDArray[np.int64]) -> None:
+def _write(picture: Picture, text: str, at: NDArray[np.int64], colour: tuple[int, int, int]) -> None:
     (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.36, 1)
     origin = int(at[0]) - width // 2, int(at[1])
-    for ink, thick in (((255, 255, 255), 3), (_INK, 1)):
+    for ink, thick in (((255, 255, 255), 3), (colour, 1)):
         cv2.putText(picture, text, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.36, ink, thick, cv2.LINE_AA)
