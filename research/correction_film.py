@@ -76,8 +76,9 @@ def seen_from_above(result: CorrectedResult) -> Picture:
             column, row = (where + (dx, dy)).T
             inside = (column >= 0) & (column < WIDTH) & (row >= 0) & (row < height)
             picture[row[inside], column[inside]] = colours[inside]
-    edited = {each.id for edit in result.edits if not edit.undone for each in (*edit.objects, *edit.made)}
-    edited |= {group.label for edit in result.edits if not edit.undone for group in edit.moved}
+    made = [edit for edit in result.edits if not edit.undone]
+    edited = {mark.id for edit in made for mark in edit.objects} | {new.id for edit in made for new in edit.made}
+    edited |= {group.label for edit in made for group in edit.moved}
     for one in result.instances:
         if one.points > 100 or one.id in edited:
             name = one.name if one.class_name in one.name else f"{one.name} ({one.class_name})"
