@@ -77,7 +77,7 @@ def opened(place: Place) -> Iterator[Farm]:
             address = place.scheduler
         elif place.slurm is not None:
             cluster = stack.enter_context(slurm_cluster(place))
-            cluster.scale(place.workers)
+            cluster.adapt(minimum=place.workers, maximum=place.workers)  # a job that ends is replaced
             address = cluster.scheduler_address
         else:
             local = distributed.LocalCluster(

@@ -40,7 +40,7 @@ class Kind(StrEnum):
 class Piece:
     """Work on the lift of one scene. ``engine`` is the `engine_tag` that a worker must have.
 
-    ``names`` are the frames of a BAKE, or the form of an EXPORT.
+    ``names`` are the frames of a BAKE, or the form of an EXPORT; a LIFT ``tells_frames`` for the bakes that follow.
     """
 
     kind: Kind
@@ -49,6 +49,7 @@ class Piece:
     request: LiftRequest
     engine: str
     names: tuple[str, ...] = ()
+    tells_frames: bool = False
 
     def needs_engine(self) -> list[str | Path]:
         """The engine's command, but for a lift's."""
@@ -119,7 +120,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "") -> Outcome:
         return outcome(Ended.ELSEWHERE if is_of_place else Ended.FAILED, follower.error)
     if follower is not None and follower.exit_code is not ExitCode.FINISHED:
         return outcome(Ended.CANCELLED)
-    if piece.kind is Kind.LIFT:
+    if piece.tells_frames:
         return outcome(Ended.DONE, answer={"frames": list(_frames_of(piece.lift))})
     return outcome(Ended.DONE, answer=follower.answer if follower is not None else None)
 

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -105,7 +105,7 @@ class _Batch:
         def piece(kind: Kind, *names: str) -> Piece:
             return Piece(kind, job.name, job.lift, job.request, engine_tag(), names)
 
-        yield [piece(Kind.LIFT)]
+        yield [replace(piece(Kind.LIFT), tells_frames=bool(plan.chunk))]
         if plan.chunk:
             starts = range(0, len(scene.frames), plan.chunk)
             yield [piece(Kind.BAKE, *scene.frames[start : start + plan.chunk]) for start in starts]
@@ -178,7 +178,7 @@ class _Batch:
         if outcome.ended is not Ended.DONE:
             self._end(scene, _row(scene, outcome.ended, outcome.reason, outcome.exit_code))
             return
-        if piece.kind is Kind.LIFT:
+        if piece.tells_frames:
             frames = outcome.answer.get("frames")
             scene.frames = [str(name) for name in frames] if isinstance(frames, list) else []
         if piece.kind is Kind.SCORE:

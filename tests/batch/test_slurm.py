@@ -1,0 +1,68 @@
+"""Workers as jobs of Slurm: the job script as text, and as a fake sbatch runs it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from engine.batch.cluster import Place, slurm_cluster
+from engine.batch.piece import engine_tag
+from engine.errors import ExitCode
+from engine.job import EventWriter, LiftFolder, StopSignal
+from tests.batch.test_batch import plan_of, rows_of, run
+from tests.job.lift_folders import tiny_lift
+
+pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: python -m engine add farm")
+SBATCH = """#!/bin/sh
+cp "$1" {folder}/job.sh  # as Slurm does
+setsid sh {folder}/job.sh > {folder}/job.log 2>&1 &
+echo $! >> {folder}/jobs
+echo Submitted batch job $!
+"""
+SCANCEL = """#!/bin/sh
+kill "$@"
+"""
+
+
+@pytest.fixture
+def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder with the job's script and log, of a Slurm that runs a job at once."""
+    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        program = tmp_path / "bin" / name
+        program.parent.mkdir(exist_ok=True)
+        program.write_text(text.format(folder=tmp_path))
+        program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}")
+    yield tmp_path
+    for job in (tmp_path / "jobs").read_text().split() if (tmp_path / "jobs").exists() else []:
+        with suppress(ProcessLookupError):
+            os.killpg(int(job), signal.SIGKILL)
+
+
+def test_the_job_script(slurm: Path, root: Path) -> None:
+    place = Place(2, "", {"queue": "gpu", "account": "", "walltime": "02:00:00"}, gigabytes=16.0, threads=8)
+    with slurm_cluster(place) as cluster:
+        script = cluster.job_script()
+    for line in ("#SBATCH -p gpu", "#SBATCH -t 02:00:00", "#SBATCH --cpus-per-task=8", "#SBATCH --mem=15G"):
+        assert line in script.splitlines(), script
+    assert "#SBATCH -A" not in script and f'export PYTHONPATH="{root}"' in script
+    offered = re.search(r"--resources (\S+)", script)
+    assert offered is not None and set(offered[1].split(",")) == {f"{engine_tag()}=1", "PLGS_GB=16", "PLGS_THREADS=8"}
+
+
+def test_a_job_works(slurm: Path) -> None:
+    """It finds a lift that is finished, and scores it."""
+    plan = plan_of(slurm, "a")
+    lift = LiftFolder.create(plan.jobs[0].lift, plan.jobs[0].request)
+    events = EventWriter(lift.events_path)
+    tiny_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
+    events.close()
+    assert run(plan, Place(1, "", {}, 1.0, 1)) is ExitCode.FINISHED, (slurm / "job.log").read_text()
+    assert rows_of(plan)["a"]["state"] == "done"
+    assert "distributed.cli.dask_worker" in (slurm / "job.sh").read_text()
