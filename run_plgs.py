@@ -36,6 +36,8 @@ if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # until `Interrupts` is there, Ctrl-C just ends it
 
 ROOT = Path(__file__).resolve().parent
+BLEND_S = 600.0
+"""Seconds that a command waits for its turn while others build the .blend of the same lift."""
 READER_GONE = 141
 """The shell's exit status of a command whose reader has ended, such as ``head``."""
 
@@ -56,6 +58,7 @@ load_package()
 from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
 from plgs.engine.job import FURTHER_LAYERS, LiftFolder, LiftRequest, read_manifest
+from plgs.engine.job.lock import lock_on
 from plgs.engine.job.options import add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
 from plgs.engine.job.report import made_files, metrics_text, read_metrics
@@ -264,7 +267,9 @@ def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
     try:
         from plgs.plgs_blender.lift_scene import save_lift  # brings bpy
 
-        save_lift(lift.path, blend)
+        (lift.path / "bake").mkdir(exist_ok=True)
+        with lock_on(lift.path / "bake" / "blend.lock", BLEND_S):  # commands that were given at once end at once, too
+            save_lift(lift.path, blend)
     except PlgsError:
         raise
     except Exception as error:

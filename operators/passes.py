@@ -137,6 +137,24 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
             self._timer = None
 
 
+class PLGS_OT_bake_on_farm(OnLiftFolder, Explained, bpy.types.Operator):
+    """Write a job for Flamenco that bakes the active camera over the frame range on a render farm. The lift and this
+    file have to lie where the farm sees them"""
+
+    bl_idname, bl_label = "plgs.bake_on_farm", "Bake on Farm"
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        panel = panel_of(context)
+        return None if panel is None else lifting.why_no_bake(panel)
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        job = lifting.bake_on_farm(context.scene, self.lift_folder)
+        self.report({"INFO"}, f"Written for the farm, which bakes this file as it was saved: {job}")
+        return FINISHED
+
+
 def _show_progress(context: bpy.types.Context, text: str | None) -> None:
     """Show a text in the status bar; None: what Blender shows there."""
     if context.workspace is not None:
@@ -186,6 +204,7 @@ class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
 CLASSES = (
     PLGS_OT_bake_passes,
     PLGS_OT_bake_camera,
+    PLGS_OT_bake_on_farm,
     PLGS_OT_show_passes,
     PLGS_OT_matte_instance,
     PLGS_OT_matte_class,

@@ -66,7 +66,7 @@ def test_the_zip_holds_what_runs_and_what_the_engine_is_set_up_from(root: Path, 
     tops = {name.partition("/")[0] for name in names}
     files = {"blender_manifest.toml", "__init__.py", "run_plgs.py", "LICENSE", "README.md", "CHANGELOG.md"}
     files.add("SECURITY.md")
-    assert tops == files | {*parts, "requirements"}
+    assert tops == files | {*parts, "farm", "requirements"}
 
 
 def test_one_zip_serves_every_platform(package: Path) -> None:
@@ -75,7 +75,7 @@ def test_one_zip_serves_every_platform(package: Path) -> None:
         endings = {Path(name).suffix for name in zipped.namelist()}
     assert manifest["id"] == "plgs" and manifest["blender_version_min"] == "4.2.0"
     assert not {"wheels", "platforms", "blender_version_max"} & set(manifest)
-    assert endings <= {".py", ".txt", ".toml", ".json", ".md", ".csv", ""}
+    assert endings <= {".py", ".txt", ".toml", ".json", ".md", ".csv", ".js", ""}
 
 
 def test_the_zip_installs_and_registers_and_goes(package: Path, tmp_path: Path) -> None:

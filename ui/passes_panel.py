@@ -31,6 +31,7 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
         ):
             column.operator("plgs.bake_passes", text=label, icon="RENDERLAYERS").frames = frames
         column.operator("plgs.bake_camera", icon="CAMERA_DATA")
+        column.operator("plgs.bake_on_farm", icon="NETWORK_DRIVE")
         _draw_cost(column, context.scene)
         if baking is not None:
             if baking.error is None:

@@ -8,13 +8,14 @@ from pathlib import Path
 import bpy
 
 from ...engine.errors import ErrorCode, PlgsError
-from ...engine.job import LiftFolder
+from ...engine.job import LiftFolder, read_manifest
 from ...engine.scene import open_scene_to_lift
 from ...engine.scene_of_lift import relink
 from .. import engine_environment
 from ..clouds import cloud_folder
 from ..engine_environment import why_no_engine
 from ..errors import with_field_names
+from ..farm_job import write_farm_job
 from ..lift_collection import FOLDER, is_same_place, lift_of_scene, lifts_in, root_of_placed
 from ..meshes import mesh_folder
 from ..owned import text_of
@@ -165,9 +166,7 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
     return lifts.bake(lift, python, names, layers=sorted(scene.plgs.layers), keep_running=scene.plgs.keep_running)
 
 
-def read_camera(
-    scene: bpy.types.Scene, camera: str, frames: tuple[int | None, int | None, int | None]
-) -> ShotReader:
+def read_camera(scene: bpy.types.Scene, camera: str, frames: tuple[int | None, int | None, int | None]) -> ShotReader:
     """Begin to read a camera, the scene's active one unless named, over ``frames`` (first, last, step), the scene's
     where None. Raises PlgsError, also where there is no engine to bake it.
     """
@@ -183,6 +182,15 @@ def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "") -> Lif
     cameras, python = shot.write(lift.path), engine_environment.usable_python()
     layers, keep_running = sorted(scene.plgs.layers), scene.plgs.keep_running
     return lifts.bake(lift, python, cameras=cameras, layers=layers, keep_running=keep_running)
+
+
+def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
+    """Write the job that bakes the scene's active camera over its frame range on a farm, and return the file. Raises
+    PlgsError, OSError.
+    """
+    lift = lift_at(scene.plgs, folder)
+    read_manifest(lift.result_path)
+    return write_farm_job(scene, lift, shot_of(scene))
 
 
 def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str, folder: str = "") -> exports.Export:

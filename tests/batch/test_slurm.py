@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: python -m engine add farm")
+# ruff: noqa: E402 - without it the rest is not tested
 from engine.batch.cluster import Place, slurm_cluster
 from engine.batch.piece import engine_tag
 from engine.errors import ExitCode
@@ -18,7 +20,6 @@ from engine.job import EventWriter, LiftFolder, StopSignal
 from tests.batch.test_batch import plan_of, rows_of, run
 from tests.job.lift_folders import tiny_lift
 
-pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: python -m engine add farm")
 SBATCH = """#!/bin/sh
 cp "$1" {folder}/job.sh  # as Slurm does
 setsid sh {folder}/job.sh > {folder}/job.log 2>&1 &

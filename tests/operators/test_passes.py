@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -120,6 +122,23 @@ def test_the_active_camera_is_baked_over_the_frame_range(lift: Path, baked: Aske
     baked.cameras.clear()
     assert bpy.ops.plgs.bake_camera(camera="dolly", frame_start=8, frame_end=12, frame_step=4) == {"FINISHED"}
     assert [each.name for each in baked.cameras] == ["dolly.0008", "dolly.0012"]
+
+
+def test_a_job_for_a_farm_is_written_from_a_saved_file(lift: Path, tmp_path: Path) -> None:
+    lift = shutil.copytree(lift, tmp_path / "lift")
+    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+    scene = bpy.context.scene
+    scene.camera = next(ob for ob in scene.objects if "frame" in ob)
+    scene.frame_start, scene.frame_end, scene.frame_step = 3, 7, 2
+    with pytest.raises(RuntimeError, match="Save it"):
+        bpy.ops.plgs.bake_on_farm(lift_folder=str(lift))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    assert bpy.ops.plgs.bake_on_farm(lift_folder=str(lift)) == {"FINISHED"}
+    job = json.loads((lift / "bake" / "farm.json").read_text())
+    known = set(re.findall(r'key: "(\w+)"', (Path(__file__).parents[2] / "farm" / "plgs.js").read_text()))
+    assert job["type"] == "plgs" and set(job["settings"]) == known
+    assert job["settings"]["frames"] == "3,5,7" and job["settings"]["camera"] == scene.camera.name
+    assert (job["settings"]["output"], job["settings"]["blend"]) == (str(lift), str(tmp_path / "shot.blend"))
 
 
 def test_a_long_range_is_read_while_blender_answers(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
