@@ -88,7 +88,7 @@ class ViewEvidence:
 
     points: EvidenceKind = "density"
     objects: EvidenceKind = "root"
-    segments: EvidenceKind = "density"
+    segments: EvidenceKind = "resolution"
     gaussians: EvidenceKind = "pixels"
     masks: EvidenceKind = "density"
 
