@@ -210,6 +210,8 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
         device=None,
         names_from=None,
         poses=None,
+        blocks=None,
+        block=None,
         bake="none",
         resume=True,
     )
