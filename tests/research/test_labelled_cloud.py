@@ -1,0 +1,37 @@
+"""What a view's word counts, measured on the labelled cloud."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import pytest
+
+from engine.presets.preset import PRESETS, ViewEvidence
+from research import labelled_cloud
+from research.experiments.scenes import SceneToLift
+from tests.tiny_scene import write_tiny_scene
+
+PRESET = replace(PRESETS["preview"], voxel_size=0.2)
+
+
+def test_each_kind_stands_in_each_place_once() -> None:
+    ways = dict(labelled_cloud.ways(ViewEvidence()))
+    assert ways["as shipped"] == ViewEvidence()
+    assert ways["all: views"] == replace(ViewEvidence(), objects="views", segments="views", masks="views")
+    assert ways["masks: pixels"] == replace(ViewEvidence(), masks="pixels")
+    assert len(ways) == 1 + 5 + 3 * 4
+
+
+def test_a_row_a_way_and_a_column_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = labelled_cloud.ways
+    monkeypatch.setattr(labelled_cloud, "ways", lambda shipped: islice(every(shipped), 2))
+    scene = write_tiny_scene(tmp_path / "room", frames=10)
+    head, _, shipped, views = labelled_cloud.evidence_table([SceneToLift("room", scene, "z")], PRESET)
+    assert head == "| | room | mean |"
+    for line, name in ((shipped, "as shipped"), (views, "all: views")):
+        found, room, mean = (cell.strip() for cell in line.strip("|").split("|"))
+        assert found == name and room == mean
+        miou, pq = (float(figure) for figure in room.split(",")[0].split("/"))
+        assert 60 < miou <= 100 and 40 < pq <= 100  # exact masks and depth
