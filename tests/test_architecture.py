@@ -23,7 +23,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "json_file": {"errors", "gates"},
     "presets": {"errors", "gates", "json_file"},
     "scene_source": {"json_file"},
-    "scene": {"errors", "gates", "json_file", "presets", "scene_source"},
+    "scene": {"errors", "gates", "json_file", "presets", "scene_source", "job"},
     "job": {"errors", "gates", "json_file", "presets", "scene_source"},
     "result_files": {"errors", "json_file", "scene", "job"},
     "scene_of_lift": {"errors", "json_file", "scene", "job", "result_files"},

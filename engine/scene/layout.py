@@ -8,6 +8,7 @@ from pathlib import Path, PureWindowsPath
 
 from ..errors import PlgsError
 from ..gates import read_plain
+from .counts import check_memory
 from .frame import Size
 
 _SAME_SHAPE = 0.02
@@ -17,6 +18,7 @@ _SAME_SHAPE = 0.02
 def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -> bytes:
     """The content of a regular file of at most ``most_bytes``. Raises PlgsError, with ``fix`` as the advice."""
     try:
+        check_memory(min(path.stat().st_size, most_bytes), path)
         return read_plain(path, most_bytes)
     except OSError as error:
         raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from engine.errors import PlgsError
-from engine.scene import open_scene
+from engine.job.main_memory import MainMemory
+from engine.scene import counts, open_scene
 from engine.scene.camera import Camera
 from engine.scene.classes import Category, ClassLabel
-from engine.scene.formats.colmap_model import _binary_points
+from engine.scene.formats.colmap_model import _binary_points, _text_points
 from engine.scene.formats.lens import Distortion, undistorted
 from engine.scene.formats.ply_points import read_ply_points
 from engine.scene.formats.scannetpp import _find_blocks
 from engine.scene.formats.video import mp4_size
+from engine.scene.layout import read_file
 from engine.scene.limits import depth_check
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
@@ -36,16 +38,19 @@ def test_points_of_holes(tmp_path: Path) -> None:
         _binary_points(sparse(tmp_path / "a.bin", struct.pack("<Q", 40_000_000), 1 << 31))
     with pytest.raises(PlgsError, match="cut off"):
         _binary_points(sparse(tmp_path / "b.bin", struct.pack("<Q", 1 << 62), 1000))
-    with pytest.raises(PlgsError, match="more than 4 million points"):
+    with pytest.raises(PlgsError, match="more than 4000000 points"):
         _binary_points(sparse(tmp_path / "c.bin", struct.pack("<Q", 5_000_000), 51 * 5_000_000 + 8))
 
 
-@pytest.mark.parametrize(("count", "told"), [(60_000_000, "1 million vertices as text"), (900_000, "cut off")])
+@pytest.mark.parametrize(
+    ("count", "told"),
+    [(60_000_000, "cut off"), (1_100_000, "more than 1000000 vertices as text"), (600_000, "not numbers|cut off")],
+)
 def test_ply_of_text(tmp_path: Path, count: int, told: str) -> None:
     fields = "".join(f"property float {axis}\n" for axis in "xyz")
     head = f"ply\nformat ascii 1.0\nelement vertex {count}\n{fields}end_header\n"
     path = tmp_path / "points.ply"
-    path.write_bytes(head.encode() + b"\n" * 4_000_000)
+    path.write_bytes(head.encode() + b"\n" * 8_000_000)
     with pytest.raises(PlgsError, match=told):
         read_ply_points(path)
 
@@ -94,9 +99,8 @@ def test_estimated_depth_has_the_same_limits(tmp_path: Path) -> None:
     maps.mkdir()
     for path in (scene / "color").iterdir():
         np.save(maps / f"{path.stem}.npy", np.ones((1, 5000), np.float32))
-    with pytest.raises(PlgsError, match=r"5000x1|another shape|does not fit"):
-        for frame in open_scene(scene, depth=maps).frames:
-            frame.depth()
+    with pytest.raises(PlgsError, match="depth of frame 0000 is 5000x1, which no camera makes"):
+        open_scene(scene, depth=maps).frames[0].depth()
 
 
 def test_depth_of_one_row(tmp_path: Path) -> None:
@@ -117,3 +121,24 @@ def test_class_names_are_one_printable_line() -> None:
     name = "chair\u202egnp.exe\u2028\x1b[2J\n"
     for one in (ClassLabel(1, name, True), Category(1, name, True, (1, 2, 3))):
         assert one.name.isprintable() and one.name.startswith("chair?gnp.exe")
+
+
+def test_what_a_file_becomes_fits_into_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    points = sparse(tmp_path / "points.bin", struct.pack("<Q", 1_000_000), 51 * 1_000_000 + 8)
+    monkeypatch.setattr(counts, "main_memory", lambda: MainMemory(1 << 34, 101_000_000))
+    with pytest.raises(PlgsError, match="it takes 0.051 GB of memory, and 0.1 GB are free"):
+        _binary_points(points)
+    monkeypatch.setattr(counts, "main_memory", lambda: MainMemory(1 << 34, 60_000_000))
+    with pytest.raises(PlgsError, match="it takes 0.051 GB of memory"):
+        read_file(points, 1 << 30)
+    fields = "".join(f"property uchar {name}\n" for name in "xyz")
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex 2000000\n{fields}end_header\n"
+    with pytest.raises(PlgsError, match="it takes 0.096 GB of memory"):
+        read_ply_points(sparse(tmp_path / "points.ply", head.encode(), 3 * 2_000_000 + 1000))
+
+
+def test_lines_of_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "points3D.txt"
+    path.write_bytes(b"\n" * 2_000_000)
+    with pytest.raises(PlgsError, match="more than 1000000 lines"):
+        _text_points(path)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ..counts import check_count
 from ..frame import SparsePoints
 from ..layout import read_file, read_text
 
@@ -24,10 +25,14 @@ MADE_BY = "made_by.json"
 _SUFFIXES = ("bin", "txt")
 _MOST_BYTES = 1 << 31
 _MOST_POINTS = 4_000_000
-"""Points of a model, at most: as many take ten seconds. Models of rooms have some hundred thousand."""
+"""Points of a model, at most: as many take seven seconds. Models of rooms have some hundred thousand."""
+_MOST_LINES = 1_000_000
+"""Lines of a text file, at most: as many take some seconds."""
+_LINE_IN_MEMORY = 500
+"""Bytes: a line of text, and the numbers that are read of it."""
 _POINT_BYTES = 51
 """Bytes of a point in a binary file, at least."""
-_MOST_POINT_BYTES = 1 << 29
+_MOST_POINT_BYTES = _MOST_TEXT = 1 << 29
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 _FIX = "Let COLMAP export the model again."
 
@@ -98,11 +103,11 @@ class _Bytes:
         self.position += size
         return struct.unpack_from(layout, self.data, self.position - size)
 
-    def count(self, least_bytes: int) -> int:
-        """How many things follow, of ``least_bytes`` each at least."""
+    def count(self, things: str, least_bytes: int, most: int = _MOST_BYTES) -> int:
+        """How many ``things`` follow, of ``least_bytes`` each at least; in memory they take no more."""
         count = int(self.take("<Q")[0])
-        if count > (len(self.data) - self.position) // least_bytes:
-            raise self._cut_off()
+        room = (len(self.data) - self.position) // least_bytes
+        check_count(count, things, self.path, _FIX, most=most, room=room, made=least_bytes)
         return count
 
     def text(self) -> str:
@@ -130,7 +135,7 @@ class _Bytes:
 
 def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
     file, cameras = _Bytes(path), {}
-    for _ in range(file.count(48)):
+    for _ in range(file.count("cameras", 48)):
         camera, model, width, height = (int(value) for value in file.take("<IiQQ"))
         if not 0 <= model < len(_MODELS):
             raise PlgsError(f"camera {camera} has the model number {model}, which is not known", path, _FIX)
@@ -141,30 +146,23 @@ def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def _binary_images(path: Path) -> tuple[ColmapImage, ...]:
     file, images = _Bytes(path), []
-    for _ in range(file.count(73)):
+    for _ in range(file.count("images", 73)):
         _, w, x, y, z, *translation, camera = file.take("<I7dI")
         name = file.text()
-        points = file.array(_POINTS_2D, file.count(_POINTS_2D.itemsize))["point"]
+        points = file.array(_POINTS_2D, file.count("points of an image", _POINTS_2D.itemsize))["point"]
         images.append(ColmapImage(name, int(camera), (w, x, y, z), tuple(translation), points[points >= 0]))
     return tuple(images)
 
 
 def _binary_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
     file = _Bytes(path, _MOST_POINT_BYTES)
-    count = file.count(_POINT_BYTES)
-    _refuse_more_points(count, path)
+    count = file.count("points", _POINT_BYTES, _MOST_POINTS)
     ids, xyz, rgb = np.empty(count, np.int64), np.empty((count, 3)), np.empty((count, 3), np.uint8)
     for row in range(count):
         ids[row], *xyz[row], red, green, blue, _, track = file.take("<q3d3BdQ")
         rgb[row] = red, green, blue
         file.skip(8 * int(track))
     return ids, SparsePoints(xyz, rgb)
-
-
-def _refuse_more_points(count: int, path: Path) -> None:
-    if count > _MOST_POINTS:
-        what = f"the model has more than {_MOST_POINTS // 10**6} million points"
-        raise PlgsError(what, path, "Filter its points in COLMAP, or take the file away: a lift can do without.")
 
 
 def _as_points(
@@ -176,7 +174,8 @@ def _as_points(
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, comments left out. Raises PlgsError."""
-    text = read_text(path, _MOST_BYTES, _FIX)
+    text = read_text(path, _MOST_TEXT, _FIX)
+    check_count(text.count("\n"), "lines", path, _FIX, most=_MOST_LINES, room=len(text), made=_LINE_IN_MEMORY)
     return ((number, line) for number, line in enumerate(text.split("\n"), start=1) if not line.startswith("#"))
 
 
@@ -236,7 +235,6 @@ def _text_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
             x, y, z = (float(word) for word in words[1:4])
             red, green, blue = (float(int(word) & 255) for word in words[4:7])
             ids.append(int(np.int64(int(words[0]))))
-            _refuse_more_points(len(ids), path)
         except (ValueError, OverflowError) as error:
             raise _broken(path, number) from error
         xyz.append((x, y, z))

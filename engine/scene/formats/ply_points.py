@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ..counts import check_count
 from ..frame import SparsePoints
 from ..layout import read_file
 
@@ -20,6 +21,9 @@ _TYPES = {
     **dict.fromkeys(("int", "int32"), "i4"), **dict.fromkeys(("uint", "uint32"), "u4"),
     **dict.fromkeys(("float", "float32"), "f4"), **dict.fromkeys(("double", "float64"), "f8"),
 }  # fmt: skip
+_VERTEX_IN_MEMORY, _VALUE_IN_MEMORY = 48, 200
+"""Bytes: a vertex with its colour, and a number of a line of text with the text."""
+_SHORT = "Write this file again."
 _FIX = "Write a PLY whose first element is vertex, with x, y, z."
 
 
@@ -65,19 +69,18 @@ def _parse_header(header: str, path: Path) -> tuple[str, int, list[tuple[str, st
 
 def _vertices(body: bytes, form: str, count: int, fields: np.dtype[np.void], path: Path) -> NDArray[np.void]:
     """The vertices, a structured array [count]. Raises PlgsError."""
-    cut_off = PlgsError("the PLY is cut off", path, "Write this file again.")
     if form != "ascii":
-        if len(body) < count * fields.itemsize:
-            raise cut_off
+        room = len(body) // fields.itemsize
+        check_count(count, "vertices", path, _SHORT, most=_MOST_BYTES, room=room, made=_VERTEX_IN_MEMORY)
         return np.frombuffer(body, fields, count)
-    if count > _MOST_IN_TEXT:
-        what = f"the PLY has more than {_MOST_IN_TEXT // 10**6} million vertices as text"
-        raise PlgsError(what, path, "Write it as a binary PLY.")
-    if count * 2 * len(fields.names or ()) > len(body):  # a digit and what parts it from the next
-        raise cut_off
+    values = len(fields.names or ())
+    room = len(body) // (2 * values)  # a digit and what parts it from the next
+    made = values * _VALUE_IN_MEMORY
+    check_count(
+        count, "vertices as text", path, "Write it as a whole, as binary.", most=_MOST_IN_TEXT, room=room, made=made
+    )
     rows = [line.decode("ascii", "replace").split() for line in body.split(b"\n", count)[:count]]
-    if len(rows) < count:
-        raise cut_off
+    check_count(count, "vertices", path, _SHORT, most=count, room=len(rows), made=0)
     try:
         return np.array([tuple(float(value) for value in row) for row in rows], fields)
     except (ValueError, OverflowError) as error:

@@ -27,6 +27,7 @@ from ...errors import PlgsError
 from ...gates import open_plain
 from ...json_file import read_json_object
 from ..camera import Camera
+from ..counts import check_most
 from ..depth import DepthMap, only_depth, png_depth
 from ..image_header import read_image_header
 from ..layout import files_if_any, natural_order
@@ -162,9 +163,8 @@ def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
             length = int.from_bytes(file.read(4), "little")
             if not 0 < length <= 8 * _PIXELS or start + 4 + length > end:
                 return None
-            if len(blocks) == _MOST_FRAMES:
-                raise PlgsError(f"the depth has more than {_MOST_FRAMES} frames", path, _FIX)
             blocks.append((start + 4, length))
+            check_most(len(blocks), "frames", path, _FIX, _MOST_FRAMES)
             start += 4 + length
     return blocks
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...gates import open_plain
+from ..counts import check_most
 from ..frame import Size
 
 _BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
@@ -119,9 +120,10 @@ def mp4_size(path: Path) -> Size | None:
 
 def _boxes(file: BinaryIO, wanted: bytes, start: int, stop: int) -> Iterator[tuple[int, int]]:
     """Where the content of each box of the kind ``wanted`` starts and ends, between two places of an MP4."""
-    for _ in range(_MOST_BOXES):
-        if start + 8 > stop:
-            return
+    number = 0
+    while start + 8 <= stop:
+        number += 1
+        check_most(number, "parts", file.name, _FIX, _MOST_BOXES)
         file.seek(start)
         head = file.read(16)
         if len(head) < 8:
@@ -136,4 +138,3 @@ def _boxes(file: BinaryIO, wanted: bytes, start: int, stop: int) -> Iterator[tup
         if kind == wanted:
             yield begin, start + length
         start += length
-    raise PlgsError(f"the video has more than {_MOST_BOXES} parts", file.name, _FIX)

@@ -1,0 +1,40 @@
+"""How many there are, as a file says: checked against its size and the free memory before anything is made of it.
+
+Every reader of a scene asks here, with what it knows: a count in a header, the bytes that are left, what one becomes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import PlgsError
+from ..job.main_memory import main_memory
+
+_SHARE_OF_MEMORY = 0.5
+"""Of the free memory, for what one file becomes: the rest of the scene needs some as well."""
+
+
+def check_count(count: int, things: str, path: Path, fix: str, *, most: int, room: int, made: int) -> None:
+    """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that cannot be true, or cannot be read here.
+
+    ``room`` is how many the bytes that are left in the file can hold at most; ``most`` how many are read within ten
+    seconds; ``made`` how many bytes of memory one of them takes.
+    """
+    if count > room:
+        raise PlgsError("the file is cut off", path, fix)
+    check_most(count, things, path, fix, most)
+    check_memory(count * made, path)
+
+
+def check_most(count: int, things: str, path: Path | str, fix: str, most: int) -> None:
+    """Raise PlgsError for more than ``most`` of what is counted while it is found."""
+    if count > most:
+        raise PlgsError(f"the file has more than {most} {things}", path, fix)
+
+
+def check_memory(size: int, path: Path) -> None:
+    """Raise PlgsError when what the file ``path`` becomes, ``size`` bytes, is more than half of the free memory."""
+    memory = main_memory() if size > 0 else None
+    if memory is not None and size > _SHARE_OF_MEMORY * memory.free:
+        what = f"it takes {size / 1e9:.2g} GB of memory, and {memory.free / 1e9:.2g} GB are free"
+        raise PlgsError(what, path, "Close other programs, or take a computer with more memory.")
