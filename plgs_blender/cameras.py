@@ -54,9 +54,13 @@ def lens_of(camera: Camera) -> Lens:
         focal_length=camera.fx * SENSOR_WIDTH / camera.width,
         shift_x=(camera.width / 2.0 - camera.cx) / camera.width,
         shift_y=(camera.cy - camera.height / 2.0) / camera.width * aspect,
-        # Blender takes no pixel aspect below 1.
-        pixel_aspect=(1.0, aspect) if aspect >= 1.0 else (1.0 / aspect, 1.0),
+        pixel_aspect=pixel_aspect(camera.fx, camera.fy),
     )
+
+
+def pixel_aspect(fx: float, fy: float) -> tuple[float, float]:
+    """The scene's pixel aspect for focal lengths in pixels. Blender takes none below 1."""
+    return (1.0, fx / fy) if fx >= fy else (fy / fx, 1.0)
 
 
 def object_matrix(camera: Camera) -> NDArray[np.float64]:

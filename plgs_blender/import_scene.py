@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ..engine.errors import PlgsError
 from ..engine.job.made_frames import MadeFrames
 from ..engine.scene import Scene
+from .cameras import object_matrix, overview_camera
 from .chosen_scene import ChosenScene, lacks_package
 from .clouds import place_points
 from .frames import mark_timeline, picture_of, place_camera_path, place_frames, show_photo
+from .inspecting.looks import places
 from .inspecting.lookup import objects_by_key
 from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
 from .made_pictures import cloud_of, made_before, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
+from .viewport import show_room
 
 MISSING = "plgs_missing"
 """Property of an imported scene's collection: what an engine has still to make of it, "colour" and "cloud" as its
 command calls them."""
 
 _CLOUDS = "Coloured points"
+_AHEAD = 2.0
+"""Metres that a room reaches before its cameras, where no points say more."""
+_INNER = (0.2, 99.8)
+"""Percentiles of a cloud's places between which the room is."""
 
 
 def place_scene(place: ChosenScene, scene: bpy.types.Scene, *, cloud: bool = True) -> bpy.types.Collection:
@@ -48,6 +58,19 @@ def place_scene(place: ChosenScene, scene: bpy.types.Scene, *, cloud: bool = Tru
         missing += _place_clouds(owned, root, opened, made, cloud)
     root[MISSING] = " ".join(missing)
     return root
+
+
+def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+    """Let the 3D views that show the scene look down at the frames' cameras and the points before them."""
+    scene.view_layers[0].update()
+    matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
+    eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]
+    clouds = [places(ob.data) for ob in root.all_objects if ob.type == "POINTCLOUD"]
+    points = [np.percentile(cloud, _INNER, axis=0) for cloud in clouds if len(cloud)] or [eyes + _AHEAD * ahead]
+    xyz = np.concatenate([eyes, *points])
+    corners = np.array(list(product(*np.stack([xyz.min(axis=0), xyz.max(axis=0)], axis=1))))
+    overview = Matrix(object_matrix(overview_camera(corners, np.zeros_like(corners))).tolist())
+    show_room(scene, overview.to_quaternion(), corners, vertex=False)
 
 
 def _open(place: ChosenScene) -> tuple[Scene, MadeFrames | None]:

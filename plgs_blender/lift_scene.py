@@ -244,7 +244,7 @@ def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     overview = overview_of(root)
     if overview is not None and len(root.plgs.classes):
         scene.view_layers[0].update()
-        show_room(scene, overview, _corners(root), root.plgs.show_as != POINTS)
+        show_room(scene, overview.matrix_world.to_quaternion(), _corners(root), root.plgs.show_as != POINTS)
 
 
 def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Quaternion, Vector
 from numpy.typing import NDArray
 
 from .cameras import OVERVIEW_SIZE
@@ -85,9 +85,9 @@ def _colour_view(space: bpy.types.SpaceView3D, vertex: bool) -> bool:
     return is_new
 
 
-def show_room(scene: bpy.types.Scene, overview: bpy.types.Object, corners: NDArray[np.float64], vertex: bool) -> None:
-    """Let the 3D views of the windows with this scene look at the room with these corners [N, 3], in metres, as the
-    overview camera does, beside what the sidebar covers. Views through a camera stay.
+def show_room(scene: bpy.types.Scene, rotation: Quaternion, corners: NDArray[np.float64], vertex: bool) -> None:
+    """Let the 3D views of the windows with this scene look at the room with these corners [N, 3], in metres, turned as
+    a camera with this rotation is, beside what the sidebar covers. Views through a camera stay.
 
     Views that are still as Blender starts them get the lift's colours: those of vertices, or of objects.
     """
@@ -100,17 +100,16 @@ def show_room(scene: bpy.types.Scene, overview: bpy.types.Object, corners: NDArr
                 space.clip_start = 0.01
                 space.overlay.show_relationship_lines = space.overlay.show_floor = False
             if space.region_3d.view_perspective != "CAMERA":
-                _frame(area, overview, corners)
+                _frame(area, rotation, corners)
 
 
-def _frame(area: bpy.types.Area, overview: bpy.types.Object, corners: NDArray[np.float64]) -> None:
+def _frame(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]) -> None:
     """Let a 3D view hold all corners in what the sidebar leaves free."""
     space = area.spaces.active
     window = next(region for region in area.regions if region.type == "WINDOW")
     bar = next((region for region in area.regions if region.type == "UI"), None)
     covered = bar.width / window.width if bar is not None and bar.width > 1 and bar.x >= window.x else 0.0
     covered = covered if covered < 0.6 else 0.0
-    rotation = overview.matrix_world.to_quaternion()
     axes = np.array(rotation.to_matrix())  # columns: right, up, towards the eye
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
     local = (corners - middle) @ axes

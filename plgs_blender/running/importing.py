@@ -19,12 +19,13 @@ from .. import engine_environment
 from ..chosen_scene import ChosenScene, lacks_package
 from ..engine_environment import why_no_engine
 from ..frame_pictures import KIND_OF, place_of_root, root_of, show_here, show_made, why_no_picture
-from ..import_scene import MISSING, add_made, place_scene
+from ..import_scene import MISSING, add_made, look_at_imported, place_scene
 from ..inspecting.lookup import objects_by_key
 from ..lift_collection import SCENE, is_same_place, lifts_in
 from ..made_pictures import frames_folder, made_before
 from ..owned import LIFT
 from ..settings import chosen_scene
+from ..startup_file import taking_over
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 
@@ -69,7 +70,7 @@ class FrameMaking(Task):
         if not order.lift:
             target = bpy.data.scenes.get(order.scene)
             if target is not None:
-                place_scene(order.chosen, target, cloud="cloud" in order.kinds)
+                _place(order.chosen, target, "cloud" in order.kinds)
             return
         for each in bpy.data.scenes:
             for root in (root for root in lifts_in(each) if root[LIFT] == order.lift):
@@ -95,6 +96,15 @@ def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
     return timer.begin(FrameMaking(order, folder, start_engine("frames", python, *command)))
 
 
+def _place(chosen: ChosenScene, scene: bpy.types.Scene, cloud: bool) -> bpy.types.Collection:
+    """Place the scene. In an untouched startup file the views then look at it. Raises PlgsError."""
+    with taking_over(scene) as is_untouched:
+        root = place_scene(chosen, scene, cloud=cloud)
+    if is_untouched:
+        look_at_imported(root, scene)
+    return root
+
+
 def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking | None:
     """Import the scene that the panel is set to, and let an engine begin with what is missing, where there is one. What
     Blender's Python cannot even open is imported as a whole when the engine is done.
@@ -109,7 +119,7 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking |
         registry.forget(FrameMaking.kind)
         python = engine_environment.engine_python()
     try:
-        root = place_scene(chosen, scene, cloud=cloud)
+        root = _place(chosen, scene, cloud)
     except PlgsError as error:
         if python is None or not lacks_package(error):
             raise

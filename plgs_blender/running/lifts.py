@@ -16,6 +16,7 @@ from ...engine.job.recent import RecentLift, recent_lifts
 from ...engine.job.task import BAKE, LIFT, TaskState
 from ..lift_scene import look_at_placed, place_lift, place_passes_anew
 from ..settings import adopt, chosen_lift
+from ..startup_file import taking_over
 from ..tasks import registry, timer
 from ..tasks.registry import Task
 from . import live_preview
@@ -207,7 +208,8 @@ def show_lift(scene: Any, lift: LiftFolder) -> Any:
     """Put a finished lift into the scene, let the panel say what it was asked for, and return its collection. The 3D
     views look at it, as splats when it was not in the scene before. Raises PlgsError.
     """
-    root = place_lift(lift.path, scene)
+    with taking_over(scene):
+        root = place_lift(lift.path, scene)
     adopt(scene.plgs, lift.request, lift.path)
     look_at_placed(root, scene)
     return root

@@ -1,0 +1,114 @@
+"""In an untouched startup file the view becomes the capture's; what somebody has set or made there stays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def startup_file(extension: None) -> None:
+    bpy.ops.wm.read_homefile(use_empty=False, use_factory_startup=True)
+
+
+def size_of(scene: bpy.types.Scene) -> tuple[int, int, float]:
+    render = scene.render
+    return render.resolution_x, render.resolution_y, render.pixel_aspect_y / render.pixel_aspect_x
+
+
+def import_room(room: Path) -> bpy.types.Scene:
+    assert bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False) == {"FINISHED"}
+    return bpy.context.scene
+
+
+def test_an_import_makes_the_view_the_captures(room: Path) -> None:
+    scene = import_room(room)
+    assert (scene.frame_start, scene.frame_end) == (0, 7)
+    assert scene.camera["frame"] == "0000"
+    fx, fy = scene.camera["fx"], scene.camera["fy"]
+    assert size_of(scene) == (64, 48, pytest.approx(fx / fy))
+    assert not any(bpy.data.objects[name].visible_get() for name in ("Cube", "Light", "Camera"))
+    assert bpy.data.objects["Cube"].hide_render
+    for frame in range(8):
+        scene.frame_set(frame)
+        assert scene.camera["frame"] == f"{frame:04d}"
+    assert bpy.ops.plgs.show_picture.poll()
+
+
+def test_the_views_look_at_the_room(room: Path) -> None:
+    views = [
+        area.spaces.active.region_3d
+        for window in bpy.context.window_manager.windows
+        for area in window.screen.areas
+        if area.type == "VIEW_3D"
+    ]
+    assert views
+    scene = import_room(room)
+    eyes = [ob.matrix_world.translation for ob in scene.objects if "frame" in ob]
+    for view in views:
+        assert view.view_perspective == "PERSP"
+        assert min((eye - view.view_location).length for eye in eyes) < view.view_distance
+
+
+def test_undo_takes_it_back_as_one_step(room: Path) -> None:
+    bpy.ops.ed.undo_push(message="before")
+    import_room(room)
+    bpy.ops.ed.undo_push(message="import")  # a script's calls push no steps
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert (scene.frame_start, scene.frame_end) == (1, 250) and size_of(scene) == (1920, 1080, 1.0)
+    assert scene.camera.name == "Camera" and bpy.data.objects["Cube"].visible_get()
+    assert not scene.timeline_markers
+
+
+@pytest.mark.parametrize(
+    "touch",
+    [
+        "scene.frame_end = 100",
+        "scene.render.resolution_percentage = 50",
+        "scene.timeline_markers.new('cut', frame=3)",
+        "bpy.data.objects['Cube'].location.x = 1.0",
+        "bpy.data.objects['Cube'].data.vertices[0].co.x = 2.0",
+        "bpy.data.objects['Camera'].location.z = 2.0",
+        "scene.collection.objects.link(bpy.data.objects.new('mine', None))",
+    ],
+)
+def test_what_somebody_has_touched_stays(room: Path, touch: str) -> None:
+    scene = bpy.context.scene
+    exec(touch, {"bpy": bpy, "scene": scene})
+    before = (scene.frame_start, scene.frame_end, size_of(scene), scene.camera)
+    import_room(room)
+    assert (scene.frame_start, scene.frame_end, size_of(scene), scene.camera) == before
+    assert bpy.data.objects["Cube"].visible_get()
+    for frame in (scene.frame_start, scene.frame_end):
+        scene.frame_set(frame)
+        assert scene.camera.name == "Camera"
+
+
+def test_a_refused_import_changes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError):
+        bpy.ops.plgs.import_scene(scene_folder=str(tmp_path))
+    assert bpy.context.scene.camera.name == "Camera" and bpy.data.objects["Cube"].visible_get()
+
+
+def test_a_result_has_its_overview_before_the_frames(lift: Path) -> None:
+    assert bpy.ops.plgs.place_lift(lift_folder=str(lift)) == {"FINISHED"}
+    scene = bpy.context.scene
+    last = max(marker.frame for marker in scene.timeline_markers)
+    assert (scene.frame_start, scene.frame_end, scene.frame_current) == (0, last, 0)
+    assert "frame" not in scene.camera and scene.camera.name == "Overview"
+    first = min(scene.timeline_markers, key=lambda marker: marker.frame if "frame" in marker.camera else last).camera
+    assert size_of(scene)[:2] == (first["width"], first["height"])
+    assert not bpy.data.objects["Cube"].visible_get()
+
+
+def test_the_range_of_an_import_follows_the_lift(lift: Path, room: Path) -> None:
+    scene = import_room(room)
+    scene.frame_set(3)
+    shown = scene.camera
+    assert bpy.ops.plgs.place_lift(lift_folder=str(lift)) == {"FINISHED"}
+    assert scene.camera == shown
+    last = max(marker.frame for marker in scene.timeline_markers)
+    assert (scene.frame_start, scene.frame_end) == (0, last)
