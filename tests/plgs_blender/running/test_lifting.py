@@ -71,7 +71,8 @@ def test_every_option_that_an_error_means_is_a_field_or_has_a_name(root: Path) -
     files = [path for part in ("scene", "lift", "segment") for path in (root / "engine" / part).rglob("*.py")]
     texts = [path.read_text() for path in files]
     declared = {option for text in texts for option in re.findall(r'option="(--[a-z-]+)"', text)}
-    assert {option for option in declared if field_of_option(option) is None} <= {"--download", "--resume"}
+    of_commands = {"--blocks", "--download", "--resume"}
+    assert {option for option in declared if field_of_option(option) is None} <= of_commands
 
 
 def test_the_panel_chooses_the_device(tmp_path: Path) -> None:
