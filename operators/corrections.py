@@ -282,7 +282,8 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender calls this, too, where it ends the painting itself."""
         painting.now.clear()
-        context.window.cursor_modal_restore()
+        if context.window is not None:
+            context.window.cursor_modal_restore()
         if context.area is not None:
             context.area.header_text_set(None)
 
@@ -347,17 +348,20 @@ class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_answer_proposal(OnProposal, bpy.types.Operator):
+class PLGS_OT_answer_proposal(OnProposal, StartsTask, bpy.types.Operator):
     """Do what is proposed, or keep the object as it is"""
 
     bl_idname, bl_label, bl_options = "plgs.answer_proposal", "Answer", _UNDOABLE
 
     keep: BoolProperty(name="Keep", options={"SKIP_SAVE"}, description="It is right as it is")  # type: ignore[valid-type]
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        corrections.answer(self.root(context), self.instance, keep=self.keep)
-        return FINISHED
+    def begin(self, context: bpy.types.Context) -> Task | None:
+        root = self.root(context)
+        one = corrections.proposal_of(root, self.instance)
+        if one.answer == corrections.BY_VIEWS and not self.keep:
+            return split_by_views(root, one.instance)
+        corrections.answer(root, one.instance, keep=self.keep)
+        return None
 
 
 class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):

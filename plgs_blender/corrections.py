@@ -18,6 +18,7 @@ from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ..engine.corrections import (
+    BY_VIEWS,
     CorrectedResult,
     Edit,
     Proposal,
@@ -153,7 +154,8 @@ def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
 
 
 def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
-    """Do what is proposed for an object, or accept the object as it is. Raises PlgsError, OSError."""
+    """Do what is proposed for an object, or accept the object as it is. Raises PlgsError, also for ``BY_VIEWS``,
+    which an engine does, and OSError."""
     one = proposal_of(root, instance)
     if keep:
         return accept(root, [one.instance])
@@ -164,6 +166,8 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
             return merge(root, [one.other, one.instance])
         case "split":
             return split_parts(root, one.instance)
+    if one.answer == BY_VIEWS:
+        raise PlgsError("an engine has to ask the masks", root.name, "Press Split by Views.")
     return delete(root, one.instance, around=True)
 
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 from . import making
 from .edits import CORRECTIONS, Edit
 from .file import editing, read_edits
-from .proposals import Proposal, Proposals, proposals_of
+from .proposals import BY_VIEWS, Proposal, Proposals, proposals_of
 from .result import CorrectedResult, correct, read_corrected, set_undone, undo
 from .uncertain import entropy_of, entropy_of_views
 
 __all__ = [
+    "BY_VIEWS",
     "CORRECTIONS",
     "CorrectedResult",
     "Edit",

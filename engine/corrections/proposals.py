@@ -10,12 +10,19 @@ from ..result_files import Instance
 from .making import parts_of
 from .result import CorrectedResult
 
+BY_VIEWS = "split by views"
+"""An answer that needs an engine."""
 LEAST_DOUBT = 0.15
 """Doubt below which nothing is proposed."""
 FEW_VIEWS = 3
 """Frames: an object that fewer saw is perhaps none."""
 CRUMB = 60
 """Points below which an object is perhaps a crumb."""
+APART = 0.2
+"""Share of an object's frames that show it as several segments, from which it may be several things. Masks that are
+cut by something in front do so in fewer frames."""
+LARGE = 0.15
+"""Share of the largest segment's pixels from which another one in the frame is no crumb."""
 TOUCHING = 0.1
 """Metres between two objects of a class that may be one."""
 
@@ -23,7 +30,7 @@ TOUCHING = 0.1
 @dataclass(frozen=True)
 class Proposal:
     """``doubt`` in (0, 1]. ``answer`` is the edit that would mend it: reclass (to ``class_id``), split,
-    delete, or merge (with ``other``). ``frame`` shows it best, empty where no mask does."""
+    split by views, delete, or merge (with ``other``). ``frame`` shows it best, empty where no mask does."""
 
     instance: int
     name: str
@@ -66,9 +73,9 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
     best = max(one.segments, key=lambda segment: segment.share, default=None)
     frame, found = best.frame if best else "", []
 
-    def propose(doubt: float, reason: str, answer: str, class_id: int = 0, other: int = 0) -> None:
+    def propose(doubt: float, reason: str, answer: str, class_id: int = 0, other: int = 0, seen: str = frame) -> None:
         if doubt >= LEAST_DOUBT:
-            found.append(Proposal(one.id, one.name, min(doubt, 1.0), reason, answer, class_id, other, frame))
+            found.append(Proposal(one.id, one.name, min(doubt, 1.0), reason, answer, class_id, other, seen))
 
     votes: dict[int, float] = {}
     for segment in one.segments:
@@ -79,6 +86,10 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
         share = rivals[kind] / max(sum(votes.values()), 1e-9)
         reason = f"{100 * share:.0f} % of its masks say {corrected.classes[kind].name}"
         propose(2.0 * share, reason, "reclass", class_id=kind)
+    apart, frames = _frames_apart(one)
+    if len(apart) > 1 and len(apart) > APART * frames:
+        reason = f"masks of {len(apart)} of {frames} frames separate it"
+        propose(2.0 * len(apart) / frames, reason, BY_VIEWS, seen=apart[0])
     xyz = corrected.points.xyz[corrected.points.instance_id == one.id]
     sizes = np.bincount(parts_of(xyz))
     if len(sizes) > 1:
@@ -91,6 +102,17 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
         if other.class_id == one.class_id and other.id < one.id and (gap := _gap(one, other)) < TOUCHING:
             propose(0.5 * (1 - gap / TOUCHING), f"it touches {other.name}", "merge", other=other.id)
     return found
+
+
+def _frames_apart(one: Instance) -> tuple[list[str], int]:
+    """The frames whose masks show an object as several segments, the one whose second segment is the largest first,
+    and in how many frames it has a mask."""
+    sizes: dict[str, list[int]] = {}
+    for segment in one.segments:
+        sizes.setdefault(segment.frame, []).append(segment.pixels)
+    second = {frame: sorted(each)[-2] for frame, each in sizes.items() if len(each) > 1}
+    apart = [frame for frame, pixels in second.items() if pixels > 0 and pixels >= LARGE * max(sizes[frame])]
+    return sorted(apart, key=lambda frame: (-second[frame], frame)), len(sizes)
 
 
 def _gap(one: Instance, other: Instance) -> float:

@@ -6,18 +6,29 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from engine.corrections import CORRECTIONS, CorrectedResult, correct, editing, read_corrected, read_edits, undo
+from engine.corrections import (
+    BY_VIEWS,
+    CORRECTIONS,
+    CorrectedResult,
+    correct,
+    editing,
+    proposals_of,
+    read_corrected,
+    read_edits,
+    undo,
+)
 from engine.corrections import making as m
 from engine.corrections.nearest import nearest
 from engine.corrections.replay import Replay
 from engine.errors import PlgsError
-from engine.result_files import Instance
+from engine.result_files import Instance, MatchedSegment
 from tests.corrections.two_rooms import CHAIR, CHAIRS, CRUMB, DESK, FLOOR, SOFA, TABLE, write_result
 
 
@@ -229,6 +240,24 @@ def test_two_programs_lose_no_edit(root: Path, lift: Path) -> None:
         assert process.wait(timeout=60) == 0
     names = [edit.name for edit in read_edits(lift)]
     assert sorted(names) == sorted(f"{name} {n}" for name in ("one", "other") for n in range(5))
+
+
+def test_masks_that_separate_an_object_are_told(lift: Path) -> None:
+    result = read_corrected(lift)
+
+    def segment(frame: int, pixels: int) -> MatchedSegment:
+        return MatchedSegment(str(frame), 1, TABLE, 1.0, None, 1.0, pixels, 0.1, (0.0, 0.0, 1.0, 1.0))
+
+    def proposed(*pairs: tuple[int, int]) -> list[tuple[str, str, str]]:
+        segments = tuple(segment(*pair) for pair in pairs)
+        instances = tuple(replace(one, segments=segments if one.id == DESK else ()) for one in result.made)
+        found = proposals_of(replace(result, instances=instances)).open
+        return [(one.reason, one.answer, one.frame) for one in found if one.answer == BY_VIEWS]
+
+    whole = [(frame, 100) for frame in range(6)]
+    assert proposed(*whole, (1, 60), (3, 90)) == [("masks of 2 of 6 frames separate it", BY_VIEWS, "3")]
+    assert proposed(*whole, (1, 5), (3, 90)) == []  # a crumb, and a single frame
+    assert proposed(*((frame, 100) for frame in range(12)), (1, 60), (3, 90)) == []  # cut by something in front
 
 
 def test_nearest_is_the_nearest() -> None:

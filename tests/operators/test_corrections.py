@@ -219,6 +219,24 @@ def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Pat
     assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
 
 
+@pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
+def test_the_masks_answer_a_proposal(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
+    mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
+    root = lift_scene.place_lift(mine, bpy.context.scene)
+    path = mine / "result" / "instances.json"
+    content = json.loads(path.read_text())
+    for one in content["instances"]:
+        one["segments"] = [{**each, "pixels": 100} for each in one["segments"] for _ in range(1 + (one["id"] == CHAIR))]
+    path.write_text(json.dumps(content))
+    bpy.ops.plgs.propose_corrections()
+    assert {one.instance: one.answer for one in corrections.kept_proposals(root)[0]} == {CHAIR: corrections.BY_VIEWS}
+    with pytest.raises(RuntimeError, match="does not fall into parts"):  # the masks know better
+        bpy.ops.plgs.answer_proposal()
+    assert bpy.ops.plgs.answer_proposal(keep=True) == {"FINISHED"} and not corrections.kept_proposals(root)[0]
+    registry.forget_all()
+
+
 def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> None:
     points = read_corrected(mine).points
     frames = [ob for ob in root.all_objects if ob.type == "CAMERA" and "frame" in ob]

@@ -24,7 +24,14 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="the cache folder is chosen by XDG_CACHE_HOME"),
     pytest.mark.skipif(importlib.util.find_spec("transformers") is None, reason="writes the network of its masks"),
 ]
-UNTRIED = {"plgs.use_this_python", "plgs.resume_lift", "plgs.watch_lift", "plgs.browse_scene", "plgs.make_poses"}
+UNTRIED = {
+    "plgs.use_this_python",
+    "plgs.resume_lift",
+    "plgs.watch_lift",
+    "plgs.browse_scene",
+    "plgs.make_poses",
+    "plgs.answer_proposal",
+}
 """They start what others of these start; poses are made in tests/poses."""
 
 
