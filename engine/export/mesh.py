@@ -1,7 +1,8 @@
 """The lifted scene as meshes: rendered depth fused into one surface, cut into a mesh an instance and one a stuff class.
 
 One truncated signed distance field takes all views (`fusion`). Its surface's vertices are then labelled by the views
-that see them: each votes with what it shows there. So the meshes meet where the labels change, without gaps.
+that see them: each votes with what it shows there. So the meshes meet where the labels change, without gaps. Small
+holes are closed, and what lies far from its object is taken from it (`mending`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from ..scene.classes import matte_names
 from ..scene.labelled_surface import LEAST_TRIANGLES, triangles_by_label
 from .fusion import SmallView, Surface, fuse
 from .glb import glb_bytes
+from .mending import close_holes, without_crumbs
 from .source import FinishedLift
 
 LEAST_ALPHA = 0.7
@@ -42,7 +44,8 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
     if not len(surface.triangles):
         fix = "Export more frames, or lift the scene with better depth."
         raise PlgsError("the rendered views show no surface", output, fix)
-    label = vertex_labels(surface.xyz, small)
+    surface, label = close_holes(surface, vertex_labels(surface.xyz, small))
+    label = without_crumbs(surface, label)
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
     columns = {
         **columns_of("x y z", surface.xyz),

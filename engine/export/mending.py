@@ -1,0 +1,127 @@
+"""A fused surface mended: small holes closed, and crumbs of an object that lie far from it taken from it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ..scene.labelled_surface import triangles_by_label
+from .fusion import Ints, Surface
+
+HAND = 0.1
+"""Metres that a hole measures at most, along each axis, to be closed."""
+CRUMB = 0.1
+"""Share of the largest piece's area below which a piece of a mesh is small."""
+FAR = 0.2
+"""Metres from the large pieces beyond which a small one is a crumb."""
+_KEYS = 1 << 32
+
+
+def close_holes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
+    """The surface and its vertices' labels [V] with a fan in each hole of at most a HAND, around a new vertex in its
+    middle.
+
+    A hole is a ring of open edges. The rim of a scrap is one, too, and stays open: there the surface reaches no further
+    than the ring.
+    """
+    rim = open_edges(surface.triangles)
+    if not len(rim):
+        return surface, label
+    ring, is_hole = _rings(surface, rim)
+    rim, ring = rim[is_hole[ring]], ring[is_hole[ring]]
+    _, ring, count = np.unique(ring, return_inverse=True, return_counts=True)
+
+    def mean(values: NDArray[np.generic]) -> NDArray[np.float64]:
+        """Of the vertices of each hole."""
+        sums = [np.bincount(ring, column, len(count)) for column in values[rim[:, 0]].T]
+        return np.stack(sums, axis=-1) / count[:, None]
+
+    normal = mean(surface.normal)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    middle = len(surface.xyz) + ring
+    closed = Surface(
+        np.concatenate([surface.xyz, mean(surface.xyz).astype(np.float32)]),
+        np.concatenate([surface.rgb, np.rint(mean(surface.rgb)).astype(np.uint8)]),
+        np.concatenate([surface.normal, normal.astype(np.float32)]),
+        np.concatenate([surface.triangles, np.stack([rim[:, 1], rim[:, 0], middle], axis=-1)]),
+    )
+    return closed, np.concatenate([label, most_frequent(ring, label[rim[:, 0]], len(count))])
+
+
+def _rings(surface: Surface, rim: Ints) -> tuple[Ints, NDArray[np.bool_]]:
+    """The ring of each open edge [E], and whether each ring [R] is a hole to close."""
+    count = len(surface.xyz)
+    number = _pieces(rim, count)
+    _, ring = np.unique(number[rim[:, 0]], return_inverse=True)
+    piece = _pieces(surface.triangles, count)
+    extent = _extents(surface.xyz[rim[:, 0]], ring)
+    reach = _extents(surface.xyz, piece)[piece[rim[:, 0]]]
+    is_hole = extent.max(axis=1) <= HAND
+    comes, goes = np.bincount(rim[:, 1], minlength=count), np.bincount(rim[:, 0], minlength=count)
+    is_hole[ring[(comes != goes)[rim[:, 0]] | (comes != goes)[rim[:, 1]]]] = False
+    is_hole[ring[(reach < 2 * extent[ring].max(axis=1, keepdims=True)).all(axis=1)]] = False
+    return ring, is_hole
+
+
+def open_edges(triangles: Ints) -> Ints:
+    """The edges [E, 2] with a triangle on one side alone, directed as in that triangle [T, 3]."""
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    there, back = edges @ np.array([_KEYS, 1]), edges @ np.array([1, _KEYS])
+    return edges[~np.isin(there, back)]
+
+
+def without_crumbs(surface: Surface, label: Ints) -> Ints:
+    """The labels [V] without crumbs: small pieces of a label's mesh, far from its large ones.
+
+    A crumb gets the label that most of its neighbours on the surface have, and 0 where it has none.
+    """
+    number, crumbs = np.full(len(label), -1, np.int64), 0
+    for value, triangles in triangles_by_label(surface.triangles, label).items():
+        if value == 0:
+            continue
+        used, corners = np.unique(triangles, return_inverse=True)
+        xyz, corners = surface.xyz[used], corners.reshape(-1, 3)
+        piece = _pieces(corners, len(used))
+        area = np.bincount(piece[corners[:, 0]], _areas(xyz, corners))
+        is_large = area >= CRUMB * area.max()
+        away, _ = cKDTree(xyz[is_large[piece]]).query(xyz, distance_upper_bound=FAR)
+        is_near = np.bincount(piece, np.isfinite(away)) > 0
+        crumb = ~is_near[piece] & (label[used] == value)
+        number[used[crumb]] = crumbs + piece[crumb]
+        crumbs += len(area)
+    edges = surface.triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
+    beside = edges[(number[edges[:, 0]] >= 0) & (number[edges[:, 1]] < 0) & (label[edges[:, 1]] > 0)]
+    around = most_frequent(number[beside[:, 0]], label[beside[:, 1]], crumbs)
+    return np.where(number >= 0, around[number] if crumbs else 0, label)
+
+
+def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
+    """The label that most members [N] of each group have, [groups]; 0 for a group without members."""
+    known, place = np.unique(label, return_inverse=True)
+    pairs, count = np.unique(group * max(len(known), 1) + place, return_counts=True)
+    pairs = pairs[np.argsort(count, kind="stable")]
+    found = np.zeros(groups, np.int64)
+    found[pairs // max(len(known), 1)] = known[pairs % max(len(known), 1)]
+    return found
+
+
+def _pieces(joined: Ints, count: int) -> Ints:
+    """The connected piece [count] of each vertex; the rows of ``joined`` [N, 2 or 3] hang together."""
+    first, last = joined[:, :-1].ravel(), joined[:, 1:].ravel()
+    graph = coo_matrix((np.ones(len(first), np.int8), (first, last)), (count, count))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
+
+
+def _extents(xyz: NDArray[np.float32], group: Ints) -> NDArray[np.float32]:
+    """The size [G, 3] of the box around each group's points."""
+    order = np.argsort(group, kind="stable")
+    starts = np.flatnonzero(np.diff(group[order], prepend=-1))
+    return np.maximum.reduceat(xyz[order], starts) - np.minimum.reduceat(xyz[order], starts)
+
+
+def _areas(xyz: NDArray[np.float32], triangles: Ints) -> NDArray[np.float64]:
+    a, b, c = xyz[triangles].astype(np.float64).transpose(1, 0, 2)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2

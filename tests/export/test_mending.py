@@ -1,0 +1,94 @@
+"""Made-up surfaces: which holes are closed, how they are turned, and which pieces are crumbs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.export.fusion import Surface
+from engine.export.mending import close_holes, open_edges, without_crumbs
+
+STEP = 0.02
+"""Metres between the vertices of a sheet."""
+
+
+def sheet(columns: int, rows: int, x: float = 0.0) -> Surface:
+    """A flat grid from (x, 0), facing up."""
+    row, column = np.mgrid[:rows, :columns]
+    xyz = np.stack([x + STEP * column, STEP * row, 0 * row], axis=-1).reshape(-1, 3).astype(np.float32)
+    corner = (row * columns + column)[:-1, :-1].ravel()
+    quads = corner[:, None] + np.array([0, 1, columns + 1, columns])
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int64)
+    rgb = np.full(xyz.shape, 100, np.uint8)
+    return Surface(xyz, rgb, np.tile(np.float32([0, 0, 1]), (len(xyz), 1)), triangles)
+
+
+def joined(*parts: Surface) -> Surface:
+    starts = np.cumsum([0, *(len(part.xyz) for part in parts)])
+    return Surface(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("xyz", "rgb", "normal")),
+        np.concatenate([part.triangles + start for part, start in zip(parts, starts[:-1], strict=True)]),
+    )
+
+
+def with_hole(surface: Surface, low: float, high: float) -> Surface:
+    """Without the triangles whose middle lies between these metres, in x and y."""
+    middle = surface.xyz[surface.triangles].mean(axis=1)[:, :2]
+    inside = ((middle > low) & (middle < high)).all(axis=1)
+    return Surface(surface.xyz, surface.rgb, surface.normal, surface.triangles[~inside])
+
+
+def area(surface: Surface) -> NDArray[np.float64]:
+    """Of the triangles seen from above, negative for those that face down."""
+    a, b, c = surface.xyz[surface.triangles].astype(np.float64).transpose(1, 0, 2)
+    return np.cross(b - a, c - a)[:, 2] / 2
+
+
+def test_a_hole_as_large_as_a_hand_is_closed_facing_as_its_surroundings() -> None:
+    whole = sheet(30, 30)
+    torn = with_hole(whole, 0.2, 0.28)
+    label = np.where(torn.xyz[:, 0] < 0.25, 7, 9)
+    closed, labels = close_holes(torn, label)
+    assert len(closed.xyz) == len(whole.xyz) + 1
+    assert len(open_edges(closed.triangles)) == len(
+        open_edges(whole.triangles)
+    )
+    assert (area(closed) > 0).all() and np.isclose(area(closed).sum(), area(whole).sum())
+    np.testing.assert_allclose(closed.xyz[-1], [0.24, 0.24, 0], atol=1e-6)
+    np.testing.assert_allclose(closed.normal[-1], [0, 0, 1], atol=1e-6)
+    assert labels[-1] == 7 and (closed.rgb == 100).all()
+
+
+def test_larger_holes_and_rims_stay_open() -> None:
+    torn = joined(with_hole(sheet(30, 30), 0.2, 0.36), sheet(4, 4, x=1.0))  # a hole of 0.16 m, a scrap of 0.06 m
+    label = np.zeros(len(torn.xyz), np.int64)
+    closed, labels = close_holes(torn, label)
+    assert len(closed.triangles) == len(torn.triangles) and len(labels) == len(label)
+
+
+def test_far_small_pieces_go_to_their_neighbours_or_to_none() -> None:
+    surface = joined(sheet(60, 20), sheet(4, 4, x=3.0), sheet(4, 4, x=0.6 + 0.64))
+    label = np.full(len(surface.xyz), 5, np.int64)
+    on_sheet = surface.xyz[:, 0] < 1.19
+    label[on_sheet & (surface.xyz[:, 0] < 0.6)] = 3  # the object; a patch of its label far over on the other
+    patch = on_sheet & (surface.xyz[:, 0] > 1.0) & (surface.xyz[:, 0] < 1.07) & (surface.xyz[:, 1] < 0.07)
+    label[patch] = 3
+    label[~on_sheet] = np.where(surface.xyz[~on_sheet, 0] > 2, 3, 5)  # alone and far; alone and near its large piece
+    mended = without_crumbs(surface, label)
+    assert (mended[patch] == 5).all()
+    assert (mended[surface.xyz[:, 0] > 2] == 0).all()
+    others = ~patch & (surface.xyz[:, 0] < 2)
+    np.testing.assert_array_equal(mended[others], label[others])
+
+
+def test_large_pieces_stay_however_far() -> None:
+    surface = joined(sheet(20, 20), sheet(10, 10, x=3.0))
+    label = np.full(len(surface.xyz), 3, np.int64)
+    np.testing.assert_array_equal(without_crumbs(surface, label), label)
+
+
+def test_a_closed_surface_stays_as_it_is() -> None:
+    flat = sheet(2, 2)
+    pyramid = Surface(flat.xyz, flat.rgb, flat.normal, np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]]))
+    assert len(open_edges(pyramid.triangles)) == 0
+    assert close_holes(pyramid, np.zeros(4, np.int64))[0] is pyramid
