@@ -50,9 +50,7 @@ def test_a_hole_as_large_as_a_hand_is_closed_facing_as_its_surroundings() -> Non
     label = np.where(torn.xyz[:, 0] < 0.25, 7, 9)
     closed, labels = close_holes(torn, label)
     assert len(closed.xyz) == len(whole.xyz) + 1
-    assert len(open_edges(closed.triangles)) == len(
-        open_edges(whole.triangles)
-    )
+    assert len(open_edges(closed.triangles)) == len(open_edges(whole.triangles))
     assert (area(closed) > 0).all() and np.isclose(area(closed).sum(), area(whole).sum())
     np.testing.assert_allclose(closed.xyz[-1], [0.24, 0.24, 0], atol=1e-6)
     np.testing.assert_allclose(closed.normal[-1], [0, 0, 1], atol=1e-6)
