@@ -78,7 +78,7 @@ def without_crumbs(surface: Surface, label: Ints) -> Ints:
 
     A crumb gets the label that most of its neighbours on the surface have, and 0 where it has none.
     """
-    number, crumbs = np.full(len(label), -1, np.int64), 0
+    number, crumbs, stays = np.full(len(label), -1, np.int64), 0, np.zeros(len(label), np.bool_)
     for value, triangles in triangles_by_label(surface.triangles, label).items():
         if value == 0:
             continue
@@ -89,11 +89,13 @@ def without_crumbs(surface: Surface, label: Ints) -> Ints:
         is_large = area >= CRUMB * area.max()
         away, _ = cKDTree(xyz[is_large[piece]]).query(xyz, distance_upper_bound=FAR)
         is_near = np.bincount(piece, np.isfinite(away)) > 0
-        crumb = ~is_near[piece] & (label[used] == value)
+        own = label[used] == value
+        crumb = own & ~is_near[piece]
         number[used[crumb]] = crumbs + piece[crumb]
+        stays[used[own & ~crumb]] = True
         crumbs += len(area)
     edges = surface.triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
-    beside = edges[(number[edges[:, 0]] >= 0) & (number[edges[:, 1]] < 0) & (label[edges[:, 1]] > 0)]
+    beside = edges[(number[edges[:, 0]] >= 0) & stays[edges[:, 1]]]
     around = most_frequent(number[beside[:, 0]], label[beside[:, 1]], crumbs)
     return np.where(number >= 0, around[number] if crumbs else 0, label)
 
