@@ -104,9 +104,10 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
         "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak. "
         "step: a training step of a lift of the sample, by part, and the drawing of what was lifted. "
         "bake: a baked frame, by part, and its memory. "
-        "long: lifts of long captures made of the sample, by stage, with their memory."
+        "long: lifts of long captures made of the sample, by stage, with their memory. "
+        "farm: what a batch takes on 1, 2, 10 and 100 workers, of the times of its pieces."
     )
-    parser.add_argument("what", choices=("raster", "step", "bake", "long"))
+    parser.add_argument("what", choices=("raster", "step", "bake", "long", "farm"))
     parser.add_argument(
         "--frames", type=_enough_frames, nargs="+", default=[100, 300], metavar="N",
         help="long: frames of each capture (default: 100 300)",
@@ -116,6 +117,14 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, default=Path("lifts/long"), metavar="FOLDER",
         help="long: where the captures are kept (default: lifts/long)",
     )  # fmt: skip
+    parser.add_argument(
+        "--times", type=float, nargs=4, default=(600.0, 60.0, 3.0, 4.0), metavar="S",
+        help="farm: seconds of a lift, of a piece of its bakes, of its score, and besides for each piece",
+    )  # fmt: skip
+    parser.add_argument(
+        "--pieces", type=int, default=4, metavar="N", help="farm: pieces of a scene's bakes (default: 4)"
+    )
+    parser.add_argument("--scenes", type=int, default=1000, metavar="N", help="farm: scenes (default: 1000)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=run_bench)
 
@@ -185,13 +194,17 @@ def run_experiments(options: argparse.Namespace) -> int:
 
 def run_bench(options: argparse.Namespace) -> ExitCode:
     """Run one bench, print its figures and write them to a file. Raises PlgsError."""
-    from .bench import bake, long, raster, step
+    from .bench import bake, farm, long, raster, step
 
     if options.json is not None:
         _refuse_unwritable(options.json)
     figures: object
     if options.what == "long":
         figures = long.bench_long(options.frames, options.output, options.preset)
+    elif options.what == "farm":
+        lift_s, bake_s, score_s, overhead_s = options.times
+        times = farm.BatchTimes(lift_s, bake_s, options.pieces, score_s, overhead_s)
+        figures = farm.bench_farm(times, options.scenes)
     else:
         figures = {"raster": raster.bench_raster, "step": step.bench_step, "bake": bake.bench_bake}[options.what]()
     if options.json is not None:

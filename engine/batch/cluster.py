@@ -17,6 +17,8 @@ from .worker import require_dask, resources
 
 NO_WORKER_S = 5.0
 """Seconds after which a scheduler without workers is an error."""
+RETURN_S = 60.0
+"""Seconds that a scheduler which is gone, and its workers, may take to come back."""
 CONNECT_S = 5.0
 """Seconds within which a scheduler answers."""
 
@@ -106,8 +108,15 @@ def reconnected(farm: Farm) -> None:
     """Connect again to a scheduler that was restarted, and wait for its workers. Raises PlgsError."""
     with suppress(Exception):  # the old connection is broken: how does not matter
         farm.client.close(timeout=1)
-    farm.client = _client(farm.address)
-    wait_for_workers(farm, 3 * NO_WORKER_S)
+    give_up = time.monotonic() + RETURN_S
+    while True:
+        try:
+            farm.client = _client(farm.address)
+            return wait_for_workers(farm, RETURN_S)
+        except PlgsError:
+            if time.monotonic() > give_up:
+                raise
+            time.sleep(1.0)
 
 
 def wait_for_workers(farm: Farm, seconds: float) -> None:

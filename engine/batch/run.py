@@ -13,7 +13,6 @@ from uuid import uuid4
 
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import LiftFolder
-from ..job.report import read_metrics
 from ..job.task import TaskProgress
 from ..job.terminal import Interrupts, LiveLine
 from ..json_file import Json
@@ -26,7 +25,7 @@ _POLL_S = 0.2
 _ENDING_S = 10.0
 """Seconds that engines may take to stop on Ctrl-C."""
 _PRIORITY = {Kind.LIFT: 0, Kind.BAKE: 1, Kind.EXPORT: 2, Kind.SCORE: 3}
-"""What was begun is finished first."""
+"""What was begun is finished first, and the first scenes before the last ones."""
 LIFTED, STRICT = "lifted", "strict"
 
 
@@ -35,6 +34,7 @@ class _Scene:
     """How far a scene is: the stages that follow, the pieces out there, and the workers that cannot do it."""
 
     job: SceneJob
+    place: int
     stages: Iterator[list[Piece]]
     out: int = 0
     seconds: float = 0.0
@@ -85,11 +85,12 @@ class _Batch:
 
     def run(self, jobs: Sequence[SceneJob], interrupts: Interrupts) -> None:
         self._listen()
-        for job in jobs:
+        for place, job in enumerate(jobs):
             _clear_cancel(job)
-            self._scenes[job.name] = _Scene(job, iter(()))
-            self._scenes[job.name].stages = self._stages(self._scenes[job.name])
-            self._next_stage(self._scenes[job.name])
+            self._scenes[job.name] = _Scene(job, place, iter(()))
+        for scene in self._scenes.values():
+            scene.stages = self._stages(scene)
+            self._next_stage(scene)
         while self._out:
             if interrupts.pending is not None:
                 self._stop()
@@ -139,7 +140,7 @@ class _Batch:
             return
         future = self._farm.client.submit(
             do_on_dask, piece, key=f"{piece.kind}-{piece.scene}-{uuid4().hex}", pure=False, resources=wanted,
-            priority=_PRIORITY[piece.kind], workers=fit,
+            priority=_PRIORITY[piece.kind] * len(self._scenes) - scene.place, workers=fit,
         )  # fmt: skip
         self._out[future] = piece
 
@@ -168,6 +169,7 @@ class _Batch:
     def _take(self, scene: _Scene, outcome: Outcome) -> None:
         piece = outcome.piece
         scene.seconds += outcome.seconds
+        self._told.pop(piece.scene, None)
         if outcome.ended is Ended.ELSEWHERE:
             self._line.say(f"{piece.scene}: not on {outcome.worker}: {outcome.reason}")
             workers = self._farm.workers()
@@ -245,8 +247,3 @@ def _clear_cancel(job: SceneJob) -> None:
     cancel: Path = job.lift / "cancel"
     if cancel.exists() and not LiftFolder.open(job.lift).is_running:
         cancel.unlink()
-
-
-def metrics_of(lift: Path) -> dict[str, Json]:
-    """As `lifted_metrics`, of a finished lift. Raises PlgsError."""
-    return lifted_metrics(read_metrics(LiftFolder.open(lift)))

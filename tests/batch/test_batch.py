@@ -51,7 +51,7 @@ def address(start: Start) -> str:
     return f"tcp://127.0.0.1:{started_scheduler(start)[1]}"
 
 
-def started_scheduler(start: Start, port: int = 0, ttl: str = "3s") -> tuple[subprocess.Popen[bytes], int]:
+def started_scheduler(start: Start, port: int = 0, ttl: str = "60s") -> tuple[subprocess.Popen[bytes], int]:
     if not port:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
@@ -137,8 +137,9 @@ def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path
     verify(plan.output / "a" / "result")
 
 
-def test_a_worker_that_hangs(tmp_path: Path, start: Start, address: str) -> None:
+def test_a_worker_that_hangs(tmp_path: Path, start: Start) -> None:
     """The scheduler gives it up. Its engine lives, so the other worker waits for that, and finds the lift finished."""
+    address = f"tcp://127.0.0.1:{started_scheduler(start, ttl='3s')[1]}"
     plan = plan_of(tmp_path, "a")
     for _ in range(2):
         start(FARM_WORKER, "usual", address)
