@@ -64,7 +64,7 @@ def recipe(environment: str, version: tuple[int, int]) -> Recipe:
     blender = BLENDER[version]
     if environment == ".venv-next":
         return Recipe(((blender, "next.txt"),), ("bpy", "numpy", "cv2", "OpenEXR", "pytest"))
-    files = (("torch.txt",), (blender, "engine.txt", "test.txt", "segment.txt", "report.txt"))
+    files = (("torch.txt",), (blender, "engine.txt", "test.txt", "segment.txt", "farm.txt", "report.txt"))
     # bpy comes first: 5.2 crashes when it is imported after open3d.
     return Recipe(files, ("bpy", "numpy", *ENGINE_MODULES, "pytest", "transformers"))
 

@@ -40,7 +40,7 @@ def pins(name: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    "name", ["blender-4.5.txt", "blender-5.2.txt", "torch.txt", "engine.txt", "test.txt", "segment.txt"]
+    "name", ["blender-4.5.txt", "blender-5.2.txt", "torch.txt", "engine.txt", "test.txt", "segment.txt", "farm.txt"]
 )
 def test_what_is_asked_for_is_pinned(name: str) -> None:
     assert all("==" in line for line in requirement_lines(name))
@@ -49,7 +49,7 @@ def test_what_is_asked_for_is_pinned(name: str) -> None:
 @pytest.mark.parametrize(("version", "blender"), [((3, 11), "blender-4.5.txt"), ((3, 13), "blender-5.2.txt")])
 def test_the_constraints_agree_with_what_is_asked_for(version: tuple[int, int], blender: str) -> None:
     locked = pins(environment.constraints(version))
-    asked = {**pins(blender), **pins("test.txt"), **pins("engine.txt"), **pins("segment.txt")}
+    asked = {**pins(blender), **pins("test.txt"), **pins("engine.txt"), **pins("segment.txt"), **pins("farm.txt")}
     del asked["open3d"]  # for other systems than Linux
     asked["scipy"] = locked["scipy"]  # one line a Python version
     assert {package: locked.get(package) for package in asked} == asked
