@@ -7,8 +7,10 @@ import sys
 from enum import IntEnum, StrEnum
 from pathlib import Path
 
-from .gates import one_line
+from .gates import one_line, shortened
 
+_LONGEST = 600
+"""Characters of what is wrong, at most."""
 _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
 
 
@@ -59,14 +61,15 @@ class PlgsError(Exception):
 
     ``option`` is the command-line option that ``fix`` means, as ``fix`` spells it, such as "--masks"; several are
     separated by blanks, none is an empty text. The panel shows the names of its own fields in their place. With
-    LACKS_PART it is the name of the part.
+    LACKS_PART it is the name of the part. ``what`` may quote a library's text of many lines: it becomes a short one.
     """
 
     def __init__(
         self, what: str, where: Path | str, fix: str, *, code: ErrorCode = ErrorCode.BAD_INPUT, option: str = ""
     ) -> None:
-        self.what, self.where, self.fix, self.code, self.option = what, str(where), fix, code, option
-        subject = f"{what}: {where}" if self.where else what
+        self.what = shortened(what, _LONGEST)
+        self.where, self.fix, self.code, self.option = str(where), fix, code, option
+        subject = f"{self.what}: {where}" if self.where else self.what
         super().__init__(one_line(f"{subject}. {fix}" if fix else subject))
 
     @property

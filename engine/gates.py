@@ -108,6 +108,12 @@ def one_line(text: object) -> str:
     return " ".join(printable(text).split("\n"))
 
 
+def shortened(text: object, longest: int) -> str:
+    """``one_line`` without runs of blanks, of at most so many characters."""
+    line = " ".join(one_line(text).split())
+    return line if len(line) <= longest else f"{line[: longest - 1]}…"
+
+
 def table_cell(value: object) -> object:
     """A value of a CSV table. A text that a spreadsheet would take for a formula gets an apostrophe before it."""
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import PlgsError
+from .gates import one_line
 from .job import write_atomically
 from .job.manifest import MAKE_ANEW
 from .json_file import read_object
@@ -242,7 +243,7 @@ def _id(value: Any, least: int = 0) -> int:
 def _text(value: Any) -> str:
     text = str(value)
     text.encode()  # half of a surrogate pair is no text; UnicodeEncodeError is a ValueError
-    return text
+    return one_line(text)
 
 
 def _number(value: Any) -> float:

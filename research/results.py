@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from engine.errors import PlgsError
+from engine.gates import table_cell
 from engine.job import Event, EventReader, LiftFolder, read_manifest
 from engine.json_file import Json, read_object, to_text
 from engine.metrics.report import LIFTED
@@ -137,7 +138,8 @@ def csv_text(results: Sequence[Result]) -> str:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*(name for name in vars(results[0]) if name != "figures"), *Figures._fields] if results else [])
     for result in results:
-        writer.writerow([*(value for name, value in vars(result).items() if name != "figures"), *result.figures])
+        row = [*(value for name, value in vars(result).items() if name != "figures"), *result.figures]
+        writer.writerow([table_cell(cell) for cell in row])
     return out.getvalue()
 
 

@@ -25,7 +25,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "scene_source": {"json_file"},
     "scene": {"errors", "gates", "json_file", "presets", "scene_source", "job"},
     "job": {"errors", "gates", "json_file", "presets", "scene_source"},
-    "result_files": {"errors", "json_file", "scene", "job"},
+    "result_files": {"errors", "gates", "json_file", "scene", "job"},
     "scene_of_lift": {"errors", "json_file", "scene", "job", "result_files"},
     "corrections": {"errors", "json_file", "scene", "job", "result_files"},
     "machine": set(),

@@ -121,6 +121,8 @@ def _do(task: Task, events: EventWriter, stop: StopSignal, terminal: TextIO, pla
         raise
     except PlgsError as error:
         failure = error
+        if place is not None and "\n" in str(error.__cause__ or "").strip():
+            traceback.print_exc()  # into the log: the line is a short form of it
     except Exception as error:  # the process's outermost frame: the traceback is kept, the user gets a line
         failure = _failure(error, task, place)
         if place is not None or failure.code is ErrorCode.INTERNAL:

@@ -118,7 +118,7 @@ class EventWriter:
 
     def warning(self, message: str) -> None:
         """Something that a user should know; the run continues."""
-        self._write("warning", message=message)
+        self._write("warning", message=" ".join(message.splitlines()))
 
     def answer(self, answer: Mapping[str, object], text: str = "") -> None:
         """What the command was asked for, at most once a run. ``text`` says the same to people in a terminal."""

@@ -26,7 +26,11 @@ _DEPTHS = (0.0005, 10_000.0)
 
 
 def check_camera(name: str, camera: Camera, path: Path) -> None:
-    """Raise PlgsError, with the frame's ``name``, for a lens or picture that no camera has. ``path`` is its picture."""
+    """Raise PlgsError, with the frame's ``name``, for a lens or picture that no camera has, or a name that cannot be
+    shown: it goes into panels, tables and logs as it is. ``path`` is its picture.
+    """
+    if not name.isprintable():
+        raise PlgsError(f"the name of frame {shown(name)} has marks that cannot be shown", path.parent, "Rename it.")
     _check_size(f"the picture of frame {shown(name)}", camera.size, path)
     least, most = (share * max(camera.size) for share in _FOCAL_LENGTHS)
     if not (least <= camera.fx <= most and least <= camera.fy <= most):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from statistics import mean, stdev
 
 from engine import __version__
+from engine.gates import one_line
 
 from ..results import Result
 from .rows import Cited, Row, Rows
@@ -151,6 +152,7 @@ def _cited(paper: Cited | None) -> str:
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """The first column flush left, figures flush right."""
+    rows = [[one_line(cell).replace("|", "\\|") for cell in row] for row in rows]
     widths = [max(3, *(len(row[place]) for row in rows)) for place in range(len(rows[0]))]
     rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
     for row in [rows[0], rule, *rows[1:]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from engine.errors import PlgsError
 from engine.gates import one_line, printable, table_cell
 
 MARKS = [*range(0x00, 0x09), *range(0x0B, 0x20), 0x7F, *range(0x80, 0xA0), 0x200E, 0x200F, *range(0x2028, 0x202F),
@@ -24,3 +25,10 @@ def test_letters_of_all_scripts_stay() -> None:
 def test_no_cell_of_a_table_is_a_formula(text: str) -> None:
     assert table_cell(text) == "'" + text
     assert table_cell("chair") == "chair" and table_cell(-1.5) == -1.5
+
+
+def test_an_error_of_many_lines_is_a_short_one() -> None:
+    said = "Error(s) in loading:\n\t" + "\n\t".join(f"size mismatch for layer.{i}" for i in range(100))
+    error = PlgsError(f"the model cannot be read ({said})", "model", "Lift anew.")
+    assert error.what.isprintable() and len(error.what) == 600 and "Error(s) in loading: size mismatch" in error.what
+    assert str(error) == f"{error.what}: model. Lift anew."

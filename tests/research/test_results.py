@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,11 @@ def test_other_programs_read_the_csv() -> None:
     rows = list(csv.DictReader(csv_text(OFFICE).splitlines()))
     assert [row["row"] for row in rows] == ["ours", "input masks", "theirs"]
     assert (rows[0]["miou"], rows[0]["steps"], rows[1]["psnr"]) == ("0.8", "500", "")
+
+
+def test_no_cell_of_the_csv_is_a_formula() -> None:
+    text = csv_text([replace(KITCHEN, scene='=HYPERLINK("x")')])
+    assert next(csv.DictReader(text.splitlines()))["scene"] == '\'=HYPERLINK("x")'
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from engine.scene.formats.ply_points import read_ply_points
 from engine.scene.formats.scannetpp import _find_blocks
 from engine.scene.formats.video import mp4_size
 from engine.scene.layout import read_file
-from engine.scene.limits import depth_check
+from engine.scene.limits import check_camera, depth_check
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
@@ -142,3 +142,9 @@ def test_lines_of_nothing(tmp_path: Path) -> None:
     path.write_bytes(b"\n" * 2_000_000)
     with pytest.raises(PlgsError, match="more than 1000000 lines"):
         _text_points(path)
+
+
+def test_a_frame_whose_name_cannot_be_shown(tmp_path: Path) -> None:
+    camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
+    with pytest.raises(PlgsError, match=r"the name of frame 0001\?gpj has marks that cannot be shown"):
+        check_camera("0001\u202egpj", camera, tmp_path / "a.png")

@@ -31,7 +31,9 @@ def wheel(package: str, version: str, module: str) -> tuple[str, bytes]:
 
 
 class PackageIndex:
-    """``fault`` maps a package to "stall" (half, then nothing until `go_on` is set), "cut" (half) or "garbage"."""
+    """``fault`` maps a package to "stall" (half, then nothing until `go_on` is set), "cut" (half), "garbage", or
+    "elsewhere" (sent on to another file).
+    """
 
     def __init__(self, packages: dict[str, tuple[str, str]]) -> None:
         """``packages``: version and module of each name."""
@@ -72,11 +74,19 @@ class PackageIndex:
                     page = index._page(name)
                     self._answer(200 if page else 404, "text/html", page or b"none")
                     return
+                if kind == "other":
+                    self._answer(200, "application/octet-stream", wheel("other", "1.0", "other")[1])
+                    return
                 package = next(package for package, (file, _) in index.wheels.items() if file == name)
                 index.downloads.append(package)
                 self._send_wheel(index.wheels[package][1], index.fault.get(package))
 
             def _send_wheel(self, content: bytes, fault: str | None) -> None:
+                if fault == "elsewhere":
+                    self.send_response(302)
+                    self.send_header("Location", "/other")
+                    self.end_headers()
+                    return
                 if fault == "garbage":
                     content = b"\0" * len(content)
                 self._answer(200, "application/octet-stream", content, send=len(content) // 2 if fault else None)

@@ -73,7 +73,7 @@ def test_what_is_added_is_found_and_the_handshake_says_so(code: Path, environmen
     assert files_of(environment) - before == new
 
 
-@pytest.mark.parametrize("fault", ["cut", "garbage", "exchanged"])
+@pytest.mark.parametrize("fault", ["cut", "garbage", "exchanged", "elsewhere"])
 def test_a_failure_leaves_the_engine_as_it_was(fault: str, code: Path, environment: Path, part: PackageIndex) -> None:
     before = files_of(environment)
     if fault == "exchanged":

@@ -1,0 +1,92 @@
+"""A corrections.json of somebody else: whatever it holds, the lift is read with it or one line says what is wrong."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from engine.corrections import CORRECTIONS, correct, read_corrected
+from engine.corrections import making as m
+from engine.errors import PlgsError
+from tests.corrections.two_rooms import CHAIRS, DESK, SOFA, TABLE, write_result
+from tests.fuzzing import damaged, examples, with_odd_value
+
+
+@pytest.fixture(scope="module")
+def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A lift with an edit of each kind that has fields of its own."""
+    lift = write_result(tmp_path_factory.mktemp("lifts") / "lift")
+    correct(lift, lambda state, _: m.rename(state, DESK, "Anna's desk"))
+    correct(lift, lambda state, _: m.reclass(state, [CHAIRS], SOFA))
+    correct(lift, lambda state, first: m.split(state, CHAIRS, m.parts_of(state.points_of(CHAIRS)), first))
+    correct(lift, lambda state, _: m.merge(state, [DESK, TABLE]))
+    correct(lift, lambda state, _: m.accept(state, [DESK]))
+    return lift
+
+
+@pytest.fixture(scope="module")
+def original(lift: Path) -> bytes:
+    return (lift / CORRECTIONS).read_bytes()
+
+
+def survives(lift: Path) -> None:
+    try:
+        result = read_corrected(lift)
+    except PlgsError as error:
+        assert "\n" not in str(error) and error.fix
+        return
+    ids = {one.id for one in result.instances}
+    assert {*np.unique(result.points.instance_id).tolist()} - {0} <= ids
+    assert all(one.name.isprintable() and one.class_name.isprintable() for one in result.instances)
+    assert all(line.isprintable() for line in result.warnings)
+
+
+@examples(150)
+@given(data=st.data())
+def test_odd_values(lift: Path, original: bytes, data: st.DataObject) -> None:
+    content = json.loads(original)
+    for _ in range(data.draw(st.integers(1, 3))):
+        content = with_odd_value(data.draw, content)
+    (lift / CORRECTIONS).write_text(json.dumps(content))
+    survives(lift)
+
+
+@examples(100)
+@given(data=st.data())
+def test_damaged_bytes(lift: Path, original: bytes, data: st.DataObject) -> None:
+    (lift / CORRECTIONS).write_bytes(damaged(data.draw, original))
+    survives(lift)
+
+
+def test_edits_of_another_lift(lift: Path, original: bytes) -> None:
+    """Objects that are not there, or are others: each edit says why it is not applied."""
+    content = json.loads(original)
+    for edit in content["edits"]:
+        for mark in edit["objects"]:
+            mark["id"], mark["low"], mark["high"] = mark["id"] + 1000, [90.0, 90.0, 0.0], [91.0, 91.0, 1.0]
+    (lift / CORRECTIONS).write_text(json.dumps(content))
+    assert len(read_corrected(lift).warnings) == len(content["edits"])
+
+
+def test_a_thousand_edits(lift: Path, original: bytes) -> None:
+    content = json.loads(original)
+    rename = content["edits"][0]
+    content["edits"] += [{**rename, "uid": f"{number:032x}", "name": f"desk {number}"} for number in range(1000)]
+    (lift / CORRECTIONS).write_text(json.dumps(content))
+    begun = time.process_time()
+    found = {one.id: one.name for one in read_corrected(lift).instances}
+    assert time.process_time() - begun < 10.0
+    assert "desk 999" in found.values()
+
+
+def test_a_huge_file(lift: Path) -> None:
+    with (lift / CORRECTIONS).open("wb") as file:
+        file.truncate(1 << 34)  # of holes
+    with pytest.raises(PlgsError, match="larger than"):
+        read_corrected(lift)
