@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -16,7 +17,7 @@ from engine.diagnosis import diagnose
 from engine.errors import PlgsError
 from engine.scene import open_scene
 from engine.scene.checks import survey_scene
-from tests.fuzzing import FACTOR
+from tests.fuzzing import examples
 from tests.tiny_scene import write_tiny_scene
 
 SIZE = (32, 24)
@@ -90,43 +91,58 @@ def moved(pose: NDArray[np.float64], number: int, how: str) -> NDArray[np.float6
     return pose
 
 
-@pytest.mark.parametrize("count", [10, pytest.param(300, marks=pytest.mark.slow)], ids=["some", "many"])
-def test_cameras_and_depth_together(original: Path, tmp_path: Path, count: int) -> None:
-    done = {"diagnosed": 0, "refused": 0}
-    health = [HealthCheck.too_slow, HealthCheck.data_too_large]
+SCENES: dict[str, st.SearchStrategy[Any]] = {
+    "lens": st.none() | st.tuples(FOCAL, FOCAL, CENTRE, CENTRE),
+    "holes": st.lists(st.sampled_from(HOLES), min_size=5, max_size=5)
+    | st.sampled_from(HOLES).map(lambda one: [one] * 5),
+    "how": st.sampled_from(DEPTHS),
+    "poses": st.sampled_from(POSES),
+    "seed": st.integers(0, 1000),
+}
 
-    @settings(max_examples=count * FACTOR, deadline=None, suppress_health_check=health, database=None)
-    @given(
-        lens=st.none() | st.tuples(FOCAL, FOCAL, CENTRE, CENTRE),
-        holes=st.lists(st.sampled_from(HOLES), min_size=5, max_size=5)
-        | st.sampled_from(HOLES).map(lambda one: [one] * 5),
-        how=st.sampled_from(DEPTHS),
-        poses=st.sampled_from(POSES),
-        seed=st.integers(0, 1000),
-    )
-    def survives(
-        lens: tuple[float, float, float, float] | None, holes: list[str], how: str, poses: str, seed: int
-    ) -> None:
-        scene = tmp_path / "scene"
-        shutil.rmtree(scene, ignore_errors=True)
-        shutil.copytree(original, scene)
-        if lens is not None:
-            fx, fy, cx, cy = lens
-            K = np.array([[fx, 0, cx, 0], [0, fy, cy, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-            np.savetxt(scene / "intrinsic" / "intrinsic_color.txt", K)
-        for number, path in enumerate(sorted((scene / "depth").iterdir())):
-            depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.uint16)
-            cv2.imwrite(str(path), holed(changed(depth, how, seed + number), holes[number]))
-        for number, path in enumerate(sorted((scene / "pose").iterdir())):
-            np.savetxt(path, moved(np.loadtxt(path), number, poses))
-        try:
-            opened = open_scene(scene)
-            survey_scene(opened)
-            diagnose(opened)
-            done["diagnosed"] += 1
-        except PlgsError as error:
-            assert "\n" not in str(error) and error.fix
-            done["refused"] += 1
 
-    survives()
-    assert min(done.values()) > 0, done
+def write(
+    original: Path, scene: Path, lens: tuple[float, ...] | None, holes: list[str], how: str, poses: str, seed: int
+) -> None:
+    shutil.rmtree(scene, ignore_errors=True)
+    shutil.copytree(original, scene)
+    if lens is not None:
+        fx, fy, cx, cy = lens
+        K = np.array([[fx, 0, cx, 0], [0, fy, cy, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        np.savetxt(scene / "intrinsic" / "intrinsic_color.txt", K)
+    for number, path in enumerate(sorted((scene / "depth").iterdir())):
+        depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.uint16)
+        cv2.imwrite(str(path), holed(changed(depth, how, seed + number), holes[number]))
+    for number, path in enumerate(sorted((scene / "pose").iterdir())):
+        np.savetxt(path, moved(np.loadtxt(path), number, poses))
+
+
+def survives(original: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
+    write(original, tmp_path / "scene", **drawn)
+    try:
+        scene = open_scene(tmp_path / "scene")
+        survey_scene(scene)
+        diagnose(scene)
+    except PlgsError as error:
+        assert "\n" not in str(error) and error.fix
+
+
+@examples(10)
+@given(drawn=st.fixed_dictionaries(SCENES))
+def test_cameras_and_depth_together(original: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
+    survives(original, tmp_path, drawn)
+
+
+@pytest.mark.slow
+@examples(300)
+@given(drawn=st.fixed_dictionaries(SCENES))
+def test_many_cameras_and_depths_together(original: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
+    survives(original, tmp_path, drawn)
+
+
+@pytest.mark.parametrize("holes", ["rows", "columns", "grid", "chequers"])
+def test_depth_with_holes_is_diagnosed(original: Path, tmp_path: Path, holes: str) -> None:
+    write(original, tmp_path / "scene", None, [holes] * 5, "as it is", "as it is", 0)
+    scene = open_scene(tmp_path / "scene")
+    survey_scene(scene)
+    assert diagnose(scene).as_json()
