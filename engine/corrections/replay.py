@@ -78,7 +78,11 @@ class Replay:
         reasons = [reason for mark in edit.objects if (reason := self._missing(mark))]
         if reasons and (edit.kind != "assign" or len(reasons) == len(edit.objects)):
             return reasons[0]
-        ids = [mark.id for mark in edit.objects if mark.id in self.objects]
+        ids = [*dict.fromkeys(mark.id for mark in edit.objects if mark.id in self.objects)]
+        if not ids and (edit.kind != "assign" or not edit.classes):
+            return "it names no object"
+        if edit.kind in MOVES and (reason := self._no_label(edit)):
+            return reason
         match edit.kind:
             case "rename":
                 self.objects[ids[0]] = replace(self.objects[ids[0]], name=edit.name)
@@ -91,6 +95,15 @@ class Replay:
             case kind if kind in MOVES:
                 return self._move(edit, ids)
         return ""
+
+    def _no_label(self, edit: Edit) -> str:
+        """Why what an edit gives its points is no object or class; empty when it is."""
+        rest = 0 if edit.rest is None else edit.rest
+        classes = [-label for label in (rest, *(group.label for group in edit.moved)) if label < 0]
+        unknown = [one for one in (*classes, *(one.class_id for one in edit.made)) if one not in self.classes]
+        if unknown:
+            return f"there is no class {unknown[0]}"
+        return f"there is no object {rest}" if rest > 0 and rest not in self.objects else ""
 
     def _missing(self, mark: ObjectMark) -> str:
         """Why the object that a mark means is not there; empty when it is."""

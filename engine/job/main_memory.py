@@ -41,10 +41,19 @@ def _within(memory: MainMemory, cgroup: Path) -> MainMemory:
     """The memory within a container's limit, if there is one."""
     try:
         limit = int((cgroup / "memory.max").read_text())
-        held = int((cgroup / "memory.current").read_text())
+        held = int((cgroup / "memory.current").read_text()) - _given_back(cgroup)
     except (OSError, ValueError):  # no such file, or "max"
         return memory
     return MainMemory(min(memory.total, limit), min(memory.free, max(0, limit - held)))
+
+
+def _given_back(cgroup: Path) -> int:
+    """Bytes of files that the system keeps in a container's memory until somebody needs it."""
+    try:
+        lines = (line.split() for line in (cgroup / "memory.stat").read_text().splitlines())
+        return next((int(line[1]) for line in lines if line[:1] == ["inactive_file"]), 0)
+    except (OSError, ValueError, IndexError):  # an older system does not say
+        return 0
 
 
 def _of_windows() -> MainMemory:

@@ -13,6 +13,9 @@ from ..job.main_memory import main_memory
 _SHARE_OF_MEMORY = 0.5
 """Of the free memory, for what one file becomes: the rest of the scene needs some as well."""
 
+_SMALL = 1 << 25
+"""Bytes that are taken without asking how many are free."""
+
 
 def check_count(count: int, things: str, path: Path, fix: str, *, most: int, room: int, made: int) -> None:
     """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that cannot be true, or cannot be read here.
@@ -34,7 +37,7 @@ def check_most(count: int, things: str, path: Path | str, fix: str, most: int) -
 
 def check_memory(size: int, path: Path) -> None:
     """Raise PlgsError when what the file ``path`` becomes, ``size`` bytes, is more than half of the free memory."""
-    memory = main_memory() if size > 0 else None
+    memory = main_memory() if size > _SMALL else None
     if memory is not None and size > _SHARE_OF_MEMORY * memory.free:
         what = f"it takes {size / 1e9:.2g} GB of memory, and {memory.free / 1e9:.2g} GB are free"
         raise PlgsError(what, path, "Close other programs, or take a computer with more memory.")

@@ -18,7 +18,9 @@ _SAME_SHAPE = 0.02
 def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -> bytes:
     """The content of a regular file of at most ``most_bytes``. Raises PlgsError, with ``fix`` as the advice."""
     try:
-        check_memory(min(path.stat().st_size, most_bytes), path)
+        size = path.stat().st_size
+        if size <= most_bytes:
+            check_memory(size, path)
         return read_plain(path, most_bytes)
     except OSError as error:
         raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error

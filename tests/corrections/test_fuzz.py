@@ -74,6 +74,25 @@ def test_edits_of_another_lift(lift: Path, original: bytes) -> None:
     assert len(read_corrected(lift).warnings) == len(content["edits"])
 
 
+@pytest.mark.parametrize(
+    ("number", "changed", "told"),
+    [
+        (0, {"objects": []}, "it names no object"),
+        (3, {"objects": []}, "it names no object"),
+        (2, {"made": [{"id": 9, "name": "a", "class_id": 0}]}, "there is no class 0"),
+        (2, {"moved": [{"label": -99, "millimetres": [0, 0, 0]}]}, "there is no class 99"),
+        (2, {"rest": 77}, "there is no object 77"),
+    ],
+)
+def test_an_edit_that_cannot_be(
+    lift: Path, original: bytes, number: int, changed: dict[str, object], told: str
+) -> None:
+    content = json.loads(original)
+    content["edits"][number].update(changed)
+    (lift / CORRECTIONS).write_text(json.dumps(content))
+    assert any(line.endswith(told) for line in read_corrected(lift).warnings)
+
+
 def test_a_thousand_edits(lift: Path, original: bytes) -> None:
     content = json.loads(original)
     rename = content["edits"][0]
@@ -87,6 +106,6 @@ def test_a_thousand_edits(lift: Path, original: bytes) -> None:
 
 def test_a_huge_file(lift: Path) -> None:
     with (lift / CORRECTIONS).open("wb") as file:
-        file.truncate(1 << 34)  # of holes
+        file.truncate(1 << 31)  # of holes
     with pytest.raises(PlgsError, match="larger than"):
         read_corrected(lift)
