@@ -9,8 +9,10 @@ from typing import Any, Literal, get_args
 
 from .json_file import Json
 
-UpAxis = Literal["z", "y", "-y"]
+UpAxis = Literal["z", "y", "-y", "+z"]
 UPS: tuple[str, ...] = get_args(UpAxis)
+UP_OPTIONS: dict[str, UpAxis] = {"auto": "z", "z": "+z", "y": "y", "-y": "-y"}
+"""What --up may be, and what it means."""
 
 
 @dataclass(frozen=True)
@@ -18,9 +20,9 @@ class SceneSource:
     """``scene`` is its folder or file; the rest says how it is read.
 
     ``masks`` names panoptic masks outside the folder. ``up`` is the axis of the poses' world that points up; "z" leaves
-    it to formats that know. ``scene_format`` and ``mask_format`` name formats that are recognised otherwise. ``depth``
-    is a folder of monocular depth maps in place of the scene's depth. ``classes`` is the name of a table of the masks'
-    classes, or the path of a .toml file.
+    it to formats that know, "+z" is the z axis whatever they say. ``scene_format`` and ``mask_format`` name formats
+    that are recognised otherwise. ``depth`` is a folder of monocular depth maps in place of the scene's depth.
+    ``classes`` is the name of a table of the masks' classes, or the path of a .toml file.
     """
 
     scene: Path
@@ -30,6 +32,11 @@ class SceneSource:
     depth: Path | None = None
     mask_format: str | None = None
     classes: str | None = None
+
+    @property
+    def up_option(self) -> str:
+        """What --up has to be for this ``up``."""
+        return next(option for option, up in UP_OPTIONS.items() if up == self.up)
 
     @property
     def resolved(self) -> SceneSource:

@@ -49,7 +49,7 @@ class ChosenScene(SceneSource):
 
     def arguments(self) -> list[str | Path]:
         """The arguments that name it to the engine's commands."""
-        arguments: list[str | Path] = [self.scene, f"--up={self.up}"]
+        arguments: list[str | Path] = [self.scene, f"--up={self.up_option}"]
         given = {"--masks": self.masks, "--format": self.scene_format, "--depth": self.depth}
         named = {"--mask-format": self.mask_format, "--classes": self.classes}
         for option, value in (given | named).items():

@@ -32,7 +32,8 @@ _PRESETS = [
     ("paper", "Paper", "The paper's own way and number of steps: hours"),
 ]
 UPS = [
-    ("z", "Z", "The poses' z axis points up"),
+    ("z", "Automatic", "What the capture's format says, else the poses' z axis"),
+    ("+z", "Z", "The poses' z axis points up, whatever the capture's format says"),
     ("y", "Y", "The poses' y axis points up"),
     ("-y", "-Y", "The poses' y axis points down, as in a camera"),
 ]
@@ -159,7 +160,8 @@ class LiftOptions(SceneOptions):
         description="Objects that the lift shown in this scene has found already keep their names and ids",
     )  # fmt: skip
     keep_running: BoolProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Go on without Blender",
+        options=_SKIP_SAVE,
+        name="Go on without Blender",
         description="Closing Blender does not stop the lift; the next Blender finds it again",
     )
 

@@ -16,10 +16,11 @@ from pathlib import Path
 from engine.command_line.main import main as run_command
 from engine.command_line.parser import make_parser as parser_of_the_engine
 from engine.errors import PlgsError
-from engine.job import UPS, ExitCode
+from engine.job import ExitCode
 from engine.job.options import add_format_option, add_label_options, add_set_option, preset_or_file
 from engine.job.terminal import Interrupted, Interrupts
 from engine.presets.preset import PRESETS
+from engine.scene_source import UP_OPTIONS
 
 SAMPLE = "sample/room"
 OF_THE_ENGINE = ("lift", "bake", "export", "evaluate", "presets")
@@ -74,7 +75,7 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
         "paper's tables in Markdown: baselines, ablations, departures. What is finished in FOLDER is not lifted again, "
         "what was stopped goes on."
     )
-    about = f"a scene's folder; AXIS is one of {', '.join(UPS)}"
+    about = f"a scene's folder; AXIS is one of {', '.join(UP_OPTIONS)}"
     parser.add_argument("scenes", nargs="*", metavar="SCENE[:up=AXIS]", help=f"{about} (default: {SAMPLE})")
     parser.add_argument("--scenes", nargs="+", dest="named_scenes", metavar="SCENE[:up=AXIS]", help="the same")
     parser.add_argument("--names", type=_names, metavar="A,B,..", help="what to call them (default: as their folders)")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from ..errors import ExitCode
-from ..scene_source import UPS
 from .atomic import sha256, write_atomically
 from .cameras import BakeCamera, read_cameras
 from .checkpoint import Checkpoint, CheckpointStore
@@ -28,7 +27,6 @@ from .stop import StopSignal, Watchdog
 __all__ = [
     "BAKES",
     "FURTHER_LAYERS",
-    "UPS",
     "BakeCamera",
     "BakeLocks",
     "Checkpoint",

@@ -15,7 +15,7 @@ from ..json_file import Json
 from ..presets.options import parsed_options
 from ..presets.preset import PRESETS
 from ..presets.toml_file import read_preset_file
-from ..scene_source import UPS, SceneSource, class_table
+from ..scene_source import UP_OPTIONS, SceneSource, class_table
 from .folder import LiftFolder
 from .request import BAKES, DEVICES, LiftRequest
 
@@ -133,8 +133,9 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
     """How to read the pictures and poses in the scene's folder."""
     parser.add_argument(
         "--up",
-        choices=UPS,
-        help=f"the axis of the poses that points up (default: what the format says, else {DEFAULTS.up})",
+        type=up_axis,
+        metavar="|".join(UP_OPTIONS),
+        help="the axis of the poses that points up (default: auto, what the format says, else z)",
     )
     add_format_option(parser)
 
@@ -168,11 +169,18 @@ def readable(arguments: Sequence[str]) -> list[str]:
     joined: list[str] = []
     for argument in arguments:
         option = joined[-1] if joined else ""
-        if (option == "--up" and argument in UPS) or (option == "--range" and re.match(r"-\d", argument)):
+        if (option == "--up" and argument in UP_OPTIONS) or (option == "--range" and re.match(r"-\d", argument)):
             joined[-1] = f"{option}={argument}"
         else:
             joined.append(argument)
     return joined
+
+
+def up_axis(text: str) -> str:
+    """What --up means; for argparse, so it raises ArgumentTypeError."""
+    if text not in UP_OPTIONS:
+        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(UP_OPTIONS)}")
+    return UP_OPTIONS[text]
 
 
 def picture_size(text: str) -> tuple[int, int]:

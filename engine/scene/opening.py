@@ -142,7 +142,7 @@ def _frame(shot: Shot, camera: Camera, held_out: bool) -> Frame:
 def _turn_upright(capture: Capture, up: UpAxis) -> tuple[NDArray[np.float64], list[str]]:
     """The rotation, float64 [3, 3], from the capture's world into one with z up, and warnings."""
     poses = [shot.camera.camera_to_world for shot in capture.shots]
-    axis = capture.up if up == "z" else up
+    axis: UpAxis | None = "z" if up == "+z" else capture.up if up == "z" else up
     if axis is None:
         turn = upright_rotation(poses)
         return turn, [] if np.array_equal(turn, np.eye(3)) else [_UNKNOWN_UP]

@@ -41,7 +41,7 @@ def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool)
     registry.refuse_second(MaskMaking)
     if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
         model = str(absolute(model))
-    command: list[str | Path] = [chosen.scene, f"--up={chosen.up}"]
+    command: list[str | Path] = [chosen.scene, f"--up={chosen.up_option}"]
     command += [] if chosen.scene_format is None else ["--format", chosen.scene_format]
     command += [*(["--model", model] if model else []), *(["--download"] if download else [])]
     return timer.begin(MaskMaking(chosen, start_engine("segment", python, *command)))

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from glob import glob, has_magic
 from pathlib import Path
-from typing import cast
 
 from engine.errors import PlgsError
-from engine.job import UPS
-from engine.scene_source import UpAxis
+from engine.scene_source import UP_OPTIONS, UpAxis
 
 _SCENE = re.compile(r"(?P<folder>.+?)(?::up=(?P<up>.*))?", re.DOTALL)
 _NAME = re.compile(r"\w[\w .+-]*")
@@ -66,8 +64,9 @@ def _scene(text: str) -> SceneToLift:
     match = _SCENE.fullmatch(text)
     if match is None:
         raise PlgsError("is no scene", repr(text), "Give the scene's folder.")
-    up = match["up"] if match["up"] is not None else SceneToLift.up
-    if up not in UPS:
-        raise PlgsError(f"{up!r} is no axis that points up", text, f"Write SCENE:up= and one of {', '.join(UPS)}.")
+    up = match["up"] if match["up"] is not None else "auto"
+    if up not in UP_OPTIONS:
+        fix = f"Write SCENE:up= and one of {', '.join(UP_OPTIONS)}."
+        raise PlgsError(f"{up!r} is no axis that points up", text, fix)
     folder = Path(match["folder"]).resolve()
-    return SceneToLift(folder.name, folder, cast(UpAxis, up))
+    return SceneToLift(folder.name, folder, UP_OPTIONS[up])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import re
@@ -15,6 +16,8 @@ import pytest
 
 from engine.command_line.main import main
 from engine.job import write_atomically, write_manifest
+from engine.job.options import add_capture_options
+from engine.scene_source import SceneSource, UpAxis
 from tests.commands import exit_code, refuse_heavy_help
 from tests.job.lift_folders import new_lift
 from tests.tiny_scene import write_tiny_scene
@@ -153,6 +156,14 @@ def test_up_may_be_an_axis_that_points_down(
 ) -> None:
     assert code_of("inspect", *form, write_tiny_scene(tmp_path / "scene", frames=6)) == 0
     assert "not -y" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("said", "meant"), [("z", "+z"), ("auto", "z"), ("y", "y")])
+def test_an_axis_that_is_said_is_meant(said: str, meant: UpAxis) -> None:
+    parser = argparse.ArgumentParser()
+    add_capture_options(parser)
+    assert parser.parse_args(["--up", said]).up == meant
+    assert SceneSource(Path("room"), up=meant).up_option == said
 
 
 def test_inspect(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -116,6 +116,10 @@ def test_a_world_with_another_up_is_turned(tmp_path: Path) -> None:
     )
     (tmp_path / "groundtruth.txt").write_text(text)
     check_on_room(open_scene(tmp_path, up="y"))
+    known, said = (open_scene(tmp_path, up=up) for up in ("z", "+z"))
+    assert any("turned so that the cameras stand upright" in warning for warning in known.warnings)
+    assert any("is the axis y, not z" in warning for warning in said.warnings)
+    assert said.frames[0].camera.camera_to_world[:3, 3] == pytest.approx(y_up(views()[0]).eye)
 
 
 @pytest.mark.parametrize(
