@@ -5,6 +5,9 @@
 centres at +0.5. ``depth_file_path`` (nerfstudio) or ``depth_path`` (instant-ngp): planar depth as 16-bit PNG, in
 millimetres or steps of ``integer_depth_scale``, or as .npy in metres. ``ply_file_path``: the points of the
 reconstruction. The file says nothing about which way is up unless nerfstudio's own preparation did.
+
+In place of one file there may be ``transforms_train.json`` and ``transforms_test.json`` (or ``_val``), as NeRF's
+synthetic scenes have them: the frames of the second are held out.
 """
 
 from __future__ import annotations
@@ -13,6 +16,8 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_number, take_objects, take_text
@@ -23,25 +28,61 @@ from ..frame import Size, SparsePoints
 from ..image_header import read_image_header
 from ..layout import file_inside, natural_order
 from ..matrices import take_matrix
+from ..splits import Split
 from .capture import Capture, SceneFormat, Shot, frame_names
 from .lens import STRAIGHT, Distortion, fitted, pinhole
 from .ply_points import read_ply_points
 from .poses import finite_pose, from_opengl
 
-_FILE = "transforms.json"
+_FILE, _TRAIN = "transforms.json", "transforms_train.json"
+_HELD_OUT = ("transforms_test.json", "transforms_val.json")
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "perspective", "")
 _OPENCV = ("OPENCV", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV")
 _IMAGES = (".png", ".jpg", ".jpeg")
 
 
 def _recognises(place: Path) -> bool:
-    return (place / _FILE).is_file() or (place.is_file() and place.name == _FILE)
+    return any(path.is_file() for path in _files(place))
+
+
+def _files(place: Path) -> list[Path]:
+    """The files with the frames: one, or that to train on and that to hold out."""
+    if place.is_file():
+        return [place] if place.name in (_FILE, _TRAIN) else []
+    held_out = [place / name for name in _HELD_OUT if (place / name).is_file()][:1]
+    return [place / _TRAIN, *held_out] if _is_split(place) else [place / _FILE]
+
+
+def _is_split(place: Path) -> bool:
+    return not (place / _FILE).is_file() and (place / _TRAIN).is_file()
 
 
 def _read(place: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
-    path = place if place.is_file() else place / _FILE
-    content = read_json_object(path)
+    paths = _files(place) or [place]
+    contents = [read_json_object(path) for path in paths]
+    parts = [_frames(content, path) for content, path in zip(contents, paths, strict=True)]
+    names = frame_names([frame["file_path"] for frames, _ in parts for frame in frames])
+    of_parts = np.split(np.array(names, object), np.cumsum([len(frames) for frames, _ in parts])[:-1])
+    found = [
+        (name, _shot(name, {**content, **frame}, path))
+        for own, (frames, _), content, path in zip(of_parts, parts, contents, paths, strict=True)
+        for name, frame in zip(own, frames, strict=True)
+    ]
+    missing, warnings = sum(count for _, count in parts), list[str]()
+    if missing:
+        warnings.append(f"{missing} frames are left out: their pictures are missing")
+    if any("mask_path" in frame for frames, _ in parts for frame in frames):
+        warnings.append("mask_path is not used: it says what to leave out, not what is what")
+    up: UpAxis | None = "z" if contents[0].get("orientation_override") == "none" else None
+    posed = {name for name, shot in found if shot is not None}
+    kept = [tuple(name for name in own if name in posed) for own in of_parts]
+    split = Split(*kept) if len(kept) == 2 else None
+    return Capture(found, up, tuple(warnings), _points(contents[0], paths[0]), split)
+
+
+def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], int]:
+    """The frames of a file whose pictures are there, in natural order, and how many are not. Raises PlgsError."""
     frames = take_objects(content, "frames", "the file", path)
     for frame in frames:
         take_text(frame, "file_path", "a frame", path)
@@ -49,16 +90,7 @@ def _read(place: Path) -> Capture:
     present = [frame for frame in frames if _image_path(path, frame["file_path"]).is_file()]
     if frames and not present:
         raise PlgsError("the pictures are missing", _image_path(path, frames[0]["file_path"]), "Copy them there.")
-    missing, frames = len(frames) - len(present), present
-    names = frame_names([frame["file_path"] for frame in frames])
-    found = [(name, _shot(name, {**content, **frame}, path)) for name, frame in zip(names, frames, strict=True)]
-    warnings = []
-    if missing:
-        warnings.append(f"{missing} frames are left out: their pictures are missing")
-    if any("mask_path" in frame for frame in frames):
-        warnings.append("mask_path is not used: it says what to leave out, not what is what")
-    up: UpAxis | None = "z" if content.get("orientation_override") == "none" else None
-    return Capture(found, up, tuple(warnings), _points(content, path))
+    return present, len(frames) - len(present)
 
 
 def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:

@@ -66,6 +66,26 @@ def test_names_that_count_from_another_folder_are_found_beside(tmp_path: Path) -
     check_on_room(open_scene(tmp_path))
 
 
+def test_splits_of_nerfs_synthetic_scenes(tmp_path: Path) -> None:
+    """As Blender's script for them writes: an angle of view, no suffix, and equal names in each part."""
+    straight = Lens(64, 48, 50.0, 50.0, 32.0, 24.0)
+    for part, own in (("train", views()[:4]), ("test", views()[4:]), ("val", views()[:2])):
+        frames = []
+        for i, view in enumerate(own):
+            write_colour(tmp_path / part / f"r_{i}.png", look(view, straight).colour)
+            frames.append(
+                {"file_path": f"./{part}/r_{i}", "rotation": 0.1, "transform_matrix": opengl_pose(view).tolist()}
+            )
+        content = {"camera_angle_x": 2 * math.atan(32 / 50), "frames": frames}
+        (tmp_path / f"transforms_{part}.json").write_text(json.dumps(content))
+    scene = open_scene(tmp_path)
+    assert scene.format == "nerfstudio"
+    assert [frame.name for frame in scene.train_frames] == ["train_r_0", "train_r_1", "train_r_2", "train_r_3"]
+    assert [frame.name for frame in scene.test_frames] == ["test_r_0", "test_r_1"]
+    assert scene.frames[0].camera.fx == pytest.approx(50.0)
+    check_colours(scene)
+
+
 def test_without_depth_pictures_and_cameras_come(tmp_path: Path) -> None:
     scene = open_scene(write_scene(tmp_path, depth=False))
     assert not scene.has_depth and not scene.has_masks

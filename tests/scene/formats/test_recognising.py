@@ -15,7 +15,7 @@ from tests.scene.refusing import refuses
 
 def test_each_format_has_a_name_of_its_own_and_says_what_it_looks_for() -> None:
     names = [each.name for each in FORMATS]
-    assert len({*names}) == len(names) == 16 and names[0] == "scannet"
+    assert len({*names}) == len(names) == 17 and names[0] == "scannet"
     assert all(each.looks_for for each in FORMATS)
 
 

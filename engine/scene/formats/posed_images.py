@@ -1,0 +1,52 @@
+"""ScanNet's ``posed_images``, as mmdetection3d exports them: pictures, poses and the lens in one folder.
+
+``00000.jpg``, ``00000.txt`` camera-to-world, 4x4, OpenCV axes, metres (inf: lost tracking), and ``intrinsic.txt``, 3x3
+or 4x4, in pixels of the pictures with integer pixel centres. Exports with depth have ``00000.png`` beside them: 16
+bits, millimetres.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..depth import png_depth
+from ..image_header import read_image_header
+from ..layout import natural_order
+from ..matrices import read_intrinsics, read_pose
+from .capture import Capture, SceneFormat, Shot
+
+_INTRINSICS = "intrinsic.txt"
+_PICTURES = (".jpg", ".jpeg")
+
+
+def _recognises(place: Path) -> bool:
+    return (place / _INTRINSICS).is_file() and any(_pictures(place))
+
+
+def _pictures(folder: Path) -> list[Path]:
+    """Pictures that have a pose."""
+    found = [path for path in folder.iterdir() if path.suffix.lower() in _PICTURES and _pose_of(path).is_file()]
+    return sorted(found, key=lambda path: natural_order(path.name))
+
+
+def _pose_of(picture: Path) -> Path:
+    return picture.with_suffix(".txt")
+
+
+def _read(folder: Path) -> Capture:
+    """Open the frames; only headers of images are read. Raises PlgsError."""
+    return Capture([(path.stem, _shot(folder, path)) for path in _pictures(folder)], "z")
+
+
+def _shot(folder: Path, picture: Path) -> Shot | None:
+    """None where tracking was lost. Raises PlgsError."""
+    pose = read_pose(_pose_of(picture))
+    if pose is None:
+        return None
+    lens, depth = read_intrinsics(folder / _INTRINSICS, read_image_header(picture).size), picture.with_suffix(".png")
+    return Shot(picture.stem, lens.at(pose), picture, png_depth(depth, lens) if depth.is_file() else None)
+
+
+FORMAT = SceneFormat(
+    "posed-images", "ScanNet posed_images", "intrinsic.txt with 00000.jpg and 00000.txt", _recognises, _read
+)
