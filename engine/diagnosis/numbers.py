@@ -130,6 +130,11 @@ def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) ->
     )
 
 
+def _off(factor: float) -> str:
+    """How far a length is off that has to be multiplied by ``factor``."""
+    return f"{1 / factor:.4g} times too long" if factor < 1.0 else f"{factor:.4g} times too short"
+
+
 def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> tuple[str, str, Figures]:
     """What is wrong, what to do about it in the user's files, and the figures."""
     now = cause.assumed
@@ -137,13 +142,12 @@ def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> t
     if cause.cause == "unit":
         factor = now.unit / before.unit
         steps = 1.0 / factor
-        off = f"{steps:.4g} times too long" if steps > 1.0 else f"{factor:.4g} times too short"
         known = f"{1000 * steps:.0f} steps a metre" if steps >= 0.3 else f"{1000 * steps:.3g} steps a metre"
-        text = f"depth is in another unit, {off} (as if written with {known} and read with 1000)"
+        text = f"depth is in another unit, {_off(factor)} (as if written with {known} and read with 1000)"
         return text, f"multiply depth by {factor:.4g}", {"factor": factor}
     if cause.cause == "length":
         factor = now.length / before.length
-        text = f"the poses are in another unit, {1 / factor:.4g} times too long"
+        text = f"the poses are in another unit, {_off(factor)}"
         return text, f"multiply the cameras' places by {factor:.4g}", {"factor": factor}
     if cause.cause == "lag":
         lag = now.lag
@@ -155,7 +159,7 @@ def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> t
         return text, f"multiply fx, fy, cx and cy by {Fraction(scale).limit_denominator(12)}", {"factor": scale}
     if cause.cause == "focal":
         factor = now.focal / before.focal
-        return f"fx and fy are {1 / factor:.3f} times too long", f"multiply them by {factor:.4f}", {"factor": factor}
+        return f"fx and fy are {_off(factor)}", f"multiply them by {factor:.4f}", {"factor": factor}
     if cause.cause == "centre":
         x, y = (np.median(examined.views.lens_of(now)[:, 2:], axis=0) * (width, height)).tolist()
         return "the principal point is wrong", f"set cx, cy to {x:.1f}, {y:.1f}", {"cx": x, "cy": y}
@@ -228,12 +232,12 @@ def _measured(examined: Examined, found: Calibration, free: set[str]) -> list[tu
     measured: list[tuple[str, str, str, Figures]] = []
     if "unit" in free:
         factor = float(np.exp(found.of("unit")))
-        text = f"depth is {1 / factor:.3f} times too long (within {found.deviation('unit'):.1%})"
+        text = f"depth is {_off(factor)} (within {found.deviation('unit'):.1%})"
         measured.append(("depth unit", text, f"multiply it by {factor:.4f}", {"factor": factor}))
     if free & {"focal", "aspect"}:
         fy = float(np.exp(found.of("focal") if "focal" in free else 0.0))
         fx = fy * float(np.exp(found.of("aspect") if "aspect" in free else 0.0))
-        text = f"fx is {1 / fx:.3f} and fy {1 / fy:.3f} times too long"
+        text = f"fx is {_off(fx)}, and fy {_off(fy)}"
         measured.append(("focal length", text, f"multiply them by {fx:.4f} and {fy:.4f}", {"fx": fx, "fy": fy}))
     if "x" in free:
         measured.append(_measured_principal_point(examined, found))

@@ -139,7 +139,7 @@ def read_channels(path: Path, header: ExrHeader, names: list[str]) -> list[NDArr
         import OpenEXR
     except ImportError as error:
         fix = "Let the engine's Python install it: python -m pip install -r requirements/engine.txt."
-        raise PlgsError("EXR masks need the package OpenEXR", path, fix) from error
+        raise PlgsError("EXR files need the package OpenEXR", path, fix) from error
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             stored: dict[str, NDArray[Any]] = {name: channel.pixels for name, channel in file.channels().items()}

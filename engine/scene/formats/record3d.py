@@ -5,6 +5,9 @@ cy); ``poses`` (qx qy qz qw tx ty tz), camera-to-world, OpenGL axes, metres; ``d
 Depth is LZFSE of float32 metres, confidence LZFSE of bytes 0 to 2; pixels with 0 are dropped. LZFSE needs the package
 pyliblzfse. A stream is blocks, each with a header that claims an unpacked size. The library does not go by it and takes
 what memory a stream asks for, so ``unpack_lzfse`` bounds it.
+
+Its export "EXR + JPG sequence" is a folder ``EXR_RGBD`` of ``metadata.json``, ``rgb/N.jpg`` or ``.png``, and
+``depth/N.exr`` with metres in the channel R.
 """
 
 from __future__ import annotations
@@ -23,12 +26,13 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError, lacks_part
 from ...gates import refuse_special
-from ...json_file import parse_json_object, take_list, take_number
+from ...json_file import parse_json_object, read_json_object, take_list, take_number
 from ...scene_source import UpAxis
 from ..camera import Camera
 from ..depth import DepthMap, drop_untrusted, only_depth
+from ..exr_file import read_channels, read_exr_header
 from ..frame import Size
-from ..layout import read_file
+from ..layout import files_by_stem, read_file
 from ..matrices import take_matrix, take_numbers
 from ..pixels import decode_bytes
 from ..up_axis import upright_rotation
@@ -37,6 +41,7 @@ from .lens import pinhole
 from .poses import from_opengl, quaternion_pose
 
 _FIX = "Export it from Record3D again."
+_EXPORTED = "metadata.json"
 _LARGEST = 2**28
 """Bytes of one unpacked picture or depth map, at most."""
 _DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
@@ -90,7 +95,7 @@ class _Archive:
 def _recognises(place: Path) -> bool:
     if place.is_file():
         return place.suffix.lower() == ".r3d"
-    return _find(place) is not None
+    return _find(place) is not None or _exr_folder(place) is not None
 
 
 def _find(place: Path) -> Path | None:
@@ -103,32 +108,64 @@ def _find(place: Path) -> Path | None:
 
 def _read(place: Path) -> Capture:
     """Open the frames; no picture is decoded. Raises PlgsError."""
-    path = _find(place)
-    if path is None:
+    path, exported = _find(place), _exr_folder(place)
+    if path is None and exported is None:
         raise PlgsError("there is no .r3d file, or more than one", place, "Name the file.")
-    found = list(_shots(_Archive(path), path))
+    found = list(_exr_shots(exported) if path is None and exported else _shots(_Archive(path or place), path or place))
     return Capture(found, _up([shot for _, shot in found if shot is not None]))
 
 
 def _shots(archive: _Archive, path: Path) -> Iterator[tuple[str, Shot | None]]:
     metadata = parse_json_object(archive.read("metadata"), path)
-    count = len(take_list(metadata, "poses", "metadata", path))
-    poses = take_matrix(metadata, "poses", "metadata", path, ((count, 7),))
     names = {*archive.names()}
     numbers = sorted(int(match[1]) for name in names if (match := re.fullmatch(r"rgbd/(\d+)\.jpg", name)))
-    if not numbers or numbers[-1] >= count:
-        raise PlgsError(f"there are {count} poses and {len(numbers)} pictures", path, _FIX)
     size = (int(metadata["dw"]), int(metadata["dh"])) if _has_depth_size(metadata) else None
-    for number in numbers:
-        if not np.isfinite(poses[number]).all():
+    for number, camera in _cameras(metadata, numbers, path):
+        if camera is None:
             yield str(number), None
             continue
-        qx, qy, qz, qw, *position = poses[number].tolist()
-        camera = _lens(metadata, number, path).at(from_opengl(quaternion_pose((qw, qx, qy, qz), position, path)))
         depth, conf = f"rgbd/{number}.depth", f"rgbd/{number}.conf"
         read = partial(_read_depth, archive, depth, conf if conf in names else None, size, camera)
         picture = partial(_read_colour, archive, f"rgbd/{number}.jpg")
         yield str(number), Shot(str(number), camera, path, DepthMap(path, read) if depth in names else None, picture)
+
+
+def _cameras(metadata: dict[str, Any], numbers: list[int], path: Path) -> Iterator[tuple[int, Camera | None]]:
+    """The camera of each picture, None where its pose is not finite. Raises PlgsError."""
+    count = len(take_list(metadata, "poses", "metadata", path))
+    poses = take_matrix(metadata, "poses", "metadata", path, ((count, 7),))
+    if not numbers or numbers[-1] >= count:
+        raise PlgsError(f"there are {count} poses and {len(numbers)} pictures", path, _FIX)
+    for number in numbers:
+        if not np.isfinite(poses[number]).all():
+            yield number, None
+            continue
+        qx, qy, qz, qw, *position = poses[number].tolist()
+        yield number, _lens(metadata, number, path).at(from_opengl(quaternion_pose((qw, qx, qy, qz), position, path)))
+
+
+def _exr_folder(place: Path) -> Path | None:
+    """The folder with an export of pictures and OpenEXR files: the place itself, or in it."""
+    return next((each for each in (place, place / "EXR_RGBD") if (each / _EXPORTED).is_file() and _has_rgb(each)), None)
+
+
+def _has_rgb(folder: Path) -> bool:
+    return (folder / "rgb").is_dir() and (folder / "depth").is_dir()
+
+
+def _exr_shots(folder: Path) -> Iterator[tuple[str, Shot | None]]:
+    path = folder / _EXPORTED
+    found = files_by_stem(folder / "rgb", {".jpg", ".jpeg", ".png"}, _FIX)
+    pictures = {int(stem): picture for stem, picture in found.items() if stem.isdecimal()}
+    for number, camera in _cameras(read_json_object(path), sorted(pictures), path):
+        depth = folder / "depth" / f"{number}.exr"
+        shown = DepthMap(depth, partial(_read_exr, depth)) if depth.is_file() else None
+        yield str(number), None if camera is None else Shot(str(number), camera, pictures[number], shown)
+
+
+def _read_exr(path: Path) -> NDArray[np.float32]:
+    header = read_exr_header(path)
+    return only_depth(read_channels(path, header, ["R"])[0])
 
 
 def _up(shots: list[Shot]) -> UpAxis | None:

@@ -13,12 +13,14 @@ from typing import Any
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 
 from engine.errors import PlgsError
 from engine.scene import open_scene
 from engine.scene.formats.record3d import unpack_lzfse
 from tests.scene.formats.room import Lens, check_on_room, look, quaternion, views, y_up
+from tests.scene.formats.writing import write_colour
 from tests.scene.refusing import refuses
 
 LENS = Lens(144, 192, 150.0, 150.0, 74.0, 93.0)
@@ -86,6 +88,27 @@ def test_an_unpacked_folder_with_lenses_of_its_own(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.r3d") as archive:
         archive.extractall(tmp_path / "scan")
     check_on_room(open_scene(tmp_path / "scan"), tolerance=0.002, colour_step=60)
+
+
+@pytest.mark.parametrize("place", ["", "EXR_RGBD"])
+def test_pictures_and_exr_files(tmp_path: Path, place: str) -> None:
+    """The export "EXR + JPG sequence", as nerfstudio's guide has it."""
+    folder = tmp_path / "EXR_RGBD"
+    write_r3d(tmp_path / "a.r3d")
+    with zipfile.ZipFile(tmp_path / "a.r3d") as archive:
+        (folder / "depth").mkdir(parents=True)
+        (folder / "metadata.json").write_bytes(archive.read("metadata"))
+    (tmp_path / "a.r3d").unlink()
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    for i, view in enumerate(views(11)):
+        write_colour(folder / "rgb" / f"{i}.jpg", look(view, LENS).colour)
+        with OpenEXR.File(header, {"R": look(view, DEPTH).depth.astype(np.float32)}) as file:
+            file.write(str(folder / "depth" / f"{i}.exr"))
+    scene = open_scene(tmp_path / place)
+    assert scene.format == "record3d" and [frame.name for frame in scene.frames] == [str(i) for i in range(11)]
+    check_on_room(scene, tolerance=0.002, colour_step=60)
+    (folder / "metadata.json").write_text("{}")
+    refuses("metadata", tmp_path / place)
 
 
 def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
