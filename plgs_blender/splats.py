@@ -64,7 +64,9 @@ def place_gaussians(
         owned = owned or OwnedDataBlocks(root[LIFT], scene)
         seen_from = [ob.matrix_world.translation for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")]
         mesh = _fill(owned, read_gaussians(path), np.array(seen_from, np.float64).reshape(-1, 3))
-        return owned.object(_KEY, "Gaussians", mesh, parent)
+        placed = owned.object(_KEY, "Gaussians", mesh, parent)
+        placed.hide_select = True  # a click is meant for the box within
+        return placed
     imported = _import(path)
     if imported.type != "POINTCLOUD" or imported.data.type != "GAUSSIAN_SPLAT":
         kind = imported.type.lower()
@@ -78,6 +80,7 @@ def place_gaussians(
     tag(imported, root[LIFT], _KEY)
     tag(imported.data, root[LIFT], _KEY)
     parent.objects.link(imported)
+    imported.hide_select = True
     return imported
 
 
