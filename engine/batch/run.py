@@ -135,7 +135,7 @@ class _Batch:
             wanted[GIGABYTES] = scene.job.gigabytes
         fit = [address for address in self._farm.workers() if address not in scene.unfit] if scene.unfit else None
         if fit == []:
-            why = "; ".join(sorted(set(scene.unfit.values())))
+            why = "; ".join(sorted({reason.rstrip(".") for reason in scene.unfit.values()}))
             self._fail(scene, PlgsError(f"no worker can do it: {why}", "", "Mend them, then start the batch again."))
             return
         future = self._farm.client.submit(

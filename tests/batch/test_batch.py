@@ -209,6 +209,7 @@ def test_what_no_worker_can_do_is_told(tmp_path: Path, start: Start, address: st
     assert run(plan, Place(scheduler=address)) is not ExitCode.FINISHED
     reason = rows_of(plan)["a"]["reason"]
     assert "no worker can do it" in reason and "is not there on this worker" in reason
+    assert ".." not in reason, "the sentence of each worker ends once"
 
 
 def test_a_scheduler_without_workers_says_so_within_ten_seconds(tmp_path: Path, address: str) -> None:
