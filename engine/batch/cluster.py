@@ -21,6 +21,8 @@ RETURN_S = 60.0
 """Seconds that a scheduler which is gone, and its workers, may take to come back."""
 CONNECT_S = 5.0
 """Seconds within which a scheduler answers."""
+END_S = 5.0
+"""Seconds that a worker of our own may take to end by itself."""
 
 
 @dataclass(frozen=True)
@@ -141,8 +143,12 @@ def _close(farm: Farm) -> None:
     with suppress(Exception):  # a scheduler that is gone
         farm.client.close(timeout=2)
     for worker in farm.own:
+        worker.close()  # it takes that as our end, and clears its scratch folder
+    give_up = time.monotonic() + END_S
+    while time.monotonic() < give_up and any(worker.exit_code() is None for worker in farm.own):
+        time.sleep(0.05)
+    for worker in farm.own:
         worker.kill()
-        worker.close()
 
 
 def slurm_cluster(place: Place) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
 import sys
 import tempfile
 import threading
@@ -47,34 +48,35 @@ def run_worker(
     if not gigabytes:
         memory = main_memory()
         gigabytes = memory.total / 1e9 if memory is not None else 1.0
-    if parent_pipe is not None:
-        threading.Thread(target=_end_with_parent, args=(parent_pipe,), daemon=True).start()
     offered = resources(gigabytes, threads or usable_cpus())
-    try:
-        asyncio.run(_serve(address, offered, patience_s))
-    except (OSError, ValueError) as error:
-        fix = "Give the address that the scheduler says, such as tcp://machine:8786."
-        raise PlgsError(f"no scheduler is there ({error})", address, fix) from error
+    with tempfile.TemporaryDirectory(prefix="plgs-worker-", ignore_cleanup_errors=True) as scratch:
+        if parent_pipe is not None:
+            threading.Thread(target=_end_with_parent, args=(parent_pipe, scratch), daemon=True).start()
+        try:
+            asyncio.run(_serve(address, offered, patience_s, scratch))
+        except (OSError, ValueError) as error:
+            fix = "Give the address that the scheduler says, such as tcp://machine:8786."
+            raise PlgsError(f"no scheduler is there ({error})", address, fix) from error
     return ExitCode.FINISHED
 
 
-def _end_with_parent(pipe: int) -> None:
+def _end_with_parent(pipe: int, scratch: str) -> None:
     await_end(pipe)
+    shutil.rmtree(scratch, ignore_errors=True)
     os._exit(ExitCode.CANCELLED)
 
 
-async def _serve(address: str, offered: dict[str, float], patience_s: float) -> None:
+async def _serve(address: str, offered: dict[str, float], patience_s: float, scratch: str) -> None:
     """A worker whose scheduler is gone closes; a new one then waits for the scheduler's return."""
     from distributed import Worker
 
-    with tempfile.TemporaryDirectory(prefix="plgs-worker-", ignore_cleanup_errors=True) as scratch:
-        while True:
-            worker = Worker(
-                address, nthreads=1, resources=offered, memory_limit=0, local_directory=scratch,
-                death_timeout=patience_s, dashboard=False, name=f"plgs-{os.getpid()}-{os.urandom(3).hex()}",
-            )  # fmt: skip
-            try:
-                await worker
-            except TimeoutError:
-                return
-            await worker.finished()
+    while True:
+        worker = Worker(
+            address, nthreads=1, resources=offered, memory_limit=0, local_directory=scratch,
+            death_timeout=patience_s, dashboard=False, name=f"plgs-{os.getpid()}-{os.urandom(3).hex()}",
+        )  # fmt: skip
+        try:
+            await worker
+        except TimeoutError:
+            return
+        await worker.finished()

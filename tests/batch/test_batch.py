@@ -253,8 +253,11 @@ def test_from_the_command_line_on_this_machine(tmp_path: Path, root: Path) -> No
     out = tmp_path / "out"
     command = [sys.executable, "-m", "engine", "batch", tmp_path / "room", tmp_path / "empty", "-o", out]
     command += "--workers 2 --preset preview --steps 10 --bake all --chunk 4 --export boxes".split()
-    said = subprocess.run([*map(str, command)], cwd=root, capture_output=True, text=True, timeout=200)
+    (tmp_path / "scratch").mkdir()
+    variables = {**os.environ, "TMPDIR": str(tmp_path / "scratch")}
+    said = subprocess.run([*map(str, command)], cwd=root, env=variables, capture_output=True, text=True, timeout=200)
     assert said.returncode == ExitCode.BAD_INPUT, said.stderr
+    assert not list((tmp_path / "scratch").glob("plgs-worker-*"))
     assert "Dashboard: http://127.0.0.1:" in said.stderr and "| room | done |" in said.stdout
     files = {file.path.name for file in verify(out / "room" / "result").files}
     assert {f"{frame:04d}.exr" for frame in range(8)} <= files
