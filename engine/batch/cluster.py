@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -13,7 +14,7 @@ from typing import Any
 from ..errors import PlgsError
 from ..job.process import ROOT, EngineProcess, engine_call
 from .piece import GIGABYTES, engine_tag
-from .worker import require_dask, resources
+from .worker import is_address, require_dask, resources
 
 NO_WORKER_S = 5.0
 """Seconds after which a scheduler without workers is an error."""
@@ -99,10 +100,12 @@ def opened(place: Place) -> Iterator[Farm]:
 
 def _client(address: str) -> Any:
     distributed = require_dask()
+    fix = "Start one (dask scheduler), or give its address, such as tcp://machine:8786."
+    if not is_address(address):
+        raise PlgsError("is no address of a scheduler", address, fix, option="--scheduler")
     try:
         return distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        fix = "Start one (dask scheduler), or give its address, such as tcp://machine:8786."
         raise PlgsError("no scheduler answers", address, fix, option="--scheduler") from error
 
 
@@ -155,6 +158,8 @@ def slurm_cluster(place: Place) -> Any:
     """dask-jobqueue's, whose jobs run one worker each. Raises PlgsError."""
     jobqueue = require_dask("dask_jobqueue")
     assert place.slurm is not None
+    if shutil.which("sbatch") is None:
+        raise PlgsError("Slurm is not on this machine", "sbatch", "Start the batch on a machine of the cluster.")
     offered = ",".join(f"{name}={value:g}" for name, value in resources(place.gigabytes, place.threads).items())
     options = {name: value for name, value in place.slurm.items() if value}
     try:

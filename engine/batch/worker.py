@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -28,6 +29,11 @@ def require_dask(name: str = "distributed") -> Any:
         raise lacks_part("batches need Dask, which this engine lacks", sys.executable, "farm") from error
 
 
+def is_address(text: str) -> bool:
+    """Whether it may be a scheduler's. Dask waits long for what is none, and ends in errors of its own."""
+    return re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", text) is not None
+
+
 def resources(gigabytes: float, threads: int) -> dict[str, float]:
     """What a worker offers. Pieces ask for the engine's tag, so that a worker with another engine gets none."""
     return {engine_tag(): 1.0, GIGABYTES: gigabytes, THREADS: float(threads)}
@@ -45,6 +51,9 @@ def run_worker(
     The engines that it started end with it, at their last checkpoint. Raises PlgsError.
     """
     require_dask()
+    fix = "Give the address that the scheduler says, such as tcp://machine:8786."
+    if not is_address(address):
+        raise PlgsError("is no address of a scheduler", address, fix)
     if not gigabytes:
         memory = main_memory()
         gigabytes = memory.total / 1e9 if memory is not None else 1.0
@@ -55,7 +64,6 @@ def run_worker(
         try:
             asyncio.run(_serve(address, offered, patience_s, scratch))
         except (OSError, ValueError) as error:
-            fix = "Give the address that the scheduler says, such as tcp://machine:8786."
             raise PlgsError(f"no scheduler is there ({error})", address, fix) from error
     return ExitCode.FINISHED
 

@@ -82,6 +82,7 @@ def batch(options: argparse.Namespace) -> int:
         raise PlgsError("finds poses of one scene", "--poses", "Find them first: python -m engine poses.")
     names = names_of(options.scenes)
     bakes_all = options.bake == "all"
+    _refuse_two_places(options)
     jobs = tuple(_job(options, scene, name, bakes_all) for scene, name in zip(options.scenes, names, strict=True))
     plan = BatchPlan(options.output.absolute(), jobs, options.chunk if bakes_all else 0, tuple(options.export))
     try:
@@ -90,6 +91,16 @@ def batch(options: argparse.Namespace) -> int:
     except Interrupted as error:
         print(f"Stopped. The same command goes on: {options.output}", file=sys.stderr)
         return error.exit_code
+
+
+def _refuse_two_places(options: argparse.Namespace) -> None:
+    if options.slurm and options.scheduler:
+        raise PlgsError("names another place than --scheduler", "--slurm", "Give one of them.")
+    if options.workers and options.scheduler:
+        raise PlgsError("a scheduler has workers of its own", "--workers", "Leave it out, or --scheduler.")
+    for name, option in SLURM.items():
+        if getattr(options, name) and not options.slurm:
+            raise PlgsError("is for Slurm", option, "Add --slurm, or leave it out.", option=option)
 
 
 def _job(options: argparse.Namespace, scene: Path, name: str, bakes_all: bool) -> SceneJob:
@@ -103,7 +114,7 @@ def _job(options: argparse.Namespace, scene: Path, name: str, bakes_all: bool) -
     request = request_from(own)
     if bakes_all:
         request = replace(request, bake="none")  # in pieces, when it is lifted
-    if not scene.exists():
+    if not scene.exists() and (options.scheduler or options.slurm):
         return SceneJob(name, lift, request)  # a worker may have it
     try:
         opened = open_scene_to_lift(request)
@@ -120,8 +131,6 @@ def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
     from ..job.system import usable_cpus
 
     slurm = {name: getattr(options, name) for name in SLURM} if options.slurm else None
-    if options.slurm and options.scheduler:
-        raise PlgsError("names another place than --scheduler", "--slurm", "Give one of them.")
     memory = main_memory()
     total, cpus = (memory.total / 1e9 if memory is not None else 4.0), usable_cpus()
     fits = math.floor(total / max(max(gigabytes), 1.0))

@@ -16,8 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from engine.batch import BatchPlan, SceneJob, cluster, run_batch
+from engine.batch import BatchPlan, SceneJob, cluster, run_batch, run_worker
 from engine.batch.cluster import Place
+from engine.command_line.main import main
 from engine.errors import ExitCode, PlgsError
 from engine.job import LiftFolder, LiftRequest, verify
 from engine.job.terminal import Interrupted, Interrupts
@@ -234,6 +235,20 @@ def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
     with pytest.raises(PlgsError, match="no scheduler answers"):
         run(plan_of(tmp_path, "a"), Place(scheduler="tcp://127.0.0.1:9"))
+
+
+@pytest.mark.parametrize("address", ["nonsense", "machine:8786", "tcp://machine", "tcp://a b:1"])
+def test_an_address_that_is_none(address: str, tmp_path: Path) -> None:
+    with pytest.raises(PlgsError, match="is no address of a scheduler"):
+        run(plan_of(tmp_path, "a"), Place(scheduler=address))
+    with pytest.raises(PlgsError, match="is no address of a scheduler"):
+        run_worker(address)
+
+
+@pytest.mark.parametrize("options", ["--slurm --scheduler tcp://a:1", "--workers 2 --scheduler tcp://a:1", "--queue q"])
+def test_options_of_two_places(options: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["batch", str(tmp_path / "a"), "-o", str(tmp_path / "out"), *options.split()]) == ExitCode.BAD_INPUT
+    assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 def test_a_lift_for_which_no_worker_is_large_enough(tmp_path: Path, start: Start, address: str) -> None:

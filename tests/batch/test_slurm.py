@@ -15,7 +15,7 @@ pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: pyt
 # ruff: noqa: E402 - without it the rest is not tested
 from engine.batch.cluster import Place, slurm_cluster
 from engine.batch.piece import engine_tag
-from engine.errors import ExitCode
+from engine.errors import ExitCode, PlgsError
 from engine.job import EventWriter, LiftFolder, StopSignal
 from tests.batch.test_batch import plan_of, rows_of, run
 from tests.job.lift_folders import tiny_lift
@@ -55,6 +55,12 @@ def test_the_job_script(slurm: Path, root: Path) -> None:
     assert "#SBATCH -A" not in script and f'export PYTHONPATH="{root}"' in script
     offered = re.search(r"--resources (\S+)", script)
     assert offered is not None and set(offered[1].split(",")) == {f"{engine_tag()}=1", "PLGS_GB=16", "PLGS_THREADS=8"}
+
+
+def test_no_slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(PlgsError, match="Slurm is not on this machine"):
+        slurm_cluster(Place(2, "", {}))
 
 
 def test_a_job_works(slurm: Path) -> None:
