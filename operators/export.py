@@ -78,11 +78,11 @@ class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
 
 
 class PLGS_OT_make_depth_cloud(Exports, bpy.types.Operator):
-    """Put what a frame's camera sees of the lift into the scene as points, one a pixel, with class and instance"""
+    """Put what the active camera sees of the lift into the scene as points, one a pixel, with class and instance"""
 
     bl_idname, bl_label = "plgs.make_depth_cloud", "Depth Cloud"
 
-    frame: StringProperty(name="Frame", options={"SKIP_SAVE"}, description="Empty: that of the active camera")  # type: ignore[valid-type]
+    frame: StringProperty(name="Frame", options={"SKIP_SAVE"}, description="Empty: what the active camera sees")  # type: ignore[valid-type]
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.make_depth_cloud(context.scene, self.frame, self.lift_of(context))

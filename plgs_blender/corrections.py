@@ -23,6 +23,7 @@ from ..engine.corrections import (
     Edit,
     Proposal,
     Proposals,
+    class_of_parts,
     correct,
     entropy_of_views,
     making,
@@ -294,18 +295,22 @@ def accept(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
 
 def split_parts(root: bpy.types.Collection, instance: int) -> Edit:
     """Split an object into what is connected."""
-
-    def make(state: Replay, first_id: int) -> Edit:
-        return making.split(state, instance, making.parts_of(state.points_of(instance)), first_id)
-
-    return edit(root, make)
+    return _split(root, instance, making.parts_of)
 
 
 def split_plane(root: bpy.types.Collection, instance: int, point: Sequence[float], normal: Sequence[float]) -> Edit:
     """Split an object by the plane through ``point`` across ``normal``, world metres."""
+    return _split(root, instance, lambda xyz: making.sides_of(xyz, point, normal))
+
+
+def _split(
+    root: bpy.types.Collection, instance: int, part_of: Callable[[NDArray[np.float32]], NDArray[np.int64]]
+) -> Edit:
+    """Split an object; ``part_of`` gives the part of each of its points [n, 3]."""
 
     def make(state: Replay, first_id: int) -> Edit:
-        return making.split(state, instance, making.sides_of(state.points_of(instance), point, normal), first_id)
+        part = part_of(state.points_of(instance))
+        return making.split(state, instance, part, first_id, class_of_parts(folder_of(root), state, instance, part))
 
     return edit(root, make)
 

@@ -90,6 +90,18 @@ def write_shot(lift: Path, scene: bpy.types.Scene, shot: Shot) -> Path:
     return reader.write(lift)
 
 
+def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
+    """Write what the scene's active camera sees now, keyed or not, into the lift's folder, and return the file. Raises
+    PlgsError, OSError.
+    """
+    now = scene.frame_current
+    ob = shot_of(scene, first=now, last=now, step=1).camera
+    bpy.context.view_layer.update()  # a script may just have moved it
+    name = f"{safe_name(ob.name)}.{now:0{DIGITS}d}"
+    write_cameras(lift / "bake" / f"{name}.json", [_camera_now(scene, ob, now, name)])
+    return lift / "bake" / f"{name}.json"
+
+
 class ShotReader:
     """Reads what a shot's camera sees at each frame, as it is animated, in pictures of the scene's size: its lens,
     shift, sensor, clip, and the scene's size, percentage and pixel aspect.
@@ -178,6 +190,10 @@ def _check_pinhole(ob: bpy.types.Object, frame: int) -> None:
 
 def _camera_at(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: str) -> BakeCamera:
     scene.frame_set(frame)
+    return _camera_now(scene, ob, frame, name)
+
+
+def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: str) -> BakeCamera:
     _check_pinhole(ob, frame)
     camera = seen_by(ob, scene.render)
     if max(camera.width, camera.height) > LARGEST_SIDE:

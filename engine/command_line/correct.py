@@ -83,7 +83,7 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 
 def _edit(options: argparse.Namespace, folder: LiftFolder, state: Replay, first_id: int) -> Edit:
     """The edit that the options name. Raises PlgsError."""
-    from ..corrections import making
+    from ..corrections import class_of_parts, making
 
     match options.edit:
         case "rename":
@@ -102,7 +102,7 @@ def _edit(options: argparse.Namespace, folder: LiftFolder, state: Replay, first_
 
         return split_by_views(folder, state, options.id, first_id)
     part = making.parts_of(xyz) if options.parts else making.sides_of(xyz, options.plane[:3], options.plane[3:])
-    return making.split(state, options.id, part, first_id)
+    return making.split(state, options.id, part, first_id, class_of_parts(folder.path, state, options.id, part))
 
 
 def _class(state: Replay, text: str) -> int:

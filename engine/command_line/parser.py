@@ -109,8 +109,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
         "colours. scannet: label-filt/ and instance-filt/. points: the labelled points and Gaussians (PLY). boxes: the "
         "objects' boxes (JSON, CSV). mesh: the surface, cut into a mesh an instance and one a stuff class (PLY, GLB). "
         "depth: a map of metres a frame (NPY), as lift --depth takes it. clouds: a frame's pixels as labelled points "
-        "(NPZ). "
-        "Frames that are not baked are rendered."
+        "(NPZ), or those of any camera. Frames that are not baked are rendered."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument("--to", required=True, choices=EXPORTS, help="what to write")
@@ -118,6 +117,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames", nargs="+", default=["all"], metavar="FRAME", help="as for bake: names, ranges, test, or all"
     )
+    parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="as for bake, in place of frames; for clouds")
     _add_relink(parser)
     _make_task(parser, commands.export, "What was exported so far is there.")
 

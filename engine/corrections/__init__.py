@@ -10,6 +10,7 @@ from __future__ import annotations
 from . import making
 from .edits import CORRECTIONS, Edit
 from .file import editing, read_edits
+from .part_classes import class_of_parts
 from .proposals import BY_VIEWS, Proposal, Proposals, proposals_of
 from .result import CorrectedResult, correct, read_corrected, set_undone, undo
 from .uncertain import entropy_of, entropy_of_views
@@ -21,6 +22,7 @@ __all__ = [
     "Edit",
     "Proposal",
     "Proposals",
+    "class_of_parts",
     "correct",
     "editing",
     "entropy_of",

@@ -59,9 +59,10 @@ class MovedPoints:
 class Edit:
     """One edit. What is not of its ``kind`` is empty.
 
-    ``name`` of a rename, ``class_id`` of a reclass. A merge makes all ``objects`` the first. A move takes points of the
-    ``objects`` and of the stuff ``classes`` to other labels (``moved``); ``rest`` is the label of the objects' other
-    points, None where they stay. ``raw`` is the entry as it was read, for kinds that this version does not know.
+    ``name`` of a rename, ``class_id`` of a reclass, and of a split whose first part is of another class than the whole.
+    A merge makes all ``objects`` the first. A move takes points of the ``objects`` and of the stuff ``classes`` to
+    other labels (``moved``); ``rest`` is the label of the objects' other points, None where they stay. ``raw`` is the
+    entry as it was read, for kinds that this version does not know.
     """
 
     kind: str

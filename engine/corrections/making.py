@@ -70,21 +70,18 @@ def split(
     state: Replay, number: int, part: NDArray[np.integer], first_id: int, class_of: Mapping[int, int] | None = None
 ) -> Edit:
     """Split an object: ``part`` int [n] is the part of each of its points in their order, 0 for what stays. The others
-    are new objects from the id ``first_id`` on, of the class ``class_of`` the part, else of the object's.
+    are new objects from the id ``first_id`` on. Each is of the class ``class_of`` its part, else of the object's.
 
     Raises PlgsError where it would leave one part alone.
     """
     mark, one = _mark(state, number), state.objects[number]
     parts = [int(each) for each in np.unique(part)]
+    class_of = {each: kind for each, kind in (class_of or {}).items() if kind != one.class_id}
     if len(parts) < 2:
         fix = "Split it by a plane, or by points that you choose."
         raise PlgsError(f"object {number} ({one.name}) does not fall into parts", CORRECTIONS, fix)
-    if 0 not in parts:
-        parts = parts[1:]
-        part = np.where(np.isin(part, parts), part, 0)
-    else:
-        parts.remove(0)
-    kinds = [(class_of or {}).get(each, one.class_id) for each in parts]
+    kept, *parts = parts
+    kinds = [class_of.get(each, one.class_id) for each in parts]
     made = tuple(
         NewObject(first_id + place, _new_name(state, kind, kinds[:place].count(kind)), kind)
         for place, kind in enumerate(kinds)
@@ -93,7 +90,8 @@ def split(
     for new, each in zip(made, parts, strict=True):
         label[part == each] = new.id
     moves = label != number
-    return Edit("split", (mark,), made=made, moved=_groups(state.points_of(number)[moves], label[moves]))
+    moved = _groups(state.points_of(number)[moves], label[moves])
+    return Edit("split", (mark,), class_id=class_of.get(kept, 0), made=made, moved=moved)
 
 
 def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int64]:

@@ -100,6 +100,7 @@ class Replay:
         """Why what an edit gives its points is no object or class; empty when it is."""
         rest = 0 if edit.rest is None else edit.rest
         classes = [-label for label in (rest, *(group.label for group in edit.moved)) if label < 0]
+        classes += [edit.class_id] if edit.class_id else []
         unknown = [one for one in (*classes, *(one.class_id for one in edit.made)) if one not in self.classes]
         if unknown:
             return f"there is no class {unknown[0]}"
@@ -163,6 +164,8 @@ class Replay:
                 del self.objects[number]
                 self.steps.append(Step({number: edit.rest}))
         self._fit([number for number in {*ids, *np.unique(after).tolist()} if number in self.objects])
+        if edit.class_id:
+            self._reclass([number for number in ids if number in self.objects], edit.class_id)
         return ""
 
     def _made(self, number: int, name: str, class_id: int, base: Instance | None) -> Instance:

@@ -40,14 +40,14 @@ def export_points(lift: FinishedLift, output: Path) -> None:
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:
-    """<frame>.npz: what the frame's camera sees of the lift, pixel by pixel in the world, as semantic points. Raises
-    OSError."""
-    for frame, layers in lift.views():
+    """<name>.npz: what a frame's camera, or any other, sees of the lift, pixel by pixel in the world, as semantic
+    points. Raises PlgsError for bad cameras, OSError."""
+    for name, camera, layers in lift.shown():
         height, width = layers.depth.shape
         seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)
-        xyz = frame.camera.resized(width, height).unproject(layers.depth)[seen].astype(np.float32)
+        xyz = camera.resized(width, height).unproject(layers.depth)[seen].astype(np.float32)
         labels = (layers.semantic[seen], layers.instance[seen], layers.confidence[seen])
-        write_arrays(output / f"{frame.name}.npz", SemanticPoints(xyz, colour_picture(layers)[seen], *labels))
+        write_arrays(output / f"{name}.npz", SemanticPoints(xyz, colour_picture(layers)[seen], *labels))
 
 
 def point_normals(xyz: NDArray[np.float32], centres: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -19,18 +19,29 @@ NOTE = "export.json"
 
 
 def export(
-    folder: LiftFolder, kind: str, output: Path, frames: Sequence[str], progress: Progress | None = None
+    folder: LiftFolder,
+    kind: str,
+    output: Path,
+    frames: Sequence[str],
+    progress: Progress | None = None,
+    cameras: Path | None = None,
 ) -> None:
     """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (of KINDS) into the folder ``output``.
+    With a file of ``cameras``, which only clouds take, write what these see instead.
 
     The folder must be new or empty, or hold this very export, cut off or whole, so that no other files are overwritten.
     An output in the lift's own folder ``exports`` is made anew.
 
-    Raises PlgsError for a lift that is not finished or is damaged, and for an output that holds other files; OSError.
+    Raises PlgsError for a lift that is not finished or is damaged, for bad cameras, and for an output that holds other
+    files; OSError.
     """
+    if cameras is not None and kind != "clouds":
+        what = f"{kind} is of the scene's frames"
+        raise PlgsError(what, cameras, "Give --frames, or export clouds.", option="--cameras")
     verify_lifted(folder.result_path)
-    lift = FinishedLift(folder, frames, progress)
-    make_room(folder, output, {"form": kind, "lift": str(folder.path), "frames": [frame.name for frame in lift.frames]})
+    lift = FinishedLift(folder, frames, progress, cameras)
+    shown = [view.name for view in lift.shots] or [frame.name for frame in lift.frames]
+    make_room(folder, output, {"form": kind, "lift": str(folder.path), "frames": shown})
     KINDS[kind](lift, output)
 
 

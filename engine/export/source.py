@@ -8,15 +8,15 @@ from functools import cached_property
 from pathlib import Path
 
 from ..corrections import CorrectedResult, read_corrected
-from ..job import LiftFolder, read_manifest, verify_files
+from ..job import LiftFolder, read_cameras, read_manifest, verify_files
 from ..job.manifest import damaged
-from ..lift.bake_more import frames_named
+from ..lift.bake_more import WantedView, frames_named, view_from
 from ..lift.baking import CORRECTIONS_NOTE, FrameBaker, baked_files, read_baker
 from ..passes.baked_view import ShownInstances
 from ..passes.exr import read_exr, read_note
 from ..passes.layers import PanopticLayers
 from ..result_files import Instance
-from ..scene import ClassTable, Frame, Scene
+from ..scene import Camera, ClassTable, Frame, Scene
 from ..scene_of_lift import scene_of_lift
 
 Progress = Callable[[int, int], object]
@@ -31,6 +31,8 @@ class FinishedLift:
     folder: LiftFolder
     names: Sequence[str]
     progress: Progress | None = None
+    cameras: Path | None = None
+    """A file of cameras to export in place of the frames."""
 
     @cached_property
     def scene(self) -> Scene:
@@ -61,6 +63,20 @@ class FinishedLift:
     @cached_property
     def _baker(self) -> FrameBaker:
         return read_baker(self.folder, self.classes)
+
+    @cached_property
+    def shots(self) -> list[WantedView]:
+        """The cameras of the file, or none."""
+        return [] if self.cameras is None else [view_from(camera) for camera in read_cameras(self.cameras)]
+
+    def shown(self) -> Iterator[tuple[str, Camera, PanopticLayers]]:
+        """What the cameras see, each with its name; without a file of them, what the frames see."""
+        if self.cameras is None:
+            yield from ((frame.name, frame.camera, layers) for frame, layers in self.views())
+        for number, view in enumerate(self.shots, start=1):
+            yield view.name, view.camera, self._baker.render(view.camera, view.clip).layers
+            if self.progress is not None:
+                self.progress(number, len(self.shots))
 
     def views(self) -> Iterator[tuple[Frame, PanopticLayers]]:
         """Every frame as the lift shows it, at the frame's own size. Progress is reported after each."""

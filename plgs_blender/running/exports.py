@@ -62,9 +62,18 @@ class Export(Task):
 
 
 def export(
-    lift: Path, form: str, output: Path, python: Path, frames: Sequence[str] = ("all",), *, shown_in: str = ""
+    lift: Path,
+    form: str,
+    output: Path,
+    python: Path,
+    frames: Sequence[str] = ("all",),
+    *,
+    cameras: Path | None = None,
+    shown_in: str = "",
 ) -> Export:
-    """Start an export of a finished lift into the folder ``output``. Raises PlgsError, OSError."""
+    """Start an export of a finished lift into the folder ``output``, of ``frames`` or of a file of ``cameras``. Raises
+    PlgsError, OSError."""
     registry.refuse_second(Export)
-    arguments: list[str | Path] = [lift, "--to", form, "-o", output, "--frames", *frames]
+    seen = ["--frames", *frames] if cameras is None else ["--cameras", cameras]
+    arguments: list[str | Path] = [lift, "--to", form, "-o", output, *seen]
     return timer.begin(Export(lift, form, output, shown_in, start_engine("export", python, *arguments)))

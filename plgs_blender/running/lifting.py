@@ -16,12 +16,13 @@ from ..clouds import cloud_folder
 from ..engine_environment import why_no_engine
 from ..errors import with_field_names
 from ..farm_job import write_farm_job
+from ..inspecting.lookup import objects_by_key
 from ..lift_collection import FOLDER, is_same_place, lift_of_scene, lifts_in, root_of_placed
 from ..meshes import mesh_folder
 from ..owned import text_of
 from ..paths import absolute, free_folder
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, chosen_scene, request_of, why_no_options
-from ..shots import ShotReader, shot_of
+from ..shots import ShotReader, shot_of, write_view
 from . import exports, lifts
 from .lifts import Lift
 from .survey import survey_of, why_not_liftable
@@ -212,15 +213,15 @@ def make_meshes(scene: bpy.types.Scene, frames: str, folder: str = "") -> export
 
 
 def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> exports.Export:
-    """Let an engine unproject what a frame's camera sees of a placed lift, and put the labelled points into the scene;
-    the frame of the active camera where ``frame`` is empty. Raises PlgsError, OSError."""
+    """Let an engine unproject what a frame's camera sees of a placed lift, and put the labelled points into the scene.
+    Where ``frame`` is empty, what the active camera sees now, a frame's or any other. Raises PlgsError, OSError."""
     lift = lift_at(scene.plgs, folder).path
-    root_of_placed(lift, scene)
-    seen = frame or ("" if scene.camera is None else text_of(scene.camera, "frame"))
-    if not seen:
-        raise PlgsError("the active camera is no frame's", scene.name, "Go to a frame first, or name one.")
-    python = engine_environment.usable_python()
-    return exports.export(lift, "clouds", cloud_folder(lift), python, [seen], shown_in=scene.name)
+    root, python = root_of_placed(lift, scene), engine_environment.usable_python()
+    if not frame and scene.camera is not None:
+        named = text_of(scene.camera, "frame")  # a copy has it, too
+        frame = named if objects_by_key(root).get(f"frame:{named}") == scene.camera else ""
+    cameras = None if frame else write_view(lift, scene)
+    return exports.export(lift, "clouds", cloud_folder(lift), python, [frame], cameras=cameras, shown_in=scene.name)
 
 
 def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:

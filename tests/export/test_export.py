@@ -72,6 +72,24 @@ def test_clouds_hold_each_pixel_in_the_world(
     assert np.allclose(depth, layers.depth[row, column], atol=1e-4)
 
 
+def test_clouds_of_any_camera(lift: LiftFolder, tmp_path: Path) -> None:
+    frame, layers = next(iter(FinishedLift(lift, ["test"]).views()))
+    (width, height), pose = frame.size, frame.camera.camera_to_world
+    entry = {"name": "shot.0007", "width": width // 2, "height": height // 2, "camera_to_world": pose.tolist()}
+    entry |= {"K": frame.camera.resized(width // 2, height // 2).K.tolist(), "clip": [0.1, 3.0]}
+    (tmp_path / "cameras.json").write_text(json.dumps([entry]))
+    run(lift, "clouds", tmp_path / "out", "--cameras", str(tmp_path / "cameras.json"))
+    assert [path.name for path in (tmp_path / "out").glob("*.npz")] == ["shot.0007.npz"]
+    points = read_arrays(tmp_path / "out" / "shot.0007.npz", SemanticPoints)
+    pixel, depth = frame.camera.project(points.xyz)
+    column, row = np.floor(pixel).astype(int).T
+    near = (layers.depth > 0) & (layers.depth < 2.9)
+    assert 0 < len(points.xyz) <= width * height // 4 and len(points.xyz) > 0.2 * near.sum() and depth.max() < 3.2
+    assert (points.class_id == layers.semantic[row, column]).mean() > 0.9
+    common = ["export", str(lift.path), "--cameras", str(tmp_path / "cameras.json"), "-o", str(tmp_path / "other")]
+    assert main([*common, "--to", "coco"]) == 2 and not (tmp_path / "other").exists()
+
+
 def test_coco(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
     run(lift, "coco", tmp_path)
     content = json.loads((tmp_path / "panoptic.json").read_text())

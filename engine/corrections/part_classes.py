@@ -1,0 +1,53 @@
+"""Which class the masks give each part of an object that is split without asking their pixels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..job import LiftFolder
+from ..scene_of_lift import KNOWN_SCENE, known_frames
+from .replay import INNER, Replay
+
+FITS = 0.5
+"""Intersection over union with a mask's rectangle from which the mask shows this part and little else."""
+
+
+def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.integer]) -> dict[int, int]:
+    """The class that most masks of an object give each ``part``, int [n] of its points in their order. A mask votes for
+    the part whose points fill its rectangle, with its pixels; a part without a vote is left out.
+
+    Raises PlgsError for a damaged list of the lift's frames.
+    """
+    if number not in state.objects or not (lift / KNOWN_SCENE).is_file():
+        return {}
+    cameras = {frame.name: frame.camera for frame in known_frames(LiftFolder.open(lift))}
+    xyz, numbers = state.points_of(number), np.unique(part).tolist()
+    votes: dict[int, dict[int, float]] = {}
+    for segment in state.objects[number].segments:
+        camera = cameras.get(segment.frame)
+        if camera is None or segment.class_id not in state.classes.thing_ids:
+            continue
+        pixel, depth = camera.project(xyz)
+        place = np.where(depth[:, None] > 0, pixel / np.array(camera.size), np.nan)
+        fits = [_overlap(place[part == each], segment.rectangle) for each in numbers]
+        if max(fits) >= FITS:
+            own = votes.setdefault(numbers[int(np.argmax(fits))], {})
+            own[segment.class_id] = own.get(segment.class_id, 0.0) + segment.pixels
+    return {each: max(sorted(own), key=lambda kind: own[kind]) for each, own in votes.items()}
+
+
+def _overlap(place: NDArray[np.float64], rectangle: tuple[float, float, float, float]) -> float:
+    """Intersection over union of the rectangle around points [n, 2], as far as they lie in the picture (0..1), with
+    another one (left, top, right, bottom)."""
+    inside = place[((place >= 0) & (place <= 1)).all(axis=1)]
+    if not len(inside):
+        return 0.0
+    (left, top), (right, bottom) = np.percentile(inside, INNER, axis=0)
+    width = min(right, rectangle[2]) - max(left, rectangle[0])
+    height = min(bottom, rectangle[3]) - max(top, rectangle[1])
+    common = max(float(width), 0.0) * max(float(height), 0.0)
+    other = (rectangle[2] - rectangle[0]) * (rectangle[3] - rectangle[1])
+    return common / max(float((right - left) * (bottom - top)) + other - common, 1e-9)
