@@ -365,7 +365,7 @@ class PLGS_OT_answer_proposal(OnProposal, StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
-    """Look from the frame that sees the most uncertain points, then from the next one"""
+    """Look from the frame in which the lift is the least sure of the classes, then from the next one"""
 
     bl_idname, bl_label, bl_options = "plgs.next_uncertain_frame", "Next Uncertain Frame", _UNDOABLE
 

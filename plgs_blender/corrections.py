@@ -36,6 +36,7 @@ from ..engine.corrections import (
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
+from ..engine.job.report import entropy_of_frames, read_metrics
 from ..engine.result_files import INSTANCES, read_instances
 from ..engine.scene import ClassTable
 from ..engine.scene_of_lift import scene_of_lift
@@ -173,11 +174,15 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
 
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """The frame whose points are the most uncertain of those not visited, how many are visited then, and of how many.
-    After the last it begins anew. Raises PlgsError."""
-    frames = scene_of_lift(LiftFolder.open(folder_of(root))).frames
-    entropy = entropy_of_views(read_corrected(folder_of(root)).points, [frame.camera for frame in frames])
-    ranked = [frames[number].name for number in np.argsort(-entropy, kind="stable")]
+    """The frame of the highest entropy of those not visited, how many are visited then, and of how many. After the last
+    it begins anew. Raises PlgsError."""
+    folder = LiftFolder.open(folder_of(root))
+    frames = scene_of_lift(folder).frames
+    drawn = entropy_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
+    points = entropy_of_views(read_corrected(folder.path).points, [frame.camera for frame in frames])
+    # Frames that were not drawn when the lift was scored come last, by the points that they see.
+    order = sorted(range(len(frames)), key=lambda number: (-drawn.get(frames[number].name, -1.0), -points[number]))
+    ranked = [frames[number].name for number in order]
     visited = set(text_of(root, VISITED).split("\n")).intersection(ranked)
     if len(visited) == len(ranked):
         visited = set()

@@ -54,6 +54,14 @@ def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
     return [(_missed(entry), str(entry.get("frame"))) for entry in entries if isinstance(entry, dict)]
 
 
+def entropy_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
+    """How unsure the lift is of the classes in each frame that was drawn to score it, from 0 to 1."""
+    judges = metrics.get("masks_as_judges")
+    entries = judges.get("entropy") if isinstance(judges, dict) else None
+    known = entries.items() if isinstance(entries, dict) else ()
+    return {name: float(value) for name, value in known if isinstance(value, int | float)}
+
+
 def _missed(entry: Mapping[str, Json]) -> str:
     what = f"{'' if entry.get('whole_class') else 'one '}{entry.get('name')}"
     instead = f", shown as {entry['shown_as']}" if entry.get("shown_as") else ""

@@ -10,7 +10,6 @@ from statistics import median
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from ..corrections import read_corrected
 from ..job import EventWriter, LiftFolder, write_atomically
@@ -28,7 +27,7 @@ from ..passes.previews import colour_picture, preview_paths, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene, Size, View, open_asked
 from ..train.progress import StageReporter
 from .corrected_scene import corrected_scene
-from .judging import judge
+from .judging import Seen, judge
 from .scene_files import read_model, read_shown_instances
 
 CORRECTIONS_NOTE = "plgs/corrections"
@@ -56,10 +55,13 @@ class FrameBaker:
         """What a header says of the corrections; nothing where there are none."""
         return {CORRECTIONS_NOTE: self.corrections} if self.corrections else {}
 
-    def classes_seen(self, camera: Camera) -> NDArray[np.int32]:
-        """The classes int32 [H, W] that a camera sees (0 = nothing there)."""
+    def seen(self, camera: Camera) -> Seen:
+        """The classes that a camera sees, and how sure they are."""
         bands = render_bands(self.lifted, camera, self.labels)
-        return np.concatenate([decide(band, self.classes, self.instances.class_of).semantic for band in bands])
+        layers = [decide(band, self.classes, self.instances.class_of) for band in bands]
+        classes = np.concatenate([each.semantic for each in layers])
+        entropy = np.concatenate([each.entropy for each in layers])
+        return Seen(classes, float(entropy[classes > 0].mean()) if classes.any() else 0.0)
 
     def write(
         self,
@@ -138,7 +140,7 @@ def bake_and_evaluate(
             events.preview(folder.previews_path / "contact_sheet.png")
     with stages.stage("evaluate") as progress:
         add_input_masks(report, scene)
-        judgement = judge(baker.classes_seen, scene, views, size, progress, folder.path)
+        judgement = judge(baker.seen, scene, views, size, progress, folder.path)
         judgement.tell(events)
         metrics = {**report.to_json(), "masks_as_judges": judgement.to_json()}
         write_atomically(folder.result_path / "metrics.json", json.dumps(metrics, indent=1) + "\n")

@@ -4,7 +4,7 @@ well from near that it shows nowhere."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -40,18 +40,30 @@ MOST_NAMED = 5
 
 
 @dataclass(frozen=True, eq=False)
+class Seen:
+    """What a camera sees of a lift: ``classes`` int32 [H, W] (0 = nothing), and the mean normalised ``entropy`` of the
+    pixels' classes, where there is something."""
+
+    classes: NDArray[np.int32]
+    entropy: float
+
+
+@dataclass(frozen=True, eq=False)
 class Judgement:
     """What the masks say of a lift. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
-    classes, of views trained on and of those held out; None without such views."""
+    classes, of views trained on and of those held out; None without such views. ``entropy``: how unsure the lift is of
+    the classes in each frame that was asked, from 0 to 1."""
 
     trained: float | None
     held_back: float | None
     not_shown: tuple[Unshown, ...]
+    entropy: Mapping[str, float]
 
     def to_json(self) -> dict[str, Json]:
         """As metrics.json has it, under "masks_as_judges"."""
         agreement: dict[str, Json] = {"trained": self.trained, "held_back": self.held_back}
-        return {"agreement": agreement, "not_shown": [asdict(one) for one in self.not_shown]}
+        missed: list[Json] = [asdict(one) for one in self.not_shown]
+        return {"agreement": agreement, "not_shown": missed, "entropy": dict(self.entropy)}
 
     def tell(self, events: EventWriter) -> None:
         """Write what is not shown into the log, and the first of it as a warning."""
@@ -64,7 +76,7 @@ class Judgement:
 
 
 def judge(
-    draw: Callable[[Camera], NDArray[np.int32]],
+    draw: Callable[[Camera], Seen],
     scene: Scene,
     views: Sequence[View],
     size: Size,
@@ -73,29 +85,36 @@ def judge(
 ) -> Judgement:
     """Ask the training ``views`` and the held-out frames, read within ``size``, about the finished lift.
 
-    ``draw`` gives the classes int32 [H, W] that a camera sees of it. Raises PlgsError, OSError, and what ``progress``
-    raises.
+    ``draw`` gives what a camera sees of it. Raises PlgsError, OSError, and what ``progress`` raises.
     """
     trained = views[:: -(-len(views) // MOST_VIEWS) or 1]
     masked = [frame for frame in scene.test_frames if frame.read_mask is not None and frame.read_depth is not None]
     read = read_ahead(masked, lambda frame: load_view(frame, size_within(frame.size, size)))
     held_back = StoredViews(read, scratch)
     every = chained(trained, held_back)
-    drawn = _drawn(draw, every, progress)
-    classes = stored(drawn, scratch)
+    entropy: dict[str, float] = {}
+    classes = stored(_drawn(draw, every, entropy, progress), scratch)
     judges = OnDemand(len(every), lambda number: JudgedView(every[number], classes[number]))
     return Judgement(
         trained=_agreement(judges[: len(trained)], scene.classes),
         held_back=_agreement(judges[len(trained) :], scene.classes),
         not_shown=tuple(find_unshown(judges, scene.classes)),
+        entropy=entropy,
     )
 
 
 def _drawn(
-    draw: Callable[[Camera], NDArray[np.int32]], views: Sequence[View], progress: Callable[[int, int], object]
+    draw: Callable[[Camera], Seen],
+    views: Sequence[View],
+    entropy: dict[str, float],
+    progress: Callable[[int, int], object],
 ) -> Iterator[NDArray[np.int32]]:
+    """The classes that each view shows; their mean entropy goes into ``entropy``."""
     for number in range(len(views)):
-        yield draw(views[number].camera)
+        view = views[number]
+        seen = draw(view.camera)
+        entropy[view.name] = round(seen.entropy, 4)
+        yield seen.classes
         progress(number + 1, len(views))
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from engine.job import EventReader, EventWriter
-from engine.lift.judging import Judgement, judge
+from engine.job.report import entropy_of_frames
+from engine.lift.judging import Judgement, Seen, judge
 from engine.scene import Camera, load_view, open_scene
 from tests.tiny_scene import CHAIR_ID, WALL_ID, trace_view, write_tiny_scene
 
@@ -21,15 +22,15 @@ def scene_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_tiny_scene(tmp_path_factory.mktemp("judging") / "scene", frames=8, size=SIZE)
 
 
-def seen_by(camera: Camera) -> np.ndarray:
+def seen_by(camera: Camera) -> Seen:
     """The true classes that a camera sees."""
-    return trace_view(camera.camera_to_world, camera.K, camera.size).semantic
+    return Seen(trace_view(camera.camera_to_world, camera.K, camera.size).semantic, abs(camera.centre[0]))
 
 
-def without_chair(camera: Camera) -> np.ndarray:
+def without_chair(camera: Camera) -> Seen:
     """The same with the chair shown as wall."""
-    seen = seen_by(camera)
-    return np.where(seen == CHAIR_ID, WALL_ID, seen).astype(np.int32)
+    seen = seen_by(camera).classes
+    return Seen(np.where(seen == CHAIR_ID, WALL_ID, seen).astype(np.int32), 0.5)
 
 
 def judged(path: Path, draw: object) -> Judgement:
@@ -46,6 +47,9 @@ def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
     assert found.not_shown == ()
     assert found.trained is not None and found.trained > 0.99
     assert found.held_back is not None and found.held_back > 0.99
+    expected = {frame.name: round(abs(frame.camera.centre[0]), 4) for frame in open_scene(scene_path, None, "z").frames}
+    assert entropy_of_frames({"masks_as_judges": found.to_json()}) == expected
+    assert entropy_of_frames({"masks_as_judges": {"entropy": {"0": "x"}}}) == entropy_of_frames({}) == {}
 
 
 def test_what_is_lost_is_told_with_its_frame(scene_path: Path, tmp_path: Path) -> None:

@@ -255,6 +255,17 @@ def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> Non
     assert bpy.context.scene.camera["frame"] == visited[0], "after the last it begins anew"
 
 
+def test_what_was_drawn_says_which_frame_is_the_most_uncertain(root: bpy.types.Collection, mine: Path) -> None:
+    names = [ob["frame"] for ob in root.all_objects if ob.type == "CAMERA" and "frame" in ob]
+    drawn = {names[3]: 0.2, names[5]: 0.4, names[1]: 0.3}
+    (mine / "result" / "metrics.json").write_text(json.dumps({"masks_as_judges": {"entropy": drawn}}))
+    visited = []
+    for _ in range(3):
+        bpy.ops.plgs.next_uncertain_frame()
+        visited.append(bpy.context.scene.camera["frame"])
+    assert visited == [names[5], names[1], names[3]]
+
+
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
 def test_masks_split_what_was_merged(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
