@@ -172,7 +172,7 @@ def relate_paths(root: bpy.types.Collection, base: Path) -> None:
     """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds both."""
     for image in bpy.data.images:
         if key_of(image, root[LIFT]) is not None and image.filepath:
-            image.filepath = _relative(image.filepath, base)
+            image.filepath_raw = _relative(image.filepath, base)  # it is the same file: nothing to read anew
             compat.find_layers_again(image)
     root[FOLDER] = _relative(text_of(root, FOLDER), base)
 

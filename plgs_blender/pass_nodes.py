@@ -57,6 +57,7 @@ def output_of(tree: bpy.types.NodeTree, name: str) -> Any:
 
 def use_image(tree: bpy.types.NodeTree, image: bpy.types.Image) -> None:
     """Let the passes node and both Cryptomatte nodes read an EXR's data-block."""
+    _ = image.size[:]  # Blender must read a file before a node can name one of its layers
     for node in reading_nodes(tree):
         node.image = image
     node_of(tree, PASSES).layer = LAYER

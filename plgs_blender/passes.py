@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,7 +25,7 @@ from ..engine.errors import PlgsError
 from ..engine.job.cameras import LARGEST_SIDE, safe_name
 from ..engine.job.manifest import MAKE_ANEW
 from ..engine.scene.classes import matte_names
-from ..engine.scene.exr_file import read_exr_header
+from ..engine.scene.exr_file import one_pixel_of, read_exr_header
 from . import compat
 from .lift_collection import lifts_in
 from .materials import linear_rgba
@@ -70,9 +72,9 @@ def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene 
         owned.drop("scenes", PASSES)
         return None
     sequence = numbered(list(result.passes))
-    scene, tree = _fill_scene(owned, result, PASSES, result.passes, sequence)
     offsets = [] if sequence is None else [number - k for k, number in enumerate(sequence.numbers, start=1)]
-    _count_through(tree, len(result.passes), offsets, scene.frame_current)
+    count = partial(_count_through, len(result.passes), offsets)
+    scene = _fill_scene(owned, result, PASSES, result.passes, sequence, count)
     _set_timeline(scene, result)
     return scene
 
@@ -90,36 +92,43 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
     for camera, names in groups.items():
         files = {name: result.shots[name] for name in names}
         sequence = numbered(names)
-        scene, tree = _fill_scene(owned, result, f"{SHOT}{camera}", files, sequence)
         numbers = (1,) if sequence is None else sequence.numbers
-        _count_on(tree, min(numbers), max(numbers))
+        count = partial(_count_on, min(numbers), max(numbers))
+        scene = _fill_scene(owned, result, f"{SHOT}{camera}", files, sequence, count)
         _take_after(scene, shot_scene, numbers, size_of(files[names[0]]))
         scenes.append(scene)
     return scenes
 
 
 def _fill_scene(
-    owned: OwnedDataBlocks, result: LiftResult, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
-) -> tuple[bpy.types.Scene, bpy.types.NodeTree]:
-    """The scene for these files and its nodes, made where they are missing."""
+    owned: OwnedDataBlocks,
+    result: LiftResult,
+    key: str,
+    files: Mapping[str, Path],
+    sequence: NumberedNames | None,
+    count: Callable[[bpy.types.Scene, bpy.types.NodeTree], None],
+) -> bpy.types.Scene:
+    """The scene for these files and its nodes, made where they are missing; ``count`` leads from frames to files."""
     name = f"PLGS {result.name} {key.removeprefix(SHOT)}"
     scene = owned.block("scenes", key, lambda: _new_scene(name))
     scene.name = name
-    images = _images(owned, key, files, sequence)
+    image = _images(owned, key, files, sequence)
     tree = compat.compositor_tree(scene)
-    if tree is None or not has_nodes(tree):
-        tree = compat.new_compositor_tree(scene, name)
-        build(tree, owned.lift, images[0])
-        _first_mattes(tree, result)
-    if not tree.is_embedded_data:
-        tag(tree, owned.lift, f"{key} tree")
-        owned.keep(tree)
-    use_image(tree, images[0])
-    if sequence is not None:
-        images[0].source = "SEQUENCE"  # not before its layers were chosen: that only works on a single file
+    with _one_pixel_of(image):
+        if tree is None or not has_nodes(tree):
+            tree = compat.new_compositor_tree(scene, name)
+            build(tree, owned.lift, image)
+            _first_mattes(tree, result)
+        if not tree.is_embedded_data:
+            tag(tree, owned.lift, f"{key} tree")
+            owned.keep(tree)
+        use_image(tree, image)
+        if sequence is not None:
+            image.source = "SEQUENCE"  # not before its layers were chosen: that only works on a single file
+        count(scene, tree)
     _fill_palette(owned, tree, "Instance", {each.id: each.colour for each in result.instances})
     _fill_palette(owned, tree, "Class", {each.id: each.colour for each in result.classes.categories})
-    return scene, tree
+    return scene
 
 
 def _new_scene(name: str) -> bpy.types.Scene:
@@ -134,36 +143,51 @@ def _new_scene(name: str) -> bpy.types.Scene:
 
 def _images(
     owned: OwnedDataBlocks, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
-) -> list[bpy.types.Image]:
-    """The EXR files as images: one image that counts through all of them, or one image each."""
+) -> bpy.types.Image:
+    """The EXR files as images, none of them read: one image that counts through all of them, or one image each. Returns
+    the first.
+    """
     if sequence is not None:
         files = {"": files[sequence.first]}
     images = []
     for name, path in files.items():
         own_key = f"{key}:{name}" if name else key
         image = owned.block("images", own_key, partial(bpy.data.images.load, str(path), check_existing=False))
-        if (image.source, image.filepath, image.has_data) != ("FILE", str(path), False):  # else it was only just made
-            image.source = "FILE"
-            image.filepath = str(path)
-            image.reload()
-        # Blender must read a file before a node can name one of its layers.
-        _ = image.size[:]
+        image.filepath_raw = str(path)
+        image.buffers_free()
         images.append(image)
-    return images
+    return images[0]
 
 
-def _count_through(tree: bpy.types.NodeTree, views: int, offsets: list[int], frame: int) -> None:
-    """Timeline frame k shows file number k + offsets[k - 1]; `frame` is the current one."""
+@contextmanager
+def _one_pixel_of(image: bpy.types.Image) -> Iterator[None]:
+    """Meanwhile an image is one pixel with the layers of its file. Blender reads the file again for each layer that a
+    node names, and anew for a sequence: a third of a second each time at 1296x968. Raises PlgsError.
+    """
+    path = image.filepath
+    with tempfile.TemporaryDirectory(prefix="plgs-", dir=bpy.app.tempdir) as folder:
+        pixel = Path(folder) / "0001.exr"
+        pixel.write_bytes(one_pixel_of(Path(path)))
+        image.source, image.filepath = "FILE", str(pixel)
+        try:
+            yield
+        finally:
+            image.filepath_raw = path
+            image.buffers_free()
+
+
+def _count_through(views: int, offsets: list[int], scene: bpy.types.Scene, tree: bpy.types.NodeTree) -> None:
+    """Timeline frame k shows file number k + offsets[k - 1]."""
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration = 1, views
         path = f'nodes["{bpy.utils.escape_identifier(node.name)}"].frame_offset'
         compat.constant_keys(tree, path, offsets)
         if offsets:  # keys are only looked at when the frame changes
-            node.frame_offset = offsets[min(max(frame, 1), views) - 1]
+            node.frame_offset = offsets[min(max(scene.frame_current, 1), views) - 1]
     node_of(tree, PASSES).use_auto_refresh = True
 
 
-def _count_on(tree: bpy.types.NodeTree, first: int, last: int) -> None:
+def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.NodeTree) -> None:
     """Each timeline frame shows the file of its number."""
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration, node.frame_offset = first, last - first + 1, first - 1
@@ -269,10 +293,15 @@ def shot_name(camera: bpy.types.Object) -> str:
 def show_view(scene: bpy.types.Scene, name: str) -> None:
     """Bring the passes of the view `name` up in a passes scene. KeyError when it has no such view."""
     frames = {marker.name: marker.frame for marker in scene.timeline_markers}
+    tree = compat.compositor_tree(scene)
     scene.frame_set(frames[name])
     for image in bpy.data.images:
         if image.get(LIFT) == scene[LIFT] and image.get(KEY) == f"{PASSES}:{name}":
-            use_image(compat.compositor_tree(scene), image)
+            use_image(tree, image)
+    number = numbered([name])
+    if number is not None and node_of(tree, PASSES).image.source == "SEQUENCE":
+        for node in reading_nodes(tree):  # Blender looks at keys of the scene that its window shows alone
+            node.frame_offset = number.numbers[0] - frames[name]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,8 +24,10 @@ _HEADER_SIZES = (2**18, 2**26)
 _MOST_NUMBERS = 2**30
 """Numbers in all channels of all parts, at most: the library reads them all."""
 _MOST_PARTS = 1024
-_DEEP, _PARTS = 0x800, 0x1000
+_TILED, _DEEP, _PARTS = 0x200, 0x800, 0x1000
 """Flags of the version."""
+_HALF = 1
+"""The kind of a channel of half floats."""
 _FIX = "Write this file again."
 
 
@@ -113,24 +115,55 @@ def _attributes(data: bytes, position: int) -> tuple[dict[str, bytes], int]:
     """
     found = {}
     while data[position] != 0:
-        name_end = data.index(b"\0", position)
-        kind_end = data.index(b"\0", name_end + 1)
-        (length,) = struct.unpack_from("<i", data, kind_end + 1)
-        start = kind_end + 5
-        if length < 0 or start + length >= len(data):
-            raise ValueError("cut off")
-        found[data[position:name_end].decode("utf-8", "replace")] = data[start : start + length]
-        position = start + length
+        name_end, start, end = _attribute(data, position)
+        found[data[position:name_end].decode("utf-8", "replace")] = data[start:end]
+        position = end
     return found, position + 1
 
 
+def _attribute(data: bytes, position: int) -> tuple[int, int, int]:
+    """Where the name of the attribute at a position ends, and where its value begins and ends."""
+    name_end = data.index(b"\0", position)
+    kind_end = data.index(b"\0", name_end + 1)
+    (length,) = struct.unpack_from("<i", data, kind_end + 1)
+    start = kind_end + 5
+    if length < 0 or start + length >= len(data):
+        raise ValueError("cut off")
+    return name_end, start, start + length
+
+
+def one_pixel_of(path: Path) -> bytes:
+    """A file with one black pixel that has the channels and texts of another one. Raises PlgsError, also for a file of
+    several parts or of tiles, which are not ours.
+    """
+    parts = _parts_of(path)
+    black = {"dataWindow": bytes(16), "displayWindow": bytes(16), "compression": bytes(1)}
+    with open_plain(path) as file:
+        data = file.read(_HEADER_SIZES[1])
+    if int.from_bytes(data[4:8], "little") & (_PARTS | _TILED):
+        raise PlgsError("the passes have several parts, or tiles", path, _FIX)
+    header, position = data[:8], 8
+    while data[position] != 0:
+        name_end, start, end = _attribute(data, position)
+        value = black.get(data[position:name_end].decode("utf-8", "replace"), data[start:end])
+        header += data[position : start - 4] + struct.pack("<i", len(value)) + value
+        position = end
+    width = sum(2 if kind == _HALF else 4 for _, kind in _channels(parts[0]["channels"]))
+    line = struct.pack("<Qii", len(header) + 9, 0, width) + bytes(width)
+    return header + b"\0" + line
+
+
 def _channel_names(data: bytes) -> tuple[str, ...]:
-    names, position = [], 0
+    return tuple(name for name, _ in _channels(data))
+
+
+def _channels(data: bytes) -> Iterator[tuple[str, int]]:
+    """Names and kinds of channels."""
+    position = 0
     while data[position] != 0:
         end = data.index(b"\0", position)
-        names.append(data[position:end].decode("utf-8", "replace"))
+        yield data[position:end].decode("utf-8", "replace"), data[end + 1]
         position = end + 17
-    return tuple(names)
 
 
 def read_channels(path: Path, header: ExrHeader, names: list[str]) -> list[NDArray[np.float32]]:

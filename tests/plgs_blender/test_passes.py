@@ -12,7 +12,7 @@ from plgs.engine.job import LiftFolder, write_manifest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, lift_scene, mattes, passes
 from plgs.plgs_blender.materials import linear_rgba
-from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, node_of, output_of, panoptic_node
+from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, PASSES, node_of, output_of, panoptic_node
 from plgs.plgs_blender.passes import numbered, sequences
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_passes, write_tiny_lift
 from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
@@ -138,6 +138,24 @@ def test_the_first_view_is_shown_at_once(lift: Path, tmp_path: Path) -> None:
     shown = {node_of(tree, key).frame_offset + 1 for key in (INSTANCES, CLASSES)}
     assert shown == {int(scene.timeline_markers[0].name)}
     assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
+
+
+def test_another_view_is_shown_at_once(lift: Path) -> None:
+    lift_scene.place_lift(lift, bpy.context.scene)
+    scene = passes_scene()
+    marker = scene.timeline_markers[-1]
+    passes.show_view(scene, marker.name)
+    tree = compat.compositor_tree(scene)
+    offsets = {node_of(tree, key).frame_offset for key in (PASSES, INSTANCES, CLASSES)}
+    assert offsets == {int(marker.name) - marker.frame}
+
+
+def test_placing_reads_no_picture(lift: Path) -> None:
+    for _ in range(2):
+        lift_scene.place_lift(lift, bpy.context.scene)
+        image = node_of(compat.compositor_tree(passes_scene()), PASSES).image
+        assert (image.has_data, image.type, image.source) == (False, "MULTILAYER", "SEQUENCE")
+        assert image.filepath.endswith(f"{passes_scene().timeline_markers[0].name}.exr")
 
 
 def bake_shot(lift: LiftFolder, files: dict[str, int]) -> None:
