@@ -43,10 +43,23 @@ def _class_field() -> Any:
     )  # fmt: skip
 
 
-class PLGS_OT_rename_instance(OnInstance, bpy.types.Operator):
+class AsksForOne:
+    """An operator whose dialog asks for the property ``asked`` alone, ready to be typed. The others are for scripts."""
+
+    asked: str
+    layout: bpy.types.UILayout
+
+    def draw(self, context: bpy.types.Context) -> None:
+        field = self.layout.column()
+        field.activate_init = True
+        field.prop(self, self.asked)
+
+
+class PLGS_OT_rename_instance(AsksForOne, OnInstance, bpy.types.Operator):
     """Give the object another name"""
 
     bl_idname, bl_label, bl_options = "plgs.rename_instance", "Rename Object", _UNDOABLE
+    asked = "name"
 
     name: StringProperty(name="Name", options={"SKIP_SAVE"}, description="The name, up to 60 characters")  # type: ignore[valid-type]
 
@@ -62,10 +75,11 @@ class PLGS_OT_rename_instance(OnInstance, bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_reclass_instances(OnInstances, bpy.types.Operator):
+class PLGS_OT_reclass_instances(AsksForOne, OnInstances, bpy.types.Operator):
     """Give objects another class. With a class of stuff, which has no objects, their points become that stuff"""
 
     bl_idname, bl_label, bl_options = "plgs.reclass_instances", "Change Class", _UNDOABLE
+    asked = "class_name"
 
     class_name: _class_field()  # type: ignore[valid-type]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -15,8 +16,10 @@ from research.correcting import before_and_after, correct_by_truth
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
 
+Capture = pytest.CaptureFixture[str]
 
-def test_what_is_wrong_is_mended_and_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+
+def test_what_is_wrong_is_mended_and_scored(tmp_path: Path, capsys: Capture) -> None:
     with presets_as(preview=TINY):
         lift = lift_into(tmp_path / "lift", LiftRequest(scene=write_tiny_scene(tmp_path / "room", frames=6))).path
     correct_by_truth(lift)
@@ -48,6 +51,22 @@ def test_what_was_merged_is_split_and_what_was_deleted_is_painted(tmp_path: Path
     _, after = before_and_after(lift)
     assert f"{one.name} is several things" in said and len(said) < 20
     assert merged < best and after > 0.9 * best
+
+
+@pytest.mark.slow
+def test_the_sample_is_better_after_fewer_than_20_edits(root: Path, tmp_path: Path, capsys: Capture) -> None:
+    """The script of the film in docs/corrections.md, on a short lift."""
+    request = LiftRequest(scene=root / "sample" / "room", options={"steps": 200, "size": [160, 120]}, bake="none")
+    lift = lift_into(tmp_path / "lift", request).path
+    made = {path: path.read_bytes() for path in (lift / "result").rglob("*") if path.is_file()}
+    capsys.readouterr()
+    assert main(["correct", str(lift), "--film", str(tmp_path / "stills")]) == 0
+    *said, last = capsys.readouterr().out.splitlines()
+    before, after = map(float, re.fullmatch(r"PQ (\S+) % -> (\S+) %", last).groups())  # type: ignore[union-attr]
+    stills = sorted((tmp_path / "stills").iterdir())
+    assert 0 < len(said) - len(stills) < 20 and len(stills) == 5
+    assert after > before + 1.0
+    assert all(path.read_bytes() == content for path, content in made.items()), "result/ is as the engine made it"
 
 
 def test_without_truth_it_is_a_line(tmp_path: Path) -> None:

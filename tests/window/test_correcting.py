@@ -3,94 +3,25 @@
 from __future__ import annotations
 
 import json
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from blender import SIZE, Window
-
-for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-
-import tiny_lift  # noqa: E402  (beside the tests of plgs_blender)
-
-CHAIR, CABINET = 1, 2
-# The panel in a tab of its own, open: nothing in Python opens a closed panel.
-OWN_TAB = """
-panel = bpy.types.PLGS_PT_corrections
-bpy.utils.unregister_class(panel)
-kept = panel.bl_options, panel.bl_parent_id, panel.bl_category
-panel.bl_options, panel.bl_category = set(), 'Correct'
-panel.bl_parent_id = ''
-bpy.utils.register_class(panel)
-"""
-BACK = """
-bpy.utils.unregister_class(panel)
-panel.bl_options, panel.bl_parent_id, panel.bl_category = kept
-bpy.utils.register_class(panel)
-"""
-TOOLS = """
-import sys
-import numpy as np
-from bpy_extras.view3d_utils import location_3d_to_region_2d
-inspecting = sys.modules[EXTENSION + '.plgs_blender.inspecting.lookup']
-
-def lift():
-    return inspecting.active_lift(bpy.context.window_manager.windows[0].scene, None)
-
-def points(number):
-    clouds = [each for each in inspecting.clouds_of(lift()) if 'class_id' in each]
-    return sum(int((inspecting.ids_of(each.data, 'instance_id') == number).sum()) for each in clouds)
-
-def ids():
-    return sorted(row.instance_id for row in lift().plgs.instances)
-
-def place(number):
-    window = bpy.context.window_manager.windows[0]
-    area = max((each for each in window.screen.areas if each.type == 'VIEW_3D'), key=lambda each: each.width)
-    region = next(each for each in area.regions if each.type == 'WINDOW')
-    box = inspecting.boxes_of(lift())[number]
-    at = location_3d_to_region_2d(region, area.spaces.active.region_3d, box.matrix_world.translation)
-    return round(region.x + at.x), round(region.y + at.y)
-
-def sidebar():
-    areas = bpy.context.window_manager.windows[0].screen.areas
-    area = max((each for each in areas if each.type == 'VIEW_3D'), key=lambda each: each.width)
-    return next(each for each in area.regions if each.type == 'UI')
-
-def choose(*numbers):
-    for key, box in inspecting.boxes_of(lift()).items():
-        box.select_set(key in numbers)
-    bpy.context.view_layer.objects.active = inspecting.boxes_of(lift())[numbers[0]]
-    lift().plgs.instance_index = next(i for i, row in enumerate(lift().plgs.instances) if row.instance_id == numbers[0])
-"""
+from blender import Window
+from shown_lift import CABINET, CHAIR, over, shown_lift
 
 
 @pytest.fixture
-def mine(window: Window, work_folder: Path, request: pytest.FixtureRequest) -> Path:
+def mine(window: Window, work_folder: Path, request: pytest.FixtureRequest) -> Iterator[Path]:
     """A lift of its own that is shown, with its panel open."""
-    lift = tiny_lift.write_tiny_lift(work_folder / request.node.name / "lift", bake=False).path
-    window.run(OWN_TAB)
-    request.addfinalizer(lambda: window.run(BACK) if window.is_running else None)
-    window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
-    window.run(TOOLS)
-    window.run("bpy.ops.ed.undo_push(message='shown')")
-    window.open_sidebar("Correct")
-    window.settle()
-    return lift
+    with shown_lift(window, work_folder / request.node.name, "PLGS_PT_corrections", "Correct") as lift:
+        yield lift
 
 
 def kinds(lift: Path) -> list[str]:
     """The edits that are not undone."""
     edits = json.loads((lift / "corrections.json").read_text())["edits"]
     return [edit["kind"] for edit in edits if not edit.get("undone")]
-
-
-def over(window: Window, number: int) -> tuple[int, int]:
-    """Where an object's middle is on the screen."""
-    x, y = window.ask(f"place({number})")
-    return x, SIZE[1] - y
 
 
 def test_merged_split_by_views_and_undone(window: Window, mine: Path) -> None:
@@ -163,3 +94,20 @@ def test_a_plane_a_box_a_class_and_no_object(window: Window, mine: Path) -> None
     window.run("choose(3)")
     window.press("plgs.delete_instance", near=height)
     assert window.ask("ids()") == [CHAIR, CABINET] and kinds(mine) == ["split", "assign", "accept", "delete"]
+
+
+def test_another_class_by_typing_its_name(window: Window, mine: Path) -> None:
+    window.run(f"choose({CHAIR})")
+    window.press("plgs.reclass_instances")
+    window.settle()
+    window.type("cab")
+    window.settle()
+    window.screenshot("correcting-class")
+    window.key("Return")  # the class
+    window.key("Return")  # OK
+    kind = f"next(row.class_name for row in lift().plgs.instances if row.instance_id == {CHAIR})"
+    assert window.ask(kind) == "cabinet" and kinds(mine) == ["reclass"]
+    x, y = over(window, CABINET)
+    window.move(x, y)
+    window.key("ctrl+z")
+    assert window.ask(kind) == "chair" and kinds(mine) == []

@@ -1,0 +1,95 @@
+"""A lift that is shown in Blender's window, with one panel open in a tab of its own: nothing in Python opens a closed
+panel."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from blender import SIZE, Window
+
+for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+
+CHAIR, CABINET = 1, 2
+_OWN_TAB = """
+panel = bpy.types.{panel}
+bpy.utils.unregister_class(panel)
+kept = {{name: getattr(panel, name) for name in ('bl_options', 'bl_parent_id', 'bl_category') if hasattr(panel, name)}}
+panel.bl_options, panel.bl_category = set(), '{tab}'
+if 'bl_parent_id' in kept:
+    panel.bl_parent_id = ''
+bpy.utils.register_class(panel)
+"""
+_BACK = """
+bpy.utils.unregister_class(panel)
+for name, value in kept.items():
+    setattr(panel, name, value)
+bpy.utils.register_class(panel)
+"""
+_TOOLS = """
+import sys
+import numpy as np
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+inspecting = sys.modules[EXTENSION + '.plgs_blender.inspecting.lookup']
+
+def lift():
+    return inspecting.active_lift(bpy.context.window_manager.windows[0].scene, None)
+
+def points(number):
+    clouds = [each for each in inspecting.clouds_of(lift()) if 'class_id' in each]
+    return sum(int((inspecting.ids_of(each.data, 'instance_id') == number).sum()) for each in clouds)
+
+def boxes():
+    return inspecting.boxes_of(lift())
+
+def ids():
+    return sorted(row.instance_id for row in lift().plgs.instances)
+
+def place(number):
+    window = bpy.context.window_manager.windows[0]
+    area = max((each for each in window.screen.areas if each.type == 'VIEW_3D'), key=lambda each: each.width)
+    region = next(each for each in area.regions if each.type == 'WINDOW')
+    box = inspecting.boxes_of(lift())[number]
+    at = location_3d_to_region_2d(region, area.spaces.active.region_3d, box.matrix_world.translation)
+    return round(region.x + at.x), round(region.y + at.y)
+
+def sidebar():
+    areas = bpy.context.window_manager.windows[0].screen.areas
+    area = max((each for each in areas if each.type == 'VIEW_3D'), key=lambda each: each.width)
+    return next(each for each in area.regions if each.type == 'UI')
+
+def choose(*numbers):
+    for key, box in inspecting.boxes_of(lift()).items():
+        box.select_set(key in numbers)
+    bpy.context.view_layer.objects.active = inspecting.boxes_of(lift())[numbers[0]]
+    lift().plgs.instance_index = next(i for i, row in enumerate(lift().plgs.instances) if row.instance_id == numbers[0])
+"""
+
+
+@contextmanager
+def shown_lift(window: Window, folder: Path, panel: str, tab: str, *, bake: bool = False) -> Iterator[Path]:
+    """A lift of its own in ``folder``, shown, with this panel open."""
+    import tiny_lift  # beside the tests of plgs_blender
+
+    lift = tiny_lift.write_tiny_lift(folder / "lift", bake=bake).path
+    window.run(_OWN_TAB.format(panel=panel, tab=tab))
+    try:
+        window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
+        window.run(_TOOLS)
+        window.run("bpy.ops.ed.undo_push(message='shown')")
+        window.open_sidebar(tab)
+        window.settle()
+        yield lift
+    finally:
+        if window.is_running:
+            window.run(_BACK)
+
+
+def over(window: Window, number: int) -> tuple[int, int]:
+    """Where an object's middle is on the screen."""
+    x, y = window.ask(f"place({number})")
+    return x, SIZE[1] - y

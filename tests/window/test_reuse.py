@@ -1,0 +1,54 @@
+"""Objects of a lift for other uses, by the buttons of 5 Export."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from blender import Window
+from shown_lift import CABINET, CHAIR, over, shown_lift
+
+KEYED = """
+scene = bpy.context.window_manager.windows[0].scene
+box = inspecting.boxes_of(lift())[{number}]
+answer = []
+for marker in scene.timeline_markers:
+    scene.frame_set(marker.frame)
+    answer.append((marker.name, not box.hide_viewport))
+"""
+
+
+@pytest.fixture
+def mine(window: Window, work_folder: Path, request: pytest.FixtureRequest) -> Iterator[Path]:
+    """A lift of its own that is shown, with the panel of exports open."""
+    with shown_lift(window, work_folder / request.node.name, "PLGS_PT_export", "Reuse", bake=True) as lift:
+        yield lift
+
+
+def test_objects_are_made_keyed_and_undone(window: Window, mine: Path) -> None:
+    window.run(f"choose({CHAIR})")
+    _, height = window.press("plgs.make_objects")
+    made = "sorted(ob.name for ob in bpy.data.objects if ob.name.startswith('chair 1 '))"
+    assert window.ask(made) == ["chair 1 box", "chair 1 pivot", "chair 1 points"]
+    assert window.ask(f"boxes()[{CHAIR}].hide_get(), boxes()[{CABINET}].hide_get()") == [True, False]
+    window.screenshot("reuse-made")
+    window.move(*over(window, CABINET))
+    window.key("ctrl+z")
+    assert window.ask(made) == [] and not window.ask(f"boxes()[{CHAIR}].hide_get()")
+    window.run(f"choose({CABINET})")
+    window.press("plgs.key_visibility", near=height)
+    rows = f"{{mask.frame for row in lift().plgs.instances if row.instance_id == {CABINET} for mask in row.masks}}"
+    shown, seen = set(window.ask(rows)), dict(window.run(KEYED.format(number=CABINET)))
+    assert shown and all(visible == (name in shown) for name, visible in seen.items() if name != "Overview")
+
+
+def test_a_depth_cloud_of_the_frame_that_is_looked_from(window: Window, mine: Path) -> None:
+    frame = next(path.stem for path in sorted((mine / "result" / "passes").glob("*.exr")))
+    window.run(f"bpy.ops.plgs.go_to_frame(frame={frame!r})")
+    window.press("plgs.make_depth_cloud")
+    clouds = f"[ob for ob in bpy.data.objects if ob.get('plgs_key') == 'depth_cloud:{frame}']"
+    window.wait_for(clouds, timeout=120)
+    window.settle()
+    window.screenshot("reuse-depth-cloud")
+    assert window.ask(f"len({clouds}[0].data.points)") > 1000
