@@ -17,7 +17,14 @@ from engine.command_line.main import main as run_command
 from engine.command_line.parser import make_parser as parser_of_the_engine
 from engine.errors import PlgsError
 from engine.job import ExitCode
-from engine.job.options import add_format_option, add_label_options, add_set_option, preset_or_file
+from engine.job.options import (
+    add_amount_options,
+    add_device_option,
+    add_format_option,
+    add_label_options,
+    add_set_option,
+    preset_or_file,
+)
 from engine.job.terminal import Interrupted, Interrupts
 from engine.presets.preset import PRESETS
 from engine.scene_source import UP_OPTIONS
@@ -86,9 +93,15 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
         help="as for lift (default: preview)",
     )  # fmt: skip
     add_set_option(parser)
+    parser.add_argument(
+        "--masks", metavar="PATH",
+        help="panoptic masks, where not in SCENE itself, such as 'predictions/{scene}': {scene} is the scene's name",
+    )  # fmt: skip
+    parser.add_argument("--depth", metavar="FOLDER", help="depth maps of a network, as for lift: 'depths/{scene}'")
     add_label_options(parser)
     add_format_option(parser)
-    parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
+    add_amount_options(parser)
+    add_device_option(parser)
     parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="seeds of chance (default: 0)")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",
@@ -157,8 +170,9 @@ def run_correct(options: argparse.Namespace) -> int:
 
 def run_experiments(options: argparse.Namespace) -> int:
     """Run the rows, one process each, and print the tables. Raises PlgsError."""
+    from .experiments.experiment import Experiment
     from .experiments.rows import read_rows
-    from .experiments.run import Experiment, run_experiment
+    from .experiments.run import run_experiment
     from .experiments.scenes import scenes_from
     from .results import read_results
 
@@ -180,6 +194,11 @@ def run_experiments(options: argparse.Namespace) -> int:
         scene_format=options.scene_format,
         mask_format=options.mask_format,
         classes=options.classes,
+        masks=options.masks,
+        depth=options.depth,
+        frames=options.frames,
+        fit=options.fit,
+        device=options.device,
         seeds=tuple(options.seeds),
         earlier=read_results(options.against) if options.against else (),
         page=options.report,

@@ -48,7 +48,8 @@ class Figures(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """What was measured of one row on one scene; ``steps`` 0 where nothing was trained."""
+    """What was measured of one row on one scene; ``steps`` 0 where nothing was trained. ``failed`` says why there is
+    nothing."""
 
     scene: str
     row: str
@@ -56,7 +57,8 @@ class Result:
     steps: int
     seed: int
     engine_version: str
-    figures: Figures
+    figures: Figures = Figures()
+    failed: str = ""
 
     @property
     def key(self) -> tuple[str, str, str, int]:
@@ -164,7 +166,8 @@ def _from_json(entry: Mapping[str, Json]) -> Result:
     if not isinstance(steps, int) or not isinstance(seed, int) or not isinstance(figures, dict):
         raise TypeError("steps, seed or figures have another type")
     read = Figures(**{key: number(figures.get(key)) for key in Figures._fields})
-    return Result(**{key: str(entry[key]) for key in _TEXTS}, steps=steps, seed=seed, figures=read)
+    texts = {key: str(entry[key]) for key in _TEXTS}
+    return Result(**texts, steps=steps, seed=seed, figures=read, failed=str(entry.get("failed", "")))
 
 
 def _objects(value: Json) -> list[dict[str, Json]]:

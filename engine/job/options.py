@@ -40,14 +40,7 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         f"own settings; or a file of your own, as 'presets NAME' prints one (default: {DEFAULTS.preset})",
     )
     add_set_option(parser)
-    parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
-    parser.add_argument(
-        "--frames", type=number_of_frames, metavar="N|all",
-        help="train on at most so many frames, the sharpest of each stretch of the recording (default: the preset's)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--fit", action="store_true", default=None, help="train on fewer frames where memory would not do otherwise"
-    )
+    add_amount_options(parser)
     parser.add_argument("--size", type=picture_size, metavar="WxH", help="train at this picture size, such as 320x240")
     parser.add_argument(
         "--seed", type=int, metavar="N", help=f"start of all chance: same seed, same result (default: {DEFAULTS.seed})"
@@ -72,6 +65,23 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         help=f"which frames to render as passes: the held-out ones, all, or none (default: {DEFAULTS.bake})"
         + "".join(f"; {name}: {meaning}" for name, meaning in more_bakes.items()),
     )
+    add_device_option(parser)
+
+
+def add_amount_options(parser: argparse.ArgumentParser) -> None:
+    """--steps, --frames and --fit: how much is trained."""
+    parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
+    parser.add_argument(
+        "--frames", type=number_of_frames, metavar="N|all",
+        help="train on at most so many frames, the sharpest of each stretch of the recording (default: the preset's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--fit", action="store_true", default=None, help="train on fewer frames where memory would not do otherwise"
+    )
+
+
+def add_device_option(parser: argparse.ArgumentParser) -> None:
+    """--device."""
     parser.add_argument(
         "--device",
         choices=DEVICES,

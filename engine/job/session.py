@@ -22,11 +22,19 @@ _ENDING_S = 2.0
 """Seconds that an engine whose parent was killed may need to end."""
 
 
+def show_error(error: PlgsError) -> None:
+    """On standard error."""
+    print(f"error: {error}", file=sys.stderr)
+
+
 def lift_in_terminal(
-    options: argparse.Namespace, interrupts: Interrupts, check: Callable[[LiftRequest], object]
+    options: argparse.Namespace,
+    interrupts: Interrupts,
+    check: Callable[[LiftRequest], object],
+    on_error: Callable[[PlgsError], object] = show_error,
 ) -> tuple[LiftFolder, ExitCode]:
     """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask, showing it on stderr, with
-    its events on the descriptor ``echo`` where the options have one.
+    its events on the descriptor ``echo`` where the options have one. ``on_error`` is told why the engine failed.
 
     ``check`` looks at the scene before any folder is made, and raises when it is bad. A folder that was made
     here and came to nothing is removed, so that the corrected command works. Where the options have a
@@ -54,7 +62,7 @@ def lift_in_terminal(
     try:
         program = getattr(options, "program", "engine")
         command = engine_command(python, lift.path, resume=not is_new, program=program)
-        code = _run(lift, interrupts, command, getattr(options, "echo", None))
+        code = _run(lift, interrupts, command, getattr(options, "echo", None), on_error)
     finally:
         if is_new and _came_to_nothing(lift):
             lift.discard()
@@ -86,12 +94,18 @@ def _state_when_left_alone(lift: LiftFolder) -> LiftState:
     return state
 
 
-def _run(lift: LiftFolder, interrupts: Interrupts, command: Sequence[str | Path], echo: int | None) -> ExitCode:
+def _run(
+    lift: LiftFolder,
+    interrupts: Interrupts,
+    command: Sequence[str | Path],
+    echo: int | None,
+    on_error: Callable[[PlgsError], object],
+) -> ExitCode:
     with interrupts.deferred():
         follower = TaskFollower.start(command, lift.place, kind=LIFT, lift=lift)
         follow(follower, interrupts, LiveLine(sys.stderr), echo)
     if follower.error is not None:
-        print(f"error: {follower.error}", file=sys.stderr)
+        on_error(follower.error)
     elif follower.state is TaskState.CANCELLED:
         print(f"Cancelled. Give the same command with --resume to go on: {lift.path}", file=sys.stderr)
     return follower.exit_code

@@ -40,14 +40,22 @@ WITH_IDS = (VOXEL_VOTE,)
 """Those whose ids mean the same in every frame, so that changes of them can be counted."""
 
 
-def files_fingerprint(scene: Scene, results: Path) -> str:
-    """A hash of the names, sizes and times of change of all files of the scene, masks and ground truth among them; of
-    a scene in one file, of those beside it too. ``results``: a folder that is left out, as it may lie within the
-    scene's. Raises PlgsError."""
-    is_folder, results = scene.folder.is_dir(), results.resolve()
-    place = (scene.folder if is_folder else scene.folder.parent).resolve()
-    fix = "Check that the scene's files are there and may be read."
+def files_fingerprint(scene: Scene, source: SceneSource, results: Path) -> str:
+    """A hash of the names, sizes and times of change of all files of the scene, and of masks and depth that lie
+    elsewhere; of what is one file, of those beside it too. ``results``: a folder that is left out, as it may lie within
+    the scene's. Raises PlgsError."""
     digest = hashlib.sha256(scene.format.encode())
+    for place in (scene.folder, source.masks, source.depth):
+        if place is not None:
+            _add_files(digest, place, results.resolve())
+    return digest.hexdigest()
+
+
+def _add_files(digest: hashlib._Hash, place: Path, results: Path) -> None:
+    is_folder = place.is_dir()
+    place = (place if is_folder else place.parent).resolve()
+    digest.update(f"{place}\n".encode(errors="surrogateescape"))
+    fix = "Check that the scene's files are there and may be read."
     try:
         for path in sorted(place.rglob("*") if is_folder else (*place.glob("*"), *place.glob("*/*"))):
             if path.is_file() and results not in path.parents:
@@ -56,7 +64,6 @@ def files_fingerprint(scene: Scene, results: Path) -> str:
                 digest.update(line.encode(errors="surrogateescape"))
     except OSError as error:
         raise PlgsError(f"its files cannot be looked at ({error.strerror})", place, fix) from error
-    return digest.hexdigest()
 
 
 def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures]:
@@ -69,7 +76,7 @@ def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures
     made_of: dict[str, Json] = {
         "format": FORMAT,
         "engine_version": __version__,
-        "files": files_fingerprint(scene, cache.parent),
+        "files": files_fingerprint(scene, source, cache.parent),
         "mask_format": source.mask_format,
         "classes": sha256(Path(classes)) if classes and classes.endswith(".toml") else classes,
     }

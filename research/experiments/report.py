@@ -21,7 +21,7 @@ from engine.passes.previews import png_bytes
 
 from ..results import csv_text, results_text
 from .rows import Row
-from .table import Tables
+from .table import MEANS, Tables
 
 BEGIN, END = "<!-- tables: made by `python -m research experiments` -->", "<!-- end of the tables -->"
 SHEET = Path("result/previews/contact_sheet.png")
@@ -89,6 +89,8 @@ def with_tables(page: str, tables: str) -> str:
     before, _, rest = page.partition(BEGIN)
     old, _, after = rest.partition(END)
     sections = {**_sections(old), **_sections(tables)}
+    if means := sections.pop(MEANS, ""):
+        sections[MEANS] = means  # the last one, after scenes that are new
     return f"{before}{BEGIN}\n\n{chr(10).join(sections.values())}\n{END}{after}"
 
 

@@ -50,6 +50,11 @@ class Row:
         return not (self.is_cited or self.method or self.same_as)
 
     @property
+    def measured_as(self) -> str:
+        """What its results are called."""
+        return f"{self.method}, {self.masks}" if self.method and self.masks else self.method or self.name
+
+    @property
     def slug(self) -> str:
         """Part of a folder's name."""
         return re.sub(r"\W+", "-", self.name.lower()).strip("-")

@@ -2,125 +2,87 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from engine import __version__
-from engine.errors import PlgsError
+from engine.errors import Cancelled, PlgsError
 from engine.job import ExitCode, LiftFolder, refuse_used
 from engine.job.options import request_from
 from engine.job.session import lift_in_terminal
 from engine.job.terminal import Interrupts
-from engine.presets.options import shown_options
 from engine.scene import open_scene_to_lift
-from engine.scene_source import SceneSource
+from engine.scene.layout import listed
 
 from ..baselines.without_a_lift import scores_without_a_lift
-from ..results import Result, read_result
+from ..results import Result, read_result, read_results
+from .experiment import SCENE, Experiment, Task, has_files, has_manifest, lift_folder, lift_options, tasks_of
 from .report import refuse_unwritable, write_report
-from .rows import Row, Rows
 from .scenes import SceneToLift
-from .table import Tables
 
 _NO_MATCH = "Compare with results of these scenes, rows and this preset."
-PROGRAM = "research"
-"""It knows the options of the baselines."""
-FIRST = "ours"
-"""The row whose lift is the preset itself: its folder has no name of a row."""
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """Rows of the tables (``only`` some: of these names or tables) on ``scenes``, into ``folder``. All start from
-    ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all scenes are read by
-    ``scene_format``, ``mask_format`` and ``classes``, as a LiftRequest has them. ``earlier``: results to compare with;
-    ``page``: a Markdown file whose tables are brought up to date; ``only_finished``: nothing more is lifted."""
-
-    scenes: tuple[SceneToLift, ...]
-    folder: Path
-    rows: Rows
-    only: tuple[str, ...] = ()
-    preset: str = "preview"
-    steps: int | None = None
-    sets: tuple[str, ...] = ()
-    scene_format: str | None = None
-    mask_format: str | None = None
-    classes: str | None = None
-    seeds: tuple[int, ...] = (0,)
-    earlier: tuple[Result, ...] = ()
-    page: Path | None = None
-    only_finished: bool = False
-
-    @property
-    def preset_name(self) -> str:
-        return Path(self.preset).stem
-
-    def tables(self, results: tuple[Result, ...] = ()) -> Tables:
-        return Tables(self.rows, self.rows.chosen(self.only), results, self.earlier)
-
-
-@dataclass(frozen=True)
-class Task:
-    """One row on one scene with one seed; ``options``: what the command ``lift`` would have been given; ``depth_of``:
-    the folder of the lift whose rendered depth it takes."""
-
-    scene: SceneToLift
-    row: Row
-    seed: int
-    options: argparse.Namespace
-    depth_of: Path | None = None
-
-    @property
-    def name(self) -> str:
-        seed = f", seed {self.seed}" if self.seed else ""
-        return f"{self.scene.name}: {self.row.name}{seed}"
 
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
     """Lift what is not lifted yet, print the tables of the chosen rows, and write the report of all that is finished in
-    the folder, which grows lift by lift.
+    the folder, which grows lift by lift. Scenes of earlier calls stay in it.
 
-    A lift that fails does not keep the others from being tried; the first one's exit code is returned. Raises PlgsError
-    before any lift begins, Interrupted on Ctrl-C; the same call goes on then.
+    What fails is a row of the tables with its reason, and does not keep the others from being tried; the first one's
+    exit code is returned. Raises PlgsError before any lift begins for what concerns all, Interrupted on Ctrl-C; the
+    same call goes on then.
     """
     tasks = list(tasks_of(experiment))
     if experiment.only_finished:
         tasks = [task for task in tasks if has_manifest(task.options.output)]
-    refuse_bad_input(experiment, tasks)
+    errors = refuse_bad_input(experiment, tasks)
     whole = replace(experiment, only=())  # what is finished of other rows stays in the report
     others = [task for task in tasks_of(whole) if task.name not in {one.name for one in tasks}]
     finished_before = dict(results_before(experiment, others))
-    results = [*results_without_a_lift(experiment), *finished_before.values()]
-    failed: dict[str, ExitCode] = {}
+    results = [*results_without_a_lift(experiment, errors), *finished_before.values()]
+    asked = {(each.scene, each.row, each.seed) for each in results}
+    asked |= {(task.scene.name, task.row.name, task.seed) for task in tasks}
+    kept = [each for each in results_kept(experiment) if (each.scene, each.row, each.seed) not in asked]
     for number, task in enumerate(tasks, start=1):
-        if experiment.only_finished:
-            results.append(result_of(experiment, task))
-            continue
         print(f"{task.name}, {experiment.preset_name} ({number} of {len(tasks)})", file=sys.stderr)
-        if task.depth_of is not None and not make_depth_maps(task.depth_of, task.options.depth):
-            failed[task.name] = ExitCode.BAD_INPUT
-            continue
-        _, code = lift_in_terminal(task.options, interrupts, open_scene_to_lift)
-        if code is ExitCode.CANCELLED:
-            return code
-        if code is not ExitCode.FINISHED:
-            failed[task.name] = code
-            continue
-        results.append(result_of(experiment, task))
-        write_report(experiment.folder, whole.tables(tuple(results)))
+        try:
+            if task.name in errors:
+                raise errors[task.name]
+            results.append(lifted(experiment, task, interrupts))
+        except PlgsError as error:
+            errors[task.name] = error
+            print(f"{task.name}: failed: {error}", file=sys.stderr)
+            about = task.scene.name, task.row.name, experiment.preset_name, 0, task.seed, __version__
+            results.append(Result(*about, failed=str(error)))
+        except Cancelled:
+            return ExitCode.CANCELLED
+        write_report(experiment.folder, whole.tables((*results, *kept)))
     if results:
         shown = [task for task in others if task.name in finished_before]
-        shown += [task for task in tasks if task.name not in failed]
+        shown += [task for task in tasks if task.name not in errors]
         sheets = {task.name: task.options.output for task in shown}
-        write_report(experiment.folder, whole.tables(tuple(results)), sheets=sheets, page=experiment.page)
+        write_report(experiment.folder, whole.tables((*results, *kept)), sheets=sheets, page=experiment.page)
         print(experiment.tables(tuple(results)).markdown(), end="")
-    if failed:
-        print(f"Not lifted: {'; '.join(failed)}. The same command tries again.", file=sys.stderr)
-    return next(iter(failed.values()), ExitCode.FINISHED)
+    if errors:
+        print(f"Failed: {listed(list(errors))}. The same command tries again.", file=sys.stderr)
+    return next((error.exit_code for error in errors.values()), ExitCode.FINISHED)
+
+
+def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result:
+    """The figures of a task, which is lifted where it is not finished. Raises PlgsError, Cancelled, Interrupted."""
+    if experiment.only_finished:
+        return result_of(experiment, task)
+    if task.depth_of is not None:
+        make_depth_maps(task.depth_of, task.options.depth)
+    errors: list[PlgsError] = []
+    lift, code = lift_in_terminal(task.options, interrupts, open_scene_to_lift, errors.append)
+    if code is ExitCode.CANCELLED:
+        raise Cancelled
+    if errors:
+        raise errors[0]
+    return read_result(task.scene.name, task.row.name, experiment.preset_name, lift)
 
 
 def result_of(experiment: Experiment, task: Task) -> Result:
@@ -139,10 +101,6 @@ def results_before(experiment: Experiment, others: list[Task]) -> Iterator[tuple
             print(f"Not in the report: {task.name}: {error}", file=sys.stderr)
 
 
-def has_manifest(lift: Path) -> bool:
-    return (lift / "result" / "manifest.json").is_file()
-
-
 def is_finished(task: Task) -> bool:
     """Whether its lift, by these very options, is finished already. Raises PlgsError when its folder cannot be read."""
     if not has_manifest(task.options.output):
@@ -150,93 +108,76 @@ def is_finished(task: Task) -> bool:
     return not request_from(task.options).differences(LiftFolder.open(task.options.output).request)
 
 
-def tasks_of(experiment: Experiment) -> Iterator[Task]:
-    """The lifts that the chosen rows need, row by row; those whose scene lacks the row's files are left out."""
-    wanted = [experiment.rows.lift_of(row) for row in experiment.rows.chosen(experiment.only)]
-    wanted += [experiment.rows.named(row.depth_from) for row in wanted if row.depth_from]
-    for row in dict.fromkeys(row.name for row in experiment.rows.rows if row in wanted and row.is_lift):
-        for scene in experiment.scenes:
-            for seed in experiment.seeds:
-                own = experiment.rows.named(row)
-                if has_files(own, scene):
-                    source = experiment.rows.named(own.depth_from) if own.depth_from else None
-                    depth_of = None if source is None else lift_folder(experiment, scene, source, seed)
-                    yield Task(scene, own, seed, lift_options(experiment, scene, own, seed), depth_of)
+def results_kept(experiment: Experiment) -> Iterator[Result]:
+    """What an earlier report in the folder has of other scenes, as far as its lifts were made by these options; and
+    what failed."""
+    path = experiment.folder / "results.json"
+    try:
+        before = read_results(path) if path.is_file() else ()
+        named = {scene.name for scene in experiment.scenes}
+        for result in before:
+            is_kept = bool(result.failed) or (result.scene not in named and _still_holds(experiment, result))
+            if is_kept and result.preset in ("-", experiment.preset_name):
+                yield result
+    except PlgsError as error:
+        print(f"Not in the report: {path}: {error}", file=sys.stderr)
 
 
-def make_depth_maps(lift: Path, maps: Path) -> bool:
-    """The rendered depth of all frames of a lift, written once; False where the lift did not finish."""
-    if not has_manifest(lift):
+def _still_holds(experiment: Experiment, result: Result) -> bool:
+    """Whether the lift of a result is there, made by these options, or none was needed. Raises PlgsError."""
+    row = next((row for row in experiment.rows.rows if row.is_lift and row.name == result.row), None)
+    if row is None:
+        return result.preset == "-"
+    folder = lift_folder(experiment, SceneToLift(result.scene, Path()), row, result.seed)
+    if not has_manifest(folder):
         return False
+    request = LiftFolder.open(folder).request
+    scene = SceneToLift(result.scene, request.scene, request.up)
+    return not request_from(lift_options(experiment, scene, row, result.seed)).differences(request)
+
+
+def make_depth_maps(lift: Path, maps: Path) -> None:
+    """The rendered depth of all frames of a lift, written once. Raises PlgsError, as where the lift did not finish."""
+    if not has_manifest(lift):
+        raise PlgsError("the lift whose depth it takes is not finished", lift, "See why that one failed.")
     if not (maps / "complete").is_file():
         from engine.export.run import export
 
         export(LiftFolder.open(lift), "depth", maps, ["all"])
         (maps / "complete").touch()
-    return True
 
 
-def has_files(row: Row, scene: SceneToLift) -> bool:
-    """Whether a scene has the files that a row takes in place of the usual ones."""
-    return row.masks is None or (scene.folder / row.masks).exists()
-
-
-def lift_folder(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> Path:
-    """Where a row is lifted into."""
-    parts = [scene.name, experiment.preset_name, "" if row.name == FIRST else row.slug, f"seed{seed}" if seed else ""]
-    return experiment.folder / "-".join(part for part in parts if part)
-
-
-def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> argparse.Namespace:
-    """What ``lift SCENE -o FOLDER/SCENE-PRESET-ROW --bake none --resume`` would have been given."""
-    output = lift_folder(experiment, scene, row, seed)
-    return argparse.Namespace(
-        program=PROGRAM,
-        scene=scene.folder,
-        output=output,
-        preset=experiment.preset,
-        set=[*experiment.sets, *shown_options(row.options)],  # the later one holds: a row is what its name says
-        steps=experiment.steps,
-        size=None,
-        frames=None,
-        fit=None,
-        seed=seed,
-        masks=scene.folder / row.masks if row.masks else None,
-        up=scene.up,
-        scene_format=experiment.scene_format,
-        mask_format=experiment.mask_format,
-        classes=experiment.classes,
-        depth=output.with_name(f"{output.name}-maps") if row.depth_from else None,
-        device=None,
-        names_from=None,
-        poses=None,
-        blocks=None,
-        block=None,
-        bake="none",
-        resume=True,
-    )
-
-
-def results_without_a_lift(experiment: Experiment) -> Iterator[Result]:
-    """What needs no lift, where rows ask for it or it was measured before. Raises PlgsError when a file is bad."""
+def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:
+    """What needs no lift, where rows ask for it or it was measured before. Where that fails, the rows that ask for it
+    have the reason, and ``errors`` gets it."""
     wanted = experiment.rows.chosen(experiment.only)
     for scene in experiment.scenes:
         rows = [row for row in experiment.rows.rows if row.method and has_files(row, scene)]
         for masks in dict.fromkeys(row.masks for row in rows):
-            source = SceneSource(
-                scene.folder, scene.folder / masks if masks else None, scene.up, experiment.scene_format,
-                mask_format=experiment.mask_format, classes=experiment.classes,
-            )  # fmt: skip
             cache = experiment.folder / f"{scene.name}-{Path(masks or 'own').stem}-masks.json"
-            if not cache.is_file() and not any(row.masks == masks and row in wanted for row in rows):
+            asking = [row for row in rows if row.masks == masks and row in wanted]
+            if not cache.is_file() and not asking:
                 continue
-            for method, figures in scores_without_a_lift(source, cache).items():
+            try:
+                found = scores_without_a_lift(experiment.source(scene, masks), cache)
+            except PlgsError as error:
+                for row in asking:
+                    errors[f"{scene.name}: {row.name}"] = error
+                    yield Result(scene.name, row.measured_as, "-", 0, 0, __version__, failed=str(error))
+                continue
+            for method, figures in found.items():
                 name = f"{method}, {masks}" if masks else method
                 yield Result(scene.name, name, "-", 0, 0, __version__, figures)
 
 
-def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
-    """Before hours of work: raise PlgsError for the first thing that is wrong."""
+def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str, PlgsError]:
+    """Before hours of work: raise PlgsError for the first thing that is wrong for all, and return by the name of its
+    task what is wrong with a scene."""
+    errors: dict[str, PlgsError] = {}
+    for option, path in (("--masks", experiment.masks), ("--depth", experiment.depth)):
+        if path and SCENE not in path and len(experiment.scenes) > 1:
+            fix = f"Write {SCENE} where the scene's name belongs, such as {option} 'predictions/{SCENE}'."
+            raise PlgsError(f"{option} names one folder for {len(experiment.scenes)} scenes", path, fix, option=option)
     if experiment.page:
         refuse_unwritable(experiment.page)
     if experiment.earlier:
@@ -249,7 +190,10 @@ def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
         output = task.options.output
         if not (output / "request.json").exists():
             refuse_used(output)
-            open_scene_to_lift(replace(request, depth=None) if task.depth_of else request)
+            try:
+                open_scene_to_lift(replace(request, depth=None) if task.depth_of else request)
+            except PlgsError as error:
+                errors[task.name] = error
             continue
         lift = LiftFolder.open(output)
         differing = request.differences(lift.request)  # unlike lift --resume: an option left out asks for the default
@@ -263,3 +207,4 @@ def refuse_bad_input(experiment: Experiment, tasks: list[Task]) -> None:
         raise PlgsError(f"cannot be made ({error.strerror})", experiment.folder, fix) from error
     if not os.access(experiment.folder, os.W_OK):
         raise PlgsError("cannot be written", experiment.folder, "Choose a folder that you may write to with -o.")
+    return errors

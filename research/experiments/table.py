@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import mean, stdev
 
@@ -50,7 +50,11 @@ COLUMNS = (
     Column("fps", "panoptic frames/s", 1.0, 1, max),
 )
 
+HEADINGS = {"scenes": "scenes", **{column.figure: column.heading for column in COLUMNS}, "state": "state"}
+_WIDEST = 60
 MARK = "†"
+MEANS = "### Means: over the scenes"
+"""No scene's heading: a colon is in no name."""
 
 
 @dataclass(frozen=True)
@@ -65,47 +69,81 @@ class Tables:
     version: str = __version__
 
     def markdown(self) -> str:
-        """A section a scene, in it a table each. Left out are rows that are not measured yet, tables whose rows all
-        stand in another one, and after the first scene the systems that are cited."""
-        scenes = dict.fromkeys(result.scene for result in self.results)
-        return "\n".join(text for k, scene in enumerate(scenes) for text in self._of_scene(scene, with_cited=k == 0))
+        """A section a scene, in it a table each, and one of the means over several scenes. Left out are rows that are
+        not measured yet, tables whose rows all stand in another one, and after the first scene the systems that are
+        cited."""
+        scenes = list(dict.fromkeys(result.scene for result in self.results))
+        lines = [text for k, scene in enumerate(scenes) for text in self._of_scene(scene, with_cited=k == 0)]
+        return "\n".join([*lines, *(self._means(scenes) if len(scenes) > 1 else ())])
 
     def _of_scene(self, scene: str, *, with_cited: bool) -> Iterator[str]:
         yield f"### {scene}\n"
+        for heading, rows in self._of_tables([scene]):
+            rows = [row for row in rows if with_cited or not row.is_cited]
+            yield f"**{heading}**\n"
+            yield "\n".join(self.lines(scene, rows)) + "\n"
+
+    def _of_tables(self, scenes: Sequence[str]) -> Iterator[tuple[str, list[Row]]]:
+        """The headings and rows of the tables that have a row of their own in one of the scenes."""
         for table, heading in self.rows.tables.items():
-            rows = [row for row in self.chosen if row.table == table and (with_cited or not row.is_cited)]
-            if any(self.measured(scene, row) and not row.same_as for row in rows):
-                lines = list(self.lines(scene, rows))
-                yield f"**{heading}**\n"
-                yield "\n".join(lines) + "\n"
+            rows = [row for row in self.chosen if row.table == table]
+            if any(self._tried(scene, row) and not row.same_as for row in rows for scene in scenes):
+                yield heading, rows
 
     def lines(self, scene: str, rows: Sequence[Row]) -> Iterator[str]:
-        """The table of some rows, as far as they were measured; nothing where none was."""
-        measured = {row.name: self.measured(scene, row) for row in rows}
-        rows = [row for row in rows if measured[row.name] or row.is_cited]
-        if not any(measured.values()):
+        """The table of some rows, as far as they were tried; nothing where none was."""
+        rows = [row for row in rows if self._tried(scene, row) or row.is_cited]
+        if all(row.is_cited for row in rows):
             return
         cells = {
-            row.name: dict(_cells(measured[row.name], _of_row(self.earlier, scene, self.measured_as(row))))
+            row.name: dict(_cells(self.measured(scene, row), _of_row(self.earlier, scene, self.measured_as(row))))
+            | {"state": self._failures(scene, row)}
             for row in rows
         }
-        shown = [column for column in COLUMNS if any(cells[row.name][column.figure] for row in rows)]
-        with_paper = any(row.paper for row in rows)
-        heading = ["", *(column.heading for column in shown), *(["in the paper"] if with_paper else [])]
         others = {row.name: self._other_versions(scene, row) for row in rows}
-        names = [_name(row, others[row.name]) for row in rows]
-        body = [
-            [name, *(cells[row.name][column.figure] for column in shown)] for name, row in zip(names, rows, strict=True)
-        ]
-        if with_paper:
-            body = [[*line, _cited(row.paper)] for line, row in zip(body, rows, strict=True)]
-        yield from _aligned([heading, *body])
+        yield from _table(rows, [_name(row, others[row.name]) for row in rows], cells)
         if marked := sorted(set().union(*others.values())):
             yield f"\n{MARK} Lifted by the engine {', '.join(marked)}, not by this one, {self.version}."
 
+    def _means(self, scenes: Sequence[str]) -> Iterator[str]:
+        yield f"{MEANS}\n"
+        yield (
+            f"Of {len(scenes)} scenes: {', '.join(scenes)}. *scenes* says in how many a row was measured; in brackets "
+            "is the number of those that have a figure, where not all have it.\n"
+        )
+        for heading, rows in self._of_tables(scenes):
+            rows = [row for row in rows if any(self._tried(scene, row) for scene in scenes)]
+            cells = {row.name: self._mean_cells(row, scenes) for row in rows}
+            yield f"**{heading}**\n"
+            yield "\n".join(_table(rows, [row.name for row in rows], cells)) + "\n"
+
+    def _mean_cells(self, row: Row, scenes: Sequence[str]) -> dict[str, str]:
+        """Each figure's mean over the scenes that have it, of each the mean, or the best, of its seeds."""
+        measured = [seeds for scene in scenes if (seeds := self.measured(scene, row))]
+        failed = sum(bool(self._failures(scene, row)) for scene in scenes)
+        cells = {"scenes": str(len(measured)), "state": f"{failed} failed" if failed else ""}
+        for column in COLUMNS:
+            found = [(column.best or mean)(values) for seeds in measured if (values := column.values(seeds))]
+            if found:
+                number = f" ({len(found)})" if len(found) < len(measured) else ""
+                cells[column.figure] = f"{mean(found):.{column.digits}f}{number}"
+        return cells
+
     def measured(self, scene: str, row: Row) -> list[Result]:
         """What was measured of a row, seed by seed."""
+        return [result for result in self._tried(scene, row) if not result.failed]
+
+    def _tried(self, scene: str, row: Row) -> list[Result]:
+        """What was measured of a row, and what failed."""
         return _of_row(self.results, scene, self.measured_as(row))
+
+    def _failures(self, scene: str, row: Row) -> str:
+        """Empty where all seeds were measured."""
+        reasons: dict[str, list[int]] = {}
+        for result in self._tried(scene, row):
+            if result.failed:
+                reasons.setdefault(result.failed, []).append(result.seed)
+        return "; ".join(f"failed{_seeds(seeds)}: {why}" for why, seeds in reasons.items())
 
     def _other_versions(self, scene: str, row: Row) -> set[str]:
         """Of the engines that measured a row, those that are not this one."""
@@ -113,9 +151,12 @@ class Tables:
 
     def measured_as(self, row: Row) -> str:
         """What a row's results are called."""
-        if row.method:
-            return f"{row.method}, {row.masks}" if row.masks else row.method
-        return self.rows.lift_of(row).name
+        return self.rows.lift_of(row).measured_as
+
+
+def _seeds(numbers: Sequence[int]) -> str:
+    """Nothing for the usual one."""
+    return f" (seed {', '.join(map(str, numbers))})" if any(numbers) else ""
 
 
 def _of_row(results: Sequence[Result], scene: str, name: str) -> list[Result]:
@@ -150,10 +191,21 @@ def _cited(paper: Cited | None) -> str:
     return f"{paper.note or ' / '.join([*shares, *psnr])} ({paper.dataset})"
 
 
+def _table(rows: Sequence[Row], names: Sequence[str], cells: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
+    """With the columns that have a figure; ``cells`` by row and column."""
+    shown = [key for key in HEADINGS if any(cells[row.name].get(key) for row in rows)]
+    paper = ["in the paper"] if any(row.paper for row in rows) else []
+    body = [
+        [name, *(cells[row.name].get(key, "") for key in shown), *(_cited(row.paper) for _ in paper)]
+        for name, row in zip(names, rows, strict=True)
+    ]
+    yield from _aligned([["", *(HEADINGS[key] for key in shown), *paper], *body])
+
+
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """The first column flush left, figures flush right."""
+    """The first column flush left, figures flush right; a reason may be wider than its column."""
     rows = [[one_line(cell).replace("|", "\\|") for cell in row] for row in rows]
-    widths = [max(3, *(len(row[place]) for row in rows)) for place in range(len(rows[0]))]
+    widths = [max(3, *(min(len(row[place]), _WIDEST) for row in rows)) for place in range(len(rows[0]))]
     rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
     for row in [rows[0], rule, *rows[1:]]:
         cells = zip(row, widths, strict=True)

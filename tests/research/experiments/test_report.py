@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from engine.passes.contact_sheet import BACKGROUND, GAP, HEADING, MARGIN, TILE_WIDTH
-from research.experiments.report import SHEET, bars_of, write_plots, write_sheet
-from research.experiments.table import Tables
+from research.experiments.report import SHEET, bars_of, with_tables, write_plots, write_sheet
+from research.experiments.table import MEANS, Tables
 from tests.research.experiments.made_up import OFFICE, ROWS
 
 TABLES = Tables(ROWS, ROWS.rows, OFFICE)
@@ -21,6 +21,14 @@ def test_bars_are_the_tables_figures() -> None:
     bars = bars_of("Systems", "office", rows, TABLES)
     assert bars.names == ["ours", "input masks", "theirs"]
     assert bars.values == [pytest.approx([80.0, 50.0, 60.0]), pytest.approx([70.0, 25.0, 50.0])]
+
+
+def test_means_stay_the_pages_last_section() -> None:
+    page = with_tables("", f"### office\n\n1\n\n{MEANS}\n\n2\n")
+    page = with_tables(page, f"### kitchen\n\n3\n\n{MEANS}\n\n4\n")
+    assert [line for line in page.splitlines() if line[:3] == "###" or line.isdigit()] == [
+        "### office", "1", "### kitchen", "3", MEANS, "4",
+    ]  # fmt: skip
 
 
 def test_plots_of_the_tables_with_more_than_one_row(tmp_path: Path) -> None:

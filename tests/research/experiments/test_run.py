@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import shutil
 import sys
@@ -23,10 +24,11 @@ from research.baselines import without_a_lift
 from research.baselines.voxel_vote import VOXEL_VOTE
 from research.baselines.without_a_lift import VOXELS_ALONE, WITHOUT_A_LIFT
 from research.command_line import main
+from research.experiments.experiment import Experiment
 from research.experiments.rows import Rows
-from research.experiments.run import Experiment, run_experiment
+from research.experiments.run import run_experiment
 from research.experiments.scenes import SceneToLift
-from research.results import read_results
+from research.results import Figures, read_results
 from tests.research.experiments.made_up import KITCHEN, ROWS
 from tests.tiny_scene import write_tiny_scene
 
@@ -109,8 +111,9 @@ def test_tables_of_what_is_finished_lift_nothing(experiment: Experiment, behave:
     assert run(whole) is ExitCode.FINISHED
     assert measured(whole) == [("office", "ours")] and runs_of(whole, "office-preview") == [False]
     (whole.folder / "office-preview" / "result" / "metrics.json").write_text("{")
-    with pytest.raises(PlgsError, match="metrics.json"):
-        run(whole)
+    assert run(whole) is ExitCode.BAD_INPUT
+    (damaged,) = read_results(whole.folder / "results.json")
+    assert "metrics.json" in damaged.failed and damaged.figures == Figures()
     assert runs_of(whole, "office-preview") == [False], "what is damaged is told, not lifted"
     assert sorted(path.parent.name for path in whole.folder.glob("*/request.json")) == ["office-preview"]
 
@@ -192,8 +195,10 @@ def test_a_lift_that_failed_is_resumed_and_keeps_nobody_waiting(
 ) -> None:
     behave("office-preview", "exits")
     assert run(experiment) is ExitCode.INTERNAL_ERROR
-    assert measured(experiment) == [("kitchen", "ours")]
-    assert "Not lifted: office: ours." in capsys.readouterr().err
+    office, kitchen = read_results(experiment.folder / "results.json")
+    assert office.failed and not kitchen.failed and kitchen.figures.seconds is not None
+    told = capsys.readouterr()
+    assert "Failed: office: ours." in told.err and f"failed: {office.failed}" in told.out
     behave("office-preview", "short")
     assert run(experiment) is ExitCode.FINISHED
     assert runs_of(experiment, "office-preview") == [False, True]
@@ -201,9 +206,8 @@ def test_a_lift_that_failed_is_resumed_and_keeps_nobody_waiting(
 
 
 def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
-    missing = SceneToLift("none", experiment.folder / "none")
-    with pytest.raises(PlgsError, match="none"):
-        run(replace(experiment, scenes=(*experiment.scenes, missing)))
+    with pytest.raises(PlgsError, match="--masks names one folder for 2 scenes"):
+        run(replace(experiment, masks="predictions"))
     with pytest.raises(PlgsError, match="steps"):
         run(replace(experiment, steps=0))
     with pytest.raises(PlgsError, match="none of these scenes"):
@@ -217,6 +221,60 @@ def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behav
         with pytest.raises(PlgsError, match=told):
             run(replace(experiment, only=(), page=page))
     assert not experiment.folder.exists()
+
+
+def test_a_scene_that_cannot_be_read_is_a_row(
+    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = SceneToLift("cellar", experiment.folder / "cellar")
+    page = experiment.folder / "page.md"
+    three = replace(experiment, scenes=(missing, *experiment.scenes), only=("ours", "input masks"), page=page)
+    assert run(three) is ExitCode.BAD_INPUT
+    results = {(one.scene, one.row): one for one in read_results(three.folder / "results.json")}
+    failed = {key for key, one in results.items() if one.failed}
+    assert failed == {("cellar", "ours"), ("cellar", "input masks")} and ("kitchen", "ours") in results
+    assert "cellar" in results["cellar", "ours"].failed
+    assert "failed: " in page.read_text().split("### office")[0] and "failed: " in capsys.readouterr().out
+    with (three.folder / "results.csv").open(newline="") as file:
+        assert sum("cellar" in line["failed"] for line in csv.DictReader(file)) == 2
+    assert run(replace(three, scenes=experiment.scenes)) is ExitCode.FINISHED
+    assert {one.scene for one in read_results(three.folder / "results.json") if one.failed} == {"cellar"}, "kept"
+
+
+def test_masks_and_depth_by_patterns(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+    office, kitchen = experiment.scenes
+    masks = tmp_path / "predictions" / "office"
+    masks.mkdir(parents=True)
+    for name in ("panoptic.json", "panoptic"):
+        (office.folder / name).rename(masks / name)
+    arguments = [str(scene.folder) for scene in experiment.scenes] + ["-o", str(experiment.folder)]
+    arguments += ["--masks", f"{tmp_path}/predictions/{{scene}}", "--only", "ours", "input masks"]
+    arguments += ["--frames", "4", "--fit", "--device", "cpu"]
+    assert main(["experiments", *arguments]) == ExitCode.BAD_INPUT, "the kitchen has no predictions"
+    results = {(one.scene, one.row): one for one in read_results(experiment.folder / "results.json")}
+    assert {key for key, one in results.items() if one.failed} == {("kitchen", "ours"), ("kitchen", "input masks")}
+    assert "predictions/kitchen" in Path(results["kitchen", "ours"].failed).as_posix()
+    assert results["office", "input masks"].figures.pq is not None
+    request = LiftRequest.read(experiment.folder / "office-preview" / "request.json")
+    assert (request.masks, request.fit, request.device) == (masks, True, "cpu")
+    assert request.chosen_preset.frames == 4
+    by_depth = replace(experiment, scenes=(kitchen,), depth=f"{tmp_path}/depths/{{scene}}")
+    assert run(by_depth) is ExitCode.BAD_INPUT
+    (failed,) = [
+        one for one in read_results(experiment.folder / "results.json") if one.scene == "kitchen" and one.row == "ours"
+    ]
+    assert "depths/kitchen" in Path(failed.failed).as_posix()
+
+
+def test_a_subset_of_the_scenes_keeps_the_others_of_the_same_options(experiment: Experiment, behave: Behave) -> None:
+    assert run(replace(experiment, only=("ours", "input masks"))) is ExitCode.FINISHED
+    before = {one.key: one for one in read_results(experiment.folder / "results.json")}
+    assert run(replace(experiment, scenes=experiment.scenes[:1])) is ExitCode.FINISHED
+    assert {one.key: one for one in read_results(experiment.folder / "results.json")} == before
+    assert "### Means" in (experiment.folder / "results.md").read_text()
+    shutil.rmtree(experiment.folder / "office-preview")
+    assert run(replace(experiment, scenes=experiment.scenes[:1], steps=7)) is ExitCode.FINISHED
+    assert ("kitchen", "ours") not in measured(experiment), "lifted with other steps"
 
 
 def test_a_foreign_folder_is_told_before_any_lift(experiment: Experiment, behave: Behave) -> None:
@@ -277,9 +335,8 @@ def test_what_was_finished_before_stays_in_the_report(
     assert "| theirs" in office and "| ours" in office and "| ours" in kitchen, "other scenes' tables stay"
     others = replace(experiment, scenes=experiment.scenes[:1], only=("without depth",), steps=7)
     assert run(others) is ExitCode.FINISHED
-    assert measured(others) == [*[("office", method) for method in WITHOUT_A_LIFT], ("office", "without depth")], (
-        "lifts by other options are none of these"
-    )
+    rows = [row for scene, row in measured(others) if scene == "office"]
+    assert rows == [*WITHOUT_A_LIFT, "without depth"], "lifts by other options are none of these"
 
 
 def test_another_rows_damage_is_told_and_stops_nothing(

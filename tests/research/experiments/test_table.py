@@ -9,7 +9,7 @@ import pytest
 
 from engine import __version__
 from research.experiments.table import Tables
-from research.results import Result
+from research.results import Figures, Result
 from tests.research.experiments.made_up import KITCHEN, OFFICE, ROWS
 
 
@@ -73,9 +73,9 @@ def test_before_and_after() -> None:
 def test_a_section_a_scene(earlier: Sequence[Result]) -> None:
     text = Tables(ROWS, ROWS.rows, (*OFFICE, KITCHEN), tuple(earlier)).markdown()
     assert [line for line in text.splitlines() if line[:1] in ("#", "*")] == [
-        "### office", "**Systems**", "### kitchen", "**Systems**",
+        "### office", "**Systems**", "### kitchen", "**Systems**", "### Means: over the scenes", "**Systems**",
     ]  # fmt: skip
-    _, office, kitchen = text.split("###")
+    _, office, kitchen, _ = text.split("###")
     assert "elsewhere (cited)" in office and "elsewhere" not in kitchen, "once is enough"
     assert len({len(line) for line in office.splitlines() if line[:1] == "|"}) == 1
 
@@ -101,3 +101,24 @@ def test_a_row_that_another_engine_lifted_is_marked() -> None:
 def test_some_rows_alone() -> None:
     text = Tables(ROWS, ROWS.chosen(["theirs"]), OFFICE).markdown()
     assert [row[0] for row in cells(text)[2:]] == ["theirs"]
+
+
+def test_means_are_over_the_scenes_that_have_the_figure() -> None:
+    seeds = [replace(KITCHEN, seed=seed, figures=Figures(miou=miou, psnr=17.0)) for seed, miou in ((0, 0.3), (1, 0.5))]
+    broken = [Result("hall", row, "preview", 0, 0, __version__, failed="no frames") for row in ("ours", "theirs")]
+    text = Tables(ROWS, ROWS.rows, (*OFFICE, *seeds, *broken)).markdown()
+    heading, _, *rows = cells(text.split("### Means")[1])
+    ours, masks, theirs = (dict(zip(heading, row, strict=True)) for row in rows)
+    assert (ours["scenes"], ours["mIoU %"], ours["PSNR dB"]) == ("2", "60.0", "22.00"), "seeds first, then scenes"
+    assert ours["PQ-scene %"] == "70.0 (1)" and ours["state"] == theirs["state"] == "1 failed"
+    assert (masks["scenes"], masks["mIoU %"], masks["state"]) == ("1", "50.0", "")
+    hall = cells(text.split("### hall")[1].split("###")[0])
+    assert hall[0][:2] == ["", "state"] and [row[:2] for row in hall[2:]] == [
+        ["ours", "failed: no frames"], ["theirs", "failed: no frames"],
+    ]  # fmt: skip
+
+
+def test_a_seed_that_failed_is_told_beside_the_others() -> None:
+    failed = Result("office", "theirs", "preview", 0, 2, __version__, failed="a | b")
+    row = of_table("systems", [*OFFICE, failed])[4]
+    assert row[1] == "60.0" and " ".join(row[-4:-1]).strip() == "failed (seed 2): a \\ b"

@@ -1,0 +1,151 @@
+"""An experiment, and the lifts that it needs: which row on which scene, into which folder, by which options."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from engine.presets.options import shown_options
+from engine.scene_source import SceneSource
+
+from ..results import Result
+from .rows import Row, Rows
+from .scenes import SceneToLift
+from .table import Tables
+
+PROGRAM = "research"
+"""It knows the options of the baselines."""
+FIRST = "ours"
+"""The row whose lift is the preset itself: its folder has no name of a row."""
+SCENE = "{scene}"
+"""Stands for the scene's name in --masks and --depth."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Rows of the tables (``only`` some: of these names or tables) on ``scenes``, into ``folder``. All start from
+    ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all scenes are read by
+    ``scene_format``, ``mask_format`` and ``classes``, from at most ``frames``, with ``fit`` and ``device``, as a
+    LiftRequest has them. ``masks`` and ``depth`` are paths in which SCENE stands for the scene's name. ``earlier``:
+    results to compare with; ``page``: a Markdown file whose tables are brought up to date; ``only_finished``: nothing
+    more is lifted."""
+
+    scenes: tuple[SceneToLift, ...]
+    folder: Path
+    rows: Rows
+    only: tuple[str, ...] = ()
+    preset: str = "preview"
+    steps: int | None = None
+    sets: tuple[str, ...] = ()
+    scene_format: str | None = None
+    mask_format: str | None = None
+    classes: str | None = None
+    masks: str | None = None
+    depth: str | None = None
+    frames: int | None = None
+    fit: bool | None = None
+    device: str | None = None
+    seeds: tuple[int, ...] = (0,)
+    earlier: tuple[Result, ...] = ()
+    page: Path | None = None
+    only_finished: bool = False
+
+    @property
+    def preset_name(self) -> str:
+        return Path(self.preset).stem
+
+    def masks_of(self, scene: SceneToLift, masks: str | None = None) -> Path | None:
+        """Where a scene's masks are: in ``masks`` of its folder, else as --masks says; None: in the scene itself."""
+        return scene.folder / masks if masks else _of_scene(self.masks, scene)
+
+    def source(self, scene: SceneToLift, masks: str | None = None) -> SceneSource:
+        """How a scene is read."""
+        return SceneSource(
+            scene.folder, self.masks_of(scene, masks), scene.up, self.scene_format,
+            _of_scene(self.depth, scene), self.mask_format, self.classes,
+        )  # fmt: skip
+
+    def tables(self, results: tuple[Result, ...] = ()) -> Tables:
+        return Tables(self.rows, self.rows.chosen(self.only), results, self.earlier)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One row on one scene with one seed; ``options``: what the command ``lift`` would have been given; ``depth_of``:
+    the folder of the lift whose rendered depth it takes."""
+
+    scene: SceneToLift
+    row: Row
+    seed: int
+    options: argparse.Namespace
+    depth_of: Path | None = None
+
+    @property
+    def name(self) -> str:
+        seed = f", seed {self.seed}" if self.seed else ""
+        return f"{self.scene.name}: {self.row.name}{seed}"
+
+
+def tasks_of(experiment: Experiment) -> Iterator[Task]:
+    """The lifts that the chosen rows need, row by row; those whose scene lacks the row's files are left out."""
+    wanted = [experiment.rows.lift_of(row) for row in experiment.rows.chosen(experiment.only)]
+    wanted += [experiment.rows.named(row.depth_from) for row in wanted if row.depth_from]
+    for row in dict.fromkeys(row.name for row in experiment.rows.rows if row in wanted and row.is_lift):
+        for scene in experiment.scenes:
+            for seed in experiment.seeds:
+                own = experiment.rows.named(row)
+                if has_files(own, scene):
+                    source = experiment.rows.named(own.depth_from) if own.depth_from else None
+                    depth_of = None if source is None else lift_folder(experiment, scene, source, seed)
+                    yield Task(scene, own, seed, lift_options(experiment, scene, own, seed), depth_of)
+
+
+def has_files(row: Row, scene: SceneToLift) -> bool:
+    """Whether a scene has the files that a row takes in place of the usual ones."""
+    return row.masks is None or (scene.folder / row.masks).exists()
+
+
+def lift_folder(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> Path:
+    """Where a row is lifted into."""
+    parts = [scene.name, experiment.preset_name, "" if row.name == FIRST else row.slug, f"seed{seed}" if seed else ""]
+    return experiment.folder / "-".join(part for part in parts if part)
+
+
+def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> argparse.Namespace:
+    """What ``lift SCENE -o FOLDER/SCENE-PRESET-ROW --bake none --resume`` would have been given."""
+    output = lift_folder(experiment, scene, row, seed)
+    return argparse.Namespace(
+        program=PROGRAM,
+        scene=scene.folder,
+        output=output,
+        preset=experiment.preset,
+        set=[*experiment.sets, *shown_options(row.options)],  # the later one holds: a row is what its name says
+        steps=experiment.steps,
+        size=None,
+        frames=experiment.frames,
+        fit=experiment.fit,
+        seed=seed,
+        masks=experiment.masks_of(scene, row.masks),
+        up=scene.up,
+        scene_format=experiment.scene_format,
+        mask_format=experiment.mask_format,
+        classes=experiment.classes,
+        depth=output.with_name(f"{output.name}-maps") if row.depth_from else _of_scene(experiment.depth, scene),
+        device=experiment.device,
+        names_from=None,
+        poses=None,
+        blocks=None,
+        block=None,
+        bake="none",
+        resume=True,
+    )
+
+
+def has_manifest(lift: Path) -> bool:
+    return (lift / "result" / "manifest.json").is_file()
+
+
+def _of_scene(path: str | None, scene: SceneToLift) -> Path | None:
+    return None if path is None else Path(path.replace(SCENE, scene.name))
