@@ -187,7 +187,9 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     refuse_no_blend(options.blend)
     if options.scene is None:
         return bake_camera(finished_lift(options.output, options.relink), blend, options, interrupts)
-    lift, code = lift_in_terminal(options, interrupts, check_scene_folder)
+    from plgs.engine.scene_of_lift import is_done  # brings numpy
+
+    lift, code = lift_in_terminal(options, interrupts, check_scene_folder, is_done)
     if code != ExitCode.FINISHED:
         return code
     if options.save is not None or not blend.exists() or blend.stat().st_mtime < lift.manifest_path.stat().st_mtime:

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from .errors import ErrorCode, PlgsError
-from .job import LiftFolder, write_atomically
+from .job import LiftFolder, LiftState, write_atomically
 from .json_file import read_object, take_objects, to_text
 from .result_files import INSTANCES, read_instances
 from .scene import Camera, Frame, Scene, open_asked
@@ -46,6 +46,14 @@ def remember_scene(folder: LiftFolder, scene: Scene) -> None:
     frames = [_content(frame, scene.folder) for frame in scene.frames]
     content = {"format": FORMAT, "masks": digest_of_masks(scene), "frames": frames}
     write_atomically(folder.path / KNOWN_SCENE, to_text(content))
+
+
+def is_done(folder: LiftFolder) -> bool:
+    """Whether nothing is left to lift, for a caller who knows that no engine is at work: the result is there, as it was
+    written byte by byte, and the masks are those that it was lifted from. Raises PlgsError.
+    """
+    is_finished = folder.state_at_rest() is LiftState.FINISHED
+    return is_finished and folder.is_whole() and not have_masks_changed(folder)
 
 
 def have_masks_changed(folder: LiftFolder, scene: Scene | None = None) -> bool:

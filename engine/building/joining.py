@@ -12,8 +12,7 @@ from itertools import combinations
 
 import numpy as np
 import torch
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..instances.oriented_box import fit_box
@@ -64,15 +63,14 @@ def join(blocks: Sequence[LiftedBlock], classes: ClassTable) -> JoinedScene:
 def joined_ids(blocks: Sequence[LiftedBlock], reach: float) -> list[dict[int, int]]:
     """The new id of each object of each block, from 1, those with the most points first. An object that has no point in
     the cell of any block that knows it is left out."""
-    places = {key: row for row, key in enumerate(_all_objects(blocks))}
-    pairs = [
-        (places[first, a], places[second, b])
+    keys = _all_objects(blocks)
+    places = {key: row for row, key in enumerate(keys)}
+    common = [
+        (count, places[first, a], places[second, b])
         for first, second in combinations(range(len(blocks)), 2)
-        for a, b in common_objects(blocks[first].points, blocks[second].points, reach)
+        for (a, b), count in common_objects(blocks[first].points, blocks[second].points, reach).items()
     ]
-    ends = np.array(pairs, np.int64).reshape(-1, 2)
-    graph = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (len(places), len(places)))
-    group = connected_components(graph, directed=False)[1]
+    group = _groups([block for block, _ in keys], common)
     inside = [block.points.instance_id[block.cell.contains(block.points.xyz)] for block in blocks]
     size = np.zeros(len(places), np.int64)
     for (block, instance), row in places.items():
@@ -86,16 +84,30 @@ def joined_ids(blocks: Sequence[LiftedBlock], reach: float) -> list[dict[int, in
     return found
 
 
+def _groups(block_of: Sequence[int], common: Sequence[tuple[int, int, int]]) -> NDArray[np.int64]:
+    """The group of each object, int64 [N], by pairs (common points, object, object), those with the most points first.
+    Two objects that one block tells apart never become one, whatever a third object has in common with both.
+    """
+    group = np.arange(len(block_of))
+    blocks = [{block} for block in block_of]
+    for _, one, other in sorted(common, key=lambda each: (-each[0], each[1:])):
+        kept, joining = group[one], group[other]
+        if kept != joining and not blocks[kept] & blocks[joining]:
+            blocks[kept] |= blocks[joining]
+            group[group == joining] = kept
+    return group
+
+
 def _all_objects(blocks: Sequence[LiftedBlock]) -> list[tuple[int, int]]:
     """The number of the block, and the object's id."""
     return [(number, instance.id) for number, block in enumerate(blocks) for instance in block.instances]
 
 
-def common_objects(one: SemanticPoints, other: SemanticPoints, reach: float) -> list[tuple[int, int]]:
-    """Pairs of ids of objects that are one. Each is the other's best partner, by the points that both blocks have
-    within ``reach`` metres of each other."""
+def common_objects(one: SemanticPoints, other: SemanticPoints, reach: float) -> dict[tuple[int, int], int]:
+    """Pairs of ids of objects that are one, with the points that both blocks have of them within ``reach`` metres of
+    each other. Each is the other's best partner by these."""
     if not len(one.xyz) or not len(other.xyz):
-        return []
+        return {}
     distance, row = cKDTree(other.xyz).query(one.xyz, distance_upper_bound=reach, workers=-1)
     both = np.isfinite(distance)
     mine, theirs = one.instance_id[both], other.instance_id[row[both]]
@@ -105,14 +117,14 @@ def common_objects(one: SemanticPoints, other: SemanticPoints, reach: float) -> 
     table = {(int(a), int(b)): int(n) for (a, b), n in zip(pairs, count, strict=True) if a and b}
     best_of_mine = _best_partners(table)
     best_of_theirs = _best_partners({(b, a): n for (a, b), n in table.items()})
-    return [
-        (a, b)
+    return {
+        (a, b): n
         for (a, b), n in table.items()
         if best_of_mine[a] == b
         and best_of_theirs[b] == a
         and n >= max(LEAST_COMMON, LEAST_SHARED * min(of_mine[a], of_theirs[b]))
         and n >= LEAST_OF_SMALLER * min(all_of_mine[a], all_of_theirs[b])
-    ]
+    }
 
 
 def _best_partners(table: Mapping[tuple[int, int], int]) -> dict[int, int]:

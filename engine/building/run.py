@@ -29,7 +29,7 @@ from ..raster import drawing_on
 from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
 from ..scene import StoredViews, check_scene, load_view, open_scene_to_lift, size_within
 from ..scene.blocks import Cell, cells_of
-from ..scene_of_lift import remember_scene
+from ..scene_of_lift import is_done, remember_scene
 from ..train.progress import StageProgress, StageReporter
 from .joining import JoinedScene, LiftedBlock, join
 
@@ -111,13 +111,15 @@ def lift_block(folder: LiftFolder, number: int, progress: StageProgress) -> Lift
     if differing:
         what = f"the block was lifted otherwise: {', '.join(differing)}"
         raise PlgsError(what, path, "Delete this folder, then resume.")
-    while not (lift.state() is LiftState.FINISHED and lift.is_whole()):
+    while lift.is_running or not is_done(lift):
         _let_lift(lift, number, progress)
     return lift
 
 
 def _let_lift(lift: LiftFolder, number: int, progress: StageProgress) -> None:
-    """Start an engine for a block, or follow the one that is at work there, to its end."""
+    """Start an engine for a block, or follow the one that is at work there, to its end. What becomes of that one, whose
+    machine may crash, is its own affair: the block is looked at again.
+    """
     command = engine_command(Path(sys.executable), lift.path, resume=lift.state() is not LiftState.NOT_STARTED)
     is_running = lift.is_running
     follower = (
@@ -145,7 +147,7 @@ def _let_lift(lift: LiftFolder, number: int, progress: StageProgress) -> None:
     finally:
         follower.close()
     error = follower.error
-    if error is not None and error.code is not ErrorCode.BUSY:
+    if error is not None and error.code is not ErrorCode.BUSY and not is_running:
         raise PlgsError(f"block {number}: {error.what}", error.where, error.fix, code=error.code, option=error.option)
     if follower.state is TaskState.CANCELLED and not is_running:
         raise PlgsError(f"block {number} was cancelled", lift.path, "Resume the lift.")

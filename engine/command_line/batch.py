@@ -120,6 +120,8 @@ def _job(options: argparse.Namespace, scene: Path, name: str, bakes_all: bool) -
         opened = open_scene_to_lift(request)
     except PlgsError as error:
         return SceneJob(name, lift, request, problem=str(error))
+    if request.blocks > 1:
+        return SceneJob(name, lift, request)  # what the engines of its blocks need is not predicted
     peak = predicted_lift(opened, request.chosen_preset, USUAL_MASKS).peak_bytes
     return SceneJob(name, lift, request, round(peak / 1e9, 2))
 

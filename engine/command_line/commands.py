@@ -43,10 +43,11 @@ def _lift_in_terminal(options: argparse.Namespace) -> int:
     from ..job.session import lift_in_terminal
     from ..job.terminal import Interrupted, Interrupts
     from ..scene import open_scene_to_lift
+    from ..scene_of_lift import is_done
 
     try:
         with Interrupts() as interrupts:
-            lift, code = lift_in_terminal(options, interrupts, open_scene_to_lift)
+            lift, code = lift_in_terminal(options, interrupts, open_scene_to_lift, is_done)
     except Interrupted as error:
         print(f"Stopped. Give the same command with --resume to go on: {options.output}", file=sys.stderr)
         return error.exit_code

@@ -42,7 +42,7 @@ def run_engine(
         if not (folder.path / "request.json").exists():
             raise PlgsError("was removed meanwhile", folder.path, "Lift the scene again.")
         state = folder.state_at_rest()
-        if state is LiftState.FINISHED and resume and folder.is_whole() and not _have_masks_changed(folder):
+        if resume and _is_done(folder):
             print(f"This lift is finished already: {folder.result_path}")
             return ExitCode.FINISHED
         if state is not LiftState.NOT_STARTED and not resume:
@@ -68,10 +68,10 @@ def run_engine(
             return run_at(task, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
 
 
-def _have_masks_changed(folder: LiftFolder) -> bool:
-    from ..scene_of_lift import have_masks_changed  # late: it needs numpy
+def _is_done(folder: LiftFolder) -> bool:
+    from ..scene_of_lift import is_done  # late: it needs numpy
 
-    return have_masks_changed(folder)
+    return is_done(folder)
 
 
 def run_bake(

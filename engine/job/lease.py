@@ -20,7 +20,6 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from uuid import getnode, uuid4
@@ -41,6 +40,7 @@ _SHARED_KINDS = frozenset(
     "nfs nfs4 cifs smb3 smbfs afs ceph lustre gpfs beegfs glusterfs panfs orangefs gfs2 ocfs2 9p fuse.glusterfs "
     "fuse.sshfs fuse.ceph fuse.juicefs fuse.s3fs".split()
 )
+_MOUNTS = Path("/proc/self/mounts")
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _LARGEST = 4096
 _PROCESSES = Path("/proc/self/ns/pid")
@@ -76,17 +76,22 @@ def is_on_shared_disk(path: Path) -> bool:
     return said == "1" if said in ("0", "1") else _is_shared(path.absolute().parent)
 
 
-@lru_cache(maxsize=256)
 def _is_shared(folder: Path) -> bool:
     if os.name == "nt":
         return str(folder).startswith("\\\\")
     try:
-        mounts = [line.split() for line in Path("/proc/self/mounts").read_text().splitlines()]
         place = folder.resolve()
+        place.exists()  # a look mounts what automount has only promised
+        mounts = [line.split() for line in _MOUNTS.read_text().splitlines()]
     except OSError:
         return False
-    under = [(point, kind) for _, point, kind, *_ in mounts if place.is_relative_to(_unescaped(point))]
-    return bool(under) and max(under, key=lambda each: len(each[0]))[1] in _SHARED_KINDS
+    # Of two mounts at one place the later one counts, as nfs behind autofs.
+    under = [
+        (len(point), number, kind)
+        for number, (_, point, kind, *_) in enumerate(mounts)
+        if place.is_relative_to(_unescaped(point))
+    ]
+    return bool(under) and max(under)[2] in _SHARED_KINDS
 
 
 def _unescaped(point: str) -> str:
@@ -167,7 +172,8 @@ class Lease:
                 os.lseek(self._descriptor, 0, os.SEEK_SET)
                 os.write(self._descriptor, self._content(beat))
                 os.fsync(self._descriptor)
-            if not self._is_ours():
+            # Twice, as who takes a stale lease away may have it in hand for a moment, and puts ours back.
+            if not self._is_ours() and (self._over.wait(BEAT_S / 5) or not self._is_ours()) and not self._over.is_set():
                 what = f"error: another machine took this over, as nothing was heard from here: {self._path}"
                 print(what, file=sys.stderr, flush=True)
                 os._exit(ExitCode.BUSY)
@@ -202,6 +208,17 @@ def is_leased(path: Path) -> bool:
     return state is not None and not _is_stale(lease_of(path), state)
 
 
+def may_have_crashed(path: Path) -> bool:
+    """Whether a process holds the lease of ``path`` that has shown no sign of life since this process watches it. It
+    will, or its lease becomes nobody's. False on a disk of this machine alone. Raises OSError.
+    """
+    if not is_on_shared_disk(path):
+        return False
+    lease = lease_of(path)
+    state = _holder(lease)
+    return state is not None and not _is_stale(lease, state) and not _watched[lease, state["id"]].lives
+
+
 def _holder(lease: Path) -> dict[str, str] | None:
     """What stands in a lease; None where there is none. Raises OSError."""
     try:
@@ -228,12 +245,27 @@ def _is_stale(lease: Path, state: dict[str, str]) -> bool:
 
 
 def _set_aside(lease: Path, stale: str) -> None:
-    """Take a stale lease away. One that somebody else took meanwhile is put back. Raises OSError."""
+    """Take a stale lease away. One that somebody else took meanwhile stays, or is put back. Raises OSError."""
+    now = _holder(lease)
+    if now is None or now["id"] != stale:
+        return
     aside = lease.with_name(f"{PART}{uuid4().hex}.stale")
     with suppress(FileNotFoundError):
         os.rename(lease, aside)
         found = _holder(aside)
         if found is not None and found["id"] != stale:
             with suppress(FileExistsError):
-                os.link(aside, lease)
-        aside.unlink()
+                _put_back(aside, lease)
+        aside.unlink(missing_ok=True)
+
+
+def _put_back(aside: Path, lease: Path) -> None:
+    """Raises FileExistsError when the name is taken, OSError."""
+    try:
+        os.link(aside, lease)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if lease.exists():
+            raise FileExistsError(None, "exists", str(lease)) from None
+        os.rename(aside, lease)

@@ -12,6 +12,7 @@ from ..errors import ExitCode, PlgsError
 from .events import at_work
 from .folder import BLOCKS, LiftFolder, LiftState
 from .follower import TaskFollower
+from .lease import may_have_crashed
 from .options import request_from, resumable
 from .process import engine_call, engine_command, engine_python
 from .request import LiftRequest
@@ -31,12 +32,14 @@ def lift_in_terminal(
     options: argparse.Namespace,
     interrupts: Interrupts,
     check: Callable[[LiftRequest], object],
+    is_done: Callable[[LiftFolder], bool],
     on_error: Callable[[PlgsError], object] = show_error,
 ) -> tuple[LiftFolder, ExitCode]:
     """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask, showing it on stderr, with
     its events on the descriptor ``echo`` where the options have one. ``on_error`` is told why the engine failed.
 
-    ``check`` looks at the scene before any folder is made, and raises when it is bad. A folder that was made
+    ``check`` looks at the scene before any folder is made, and raises when it is bad. ``is_done`` says of a folder at
+    rest whether nothing is left to lift (`engine.scene_of_lift`). A folder that was made
     here and came to nothing is removed, so that the corrected command works. Where the options have a
     ``program``, that one does the lift (see `engine_call`). Raises PlgsError; Interrupted on Ctrl-C, when the engine
     has ended.
@@ -55,7 +58,7 @@ def lift_in_terminal(
             lift, is_new = resumable(options), False  # the same command may have been given twice at once
             if lift is None:
                 raise
-    elif _state_when_left_alone(lift) is LiftState.FINISHED and lift.is_whole():
+    elif _state_when_left_alone(lift) is LiftState.FINISHED and is_done(lift):
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
         return lift, ExitCode.FINISHED
     lift.refuse_read_only()
@@ -82,14 +85,19 @@ def _posed(photos: Path, python: Path, interrupts: Interrupts) -> Path:
 
 
 def _state_when_left_alone(lift: LiftFolder) -> LiftState:
-    """The state of a lift that nobody works on. Raises PlgsError when an engine still does after two seconds.
+    """The state of a lift that nobody works on. Raises PlgsError when an engine still does after two seconds; one on a
+    machine that may have crashed is watched until it shows a sign of life, or its lease is nobody's.
 
     This comes before an engine is started in vain: on Ctrl-C its cancel file would stop the other engine.
     """
-    give_up = time.monotonic() + _ENDING_S
+    give_up, is_told = time.monotonic() + _ENDING_S, False
     while (state := lift.state()) is LiftState.RUNNING:
         if time.monotonic() > give_up:
-            raise at_work(lift.events_path)
+            if not may_have_crashed(lift.events_path):
+                raise at_work(lift.events_path)
+            if not is_told:
+                is_told = True
+                print("Another machine has begun this lift: waiting for a sign of life ...", file=sys.stderr)
         time.sleep(0.05)
     return state
 

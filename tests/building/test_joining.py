@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from engine.building import joining
 from engine.building.joining import LiftedBlock, common_objects, join
 from engine.instances.oriented_box import fit_box
 from engine.model.anchors import initial_anchors
@@ -62,6 +63,13 @@ def test_an_object_on_the_wall_is_one() -> None:
     assert (own[:, 0] < 0).any() and (own[:, 0] > 0).any()
 
 
+def test_two_objects_of_a_block_never_become_one() -> None:
+    # Object 3 of the second block has something in common with both objects of the first.
+    assert joining._groups([0, 0, 1], [(40, 0, 2), (50, 1, 2)]).tolist() == [0, 1, 1]
+    # The chain A1 - B - C - A2 breaks at its weakest link.
+    assert joining._groups([0, 0, 1, 2], [(90, 0, 2), (20, 2, 3), (80, 3, 1)]).tolist() == [0, 3, 0, 3]
+
+
 def test_an_object_beyond_the_wall_is_its_own_blocks() -> None:
     whole = join([block(LEFT, [(-1.0, CHAIR), (1.0, TABLE)]), block(RIGHT, [(1.6, CHAIR)])], CLASSES)
     assert sorted(one.name for one in whole.instances) == ["chair 1", "chair 2"]  # the table is not where LEFT counts
@@ -90,4 +98,4 @@ def test_each_gaussian_keeps_its_object() -> None:
 
 def test_a_crumb_is_not_joined_to_what_it_touches() -> None:
     one, other = block(LEFT, [(-0.5, CHAIR)]), block(RIGHT, [(-0.1, TABLE)])
-    assert common_objects(one.points, other.points, reach=0.02) == []
+    assert common_objects(one.points, other.points, reach=0.02) == {}

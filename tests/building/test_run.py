@@ -100,3 +100,24 @@ def test_labels_that_are_not_voted_cannot_be_joined(building: LiftFolder) -> Non
     request = replace(building.request, options={**OPTIONS, "labels": "decoders"})
     with pytest.raises(PlgsError, match="joined by the views' votes"):
         lift(replace(building, request=request))
+
+
+class StartedAnEngine(Exception):
+    """In place of an engine of one's own."""
+
+
+def test_after_another_machine_crashed_the_block_is_lifted_here(
+    building: LiftFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    silent = PlgsError("the engine ended without a message", building.path, "Resume the lift.")
+    ended = SimpleNamespace(is_running=False, error=silent, state=None, close=lambda: None)
+    runs = iter([True, True])  # while its lease is looked at, and followed
+
+    def started(*_: object, **__: object) -> None:
+        raise StartedAnEngine
+
+    monkeypatch.setattr(LiftFolder, "is_running", property(lambda _: next(runs, False)))
+    monkeypatch.setattr(run.TaskFollower, "attach", lambda *_, **__: ended)
+    monkeypatch.setattr(run.TaskFollower, "start", started)
+    with pytest.raises(StartedAnEngine):
+        run.lift_block(building, 1, lambda *_: None)

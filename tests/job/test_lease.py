@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from engine.errors import ErrorCode, ExitCode, PlgsError
-from engine.job import BakeLocks, LiftState, lease
-from engine.job.lease import Lease, is_leased, is_on_shared_disk, lease_of
+from engine.job import BakeLocks, LiftState, lease, session
+from engine.job.lease import Lease, is_leased, is_on_shared_disk, lease_of, may_have_crashed
 from tests.job.lift_folders import new_lift
 
 BEAT_S, STALE_S = 0.1, 0.6
@@ -81,6 +81,36 @@ def test_after_a_kill_on_another_machine_it_is_taken_over_when_it_is_stale(hold:
     with Lease(tmp_path / "work"):
         assert STALE_S - 0.1 < time.monotonic() - began < 5 * STALE_S
     assert [*tmp_path.iterdir()] == []
+
+
+def test_a_lift_is_resumed_after_its_machine_crashed(
+    hold: Hold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "_ENDING_S", 0.1)
+    lift = new_lift(tmp_path / "lift")
+    holder = hold()
+    lease_of(tmp_path / "work").rename(lease_of(lift.events_path))
+    assert session.may_have_crashed(lift.events_path)
+    holder.kill()
+    assert session._state_when_left_alone(lift) is LiftState.NOT_STARTED
+
+
+def test_a_lift_whose_machine_lives_is_busy_at_once(hold: Hold, tmp_path: Path) -> None:
+    hold()
+    work = tmp_path / "work"
+    assert may_have_crashed(work)
+    time.sleep(4 * BEAT_S)
+    assert is_leased(work) and not may_have_crashed(work)
+
+
+def test_the_later_of_two_mounts_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(lease.VARIABLE)
+    monkeypatch.setattr(lease, "_MOUNTS", tmp_path / "mounts")
+    lines = ["/dev/a / ext4 rw 0 0", f"auto {tmp_path} autofs rw 0 0", f"server:/x {tmp_path} nfs4 rw 0 0"]
+    (tmp_path / "mounts").write_text("\n".join(lines[:2]))
+    assert not is_on_shared_disk(tmp_path / "lift")
+    (tmp_path / "mounts").write_text("\n".join(lines))
+    assert is_on_shared_disk(tmp_path / "lift")
 
 
 def test_after_a_kill_on_this_machine_it_is_taken_over_at_once(hold: Hold, tmp_path: Path) -> None:
