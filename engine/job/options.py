@@ -135,7 +135,8 @@ def add_label_options(parser: argparse.ArgumentParser) -> None:
         "--classes",
         type=class_table,
         metavar="FILE.toml",
-        help="the masks' classes, or one of coco, ade20k, nyu40, replica, reduced (default: classes.toml beside them)",
+        help="the masks' classes, or one of coco, ade20k, cityscapes, nyu40, scannet200, replica, reduced (default: "
+        "classes.toml beside them)",
     )
 
 

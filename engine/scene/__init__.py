@@ -7,7 +7,7 @@ from .camera import Camera
 from .checks import check_scene
 from .class_listing import ClassList, class_list_path, class_list_text, list_classes
 from .class_map import NamedClass
-from .class_tables import TABLES, is_thing_by_name
+from .class_tables import TABLES, is_thing_by_name, nearest_tables
 from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
 from .evidence import (
     are_near,
@@ -65,6 +65,7 @@ __all__ = [
     "evidence_of_pixels",
     "evidence_of_resolution",
     "is_thing_by_name",
+    "nearest_tables",
     "list_classes",
     "distinct_ids",
     "load_view",

@@ -60,13 +60,13 @@ class MaskFacts:
 class FrameFacts:
     """The facts of one frame's pixels, None without such pixels.
 
-    ``unknown_truth`` are class ids of the ground truth that the masks' table does not have.
+    ``unknown_truth`` are classes of the ground truth that the masks' table does not have.
     """
 
     name: str
     depth: DepthFacts | None
     mask: MaskFacts | None
-    unknown_truth: frozenset[int]
+    unknown_truth: frozenset[int | str]
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def _facts(frame: Frame, depth: NDArray[np.float32] | None) -> FrameFacts:
         name=frame.name,
         depth=None if depth is None else _depth_facts(frame, depth),
         mask=None if frame.read_mask is None else _mask_facts(frame.read_mask(None)),
-        unknown_truth=truth.unknown_ids() if isinstance(truth, GroundTruthReader) else frozenset(),
+        unknown_truth=truth.unknown() if isinstance(truth, GroundTruthReader) else frozenset(),
     )
 
 
@@ -172,9 +172,9 @@ def _mask_facts(mask: PanopticMask) -> MaskFacts:
 def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
     yield from _depth_warnings({fact.name: fact.depth for fact in facts if fact.depth is not None})
     yield from _mask_warnings({fact.name: fact.mask for fact in facts if fact.mask is not None})
-    unknown = sorted(frozenset().union(*(fact.unknown_truth for fact in facts)))
+    unknown = sorted(frozenset().union(*(fact.unknown_truth for fact in facts)), key=str)
     if unknown:
-        yield f"class ids {listed(unknown)} of the ground truth are not in the masks' table and count as void"
+        yield f"classes {listed(unknown)} of the ground truth are not in the masks' table and count as void"
 
 
 def _depth_warnings(depths: Mapping[str, DepthFacts]) -> Iterable[str]:

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..errors import PlgsError, lacks_part
-from ..scene import ClassLabel, is_thing_by_name, size_within
+from ..scene import ClassLabel, is_thing_by_name, nearest_tables, size_within
 from .merging import MadeSegment, merge_queries
 
 _LARGEST_SIDE = 1280
@@ -72,8 +72,9 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
         raise _not_loaded(name, download, error) from error
     names: dict[Any, Any] = network.config.id2label or {}
+    tables = nearest_tables(map(str, names.values()))
     labels = tuple(
-        ClassLabel(int(number), str(word), is_thing_by_name(str(word)) is not False)
+        ClassLabel(int(number), str(word), is_thing_by_name(str(word), tables) is not False)
         for number, word in sorted(names.items())
     )
     return Mask2Former(name, labels, network.eval(), processor)

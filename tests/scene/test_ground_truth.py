@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from engine.scene import Scene, check_scene, load_view, open_scene
+from engine.scene.class_map import class_map
+from engine.scene.class_tables import known_table
+from engine.scene.ground_truth import classes_by_name
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
@@ -41,21 +44,60 @@ def test_panoptic_liftings_folders_come_first(folder: Path) -> None:
         for kind in ("semantics", "instance"):
             (folder / f"rs_{kind}").mkdir(exist_ok=True)
             cv2.imwrite(str(folder / f"rs_{kind}" / f"{index:04d}.png"), np.full((24, 32), 2, np.uint8))
-    scene = open_scene(folder)
-    assert (semantic(scene) == 2).all()
-    assert any("rs_semantics is in Panoptic Lifting's class table" in warning for warning in scene.warnings)
+    assert (semantic(open_scene(folder)) == 2).all(), "floor is 2 in both tables"
 
 
-def test_a_semantic_folder_may_name_its_table(folder: Path) -> None:
+def test_a_folder_may_name_its_table(folder: Path) -> None:
+    before = semantic(open_scene(folder))
+    cv2.imwrite(str(folder / "gt" / "semantic" / "0001.png"), np.where(before == 2, 13, before).astype(np.uint8))
+    assert (semantic(open_scene(folder))[before == 2] == 13).all(), "a ceiling, as in the masks"
     (folder / "gt" / "semantic").rename(folder / "gt" / "semantic_nyu40")
-    assert semantic(open_scene(folder)).any()
+    scene = open_scene(folder)
+    np.testing.assert_array_equal(semantic(scene), np.where(before == 2, 0, before))
+    assert check_scene(scene)[-1] == "classes blinds of the ground truth are not in the masks' table and count as void"
+
+
+def test_a_file_may_say_the_table(folder: Path) -> None:
+    numbers = np.full(14, 255, np.uint8)
+    numbers[[1, 2, 3, 5]] = 131, 122, 120, 56  # COCO's
+    before = semantic(open_scene(folder))
+    for path in (folder / "gt" / "semantic").glob("*.png"):
+        cv2.imwrite(str(path), numbers[cv2.imread(str(path), cv2.IMREAD_UNCHANGED)])
+    (folder / "gt" / "classes.toml").write_text('table = "coco"\nvoid = [56]\n')
+    scene = open_scene(folder)
+    np.testing.assert_array_equal(semantic(scene), np.where((before == 13) | (before == 5), 0, before))
+    assert not any("ground truth" in warning for warning in check_scene(scene))
+    (folder / "gt" / "classes.toml").write_text('table = "coco"\nto = "reduced"\n')
+    np.testing.assert_array_equal(semantic(open_scene(folder)), np.where(before == 13, 0, before))
+
+
+@pytest.mark.parametrize(
+    ("truth", "masks", "expected"),
+    [
+        (
+            "nyu40",
+            "coco",
+            {"sofa": "couch", "chair": "chair", "ceiling": "ceiling-merged", "wall": None, "books": None},
+        ),
+        ("coco", "reduced", {"couch": "sofa", "wall-brick": "wall", "vase": "otherprop", "car": None}),
+        ("scannet200", "reduced", {"floor": "floor", "couch": "sofa", "tv": "television", "dumbbell": None}),
+        ("cityscapes", "ade20k", {"road": "road", "sky": "sky", "rider": None}),
+    ],
+)
+def test_classes_of_another_table_by_name(truth: str, masks: str, expected: dict[str, str | None]) -> None:
+    classes = class_map(known_table(masks).labels, None, Path(), objects=False).classes
+    names = {label.id: label.name for label in known_table(truth).labels}
+    found = classes_by_name(names, classes)
+    numbers = {name: number for number, name in names.items()}
+    told = {name: classes[found[numbers[name]]].name if numbers[name] in found else None for name in expected}
+    assert told == expected
 
 
 def test_unknown_classes_become_void_with_a_warning(folder: Path) -> None:
     cv2.imwrite(str(folder / "gt" / "semantic" / "0001.png"), np.full((24, 32), 99, np.uint8))
     scene = open_scene(folder)
     assert not semantic(scene).any()
-    assert check_scene(scene)[-1] == "class ids 99 of the ground truth are not in the masks' table and count as void"
+    assert check_scene(scene)[-1] == "classes 99 of the ground truth are not in the masks' table and count as void"
 
 
 def test_frames_may_lack_ground_truth(folder: Path) -> None:

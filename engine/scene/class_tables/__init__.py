@@ -2,19 +2,21 @@
 
 One CSV a table: ``id`` in the results of networks trained on it, ``name``, ``thing`` (1 or 0), and in some tables
 ``reduced``, the class of ``reduced.csv`` (0 = void). ``coco.csv`` counts from 0 to 132; ``coco_id`` is the category id
-of the data set's own files.
+of the data set's own files. ``cityscapes.csv`` has the 19 numbers that networks are trained on, ``nyu40.csv`` those of
+ScanNet's 20 classes too, and ``scannet200.csv`` the numbers of ScanNet's labels.
 """
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from ..classes import VOID, ClassLabel
 
-TABLES = ("coco", "ade20k", "nyu40", "replica", "reduced")
+TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "scannet200", "replica", "reduced")
 REDUCED = "reduced"
 
 
@@ -35,17 +37,28 @@ def known_table(name: str) -> KnownTable:
     return KnownTable(labels, {int(row["id"]): int(row["reduced"]) for row in rows if "reduced" in row})
 
 
-def is_thing_by_name(name: str) -> bool | None:
-    """Whether a class of this name is a thing in one of the tables; None if no table has it.
+def nearest_tables(names: Iterable[str]) -> list[str]:
+    """``TABLES``, the one with the most classes of these names first: they may mean another thing elsewhere, as COCO
+    counts traffic lights and Cityscapes does not."""
+    words = {word for name in names for word in _words(name)}
+    return sorted(TABLES, key=lambda table: -sum(label.name in words for label in known_table(table).labels))
+
+
+def is_thing_by_name(name: str, tables: Sequence[str] = TABLES) -> bool | None:
+    """Whether a class of this name is a thing in the first of the tables that has it; None if no table has it.
 
     Among synonyms, as ADE20K's networks list them ("road, route"), the first known one counts.
     """
-    for word in (name.casefold(), *(part.strip() for part in name.casefold().split(","))):
-        for table in TABLES:
+    for word in _words(name):
+        for table in tables:
             for label in known_table(table).labels:
                 if label.name == word:
                     return label.is_thing
     return None
+
+
+def _words(name: str) -> tuple[str, ...]:
+    return name.casefold(), *(part.strip() for part in name.casefold().split(","))
 
 
 def reduced_by_name(name: str) -> int | None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from ...errors import PlgsError
 from ...json_file import LARGEST_TABLE, parse_json_object, read_json_object, take_flag, take_objects, take_whole_number
-from ..class_tables import is_thing_by_name
+from ..class_tables import is_thing_by_name, nearest_tables
 from ..classes import LARGEST_CLASS_ID, ClassLabel
 from ..label_image import SUFFIXES, label_map_size, read_label_map
 from ..layout import files_of_frames, listed, read_file
@@ -171,11 +171,11 @@ def _labels_of_config(config: Path, fused: set[int]) -> tuple[ClassLabel, ...]:
     fix = "Copy the model's config.json there, or take it away and name a table with --classes."
     if not isinstance(names, dict) or not names:
         raise PlgsError('the model\'s "id2label" is missing', config, fix, option="--classes")
-    labels = {}
+    labels, tables = {}, nearest_tables(str(name) for name in names.values())
     for key, name in names.items():
         if not key.isdecimal() or int(key) > LARGEST_CLASS_ID or not isinstance(name, str) or not name.isprintable():
             raise PlgsError(f"the class {json.dumps(key)[:40]} of id2label is no number with a name", config, fix)
-        is_thing = is_thing_by_name(name)
+        is_thing = is_thing_by_name(name, tables)
         labels[int(key)] = ClassLabel(int(key), name, int(key) not in fused if is_thing is None else is_thing)
     return tuple(labels[key] for key in sorted(labels))
 

@@ -12,6 +12,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.scene import check_scene, open_scene
+from engine.scene.class_tables import known_table
 from tests.scene.mask_formats.labelled_room import (
     COCO_NAMES,
     COCO_NUMBERS,
@@ -67,6 +68,19 @@ def test_transformers_classes_are_the_models(tmp_path: Path, first: int, void: i
     assert {one.score for one in mask_of(scene).segments} == {0.75}
     walls = [one for one in mask_of(scene).segments if scene.classes[one.class_id].name == "wall-other-merged"]
     assert len(walls) == 1, "stuff in pieces is one segment"
+
+
+@pytest.mark.parametrize(("table", "is_thing"), [("coco", True), ("cityscapes", False)])
+def test_things_are_those_of_the_table_that_the_models_names_are_of(tmp_path: Path, table: str, is_thing: bool) -> None:
+    """A traffic light is a thing in COCO and stuff in Cityscapes; nothing in transformers' results says so."""
+    scene, (truth, *_) = write_frames(tmp_path)
+    labels = {label.name: label.id for label in known_table(table).labels}
+    config = {"id2label": {str(number): name for name, number in labels.items()}}
+    info = {"id": 1, "label_id": labels["traffic light"], "was_fused": False, "score": 0.5}
+    for path in sorted((scene / "color").iterdir()):
+        save(scene / "masks", path.stem, np.ones(truth.semantic.shape, np.int32), {"segments_info": [info]})
+    (scene / "masks" / "config.json").write_text(json.dumps(config))
+    assert [segment.is_thing for segment in mask_of(open_scene(scene)).segments] == [is_thing]
 
 
 def test_transformers_finding_nothing_is_void(tmp_path: Path) -> None:
