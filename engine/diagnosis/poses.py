@@ -19,6 +19,8 @@ _LEAST_POINTS = 40
 _QUANTILE = 0.3
 """Quantile of a pair's distances. Some points of any two views lie on surfaces that only one of them sees."""
 _LEAST_PAIRS, _LEAST_LAGS, _LEAST_EACH = 30, 6, 8
+_LEAST_ACROSS = 20
+"""Pairs of looks across a gap, and within the parts."""
 _NEAR = 3
 """Frames between two looks that count as neighbours."""
 _HALF, _ENOUGH = 0.5, 0.2
@@ -47,6 +49,15 @@ class Drift(NamedTuple):
     distances: Floats
 
 
+class Gap(NamedTuple):
+    """The recording before a frame's ``number`` and from it on: how far surfaces are apart, in metres, as a median over
+    the pairs of looks from both parts (``across``) and from one (``within``)."""
+
+    number: int
+    across: float
+    within: float
+
+
 def pose_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     """Drift, and single frames whose pose is off. The frames have to be in order."""
     distances = _surface_distances(examined.views, examined.pairs, assumed)
@@ -54,7 +65,11 @@ def pose_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     lags = np.abs(numbers[examined.pairs[:, 0]] - numbers[examined.pairs[:, 1]]).astype(np.float64)
     drift = _measure_drift(distances, lags, len(examined.looks))
     depth = float(np.median(examined.views.values[examined.views.values > 0.0])) * assumed.unit
-    found = [_drift_finding(drift)] if drift is not None and _is_drifting(drift, depth) else []
+    least = max(_DRIFTED, _DRIFTED_SHARE * depth)
+    found = [_drift_finding(drift)] if drift is not None and _is_drifting(drift, least) else []
+    gap = None if found else _measure_gap(distances, numbers[examined.pairs])
+    if gap is not None and gap.across > max(least, _GROWN * gap.within):
+        found.append(_gap_finding(examined, gap))
     rows = _misplaced_looks(examined.views, examined.pairs, assumed)
     return [*found, *([_misplaced_finding(examined, rows)] if rows else [])]
 
@@ -97,8 +112,34 @@ def _ranks(values: Floats) -> Floats:
     return (ends - (counts - 1) / 2.0)[inverse]
 
 
-def _is_drifting(drift: Drift, depth: float) -> bool:
-    least = max(_DRIFTED, _DRIFTED_SHARE * depth)
+def _measure_gap(distances: Floats, numbers: NDArray[np.int64]) -> Gap | None:
+    """The frame at which two parts of the recording are farthest apart, by the pairs' distances and frames [P, 2]. None
+    with too few pairs.
+    """
+    known = np.isfinite(distances)
+    first, last = numbers.min(1), numbers.max(1)
+    found = []
+    for number in np.unique(np.quantile(numbers, np.linspace(0.1, 0.9, 33)).astype(int)).tolist():
+        across = known & (first < number) & (last >= number)
+        within = known & ~across
+        if min(across.sum(), within.sum()) >= _LEAST_ACROSS:
+            found.append(Gap(number, float(np.median(distances[across])), float(np.median(distances[within]))))
+    return max(found, key=lambda gap: gap.across / max(gap.within, 1e-9), default=None)
+
+
+def _gap_finding(examined: Examined, gap: Gap) -> Finding:
+    name = examined.scene.frames[gap.number].name
+    return Finding(
+        cause="parts apart",
+        severity="wrong",
+        text=f"the poses before and from frame {name} on do not fit: surfaces that frames of both parts see are "
+        f"{gap.across * 100:.1f} cm apart, and {gap.within * 100:.1f} cm within the parts",
+        option="register the two parts to each other again, or lift one of them by a splits.json",
+        figures={"across_m": gap.across, "within_m": gap.within, "frame": name},
+    )
+
+
+def _is_drifting(drift: Drift, least: float) -> bool:
     return drift.far > least and drift.far > _GROWN * drift.near and drift.certainty > _CERTAIN
 
 

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from ..scene import Scene
 from .appearance import blur_findings, blur_findings_on_surfaces, clipped_findings, exposure_findings
+from .class_table import table_findings
 from .findings import Diagnosis, Finding, Mending
 from .labels import label_findings
 from .looks import load_photos
 from .numbers import NUMBER_CAUSES, number_findings
 from .order import measure_order, order_findings, repeat_findings
+from .photometry import picture_findings
 from .poses import pose_findings
 from .reprojection import Assumption, examine
 from .trials import Agreement, agreement
 from .up import measure_tilt, tilt_finding, turn_to_z
+
+_Z = np.array([0.0, 0.0, 1.0])
 
 
 def diagnose(scene: Scene) -> Diagnosis:
@@ -32,9 +38,11 @@ def diagnose(scene: Scene) -> Diagnosis:
     if order is None or not order.is_shuffled:
         findings += pose_findings(examined, assumed)
         findings += blur_findings_on_surfaces(examined, assumed)
+        findings += picture_findings(examined, assumed)
     findings += clipped_findings(examined.photos)
     findings += exposure_findings(examined, assumed)
     findings += label_findings(examined, assumed)
+    findings += table_findings(examined, assumed, _Z if tilt is None else tilt.axis)
     turn = None if tilt is None else turn_to_z(tilt.axis)
     is_sure = all(finding.is_mended for finding in findings if finding.cause in NUMBER_CAUSES)
     if not is_sure:  # whatever was measured after a doubtful cause is as doubtful

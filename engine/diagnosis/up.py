@@ -48,7 +48,7 @@ def _measure_up(views: Views, assumed: Assumption) -> UpAxis | None:
     held = -views.poses_of(assumed)[:, :3, 1].mean(0)
     if np.linalg.norm(held) < _CLEARLY_UP:
         return None
-    by_look = _world_normals(views, assumed)
+    by_look = world_normals(views, assumed)
     normals = np.concatenate([normals[known] for normals, known in by_look])
     frames = np.repeat(np.arange(len(by_look)), [known.sum() for _, known in by_look])
     axis = held / np.linalg.norm(held)
@@ -70,7 +70,7 @@ def _measure_up(views: Views, assumed: Assumption) -> UpAxis | None:
     )
 
 
-def _world_normals(views: Views, assumed: Assumption) -> list[tuple[Floats, NDArray[np.bool_]]]:
+def world_normals(views: Views, assumed: Assumption) -> list[tuple[Floats, NDArray[np.bool_]]]:
     """For each look the normals of its points in the world, float64 [N, 3], and which are known, bool [N]."""
     lens, poses = views.lens_of(assumed), views.poses_of(assumed)
     world, known = views.world_points(assumed, lens, poses)
@@ -92,7 +92,7 @@ def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding
     is_named = np.degrees(np.arccos(min(abs(cosine), 1.0))) < _NAMED_WITHIN
     option = f"read it with --up {name}, or " if is_named and name in ("z", "y", "-y") else ""
     best = max(range(len(examined.looks)), key=lambda row: len(examined.looks[row].points))
-    normals, known = _world_normals(examined.views, assumed)[best]
+    normals, known = world_normals(examined.views, assumed)[best]
     shown = np.where(known[:, None], normals, 0.5)
     return Finding(
         cause="up direction",
