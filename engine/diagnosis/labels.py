@@ -21,6 +21,8 @@ _SAME_SURFACE = 0.5
 """Least agreement in depth, 0..1, of two views of one surface: about 2.7 % of the depth."""
 _FEWEST_POINTS = 100
 _UNRELATED = 0.5
+_FOREIGN, _PROBABLY_FOREIGN = 0.25, 0.35
+"""Shares of the median agreement beyond chance. Another frame's mask has as little: floors are low in all pictures."""
 _CONFUSED, _CONFUSED_SHARE = 0.25, 0.01
 """A class is contradicted if another class takes this share of its points, and this share of all points."""
 
@@ -39,6 +41,11 @@ class LabelAgreement(NamedTuple):
     def share(self) -> float:
         """The share of all points named by both views that they name the same."""
         return float(np.trace(self.counts) / max(self.counts.sum(), 1.0))
+
+    @property
+    def chance(self) -> float:
+        """The share that two unrelated masks would have."""
+        return float(np.square(self.counts.sum(1) / max(self.counts.sum(), 1.0)).sum())
 
 
 def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | None:
@@ -82,7 +89,8 @@ def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     if labels.share < _UNRELATED:
         return [_unrelated_masks(examined, labels)]
     middle = float(np.nanmedian(labels.by_look))
-    odd = [row for row, share in enumerate(labels.by_look.tolist()) if share < _UNRELATED * middle]
+    kept = (labels.by_look - labels.chance) / max(middle - labels.chance, 1e-6)
+    odd = [] if not (kept < _FOREIGN).any() else np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist()
     return [*([_odd_masks(examined, labels, odd, middle)] if odd else []), *_confused_classes(examined, labels)]
 
 

@@ -34,6 +34,9 @@ _MOVED, _SCALED = 0.0075, 0.03
 _GAIN = 0.1
 """Least gain of a fit, in standard deviations of the pictures' contrast."""
 
+SHIFT = "colour-to-depth shift"
+"""What the finding is called."""
+
 Shift = tuple[float, float]
 """x, y in shares of the picture."""
 
@@ -202,7 +205,7 @@ def _registration_finding(examined: Examined, found: Registration, is_depth: boo
         )
         option = "bring depth to the colour camera with the sensor's calibration, or use its registered images"
     return Finding(
-        cause="colour-to-depth shift",
+        cause=SHIFT,
         severity="wrong",
         text=f"{text} ({found.certainty:.0f} standard errors, {found.frames} frames)",
         option=option,

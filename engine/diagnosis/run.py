@@ -16,6 +16,7 @@ from .numbers import NUMBER_CAUSES, number_findings
 from .order import measure_order, order_findings, repeat_findings
 from .photometry import picture_findings
 from .poses import pose_findings
+from .registration import SHIFT
 from .reprojection import Assumption, examine
 from .trials import Agreement, agreement
 from .up import measure_tilt, tilt_finding, turn_to_z
@@ -38,7 +39,10 @@ def diagnose(scene: Scene) -> Diagnosis:
     if order is None or not order.is_shuffled:
         findings += pose_findings(examined, assumed)
         findings += blur_findings_on_surfaces(examined, assumed)
-        findings += picture_findings(examined, assumed)
+        pictures = picture_findings(examined, assumed)
+        if pictures:  # what depth's edges say of other pictures than its own is chance
+            findings, shift = [each for each in findings if each.cause != SHIFT], (0.0, 0.0)
+        findings += pictures
     findings += clipped_findings(examined.photos)
     findings += exposure_findings(examined, assumed)
     findings += label_findings(examined, assumed)

@@ -77,7 +77,7 @@ class LiftFolder:
         except OSError as error:  # a name that is too long, a disk that does not answer
             raise PlgsError(f"cannot be opened ({error.strerror})", path, "Give the folder of a lift.") from error
         if not is_folder:
-            raise PlgsError("is no folder", path, "Give the folder of a lift.")
+            raise PlgsError("there is no such lift folder", path, "Give the folder of a lift.")
         refuse_foreign(path)
         if not (path / "request.json").is_file():
             raise PlgsError("is no lift folder (it has no request.json)", path, "Give the folder of a lift.")

@@ -71,7 +71,7 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
         raise PlgsError(
             f"frames that do not exist are named ({listed(unknown)})",
             path,
-            "Use the colour images' names without suffix.",
+            "Delete these names or the file; a name is the colour image's without suffix.",
         )
     both = sorted(parts["train"] & parts["test"])
     if both:

@@ -98,7 +98,7 @@ def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     lift = new_lift(tmp_path)
     for arguments, told in (
         (["inspect", tmp_path / "none"], "none"),
-        (["lift", tmp_path / "none"], "is no folder"),
+        (["lift", tmp_path / "none"], "there is no such lift folder"),
         (["lift", tmp_path], "request.json"),
         (["lift", lift.path, "--seed", "3"], "--seed"),
         (["lift", lift.path, "--set", "objects=boxes"], "--set"),

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.diagnosis import Diagnosis, diagnose, write_mended
+from engine.diagnosis import Diagnosis, diagnose, poses, write_mended
 from engine.scene import open_scene
-from tests.diagnosis import spoiling
+from tests.diagnosis import matrix, spoiling
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 
 FRAMES, SIZE = 26, (128, 96)
@@ -178,6 +178,39 @@ def test_drift_is_reported(scene: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["colour mirrored", "colour of the next frame", "class ids off by one"])
+def test_what_depth_and_poses_do_not_show_is_found(scene: Path, name: str) -> None:
+    fault = matrix.FAULTS[name]
+    fault.plant(scene)
+    assert wrong_in(diagnose(open_scene(scene))) == [*fault.causes]
+
+
+def test_two_parts_that_do_not_fit_are_found() -> None:
+    numbers = np.array([(k, k + step) for step in (1, 2, 3) for k in range(40 - step)])
+    apart = (numbers[:, 0] < 23) & (numbers[:, 1] >= 23)
+    pairs = np.concatenate([numbers] * 4)
+    gap = poses._measure_gap(np.where(np.concatenate([apart] * 4), 0.1, 0.002), pairs)
+    assert gap is not None and (gap.number, gap.across, gap.within) == (23, 0.1, 0.002)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hand_held", [False, True])
+def test_the_matrix_of_planted_faults(root: Path, tmp_path: Path, hand_held: bool) -> None:
+    """Sentence by sentence as docs/captures.md promises."""
+    scene = root / "sample/room"
+    if hand_held:
+        subprocess.run([sys.executable, root / "sample/hand_held.py", scene, tmp_path / "twin"], check=True)
+        scene = tmp_path / "twin"
+    assert wrong_in(diagnose(open_scene(scene))) == []
+    outcomes = {}
+    for number, (name, fault) in enumerate(matrix.FAULTS.items()):
+        outcomes[name] = matrix.planted(scene, fault, tmp_path / str(number))
+        shutil.rmtree(tmp_path / str(number))
+    assert [name for name, outcome in outcomes.items() if outcome.mend == "harmed"] == []
+    assert sum(outcome.is_noticed for outcome in outcomes.values()) >= 0.9 * len(outcomes)
+    assert sum(outcome.is_right(matrix.FAULTS[name]) for name, outcome in outcomes.items()) >= 0.8 * len(outcomes)
+
+
 def test_pictures_of_another_lens_than_depth_are_reported(scene: Path) -> None:
     """As an unregistered sensor has them: depth fits the intrinsics, the pictures do not."""
     width, height = SIZE
