@@ -115,8 +115,22 @@ def shortened(text: object, longest: int) -> str:
 
 
 def table_cell(value: object) -> object:
-    """A value of a CSV table. A text that a spreadsheet would take for a formula gets an apostrophe before it."""
-    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+    """A value of a CSV table. A text is ``one_line``; one that a spreadsheet would take for a formula gets an
+    apostrophe before it.
+    """
+    if not isinstance(value, str):
+        return value
+    return f"'{one_line(value)}" if value.startswith(("=", "+", "-", "@", "\t", "\r")) else one_line(value)
+
+
+def markdown_cell(text: object) -> str:
+    """``one_line`` for a table of Markdown: no column ends in it, and no tag of HTML begins."""
+    return one_line(text).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;")
+
+
+def plot_label(text: object) -> str:
+    """``one_line`` for a plot: matplotlib takes what is between two dollar signs for a formula."""
+    return one_line(text).replace("$", r"\$")
 
 
 def without_credentials(text: str) -> str:

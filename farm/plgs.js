@@ -58,7 +58,7 @@ function bakeCommand(settings, range) {
         return engine(["bake", settings.output, "--frames", range].concat(layers));
     }
     const blend = settings.blend ? ["--blend", settings.blend] : [];
-    const camera = settings.camera ? ["--camera", settings.camera] : [];
+    const camera = settings.camera ? [`--camera=${settings.camera}`] : [];
     const shot = ["-o", settings.output, "--bake", "camera"].concat(blend, camera, ["--range", range], layers);
     return python(["{plgs}/run_plgs.py"].concat(shot));
 }

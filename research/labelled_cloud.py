@@ -16,6 +16,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from engine.gates import markdown_cell
 from engine.job import EventWriter, StopSignal
 from engine.lift.objects import MATCHINGS, Matching, ViewsToMatch
 from engine.lift.preparation import filled_views, semantic_cloud, used_classes
@@ -61,7 +62,7 @@ def evidence_table(scenes: Sequence[SceneToLift], preset: Preset) -> Iterator[st
     """The lines of a Markdown table: a row a way, a column a scene, and the mean. Raises PlgsError."""
     names = [name for name, _ in ways(preset.evidence)]
     columns = [list(scene_scores(scene, preset)) for scene in scenes]
-    yield f"| | {' | '.join(scene.name for scene in scenes)} | mean |"
+    yield f"| | {' | '.join(markdown_cell(scene.name) for scene in scenes)} | mean |"
     yield "|---" * (len(scenes) + 2) + "|"
     for name, scores in zip(names, zip(*columns, strict=True), strict=True):
         mean = CloudScore(*np.mean(scores, axis=0).tolist())

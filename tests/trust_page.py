@@ -14,7 +14,7 @@ PAGE = ROOT / "docs" / "trust.md"
 MODULES = (
     "scene/test_limits", "scene/test_bombs", "scene/test_fuzz", "diagnosis/test_fuzz", "model/test_checking",
     "corrections/test_fuzz", "job/test_fuzz", "plgs_blender/test_fuzz_files", "gates/test_texts",
-    "set_up/test_adding", "test_kill_and_resume",
+    "batch/test_plan", "set_up/test_adding", "test_kill_and_resume",
 )  # fmt: skip
 """Below tests/. Each is about nothing but an attack."""
 _HEAD = """# What was attacked

@@ -7,7 +7,7 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..gates import one_line, table_cell
+from ..gates import markdown_cell, table_cell
 from ..job import write_atomically
 from .plan import Row
 
@@ -32,7 +32,7 @@ def _csv(rows: Sequence[Row]) -> str:
     writer.writerow(["scene", "state", "seconds", *COLUMNS, "reason"])
     for row in rows:
         figures = [_figure(row, key) for key in COLUMNS]
-        cells = [row.scene, row.state, round(row.seconds, 1), *figures, one_line(row.reason)]
+        cells = [row.scene, row.state, round(row.seconds, 1), *figures, row.reason]
         writer.writerow([table_cell(cell) for cell in cells])
     writer.writerow(["mean", "", *_means(rows), ""])
     return file.getvalue()
@@ -47,7 +47,7 @@ def markdown(rows: Sequence[Row]) -> str:
     seconds, *means = _means(rows)
     shown = [_shown(key, mean) for key, mean in zip(COLUMNS, means, strict=True)]
     lines.append(["**mean**", "", "-" if seconds is None else f"{seconds / 60:.1f}", *shown, ""])
-    cells = [[one_line(cell).replace("|", "\\|") for cell in line] for line in lines]
+    cells = [[markdown_cell(cell) for cell in line] for line in lines]
     body = ["| " + " | ".join(line) + " |" for line in cells]
     return "\n".join([body[0], "|" + "---|" * len(lines[0]), *body[1:], ""])
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from engine.errors import PlgsError
+from engine.gates import plot_label
 from engine.job import write_atomically
 from engine.passes.contact_sheet import first_row
 from engine.passes.previews import png_bytes
@@ -154,9 +155,9 @@ def _draw(path: Path, bars: Bars) -> None:
     for number, ((_, label), values) in enumerate(zip(SHOWN, bars.values, strict=True)):
         drawn = axes.barh([p + 0.4 * number for p in places], values, 0.38, label=label, color=COLOURS[number])
         axes.bar_label(drawn, fmt="%.1f", padding=3, fontsize=8)
-    axes.set_yticks([p + 0.2 for p in places], bars.names)
+    axes.set_yticks([p + 0.2 for p in places], [plot_label(name) for name in bars.names])
     axes.invert_yaxis()
-    axes.set(title=bars.title, xlabel="per cent", xlim=(0, 100))
+    axes.set(title=plot_label(bars.title), xlabel="per cent", xlim=(0, 100))
     axes.legend(loc="lower right")
     figure.savefig(path, dpi=110)
     pyplot.close(figure)

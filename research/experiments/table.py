@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import mean, stdev
 
 from engine import __version__
-from engine.gates import one_line
+from engine.gates import markdown_cell
 
 from ..results import Result
 from .rows import Cited, Row, Rows
@@ -204,7 +204,7 @@ def _table(rows: Sequence[Row], names: Sequence[str], cells: Mapping[str, Mappin
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """The first column flush left, figures flush right; a reason may be wider than its column."""
-    rows = [[one_line(cell).replace("|", "\\|") for cell in row] for row in rows]
+    rows = [[markdown_cell(cell) for cell in row] for row in rows]
     widths = [max(3, *(min(len(row[place]), _WIDEST) for row in rows)) for place in range(len(rows[0]))]
     rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
     for row in [rows[0], rule, *rows[1:]]:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 from pathlib import Path
 
 import pytest
 
+from engine.command_line.log_output import output_to
 from engine.command_line.main import main
+from engine.command_line.runner import Task, run_at
 from engine.errors import ErrorCode, PlgsError
-from engine.job import ExitCode, last_run
+from engine.job import EventWriter, ExitCode, StopSignal, last_run
 from engine.job.follower import TaskFollower
 from engine.job.lock import FileLock
 from engine.job.process import engine_call
@@ -52,6 +55,21 @@ def test_an_error_says_its_code_and_the_option_that_mends_it(tmp_path: Path) -> 
     assert (failed.error.code, failed.error.option) == (ErrorCode.BAD_INPUT, "--masks --depth")
     assert all(option in failed.error.fix for option in failed.error.option.split())
     assert failed.exit_code is ExitCode.BAD_INPUT
+
+
+def test_an_error_of_several_lines_is_one_and_the_log_has_the_rest(tmp_path: Path) -> None:
+    place, terminal = TaskPlace.at(tmp_path / "events.jsonl"), io.StringIO()
+
+    def work(events: EventWriter, stop: StopSignal) -> None:
+        try:
+            raise ValueError("Error(s) in loading\n\tsize mismatch for one\n\tsize mismatch for two")
+        except ValueError as error:
+            raise PlgsError(f"the model cannot be read ({error})", "model.pt", "Lift anew.") from error
+
+    with FileLock(place.events), output_to(place.log):
+        assert run_at(Task("lift", work), place, terminal) is ExitCode.BAD_INPUT
+    assert terminal.getvalue().count("\n") == 1 and "the model cannot be read" in terminal.getvalue()
+    assert "\tsize mismatch for two" in place.log.read_text() and "Traceback" in place.log.read_text()
 
 
 def test_a_cancelled_command_says_so(tmp_path: Path) -> None:

@@ -80,9 +80,20 @@ def test_a_camera_is_baked_in_parallel_and_collected(root: Path) -> None:
     assert lift == [*engine, "lift", "{shared}/a room", "-o", "{shared}/lift", "--resume", "--preset", "standard"]
     assert last == [
         "{plgsPython}", "{plgs}/run_plgs.py", "-o", "{shared}/lift", "--bake", "camera", "--blend",
-        "{shared}/shot.blend", "--camera", "dolly", "--range", "9-9", "--layers", "normal",
+        "{shared}/shot.blend", "--camera=dolly", "--range", "9-9", "--layers", "normal",
     ]  # fmt: skip
     assert collect[1:] == ["{plgs}/run_plgs.py", *lift[3:]]
+
+
+@pytest.mark.parametrize("name", ["a b", "it's", 'say "x"', "$(touch x)", "`touch x`", "a\nb", "--force", "; rm -r ."])
+def test_a_name_is_one_argument_whatever_it_says(name: str, root: Path) -> None:
+    """exec runs no shell. A camera is the only name that may begin with a dash: the others are paths."""
+    folder = f"/shared/{name}"
+    given = {"scene": folder, "output": folder, "blend": f"{folder}.blend", "camera": name, "frames": "1"}
+    lift, bake, collect = (lines_of(task)[0] for task in compiled(root, given))
+    assert lift[2:6] == ["lift", folder, "-o", folder] and collect[2:5] == [folder, "-o", folder]
+    assert bake[2:] == ["-o", folder, "--bake", "camera", "--blend", f"{folder}.blend", f"--camera={name}",
+                        "--range", "1-1"]  # fmt: skip
 
 
 def test_frames_that_do_not_follow_one_another_are_commands_of_one_task(root: Path) -> None:

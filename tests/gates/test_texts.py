@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import pytest
 
 from engine.errors import PlgsError
-from engine.gates import one_line, printable, table_cell
+from engine.gates import markdown_cell, one_line, plot_label, printable, table_cell
 
 MARKS = [*range(0x00, 0x09), *range(0x0B, 0x20), 0x7F, *range(0x80, 0xA0), 0x200E, 0x200F, *range(0x2028, 0x202F),
          *range(0x2066, 0x206A), 0xFEFF]  # fmt: skip
@@ -25,6 +28,23 @@ def test_letters_of_all_scripts_stay() -> None:
 def test_no_cell_of_a_table_is_a_formula(text: str) -> None:
     assert table_cell(text) == "'" + text
     assert table_cell("chair") == "chair" and table_cell(-1.5) == -1.5
+
+
+@pytest.mark.parametrize("fit", [table_cell, markdown_cell, plot_label])
+def test_tables_and_plots_have_no_marks_either(fit: Callable[[str], object]) -> None:
+    assert fit("a\u202eb\nc") == "a?b c"
+
+
+def test_a_cell_of_markdown_ends_nowhere_else_and_has_no_tags() -> None:
+    assert markdown_cell("a|b\\|<img src=x>") == "a\\|b\\\\\\|&lt;img src=x>"
+
+
+def test_a_label_of_a_plot_is_no_formula(tmp_path: Path) -> None:
+    pyplot = pytest.importorskip("matplotlib.pyplot", reason="matplotlib is not installed: requirements/test.txt")
+    figure, axes = pyplot.subplots()
+    axes.set_title(plot_label(r"a $\nothing{$ b"))
+    figure.savefig(tmp_path / "plot.svg")
+    pyplot.close(figure)
 
 
 def test_an_error_of_many_lines_is_a_short_one() -> None:
