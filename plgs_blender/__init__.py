@@ -12,13 +12,13 @@ from types import ModuleType
 def _modules() -> tuple[ModuleType, ...]:
     """The modules that Blender has to know, in order. They are imported late: a script that only reads a result needs
     none of them."""
-    from . import corrections, mask_classes, settings
+    from . import corrections, mask_classes, settings, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection
     from .running import looking
     from .tasks import timer
 
-    return settings, mask_classes, lists, selection, timer, tasks, looking, corrections
+    return settings, mask_classes, lists, selection, timer, tasks, looking, corrections, timeline
 
 
 def register() -> None:

@@ -1,4 +1,4 @@
-"""A scene's frames as camera objects with their photos before the view, on the timeline, and as one moving camera."""
+"""A scene's frames as camera objects with their photos before the view, and as one moving camera."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from ..engine.scene import Camera, Frame
 from .cameras import SENSOR_WIDTH, Lens, camera_from, lens_of, object_matrix
 from .compat import add_keys
-from .owned import OwnedDataBlocks, key_of, text_of
+from .owned import OwnedDataBlocks
 
-_FIRST_FRAME = "plgs_first_frame"
-"""Property of a lift's collection: the place of its first marker on the timeline."""
 SHOWN, PHOTO = "plgs_shown", "PHOTO"
 """Property of a frame's camera that says what is before its view, and its value for the photo."""
 PATH = "camera_path"
@@ -99,36 +97,6 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
     lens = Lens(data.lens * fitted * SENSOR_WIDTH / sensor, data.shift_x * fitted, data.shift_y * fitted, (1.0, tall))
     at, turned, _ = ob.matrix_world.decompose()  # a camera's size does not matter
     return camera_from(lens, np.array(Matrix.LocRotScale(at, turned, None)), width, height)
-
-
-def mark_timeline(
-    scene: bpy.types.Scene,
-    root: bpy.types.Collection,
-    lift: str,
-    overview: bpy.types.Object | None,
-    cameras: Sequence[bpy.types.Object],
-) -> int:
-    """Bind a marker to the overview, where there is one, and to each frame's camera: scrubbing walks through them.
-    Returns the place of the first frame on the timeline.
-
-    Ours are the markers bound to our cameras. A scene that already has a camera of the user's keeps it: then ours lie
-    behind the end of its own frames. Its camera gets a marker at the start, because the first bound marker rules all
-    frames before it.
-    """
-    markers = scene.timeline_markers
-    for marker in [m for m in markers if m.camera is not None and key_of(m.camera, lift) is not None]:
-        markers.remove(marker)
-    if type(root.get(_FIRST_FRAME)) is not int:
-        theirs = scene.camera is not None and key_of(scene.camera, lift) is None
-        bound = any(marker.camera is not None for marker in markers)
-        root[_FIRST_FRAME] = scene.frame_end + 1 if theirs or bound else 0
-        if theirs and not bound:
-            markers.new(scene.camera.name, frame=scene.frame_start).camera = scene.camera
-    first: int = root[_FIRST_FRAME]
-    shown = [*([overview] if overview else []), *cameras]
-    for frame, camera in enumerate(shown, start=first):
-        markers.new(text_of(camera, "frame") or camera.name, frame=frame).camera = camera
-    return first + len(shown) - len(cameras)
 
 
 def place_camera_path(

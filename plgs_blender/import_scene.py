@@ -14,12 +14,13 @@ from ..engine.scene import Scene
 from .cameras import object_matrix, overview_camera
 from .chosen_scene import ChosenScene, lacks_package
 from .clouds import place_points
-from .frames import mark_timeline, picture_of, place_camera_path, place_frames, show_photo
+from .frames import picture_of, place_camera_path, place_frames, show_photo
 from .inspecting.looks import places
 from .inspecting.lookup import objects_by_key
 from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
 from .made_pictures import cloud_of, made_before, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
+from .timeline import mark_timeline
 from .viewport import show_room
 
 MISSING = "plgs_missing"
@@ -49,7 +50,7 @@ def place_scene(place: ChosenScene, scene: bpy.types.Scene, *, cloud: bool = Tru
     owned = OwnedDataBlocks(root[LIFT], scene)
     pictures = photos(made, opened.frames)
     cameras = place_frames(owned, child_collection(root, "Cameras"), opened.frames, pictures)
-    first = mark_timeline(scene, root, root[LIFT], overview_of(root), cameras)
+    first = mark_timeline(scene, root, overview_of(root), cameras)
     place_camera_path(owned, root, opened.frames, first)
     if scene.camera is None:
         scene.camera = cameras[0]

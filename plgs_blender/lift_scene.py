@@ -19,7 +19,7 @@ from .boxes import place_boxes
 from .cameras import overview_camera
 from .clouds import place_anchors, place_depth_clouds, place_semantic_points
 from .corrections import remember
-from .frames import mark_timeline, place_camera, place_camera_path, place_frames
+from .frames import place_camera, place_camera_path, place_frames
 from .inspecting.lists import fill_lists, fill_not_shown, registered
 from .inspecting.looks import POINTS, SPLATS, SURFACE, apply_look, has, places
 from .lift_collection import (
@@ -40,6 +40,7 @@ from .results import LiftResult, read_result
 from .reuse import leave_holes
 from .splats import gaussians_of, has_native_splats, place_gaussians
 from .surfaces import SurfaceGrid
+from .timeline import mark_timeline
 from .viewport import colour_views, look_from, show_room, start_file
 
 _VIEWPOINTS = 200
@@ -76,7 +77,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     # A new lift moves the overview back, where a user moved it.
     seen = overview_camera(result.points.xyz, normals)
     overview = place_camera(owned, root, "overview", "Overview", seen, _OVERVIEW_SIZE)
-    first = mark_timeline(scene, root, root[LIFT], overview, cameras)
+    first = mark_timeline(scene, root, overview, cameras)
     place_camera_path(owned, root, frames, first)
     if scene.camera is None:
         scene.camera = overview

@@ -26,6 +26,7 @@ from .inspecting.lookup import boxes_of, clouds_of, ids_of, surfaces_of
 from .inspecting.visibility import HIDDEN, apply_visibility
 from .materials import object_colour
 from .owned import LIFT, text_of, untag
+from .timeline import places_of
 
 OBJECTS, INSTANCE, PLACED = "plgs_objects_of", "plgs_instance", "plgs_placed"
 """Properties: of the collection of all made objects, the lift that they are of; of each object's collection, its
@@ -67,7 +68,7 @@ def leave_holes(root: bpy.types.Collection) -> None:
 def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bpy.types.Scene) -> int:
     """Let instances be visible, in views and renders, in those frames of the timeline alone whose masks show them: what
     was made of them, else their boxes. Returns how many objects have keys. Raises PlgsError without frames."""
-    place_of = {marker.name: marker.frame for marker in scene.timeline_markers if marker.camera is not None}
+    place_of = {text_of(ob, "frame") or ob.name: place for ob, place in places_of(root, scene).items()}
     showing = {row.instance_id: {mask.frame for mask in row.masks} for row in root.plgs.instances}
     objects = {number: [box] for number, box in boxes_of(root).items()}
     objects |= {number: [*collection.objects] for number, collection in _made(root)}

@@ -14,7 +14,8 @@ from mathutils import Vector
 
 from .cameras import pixel_aspect
 from .lift_collection import lifts_in
-from .owned import KEY, LIFT, key_of
+from .owned import KEY, LIFT
+from .timeline import places_of
 
 _PLACES = {
     "MESH": (0.0, 0.0, 0.0),
@@ -48,8 +49,7 @@ def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
         _hide_startup_objects(scene)
         _use_size(scene)
     scene.frame_start, scene.frame_end = span
-    shown = [] if is_untouched else [marker.frame for marker in scene.timeline_markers if marker.camera == camera]
-    scene.frame_set(shown[0] if shown else span[0])  # a new marker's camera may have become the scene's
+    scene.frame_set(span[0] if is_untouched else _places(scene).get(camera, span[0]))
 
 
 def _is_untouched(scene: bpy.types.Scene) -> bool:
@@ -89,8 +89,8 @@ def _hide_startup_objects(scene: bpy.types.Scene) -> None:
 
 def _use_size(scene: bpy.types.Scene) -> None:
     """Take size and pixel aspect of the first frame."""
-    cameras = (marker.camera for marker in sorted(scene.timeline_markers, key=lambda marker: marker.frame))
-    frame = next((ob for ob in cameras if ob is not None and "frame" in ob), None)
+    places = _places(scene)
+    frame = next((ob for ob in sorted(places, key=places.__getitem__) if "frame" in ob), None)
     if frame is not None:
         render = scene.render
         render.resolution_x, render.resolution_y = frame["width"], frame["height"]
@@ -103,7 +103,10 @@ def _range(scene: bpy.types.Scene) -> tuple[int, int]:
 
 def _span(scene: bpy.types.Scene) -> tuple[int, int] | None:
     """The first and the last place of our cameras on the timeline; None without any."""
-    lifts = [root[LIFT] for root in lifts_in(scene)]
-    bound = [marker for marker in scene.timeline_markers if marker.camera is not None]
-    places = [marker.frame for marker in bound if any(key_of(marker.camera, lift) is not None for lift in lifts)]
+    places = _places(scene).values()
     return (min(places), max(places)) if places else None
+
+
+def _places(scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
+    """The places of our cameras on the timeline."""
+    return {ob: place for root in lifts_in(scene) for ob, place in places_of(root, scene).items()}

@@ -10,6 +10,7 @@ import numpy as np
 from mathutils import Vector
 
 from ...engine.errors import PlgsError
+from ..timeline import follow_camera, places_of
 from .lookup import boxes_of, objects_by_key, row_of
 
 _VIEW_SENSOR = 72.0
@@ -85,10 +86,12 @@ def look_from_frame(
     camera = objects_by_key(root).get(f"frame:{frame}")
     if camera is None or camera.name not in scene.objects:
         raise PlgsError(f"has no camera of frame {frame} any more", root.name, "Load the result of the lift again.")
-    marker = next((marker for marker in scene.timeline_markers if marker.camera == camera), None)
-    if marker is not None:
-        scene.frame_set(marker.frame)
     scene.camera = camera
+    follow_camera(scene)
+    place = places_of(root, scene).get(camera)
+    if place is not None:
+        scene.frame_set(place)
+        scene.camera = camera
     if view is not None:
         view.use_local_camera = False
         view.region_3d.view_perspective = "CAMERA"

@@ -16,6 +16,7 @@ from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.cameras import object_matrix
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
+from plgs.plgs_blender.inspecting.views import look_from_frame
 from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.owned import LIFT
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_tiny_lift
@@ -191,14 +192,16 @@ def test_the_users_camera_keeps_its_frames(lift: Path) -> None:
     scene.collection.objects.link(mine)
     scene.camera = mine
     for _ in range(2):
-        lift_scene.place_lift(lift, scene)
-        for frame in (1, 100, scene.frame_end):
+        root = lift_scene.place_lift(lift, scene)
+        for frame in (1, 100, scene.frame_end, scene.frame_end + 2):
             scene.frame_set(frame)
             assert scene.camera == mine
-        scene.frame_set(scene.frame_end + 2)
-        assert scene.camera["frame"] == "0000"
-        scene.frame_set(1)
-    assert len(scene.timeline_markers) == FRAMES + 2
+        assert not scene.timeline_markers
+    look_from_frame(root, "0000", scene)
+    assert scene.frame_current == scene.frame_end + 2
+    scene.frame_set(scene.frame_end + 3)
+    assert scene.camera["frame"] == "0001"
+    assert len(scene.timeline_markers) == FRAMES + 1
 
 
 def test_the_users_file_keeps_its_looks(lift: Path, tmp_path: Path) -> None:

@@ -1,0 +1,113 @@
+"""The lift's markers on the timeline: each is bound to a camera of ours, so scrubbing walks through the frames.
+
+Blender makes the camera of a bound marker the active one at each change of the frame. Our markers must not take over a
+camera of the user's: they are on the timeline only while one of their own cameras is active, and wait as a property of
+these cameras while another is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+
+from .inspecting.lookup import objects_by_key
+from .lift_collection import lifts_in
+from .owned import LIFT, key_of, text_of
+
+_FIRST_FRAME = "plgs_first_frame"
+"""Property of a lift's collection: the place of its first marker on the timeline."""
+_ASIDE = "plgs_markers_aside"
+"""Property of a lift's collection that is there while its markers wait."""
+_PLACE = "plgs_place"
+"""Property of a camera whose marker waits: its place on the timeline."""
+
+
+def mark_timeline(
+    scene: bpy.types.Scene,
+    root: bpy.types.Collection,
+    overview: bpy.types.Object | None,
+    cameras: Sequence[bpy.types.Object],
+) -> int:
+    """Bind a marker to the overview, where there is one, and to each frame's camera, in place of earlier ones of this
+    lift. Returns the place of the first frame on the timeline.
+
+    In a scene that already has a camera of the user's, ours lie behind the end of its own frames.
+    """
+    markers = scene.timeline_markers
+    for marker in [m for m in markers if m.camera is not None and key_of(m.camera, root[LIFT]) is not None]:
+        markers.remove(marker)
+    if type(root.get(_FIRST_FRAME)) is not int:
+        theirs = scene.camera is not None and key_of(scene.camera, root[LIFT]) is None
+        is_theirs = theirs or any(marker.camera is not None for marker in markers)
+        root[_FIRST_FRAME] = scene.frame_end + 1 if is_theirs else 0
+    first: int = root[_FIRST_FRAME]
+    shown = [*([overview] if overview else []), *cameras]
+    for place, camera in enumerate(shown, start=first):
+        camera[_PLACE] = place
+    root[_ASIDE] = True
+    follow_camera(scene)
+    return first + len(shown) - len(cameras)
+
+
+def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
+    """The places on the timeline of the lift's cameras, also while its markers wait."""
+    bound = {m.camera: m.frame for m in scene.timeline_markers if m.camera is not None}
+    ours = {ob: place for ob, place in bound.items() if key_of(ob, root[LIFT]) is not None}
+    if not root.get(_ASIDE):
+        return ours
+    return {ob: ob[_PLACE] for ob in objects_by_key(root).values() if _PLACE in ob} | ours
+
+
+def follow_camera(scene: bpy.types.Scene) -> None:
+    """Put our markers on the timeline unless another camera is the scene's: then take them off. Blender calls this
+    after each change; it is safe at any time."""
+    camera, roots = scene.camera, {root[LIFT]: root for root in lifts_in(scene)}
+    if not roots:
+        return
+    bound = [m for m in scene.timeline_markers if m.camera is not None and text_of(m.camera, LIFT) in roots]
+    is_ours = any(marker.camera == camera for marker in bound) or any(_waits(camera, root) for root in roots.values())
+    if camera is None or is_ours:
+        for root in roots.values():
+            if root.get(_ASIDE):
+                _bring_back(scene, root)
+        return
+    for marker in bound:
+        roots[text_of(marker.camera, LIFT)][_ASIDE] = True
+        marker.camera[_PLACE] = marker.frame
+        scene.timeline_markers.remove(marker)
+
+
+def _waits(camera: bpy.types.Object | None, root: bpy.types.Collection) -> bool:
+    """Whether the marker of a camera waits, and is this lift's. A copy of our camera is the user's."""
+    if camera is None or _PLACE not in camera:
+        return False
+    key = key_of(camera, root[LIFT])
+    return key is not None and objects_by_key(root).get(key) == camera
+
+
+def _bring_back(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
+    active = scene.camera
+    del root[_ASIDE]
+    waiting = [ob for ob in objects_by_key(root).values() if _PLACE in ob]
+    for camera in sorted(waiting, key=lambda ob: int(ob[_PLACE])):
+        name = text_of(camera, "frame") or camera.name
+        scene.timeline_markers.new(name, frame=camera.pop(_PLACE)).camera = camera
+    scene.camera = active or scene.camera  # a new marker's camera may have become the scene's
+
+
+@bpy.app.handlers.persistent
+def _follow(scene: bpy.types.Scene, *_arguments: object) -> None:
+    follow_camera(scene)
+
+
+def register() -> None:
+    # Scripts may change the frame before Blender has told of their camera.
+    for handlers in (bpy.app.handlers.depsgraph_update_post, bpy.app.handlers.frame_change_pre):
+        handlers.append(_follow)
+
+
+def unregister() -> None:
+    for handlers in (bpy.app.handlers.depsgraph_update_post, bpy.app.handlers.frame_change_pre):
+        if _follow in handlers:
+            handlers.remove(_follow)
