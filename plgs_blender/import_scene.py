@@ -6,7 +6,8 @@ from itertools import product
 
 import bpy
 import numpy as np
-from mathutils import Matrix
+from mathutils import Matrix, Quaternion
+from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.job.made_frames import MadeFrames
@@ -21,7 +22,7 @@ from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_
 from .made_pictures import cloud_of, made_before, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
 from .timeline import mark_timeline
-from .viewport import show_room
+from .viewport import areas_that_show, frame_room, show_room
 
 MISSING = "plgs_missing"
 """Property of an imported scene's collection: what an engine has still to make of it, "colour" and "cloud" as its
@@ -63,6 +64,12 @@ def place_scene(place: ChosenScene, scene: bpy.types.Scene, *, cloud: bool = Tru
 
 def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """Let the 3D views that show the scene look down at the frames' cameras and the points before them."""
+    show_room(scene, *_room(root, scene), vertex=False)
+
+
+def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
+    """The rotation of a camera that overlooks the frames' cameras and the points before them, and the corners [8, 3] of
+    the box around these, metres."""
     scene.view_layers[0].update()
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
     eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]
@@ -71,7 +78,7 @@ def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None
     xyz = np.concatenate([eyes, *points])
     corners = np.array(list(product(*np.stack([xyz.min(axis=0), xyz.max(axis=0)], axis=1))))
     overview = Matrix(object_matrix(overview_camera(corners, np.zeros_like(corners))).tolist())
-    show_room(scene, overview.to_quaternion(), corners, vertex=False)
+    return overview.to_quaternion(), corners
 
 
 def _open(place: ChosenScene) -> tuple[Scene, MadeFrames | None]:
@@ -89,7 +96,8 @@ def _open(place: ChosenScene) -> tuple[Scene, MadeFrames | None]:
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
-    """Add what an engine made since the import: photos before the cameras, and the cloud. Raises PlgsError."""
+    """Add what an engine made since the import: photos before the cameras, and the cloud. The 3D views that nobody has
+    moved since the import then look at all of it. Raises PlgsError."""
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = {ob["frame"]: ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")}
     for name, picture in photos(made).items():
@@ -100,7 +108,10 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
     root[MISSING] = " ".join(kind for kind in root.get(MISSING, "").split() if kind not in there)
     if made.cloud is not None and not root[FOLDER]:
         xyz, rgb = read_cloud(made.cloud)
+        unmoved = areas_that_show(scene, *_room(root, scene))
         place_points(owned, child_collection(root, _CLOUDS), "cloud", "Coloured cloud", xyz, rgb)
+        for area in unmoved:
+            frame_room(area, *_room(root, scene))
 
 
 def _place_clouds(

@@ -5,6 +5,7 @@ Files of the user's keep their looks.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ _VIEW_SENSOR = 72.0
 """Width of a 3D view's sensor in millimetres: twice that of a camera."""
 _FILLED = 0.92
 """Share of the free part of a view that the room fills."""
+_SAME = 1e-3
+"""Radians, and shares of its distance, by which a view may differ from where it was put."""
 
 
 def start_file() -> bpy.types.Scene:
@@ -69,10 +72,8 @@ def colour_views(scene: bpy.types.Scene, vertex: bool) -> None:
     """Let 3D views of this scene that a lift has coloured, or that are as Blender starts them, show the colours of
     vertices, or of objects.
     """
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas if window.scene == scene else ():
-            if area.type == "VIEW_3D":
-                _colour_view(area.spaces.active, vertex)
+    for area in _areas(scene):
+        _colour_view(area.spaces.active, vertex)
 
 
 def _colour_view(space: bpy.types.SpaceView3D, vertex: bool) -> bool:
@@ -91,20 +92,48 @@ def show_room(scene: bpy.types.Scene, rotation: Quaternion, corners: NDArray[np.
 
     Views that are still as Blender starts them get the lift's colours: those of vertices, or of objects.
     """
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas if window.scene == scene else ():
-            if area.type != "VIEW_3D":
-                continue
-            space = area.spaces.active
-            if _colour_view(space, vertex):
-                space.clip_start = 0.01
-                space.overlay.show_relationship_lines = space.overlay.show_floor = False
-            if space.region_3d.view_perspective != "CAMERA":
-                _frame(area, rotation, corners)
+    for area in _areas(scene):
+        space = area.spaces.active
+        if _colour_view(space, vertex):
+            space.clip_start = 0.01
+            space.overlay.show_relationship_lines = space.overlay.show_floor = False
+        if space.region_3d.view_perspective != "CAMERA":
+            frame_room(area, rotation, corners)
 
 
-def _frame(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]) -> None:
-    """Let a 3D view hold all corners in what the sidebar leaves free."""
+def areas_that_show(
+    scene: bpy.types.Scene, rotation: Quaternion, corners: NDArray[np.float64]
+) -> list[bpy.types.Area]:
+    """The 3D views that stand where `show_room` puts them with this rotation and these corners [N, 3]: nobody has
+    moved them since.
+    """
+    return [area for area in _areas(scene) if _stands(area.spaces.active.region_3d, *_place(area, rotation, corners))]
+
+
+def _stands(view: bpy.types.RegionView3D, rotation: Quaternion, location: Vector, distance: float) -> bool:
+    turned = view.view_rotation.rotation_difference(rotation).angle % (2.0 * math.pi)
+    is_turned = min(turned, 2.0 * math.pi - turned) > _SAME
+    is_away = max((view.view_location - location).length, abs(view.view_distance - distance)) > _SAME * distance
+    return view.view_perspective == "PERSP" and not (is_turned or is_away)
+
+
+def _areas(scene: bpy.types.Scene) -> list[bpy.types.Area]:
+    """The 3D views of the windows with this scene."""
+    windows = [window for window in bpy.context.window_manager.windows if window.scene == scene]
+    return [area for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
+
+
+def frame_room(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]) -> None:
+    """Let a 3D view, turned so, hold all corners [N, 3] in what the sidebar leaves free."""
+    view = area.spaces.active.region_3d
+    view.view_perspective = "PERSP"
+    view.view_rotation, view.view_location, view.view_distance = _place(area, rotation, corners)
+
+
+def _place(
+    area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]
+) -> tuple[Quaternion, Vector, float]:
+    """Rotation, location and distance of a 3D view that holds all corners in what the sidebar leaves free."""
     space = area.spaces.active
     window = next(region for region in area.regions if region.type == "WINDOW")
     bar = next((region for region in area.regions if region.type == "UI"), None)
@@ -117,9 +146,7 @@ def _frame(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float
     half = np.array([window.width * (1.0 - covered), window.height]) / longest * (_VIEW_SENSOR / 2.0 / space.lens)
     distance = float((np.abs(local[:, :2]) / (_FILLED * half) + local[:, 2:]).max())
     aside = covered * window.width / longest * (_VIEW_SENSOR / 2.0 / space.lens) * distance
-    view = space.region_3d
-    view.view_perspective, view.view_rotation, view.view_distance = "PERSP", rotation, distance
-    view.view_location = Vector((middle + aside * axes[:, 0]).tolist())
+    return rotation, Vector((middle + aside * axes[:, 0]).tolist()), distance
 
 
 def _is_as_started(view: bpy.types.SpaceView3D) -> bool:
@@ -144,10 +171,8 @@ def show_lift_colours_at_first(view: bpy.types.SpaceView3D) -> None:
 
 def show_lift_colours_in(scene: bpy.types.Scene) -> None:
     """The same in all 3D views of windows that show this scene."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas if window.scene == scene else ():
-            if area.type == "VIEW_3D":
-                show_lift_colours_at_first(area.spaces.active)
+    for area in _areas(scene):
+        show_lift_colours_at_first(area.spaces.active)
 
 
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:

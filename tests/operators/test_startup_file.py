@@ -5,7 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
+from plgs.engine.job.made_frames import MadeFrames
+from plgs.plgs_blender.chosen_scene import ChosenScene
+from plgs.plgs_blender.import_scene import add_made
 
 
 @pytest.fixture(autouse=True)
@@ -37,13 +41,13 @@ def test_an_import_makes_the_view_the_captures(room: Path) -> None:
     assert bpy.ops.plgs.show_picture.poll()
 
 
+def views_3d() -> list[bpy.types.RegionView3D]:
+    areas = [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
+    return [area.spaces.active.region_3d for area in areas if area.type == "VIEW_3D"]
+
+
 def test_the_views_look_at_the_room(room: Path) -> None:
-    views = [
-        area.spaces.active.region_3d
-        for window in bpy.context.window_manager.windows
-        for area in window.screen.areas
-        if area.type == "VIEW_3D"
-    ]
+    views = views_3d()
     assert views
     scene = import_room(room)
     eyes = [ob.matrix_world.translation for ob in scene.objects if "frame" in ob]
@@ -112,3 +116,20 @@ def test_the_range_of_an_import_follows_the_lift(lift: Path, room: Path) -> None
     assert scene.camera == shown
     last = max(marker.frame for marker in scene.timeline_markers)
     assert (scene.frame_start, scene.frame_end) == (0, last)
+
+
+def test_views_that_nobody_moved_look_at_a_cloud_that_comes_later(room: Path, tmp_path: Path) -> None:
+    scene = import_room(room)
+    view = views_3d()[0]
+    before = view.view_distance, view.view_location.copy()
+    root = bpy.data.collections["PLGS tiny room"]
+    made = MadeFrames(tmp_path, ChosenScene(room).resolved, {}, tmp_path / "cloud.npz")
+    for size in (30.0, 60.0):
+        xyz = np.random.default_rng(0).uniform(-size, size, (2000, 3)).astype(np.float32)
+        np.savez(tmp_path / "cloud.npz", xyz=xyz, rgb=np.full(xyz.shape, 200, np.uint8))
+        add_made(scene, root, made)
+        assert view.view_distance > max(before[0], size)
+        before = view.view_distance, view.view_location.copy()
+    view.view_location.x += 1.0
+    add_made(scene, root, made)
+    assert (view.view_distance, view.view_location.x) == (before[0], pytest.approx(before[1].x + 1.0))
