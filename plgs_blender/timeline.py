@@ -11,9 +11,8 @@ from collections.abc import Sequence
 
 import bpy
 
-from .inspecting.lookup import objects_by_key
 from .lift_collection import lifts_in
-from .owned import LIFT, key_of, text_of
+from .owned import LIFT, key_of, originals, text_of
 
 _FIRST_FRAME = "plgs_first_frame"
 """Property of a lift's collection: the place of its first marker on the timeline."""
@@ -56,7 +55,7 @@ def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.ty
     ours = {ob: place for ob, place in bound.items() if key_of(ob, root[LIFT]) is not None}
     if not root.get(_ASIDE):
         return ours
-    return {ob: ob[_PLACE] for ob in objects_by_key(root).values() if _PLACE in ob} | ours
+    return {ob: ob[_PLACE] for ob in _waiting(scene, root[LIFT])} | ours
 
 
 def follow_camera(scene: bpy.types.Scene) -> None:
@@ -66,7 +65,7 @@ def follow_camera(scene: bpy.types.Scene) -> None:
     if not roots:
         return
     bound = [m for m in scene.timeline_markers if m.camera is not None and text_of(m.camera, LIFT) in roots]
-    is_ours = any(marker.camera == camera for marker in bound) or any(_waits(camera, root) for root in roots.values())
+    is_ours = any(marker.camera == camera for marker in bound) or any(_waits(scene, lift) for lift in roots)
     if camera is None or is_ours:
         for root in roots.values():
             if root.get(_ASIDE):
@@ -78,19 +77,22 @@ def follow_camera(scene: bpy.types.Scene) -> None:
         scene.timeline_markers.remove(marker)
 
 
-def _waits(camera: bpy.types.Object | None, root: bpy.types.Collection) -> bool:
-    """Whether the marker of a camera waits, and is this lift's. A copy of our camera is the user's."""
-    if camera is None or _PLACE not in camera:
-        return False
-    key = key_of(camera, root[LIFT])
-    return key is not None and objects_by_key(root).get(key) == camera
+def _waits(scene: bpy.types.Scene, lift: str) -> bool:
+    """Whether the marker of the scene's camera waits, and is this lift's. A copy of our camera is the user's."""
+    camera = scene.camera
+    is_like_ours = camera is not None and _PLACE in camera and key_of(camera, lift) is not None
+    return is_like_ours and camera in _waiting(scene, lift)
+
+
+def _waiting(scene: bpy.types.Scene, lift: str) -> list[bpy.types.Object]:
+    """The cameras of a lift whose markers wait."""
+    return [ob for ob in originals(scene.objects, lift).values() if _PLACE in ob]
 
 
 def _bring_back(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
     active = scene.camera
     del root[_ASIDE]
-    waiting = [ob for ob in objects_by_key(root).values() if _PLACE in ob]
-    for camera in sorted(waiting, key=lambda ob: int(ob[_PLACE])):
+    for camera in sorted(_waiting(scene, root[LIFT]), key=lambda ob: int(ob[_PLACE])):
         name = text_of(camera, "frame") or camera.name
         scene.timeline_markers.new(name, frame=camera.pop(_PLACE)).camera = camera
     scene.camera = active or scene.camera  # a new marker's camera may have become the scene's
