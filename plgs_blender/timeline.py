@@ -61,10 +61,11 @@ def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.ty
 def follow_camera(scene: bpy.types.Scene) -> None:
     """Put our markers on the timeline unless another camera is the scene's: then take them off. Blender calls this
     after each change; it is safe at any time."""
-    camera, roots = scene.camera, {root[LIFT]: root for root in lifts_in(scene)}
-    if not roots:
+    camera, roots = scene.camera, {root[LIFT]: root for root in lifts_in(scene) if root.library is None}
+    if not roots or scene.library is not None:
         return
-    bound = [m for m in scene.timeline_markers if m.camera is not None and text_of(m.camera, LIFT) in roots]
+    seen = [marker for marker in scene.timeline_markers if marker.camera is not None]
+    bound = [marker for marker in seen if any(key_of(marker.camera, lift) is not None for lift in roots)]
     is_ours = any(marker.camera == camera for marker in bound) or any(_waits(scene, lift) for lift in roots)
     if camera is None or is_ours:
         for root in roots.values():
