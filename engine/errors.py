@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import sys
 from enum import IntEnum, StrEnum
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from .gates import one_line, shortened
 
@@ -71,6 +73,10 @@ class PlgsError(Exception):
         self.where, self.fix, self.code, self.option = str(where), fix, code, option
         subject = f"{self.what}: {where}" if self.where else self.what
         super().__init__(one_line(f"{subject}. {fix}" if fix else subject))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How pickle makes it anew, such as in another process."""
+        return partial(type(self), code=self.code, option=self.option), (self.what, self.where, self.fix)
 
     @property
     def exit_code(self) -> ExitCode:

@@ -14,6 +14,8 @@ const JOB_TYPE = {
           description: "How much work to spend" },
         { key: "lift_options", type: "string", default: "", visible: "submission",
           description: "Further options of 'lift', separated by blanks, such as --masks MASKS" },
+        { key: "lifted", type: "bool", default: false, visible: "submission",
+          description: "The lift folder holds the lift already: preset and options are those that it has" },
         { key: "bake", type: "string", choices: ["camera", "frames"], default: "camera",
           description: "A camera of a .blend, or frames of the capture" },
         { key: "blend", type: "string", subtype: "file_path", default: "", eval: "bpy.data.filepath",
@@ -64,6 +66,7 @@ function bakeCommand(settings, range) {
 }
 
 function liftOptions(settings) {
+    if (settings.lifted) return [];
     return ["--preset", settings.preset].concat(words(settings.lift_options));
 }
 

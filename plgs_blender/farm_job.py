@@ -32,6 +32,7 @@ def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path
         "output": str(lift.path),
         "preset": lift.request.preset,
         "lift_options": "",
+        "lifted": True,
         "bake": "camera",
         "blend": blend,
         "camera": shot.camera.name,

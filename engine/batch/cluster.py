@@ -68,7 +68,9 @@ class Farm:
         return sorted(tags - {engine_tag()})
 
     def largest(self) -> float:
-        """GB of memory of the largest worker."""
+        """GB of memory of the largest worker; on Slurm of each, also before it comes."""
+        if self.place.slurm is not None:
+            return self.place.gigabytes
         return max((told["resources"].get(GIGABYTES, 0.0) for told in self.workers().values()), default=0.0)
 
 

@@ -109,6 +109,8 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "") -> Outcome:
     try:
         _refuse_unfit_place(piece)
         follower = _followed(piece, tell, threads)
+        is_done = follower is None or follower.error is None and follower.exit_code is ExitCode.FINISHED
+        frames = list(_frames_of(piece.lift)) if piece.tells_frames and is_done else []
     except PlgsError as error:
         return outcome(Ended.ELSEWHERE if error.code in _PLACE_CODES else Ended.FAILED, error)
     except OSError as error:
@@ -121,7 +123,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "") -> Outcome:
     if follower is not None and follower.exit_code is not ExitCode.FINISHED:
         return outcome(Ended.CANCELLED)
     if piece.tells_frames:
-        return outcome(Ended.DONE, answer={"frames": list(_frames_of(piece.lift))})
+        return outcome(Ended.DONE, answer={"frames": frames})
     return outcome(Ended.DONE, answer=follower.answer if follower is not None else None)
 
 
@@ -130,11 +132,13 @@ def _refuse_unfit_place(piece: Piece) -> None:
     if engine_tag() != piece.engine:
         fix = f"Start workers of {piece.engine}."
         raise PlgsError(f"this worker has {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)
-    place = piece.request.scene if piece.kind is Kind.LIFT else piece.lift
-    if not place.exists() or not piece.lift.parent.is_dir():
-        missing = piece.lift.parent if place.exists() else place
-        fix = "Mount it there, under the same path."
-        raise PlgsError("is not there on this worker", missing, fix, code=ErrorCode.NO_ENGINE)
+    needed = [piece.lift.parent] if piece.kind is Kind.LIFT else [piece.lift]
+    if piece.kind is not Kind.BAKE:
+        needed.insert(0, piece.request.scene)
+    for place in needed:
+        if not place.exists():
+            fix = "Mount it there, under the same path."
+            raise PlgsError("is not there on this worker", place, fix, code=ErrorCode.NO_ENGINE)
 
 
 def _followed(piece: Piece, tell: Tell, threads: int) -> TaskFollower | None:

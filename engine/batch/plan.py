@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..errors import PlgsError
 from ..job import LiftRequest, write_atomically
+from ..job.manifest import check_sizes
 from ..json_file import Json, read_object
 
 RECORDS = ".batch"
@@ -70,7 +71,8 @@ def names_of(scenes: Sequence[Path]) -> list[str]:
 
 
 def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
-    """The row of an earlier batch that was asked the same, if its result is the one that is there."""
+    """The row of an earlier batch that was asked the same, if its result is the one that is there, with all its
+    files and the exports."""
     path = _record(plan, job)
     if not path.is_file():
         return None
@@ -79,6 +81,8 @@ def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
         row = told["row"]
         assert isinstance(row, dict)
         is_same = told["asked"] == plan.asked(job) and told["result"] == _result(job)
+        check_sizes(job.lift / "result")
+        is_same = is_same and all((job.lift / "exports" / form).exists() for form in plan.exports)
         return Row(**row) if is_same and row["state"] == "done" else None  # type: ignore[arg-type]
     except (PlgsError, KeyError, TypeError, AssertionError):
         return None  # damaged: the pieces find out what is done

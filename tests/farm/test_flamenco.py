@@ -8,11 +8,14 @@ import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from engine.job import verify
+from engine.command_line.parser import make_parser
+from engine.job import LiftFolder, LiftRequest, verify
+from engine.job.options import resumable
 from tests.tiny_scene import write_tiny_scene
 
 py_mini_racer = pytest.importorskip("py_mini_racer", reason="mini-racer is not installed: requirements/test.txt")
@@ -100,6 +103,27 @@ def test_frames_that_do_not_follow_one_another_are_commands_of_one_task(root: Pa
     settings = {"scene": "/room", "output": "/lift", "bake": "frames", "frames": "1-3,7,9", "chunk_size": 9}
     (bake,) = compiled(root, settings)[1:-1]
     assert [line[-1] for line in lines_of(bake)] == ["1-3", "7-7", "9-9"]
+
+
+def test_a_lift_that_is_there_keeps_its_options(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The job that the button writes, for a lift with changed options: its commands go on with that lift."""
+    pytest.importorskip("bpy")
+    from plgs.plgs_blender.farm_job import write_farm_job
+
+    write_tiny_scene(tmp_path / "room", frames=2)
+    lift = LiftFolder.create(
+        tmp_path / "lift", LiftRequest(scene=tmp_path / "room", preset="preview", options={"steps": 10})
+    )
+    saved = SimpleNamespace(data=SimpleNamespace(filepath=str(tmp_path / "shot.blend")))
+    monkeypatch.setattr("plgs.plgs_blender.farm_job.bpy", saved)
+    blender_scene = SimpleNamespace(name="Scene", plgs=SimpleNamespace(layers={"normal"}))
+    shot = SimpleNamespace(frames=range(1, 4), step=1, camera=SimpleNamespace(name="dolly"))
+    job = json.loads(write_farm_job(blender_scene, lift, shot).read_text())
+    lifting, _, collect = compiled(root, job["settings"])
+    for line in (lines_of(lifting)[0][2:], ["lift", *lines_of(collect)[0][2:]]):
+        options = make_parser().parse_args(line)
+        found = resumable(options)
+        assert found is not None and found.request == lift.request
 
 
 @pytest.mark.slow
