@@ -110,7 +110,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "") -> Outcome:
         _refuse_unfit_place(piece)
         follower = _followed(piece, tell, threads)
         is_done = follower is None or follower.error is None and follower.exit_code is ExitCode.FINISHED
-        frames = list(_frames_of(piece.lift)) if piece.tells_frames and is_done else []
+        frames: list[Json] = [*_frames_of(piece.lift)] if piece.tells_frames and is_done else []
     except PlgsError as error:
         return outcome(Ended.ELSEWHERE if error.code in _PLACE_CODES else Ended.FAILED, error)
     except OSError as error:
