@@ -73,6 +73,9 @@ def make_parser() -> argparse.ArgumentParser:
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
     correcting.add_argument("--film", type=Path, metavar="FOLDER", help="write five pictures of it there, from above")
     correcting.set_defaults(run=run_correct)
+    surfaces = known.add_parser("meshes", help="how whole the meshes of a lift are, before and after they are mended")
+    surfaces.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
+    surfaces.set_defaults(run=run_meshes)
     return parser
 
 
@@ -165,6 +168,15 @@ def run_correct(options: argparse.Namespace) -> int:
         print(path)
     before, after = before_and_after(options.lift)
     print(f"PQ {100 * before:.1f} % -> {100 * after:.1f} %")
+    return ExitCode.FINISHED
+
+
+def run_meshes(options: argparse.Namespace) -> int:
+    """Print the figures of the lift's meshes. Raises PlgsError, OSError."""
+    from .meshes import mesh_table
+
+    for line in mesh_table(options.lift):
+        print(line, flush=True)
     return ExitCode.FINISHED
 
 

@@ -12,7 +12,7 @@ from ..scene.labelled_surface import triangles_by_label
 from .fusion import Ints, Surface
 
 HAND = 0.1
-"""Metres that a hole measures at most, along each axis, to be closed."""
+"""Metres that a hole measures at most, along each axis, to be closed. A crumb of stuff has at most its square."""
 CRUMB = 0.1
 """Share of the largest piece's area below which a piece of a mesh is small."""
 FAR = 0.2
@@ -73,10 +73,12 @@ def open_edges(triangles: Ints) -> Ints:
     return edges[~np.isin(there, back)]
 
 
-def without_crumbs(surface: Surface, label: Ints) -> Ints:
+def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -> Ints:
     """The labels [V] without crumbs: small pieces of a label's mesh, far from its large ones.
 
-    A crumb gets the label that most of its neighbours on the surface have, and 0 where it has none.
+    A crumb gets the label that most of its neighbours on the surface have, and 0 where it has none. Stuff, which
+    ``is_stuff`` [V] tells, is in pieces by its nature, such as the wall between two pictures: only its smallest are
+    crumbs.
     """
     number, crumbs, stays = np.full(len(label), -1, np.int64), 0, np.zeros(len(label), np.bool_)
     for value, triangles in triangles_by_label(surface.triangles, label).items():
@@ -86,10 +88,10 @@ def without_crumbs(surface: Surface, label: Ints) -> Ints:
         xyz, corners = surface.xyz[used], corners.reshape(-1, 3)
         piece = _pieces(corners, len(used))
         area = np.bincount(piece[corners[:, 0]], _areas(xyz, corners))
-        is_large = area >= CRUMB * area.max()
+        own = label[used] == value
+        is_large = area >= min(CRUMB * area.max(), HAND**2 if is_stuff[used][own].any() else np.inf)
         away, _ = cKDTree(xyz[is_large[piece]]).query(xyz, distance_upper_bound=FAR)
         is_near = np.bincount(piece, np.isfinite(away)) > 0
-        own = label[used] == value
         crumb = own & ~is_near[piece]
         number[used[crumb]] = crumbs + piece[crumb]
         stays[used[own & ~crumb]] = True

@@ -39,13 +39,7 @@ MOST_INSTANCES = 1 << 16
 def export_mesh(lift: FinishedLift, output: Path) -> None:
     """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one an instance
     and one a stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
-    small = [_small(frame, layers) for frame, layers in lift.views()]
-    surface = fuse(small)
-    if not len(surface.triangles):
-        fix = "Export more frames, or lift the scene with better depth."
-        raise PlgsError("the rendered views show no surface", output, fix)
-    surface, label = close_holes(surface, vertex_labels(surface.xyz, small))
-    label = without_crumbs(surface, label)
+    surface, label = mended(*fused(lift))
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
     columns = {
         **columns_of("x y z", surface.xyz),
@@ -59,6 +53,23 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
         if value in names and len(triangles) >= LEAST_TRIANGLES:
             content = _glb(names[value], surface, triangles)
             write_atomically(output / "meshes" / f"{names[value]}.glb", content)
+
+
+def fused(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
+    """The surface of the lift's views, and the label of each vertex, int64 [V]. Raises PlgsError where there is none,
+    OSError."""
+    small = [_small(frame, layers) for frame, layers in lift.views()]
+    surface = fuse(small)
+    if not len(surface.triangles):
+        fix = "Export more frames, or lift the scene with better depth."
+        raise PlgsError("the rendered views show no surface", lift.folder.path, fix)
+    return surface, vertex_labels(surface.xyz, small)
+
+
+def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray[np.int64]]:
+    """The surface and its labels with small holes closed and without crumbs."""
+    surface, label = close_holes(surface, label)
+    return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
 
 
 def _small(frame: Frame, layers: PanopticLayers) -> SmallView:

@@ -72,7 +72,7 @@ def test_far_small_pieces_go_to_their_neighbours_or_to_none() -> None:
     patch = on_sheet & (surface.xyz[:, 0] > 1.0) & (surface.xyz[:, 0] < 1.07) & (surface.xyz[:, 1] < 0.07)
     label[patch] = 3
     label[~on_sheet] = np.where(surface.xyz[~on_sheet, 0] > 2, 3, 5)  # alone and far; alone and near its large piece
-    mended = without_crumbs(surface, label)
+    mended = without_crumbs(surface, label, np.zeros(len(label), np.bool_))
     assert (mended[patch] == 5).all()
     assert (mended[surface.xyz[:, 0] > 2] == 0).all()
     others = ~patch & (surface.xyz[:, 0] < 2)
@@ -82,7 +82,7 @@ def test_far_small_pieces_go_to_their_neighbours_or_to_none() -> None:
 def test_large_pieces_stay_however_far() -> None:
     surface = joined(sheet(20, 20), sheet(10, 10, x=3.0))
     label = np.full(len(surface.xyz), 3, np.int64)
-    np.testing.assert_array_equal(without_crumbs(surface, label), label)
+    np.testing.assert_array_equal(without_crumbs(surface, label, np.zeros(len(label), np.bool_)), label)
 
 
 def test_a_closed_surface_stays_as_it_is() -> None:
@@ -90,3 +90,11 @@ def test_a_closed_surface_stays_as_it_is() -> None:
     pyramid = Surface(flat.xyz, flat.rgb, flat.normal, np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]]))
     assert len(open_edges(pyramid.triangles)) == 0
     assert close_holes(pyramid, np.zeros(4, np.int64))[0] is pyramid
+
+
+def test_a_large_piece_of_stuff_goes_to_no_neighbour() -> None:
+    surface = sheet(120, 20)
+    x = surface.xyz[:, 0]
+    label = np.where(x < 1.8, 3, np.where(x < 2.29, 5, 3))  # wall, a picture, and the wall behind it
+    np.testing.assert_array_equal(without_crumbs(surface, label, label == 3), label)
+    assert (without_crumbs(surface, label, label == 0)[x > 2.29] == 5).all()
