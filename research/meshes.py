@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -29,20 +29,22 @@ def mesh_table(lift: Path) -> Iterator[str]:
     surface, label = fused(source)
     yield "| | sides with a neighbour | objects | beyond 1.5 x their box | diagonal / box's, median |"
     yield "|---|---|---|---|---|"
-    yield _row("as fused", surface, label, boxes)
-    yield _row("mended", *mended(surface, label), boxes)
+    yield mesh_row("as fused", surface, label, boxes)
+    yield mesh_row("mended", *mended(surface, label), boxes)
 
 
-def _row(name: str, surface: Surface, label: NDArray[np.int64], boxes: dict[int, Instance]) -> str:
+def mesh_row(name: str, surface: Surface, label: NDArray[np.int64], boxes: Mapping[int, Instance]) -> str:
+    """A row of the table: of the labels [V] of a surface's vertices, as `fused` has them, and the boxes by id."""
     sides = 3 * len(surface.triangles)
     closed = 1 - len(open_edges(surface.triangles)) / sides
-    ratios = []
+    ratios = list[float]()
     for value, triangles in triangles_by_label(surface.triangles, label).items():
         box = boxes.get(value % MOST_INSTANCES)
         if box is not None and len(triangles) >= LEAST_TRIANGLES:
-            ratios.append(_diagonal(surface.xyz[np.unique(triangles)], box.yaw) / np.linalg.norm(box.size))
+            own = _diagonal(surface.xyz[np.unique(triangles)], box.yaw)
+            ratios.append(own / float(np.linalg.norm(box.size)))
     far = np.count_nonzero(np.array(ratios) > FAR)
-    return f"| {name} | {100 * closed:.2f} % | {len(ratios)} | {far} | {np.median(ratios or [0]):.2f} |"
+    return f"| {name} | {100 * closed:.2f} % | {len(ratios)} | {far} | {np.median(ratios or [0.0]):.2f} |"
 
 
 def _diagonal(xyz: NDArray[np.float32], yaw: float) -> float:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from plgs.plgs_blender import compat
+from plgs.plgs_blender.lift_scene import place_passes_anew
 from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, node_of, output_of, panoptic_node
 from plgs.plgs_blender.results import LiftResult
 
@@ -100,7 +101,7 @@ def group_picture(result: LiftResult) -> Picture:
 
 def shot_scene(result: LiftResult) -> bpy.types.Scene:
     """The compositor's scene of the moving camera, with the sofa and the rug as mattes."""
-    open_lift(result.folder)
+    place_passes_anew(result.folder, open_lift(result.folder))
     scene = next(each for each in bpy.data.scenes if each.name.endswith(f" {CAMERA}"))
     tree = compat.compositor_tree(scene)
     node_of(tree, INSTANCES).matte_id, node_of(tree, CLASSES).matte_id = SOFA, "rug"
