@@ -10,7 +10,10 @@ from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import lifting, lifts
 from ..plgs_blender.settings import LiftOptions, option_names
 from ..plgs_blender.tasks.registry import Task
-from .base import FINISHED, RUNNING, OnLiftFolder, StartsTask, panel_of, reporting
+from .base import FINISHED, PASSED_ON, RUNNING, OnLiftFolder, StartsTask, panel_of, reporting, reporting_events
+
+_PART_S = 0.02
+"""Pause between two parts of a lift that is placed."""
 
 
 class PLGS_OT_lift_scene(LiftOptions, StartsTask, bpy.types.Operator):
@@ -106,9 +109,46 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        root = lifting.show_lift(context.scene, self.lift_folder)
-        self.report({"INFO"}, f"{root.name} is placed")
+        self._placing = lifting.showing_lift(context.scene, self.lift_folder)
+        while self.has_more():
+            pass
         return FINISHED
+
+    @reporting_events
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """The first part at once, the others at the ticks of a timer, so that the window never waits long."""
+        if bpy.app.background:
+            return self.execute(context)
+        self._placing = lifting.showing_lift(context.scene, self.lift_folder)
+        self.has_more()
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(_PART_S, window=context.window or manager.windows[0])
+        manager.modal_handler_add(self)
+        return RUNNING
+
+    @reporting_events
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type != "TIMER":
+            return PASSED_ON
+        goes_on = False
+        try:
+            goes_on = self.has_more()
+        finally:
+            if not goes_on:
+                self.cancel(context)
+        return RUNNING if goes_on else FINISHED
+
+    def has_more(self) -> bool:
+        """Place the next part; whether there may be others."""
+        for root in self._placing:
+            self._name = root.name if root is not None else ""
+            return True
+        self.report({"INFO"}, f"{self._name} is placed")
+        return False
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender calls it, too, when another file is opened."""
+        context.window_manager.event_timer_remove(self._timer)
 
 
 class PLGS_OT_open_log(OnLiftFolder, bpy.types.Operator):

@@ -188,18 +188,6 @@ def composite_without_gpu(scene: bpy.types.Scene) -> None:
     scene.render.compositor_precision = "FULL"
 
 
-def find_layers_again(image: bpy.types.Image) -> None:
-    """Let an image sequence find its layers after its path was changed.
-
-    Otherwise Blender 4.5 forgets that the files are multilayer. Then the sockets of the Image nodes vanish with all
-    their links, and the compositor shows grey.
-    """
-    if image.source == "SEQUENCE":
-        image.source = "FILE"
-        image.size[:]  # asking is what loads the file
-        image.source = "SEQUENCE"
-
-
 def point_shader() -> Any:
     """The shader that draws points ("pos") with a colour each ("color"). Before 4.5 the shader for all shapes did it.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
 
@@ -45,6 +46,22 @@ def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
         if is_same_place(text_of(root, FOLDER), lift):
             return root
     raise PlgsError("is not in this scene", lift, "Show the lift's result first.")
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where a lift was placed, in words that outlive undo and the opening of another file."""
+
+    lift: str
+    scene: str
+
+    def find(self) -> tuple[bpy.types.Collection, bpy.types.Scene] | None:
+        """The lift's collection and its scene; None when one of them is gone."""
+        scene = bpy.data.scenes.get(self.scene)
+        for root in lifts_in(scene) if scene is not None else ():
+            if root[LIFT] == self.lift:
+                return root, scene
+        return None
 
 
 def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene) -> bpy.types.Collection:

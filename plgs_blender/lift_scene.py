@@ -6,6 +6,8 @@ are bound to our cameras, and scenes for the passes. Placing a lift of the same 
 
 from __future__ import annotations
 
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -14,16 +16,17 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from . import compat
+from ..engine.scene import Camera
 from .boxes import place_boxes
 from .cameras import overview_camera
 from .clouds import place_anchors, place_depth_clouds, place_semantic_points
 from .corrections import remember
 from .frames import place_camera, place_camera_path, place_frames
 from .inspecting.lists import fill_lists, fill_not_shown, registered
-from .inspecting.looks import POINTS, SPLATS, SURFACE, apply_look, has, places
+from .inspecting.looks import PHOTO, POINTS, SPLATS, SURFACE, apply_look, has, places
 from .lift_collection import (
     FOLDER,
+    Placed,
     child_collection,
     is_same_place,
     lifts_in,
@@ -38,7 +41,7 @@ from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import check_layers, place_passes, place_shots
 from .results import LiftResult, read_result
 from .reuse import leave_holes
-from .splats import gaussians_of, has_native_splats, place_gaussians
+from .splats import GAUSSIANS, gaussians_of, has_native_splats, place_gaussians, placing_gaussians
 from .surfaces import SurfaceGrid
 from .timeline import mark_timeline
 from .viewport import colour_views, look_from, show_room, start_file
@@ -55,13 +58,93 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     The collection is found again by the folder of the lift or of its scene. When `scene` holds passes, the scene with
     their lift is filled. Raises PlgsError, before anything is changed, when the lift is not finished or cannot be read.
     """
+    root = [*placing_lift(lift, scene)][-1]
+    assert root is not None
+    return root
+
+
+@dataclass(frozen=True, eq=False)
+class ReadLift:
+    """A result, and what is computed of its points [N]: their grid, their normals float32 [N, 3], and a camera outside
+    the room.
+    """
+
+    result: LiftResult
+    grid: SurfaceGrid
+    normals: NDArray[np.float32]
+    overview: Camera
+
+
+def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
+    """Read a lift, in parts, for a window that must not wait. Raises PlgsError."""
     result = _read(lift)
+    yield
+    xyz, frames = result.points.xyz, result.scene.frames
+    grid = SurfaceGrid.of(xyz)
+    normals = grid.normals(np.array([frame.camera.centre for frame in frames])[:: 1 + len(frames) // _VIEWPOINTS])
+    overview = overview_camera(xyz, normals)
+    yield
+    return ReadLift(result, grid, normals, overview)
+
+
+def placing_lift(lift: Path, scene: bpy.types.Scene) -> Iterator[bpy.types.Collection | None]:
+    """`place_lift` in parts, for a window that must not wait; None while nothing is placed yet."""
+    name = scene.name
+    read = yield from reading_lift(lift)
+    if name in bpy.data.scenes:
+        yield from placing_read(read, bpy.data.scenes[name])
+
+
+def placing_read(read: ReadLift, scene: bpy.types.Scene) -> Iterator[bpy.types.Collection]:
+    """Place a lift in parts: after the first one it is there, without its splats and passes. They are left out when the
+    lift is removed in the meantime.
+    """
+    root, scene = _place_room(read, scene)
+    placed = Placed(root[LIFT], scene.name)
+    for part in (_placing_splats, _placing_passes):
+        yield root
+        found = placed.find()
+        if found is None:
+            return
+        root, scene = found
+        yield from part(read.result, root, scene)
+
+
+def _placing_splats(
+    result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene
+) -> Iterator[bpy.types.Collection]:
+    placed = Placed(root[LIFT], scene.name)
+    if not has_native_splats() and gaussians_of(root).is_file():
+        for _ in placing_gaussians(root, scene):
+            yield root
+    found = placed.find()
+    if found is not None:
+        root, scene = found
+        _choose_what_is_shown(root)
+        with registered():
+            if root.plgs.look != PHOTO:
+                apply_look(root)
+            colour_views(scene, root.plgs.show_as != POINTS)
+
+
+def _placing_passes(
+    result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene
+) -> Iterator[bpy.types.Collection]:
+    owned = OwnedDataBlocks(root[LIFT], scene)
+    place_passes(owned, result)
+    place_shots(owned, result, scene)
+    if bpy.data.filepath:
+        relate_paths(root, Path(bpy.data.filepath).parent)
+    yield root
+
+
+def _place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[bpy.types.Collection, bpy.types.Scene]:
+    """Everything but splats and passes, and the scene that holds it."""
+    result, grid, normals = read.result, read.grid, read.normals
     scene = scene_to_fill(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
     owned = OwnedDataBlocks(root[LIFT], scene)
     frames = result.scene.frames
-    grid = SurfaceGrid.of(result.points.xyz)
-    normals = grid.normals(np.array([frame.camera.centre for frame in frames])[:: 1 + len(frames) // _VIEWPOINTS])
 
     cameras = place_frames(owned, child_collection(root, "Cameras"), frames)
     clouds = place_semantic_points(
@@ -72,26 +155,21 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     place_boxes(owned, child_collection(root, "Instances"), result.instances)
     place_meshes(owned, root, result)
     place_depth_clouds(owned, root, result.folder)
-    if not has_native_splats() and gaussians_of(root).is_file():
-        place_gaussians(root, scene, owned)
+    splats = owned.known(GAUSSIANS)
+    if splats is not None and not has_native_splats() and gaussians_of(root).is_file():
+        owned.keep(splats)  # until they are filled anew
     # A new lift moves the overview back, where a user moved it.
-    seen = overview_camera(result.points.xyz, normals)
-    overview = place_camera(owned, root, "overview", "Overview", seen, _OVERVIEW_SIZE)
+    overview = place_camera(owned, root, "overview", "Overview", read.overview, _OVERVIEW_SIZE)
     first = mark_timeline(scene, root, overview, cameras)
     place_camera_path(owned, root, frames, first)
     if scene.camera is None:
         scene.camera = overview
-    place_passes(owned, result)
-    place_shots(owned, result, scene)
-    _choose_what_is_shown(root)
     fill_lists(root, result)
     fill_not_shown(root, result)
     leave_holes(root)
     remember(root, result.edits)
     owned.sweep()
-    if bpy.data.filepath:
-        relate_paths(root, Path(bpy.data.filepath).parent)
-    return root
+    return root, scene
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
@@ -173,8 +251,7 @@ def relate_paths(root: bpy.types.Collection, base: Path) -> None:
     """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds both."""
     for image in bpy.data.images:
         if key_of(image, root[LIFT]) is not None and image.filepath:
-            image.filepath_raw = _relative(image.filepath, base)  # it is the same file: nothing to read anew
-            compat.find_layers_again(image)
+            image.filepath_raw = _relative(image.filepath, base)  # to set `filepath` would read the file
     root[FOLDER] = _relative(text_of(root, FOLDER), base)
 
 

@@ -11,6 +11,7 @@ Y, up Z) are ours. This was read in Blender's source and in its API. It has not 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -19,18 +20,21 @@ from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.scene.splat_file import read_gaussians
-from .lift_collection import FOLDER, child_collection
+from .lift_collection import FOLDER, Placed, child_collection
 from .materials import splat_material
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag, text_of
 from .surfaces import towards_nearest
 
-_KEY = "gaussians"
+GAUSSIANS = "gaussians"
+"""The key of the object with a lift's splats."""
 _FAINTEST = 0.1
 """Opacity below which a Gaussian is left out."""
 _EXTENT = 2.0
 """Half the side of a square, in standard deviations."""
 _LARGEST = 0.2
 """Largest standard deviation of a square in metres: stray Gaussians would hide the room."""
+_AT_ONCE = 100_000
+"""Squares that are computed while the window waits."""
 MOST_SQUARES = 600_000
 """Squares that are made; of more Gaussians, those that cover most."""
 _COLOUR_SCALE = 0.28209479177387814
@@ -49,56 +53,82 @@ def gaussians_of(root: bpy.types.Collection) -> Path:
     return Path(bpy.path.abspath(text_of(root, FOLDER))) / "result" / "gaussians.ply"
 
 
-def place_gaussians(
-    root: bpy.types.Collection, scene: bpy.types.Scene, owned: OwnedDataBlocks | None = None
-) -> bpy.types.Object:
+def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """Put the Gaussians of a lift into its collection as splats, in place of earlier ones.
 
     Raises PlgsError when the file is missing, when it holds no splats, or when Blender did not read it as splats.
     """
+    for _ in placing_gaussians(root, scene):
+        pass
+
+
+def placing_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
+    """`place_gaussians` in parts, for a window that must not wait. It ends early when the collection is removed
+    between two.
+    """
     path = gaussians_of(root)
     if not path.is_file():
         raise PlgsError("is not there", path, "Lift the scene again, or load the lift from where it is now.")
+    if has_native_splats():
+        _place_native(root, scene, path)
+        return
+    placed = Placed(root[LIFT], scene.name)
+    eyes = [ob.matrix_world.translation for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")]
+    viewpoints = np.array(eyes, np.float64).reshape(-1, 3)
+    rows = read_gaussians(path)
+    rows = rows[seen(rows)]
+    corners = []
+    for start in range(0, len(rows), _AT_ONCE):
+        yield
+        corners.append(squares(rows[start : start + _AT_ONCE], viewpoints))
+    yield
+    found = placed.find()
+    if found is None:
+        return
+    root, scene = found
+    owned = OwnedDataBlocks(root[LIFT], scene)
+    mesh = _fill(owned, rows, np.concatenate([np.zeros((0, 4, 3), np.float32), *corners]))
+    splats = owned.object(GAUSSIANS, "Gaussians", mesh, child_collection(root, "Gaussians", scene))
+    splats.hide_select = True  # a click is meant for the box within
+
+
+def _place_native(root: bpy.types.Collection, scene: bpy.types.Scene, path: Path) -> None:
+    """The file as Blender's own splats. Raises PlgsError."""
     parent = child_collection(root, "Gaussians", scene)
-    if not has_native_splats():
-        owned = owned or OwnedDataBlocks(root[LIFT], scene)
-        seen_from = [ob.matrix_world.translation for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")]
-        mesh = _fill(owned, read_gaussians(path), np.array(seen_from, np.float64).reshape(-1, 3))
-        placed = owned.object(_KEY, "Gaussians", mesh, parent)
-        placed.hide_select = True  # a click is meant for the box within
-        return placed
     imported = _import(path)
     if imported.type != "POINTCLOUD" or imported.data.type != "GAUSSIAN_SPLAT":
         kind = imported.type.lower()
         _remove(imported)
         raise PlgsError(f"was imported as a {kind}, not as splats", path, "Report it, with the version of Blender.")
-    for old in [ob for ob in root.all_objects if key_of(ob, root[LIFT]) == _KEY]:
+    for old in [ob for ob in root.all_objects if key_of(ob, root[LIFT]) == GAUSSIANS]:
         _remove(old)
     imported.name = imported.data.name = "Gaussians"
     for collection in imported.users_collection:
         collection.objects.unlink(imported)
-    tag(imported, root[LIFT], _KEY)
-    tag(imported.data, root[LIFT], _KEY)
+    tag(imported, root[LIFT], GAUSSIANS)
+    tag(imported.data, root[LIFT], GAUSSIANS)
     parent.objects.link(imported)
     imported.hide_select = True
-    return imported
 
 
-def squares(
-    rows: NDArray[np.void], viewpoints: NDArray[np.floating]
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-    """Corners float32 [M, 4, 3] in metres and opacities float32 [M] of the Gaussians with the indices int64 [M]: of
-    those that can be seen, at most MOST_SQUARES that cover most. Each faces the nearest of the viewpoints [V, 3].
-    """
-    opacity = 1.0 / (1.0 + np.exp(-rows["opacity"]))
-    size = np.exp(np.stack([rows[f"scale_{axis}"] for axis in range(3)], axis=1))
-    order = np.argsort(-size, axis=1)[:, :2]
-    longest = np.minimum(np.take_along_axis(size, order, axis=1), _LARGEST)
-    chosen = np.flatnonzero((opacity >= _FAINTEST) & np.isfinite(size).all(axis=1))
+def seen(rows: NDArray[np.void]) -> NDArray[np.int64]:
+    """Indices of the Gaussians that can be seen: at most MOST_SQUARES that cover most."""
+    opacity, size = _opacity(rows), _size(rows)
+    chosen = np.flatnonzero((opacity >= _FAINTEST) & np.isfinite(size).all(axis=0))
     if len(chosen) > MOST_SQUARES:
-        cover = (opacity * longest.prod(axis=1))[chosen]
+        # The product of all three but the smallest.
+        longest = np.sort(size[:, chosen], axis=0)[1:]
+        cover = opacity[chosen] * np.minimum(longest, _LARGEST).prod(axis=0)
         chosen = np.sort(chosen[np.argpartition(-cover, MOST_SQUARES)[:MOST_SQUARES]])
-    w, x, y, z = np.stack([rows[f"rot_{part}"][chosen] for part in range(4)])
+    return chosen
+
+
+def squares(rows: NDArray[np.void], viewpoints: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Corners float32 [M, 4, 3] in metres of the squares of Gaussians [M]. Each faces the nearest of the viewpoints
+    [V, 3].
+    """
+    size = np.minimum(_size(rows), _LARGEST)
+    w, x, y, z = np.stack([rows[f"rot_{part}"] for part in range(4)])
     length = np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = (part / np.maximum(length, 1e-12) for part in (w, x, y, z))
     axes = np.array(
@@ -106,31 +136,47 @@ def squares(
             [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
             [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
             [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        ]
+        ],
+        np.float32,
     ).transpose(2, 0, 1)  # [M, axis, xyz]
-    own = np.take_along_axis(axes, order[chosen][:, :, None], axis=1) * (_EXTENT * longest[chosen])[:, :, None]
-    middle = np.stack([rows[axis][chosen] for axis in "xyz"], axis=1)
+    order = np.argsort(-_size(rows), axis=0)[:2].T
+    own = np.take_along_axis(axes, order[:, :, None], axis=1)
+    own *= np.float32(_EXTENT) * np.take_along_axis(size.T, order, axis=1)[:, :, None]
+    middle = np.stack([rows[axis] for axis in "xyz"], axis=1)
     if len(viewpoints):
         towards = towards_nearest(middle.astype(np.float64), viewpoints)
         away = np.einsum("ij,ij->i", np.cross(own[:, 0], own[:, 1]), towards) < 0.0
         own[away] = own[away][:, ::-1]
-    corners = middle[:, None] + np.einsum("ca,maj->mcj", _CORNERS, own)
-    return corners.astype(np.float32), opacity[chosen].astype(np.float32), chosen
+    return (middle[:, None] + np.einsum("ca,maj->mcj", _CORNERS, own)).astype(np.float32)
 
 
-def _fill(owned: OwnedDataBlocks, rows: NDArray[np.void], viewpoints: NDArray[np.floating]) -> bpy.types.Mesh:
+def _opacity(rows: NDArray[np.void]) -> NDArray[np.float32]:
+    return np.asarray(1.0 / (1.0 + np.exp(-rows["opacity"])), np.float32)
+
+
+def _size(rows: NDArray[np.void]) -> NDArray[np.float32]:
+    """Standard deviations along the three axes, float32 [3, N] in metres."""
+    return np.exp(np.stack([rows[f"scale_{axis}"] for axis in range(3)]))
+
+
+def _fill(owned: OwnedDataBlocks, rows: NDArray[np.void], corners: NDArray[np.float32]) -> bpy.types.Mesh:
     """Our mesh of squares, with Col, opacity, corner, class_id and instance_id at its vertices."""
-    corners, opacity, chosen = squares(rows, viewpoints)
-    count = len(chosen)
-    mesh: bpy.types.Mesh = owned.data(_KEY, lambda: bpy.data.meshes.new("Gaussians"))
+    count = len(rows)
+    mesh: bpy.types.Mesh = owned.data(GAUSSIANS, lambda: bpy.data.meshes.new("Gaussians"))
     mesh.clear_geometry()
     mesh.vertices.add(4 * count)
-    mesh.vertices.foreach_set("co", corners.ravel())
     mesh.loops.add(4 * count)
-    mesh.loops.foreach_set("vertex_index", np.arange(4 * count, dtype=np.int32))
+    mesh.edges.add(4 * count)
+    # As attributes they are copied at once; by their own names they are set one by one.
+    numbers = np.arange(4 * count, dtype=np.int32)
+    following = numbers + np.tile(np.array([1, 1, 1, -3], np.int32), count)
+    mesh.attributes["position"].data.foreach_set("vector", corners.ravel())
+    mesh.attributes[".edge_verts"].data.foreach_set("value", np.stack([numbers, following], axis=1).ravel())
+    for name in (".corner_vert", ".corner_edge"):
+        mesh.attributes[name].data.foreach_set("value", numbers)
     mesh.polygons.add(count)
     mesh.polygons.foreach_set("loop_start", np.arange(0, 4 * count, 4, dtype=np.int32))
-    srgb = np.clip(0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"][chosen] for axis in range(3)], axis=1), 0, 1)
+    srgb = np.clip(0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"] for axis in range(3)], axis=1), 0, 1)
     rgba = np.ones((count, 4), np.float32)
     rgba[:, :3] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     colours = mesh.color_attributes.new("Col", "FLOAT_COLOR", "POINT")
@@ -138,9 +184,9 @@ def _fill(owned: OwnedDataBlocks, rows: NDArray[np.void], viewpoints: NDArray[np
     corner = np.zeros((count, 4, 3), np.float32)
     corner[..., :2] = _EXTENT * _CORNERS
     mesh.attributes.new("corner", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", corner.ravel())
-    mesh.attributes.new("opacity", "FLOAT", "POINT").data.foreach_set("value", np.repeat(opacity, 4))
+    mesh.attributes.new("opacity", "FLOAT", "POINT").data.foreach_set("value", np.repeat(_opacity(rows), 4))
     for column in ("class_id", "instance_id"):
-        ids = rows[column][chosen] if column in (rows.dtype.names or ()) else np.zeros(count, np.int32)
+        ids = rows[column] if column in (rows.dtype.names or ()) else np.zeros(count, np.int32)
         layer = mesh.attributes.new(column, "INT", "POINT")
         layer.data.foreach_set("value", np.repeat(ids, 4).astype(np.int32))
     mesh.color_attributes.active_color = mesh.color_attributes["Col"]

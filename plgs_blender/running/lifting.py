@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -127,7 +128,8 @@ def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
     followed = lifts.attach(lift.path)
     adopt(scene.plgs, lift.request, lift.path)
     if not followed.is_running:
-        followed.done(scene)
+        for _ in followed.done(scene):
+            pass
     return followed
 
 
@@ -224,11 +226,13 @@ def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> ex
     return exports.export(lift, "clouds", cloud_folder(lift), python, [frame], cameras=cameras, shown_in=scene.name)
 
 
-def show_lift(scene: bpy.types.Scene, folder: str = "") -> bpy.types.Collection:
-    """Put the finished lift in `folder`, or in that of the scene's settings, into the scene. Raises PlgsError."""
+def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Iterator[bpy.types.Collection | None]:
+    """Put the finished lift in `folder`, or in that of the scene's settings, into the scene, part by part. Raises
+    PlgsError.
+    """
     lift = lift_at(scene.plgs, folder)
     try:
-        return lifts.show_lift(scene, lift)
+        yield from lifts.showing_lift(scene, lift)
     except PlgsError as error:
         if not lift.is_running:
             raise

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+
+import bpy
 
 from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job import LiftFolder, LiftState
@@ -14,7 +16,7 @@ from ...engine.job.follower import TaskFollower, start_bake
 from ...engine.job.process import engine_command
 from ...engine.job.recent import RecentLift, recent_lifts
 from ...engine.job.task import BAKE, LIFT, TaskState
-from ..lift_scene import look_at_placed, place_lift, place_passes_anew
+from ..lift_scene import look_at_placed, place_passes_anew, placing_read, reading_lift
 from ..settings import adopt, chosen_lift
 from ..startup_file import taking_over
 from ..tasks import registry, timer
@@ -71,7 +73,7 @@ class Lift(Task):
             return "The lift is finished"
         return "The lift was not started" if self.lift_state is LiftState.NOT_STARTED else "The lift was cancelled"
 
-    def done(self, scene: Any) -> None:
+    def done(self, scene: Any) -> Iterator[object]:
         """Put a finished result into the scene if that is still set to it and wants it; baked passes in any case."""
         try:
             self.lift_state = self.folder.state_at_a_glance()
@@ -83,7 +85,7 @@ class Lift(Task):
         if self.is_baking:
             place_passes_anew(self.folder.path, scene)
         elif scene.plgs.place_when_done and chosen_lift(scene.plgs) == self.folder.path:
-            show_lift(scene, self.folder)
+            yield from showing_lift(scene, self.folder)
         else:
             return
         self.undo_step = "Show Result"
@@ -208,11 +210,23 @@ def show_lift(scene: Any, lift: LiftFolder) -> Any:
     """Put a finished lift into the scene, let the panel say what it was asked for, and return its collection. The 3D
     views look at it, as splats when it was not in the scene before. Raises PlgsError.
     """
+    return [*showing_lift(scene, lift)][-1]
+
+
+def showing_lift(scene: Any, lift: LiftFolder) -> Iterator[Any]:
+    """`show_lift` in parts, for a window that must not wait; None while nothing is placed yet. Raises PlgsError."""
+    name = scene.name
+    read = yield from reading_lift(lift.path)
+    scene = bpy.data.scenes.get(name)  # undo may have put another one in its place
+    if scene is None:
+        return
+    placing = placing_read(read, scene)
     with taking_over(scene):
-        root = place_lift(lift.path, scene)
+        root = next(placing)
     adopt(scene.plgs, lift.request, lift.path)
     look_at_placed(root, scene)
-    return root
+    yield root
+    yield from placing
 
 
 def _refuse_running(lift: LiftFolder) -> None:

@@ -7,7 +7,7 @@ so they survive undo and the opening of another .blend. `poll_all` is called oft
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -40,7 +40,8 @@ class Task:
         self.follower = follower
         self.began = time.monotonic()
         self.is_taken = False
-        """Whether `done` was called."""
+        """Whether `done` was called, and did all its parts."""
+        self._parts: Iterator[object] | None = None
         self._problem: PlgsError | None = None
 
     @property
@@ -83,9 +84,14 @@ class Task:
         has_news = self.follower.poll()
         if not self.is_running and not self.is_taken:
             self.is_taken = True
-            self.follower.close()
             try:
-                self.done(scene)
+                if self._parts is None:
+                    self.follower.close()
+                    self._parts = self.done(scene) or iter(())
+                next(self._parts)
+                self.is_taken = False
+            except StopIteration:
+                pass
             except PlgsError as error:
                 self._problem = error
             except OSError as error:
@@ -93,11 +99,13 @@ class Task:
             return True
         return has_news
 
-    def done(self, scene: Any) -> None:
+    def done(self, scene: Any) -> Iterator[object] | None:
         """Take the answer into Blender, whose current scene is ``scene``. It is called once, however the task ended.
+        What takes long comes in parts, one for each poll: between two the user may change everything.
 
         Raises PlgsError, OSError.
         """
+        return None
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
         """Called at every tick of the timer with all scenes of the file; whether 3D views have to be drawn anew."""
@@ -146,6 +154,11 @@ def task_of(key: Hashable) -> Task | None:
 def running(kind: type[Kind]) -> list[Kind]:
     """The tasks of a kind that go on. `Task` stands for every kind."""
     return [task for task in _tasks.values() if isinstance(task, kind) and task.is_running]
+
+
+def is_any_left() -> bool:
+    """Whether there is anything to poll."""
+    return any(task.is_running or not task.is_taken for task in _tasks.values())
 
 
 def refuse_second(kind: type[Task]) -> None:

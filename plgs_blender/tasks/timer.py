@@ -38,7 +38,7 @@ def tick() -> float | None:
         _poll()
     except Exception:  # a defect of ours: the tasks are followed all the same
         traceback.print_exc()
-    return TICK_S if registry.running(Task) else None
+    return TICK_S if registry.is_any_left() else None
 
 
 def _poll() -> None:

@@ -40,9 +40,9 @@ def test_what_to_do_about_a_lift_that_is_running(tmp_path: Path) -> None:
             lifting.resume_lift(scene.plgs, str(lift.path))
         assert refused.value.fix == "Watch it, or cancel it first."
         with pytest.raises(PlgsError, match="still running"):
-            lifting.show_lift(scene, str(lift.path))
+            next(lifting.showing_lift(scene, str(lift.path)))
     with pytest.raises(PlgsError, match="not finished") as refused:
-        lifting.show_lift(scene, str(lift.path))
+        next(lifting.showing_lift(scene, str(lift.path)))
     assert "Resume" in refused.value.fix
 
 
