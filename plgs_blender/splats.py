@@ -11,7 +11,7 @@ Y, up Z) are ours. This was read in Blender's source and in its API. It has not 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import bpy
@@ -77,17 +77,19 @@ def placing_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> Ite
     viewpoints = np.array(eyes, np.float64).reshape(-1, 3)
     rows = read_gaussians(path)
     rows = rows[seen(rows)]
-    corners = []
+    parts = [_columns(rows[:0], viewpoints)]
     for start in range(0, len(rows), _AT_ONCE):
         yield
-        corners.append(squares(rows[start : start + _AT_ONCE], viewpoints))
+        parts.append(_columns(rows[start : start + _AT_ONCE], viewpoints))
+    yield
+    columns = _sides(len(rows)) | {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
     yield
     found = placed.find()
     if found is None:
         return
     root, scene = found
     owned = OwnedDataBlocks(root[LIFT], scene)
-    mesh = _fill(owned, rows, np.concatenate([np.zeros((0, 4, 3), np.float32), *corners]))
+    mesh = _fill(owned, columns)
     splats = owned.object(GAUSSIANS, "Gaussians", mesh, child_collection(root, "Gaussians", scene))
     splats.hide_select = True  # a click is meant for the box within
 
@@ -159,36 +161,46 @@ def _size(rows: NDArray[np.void]) -> NDArray[np.float32]:
     return np.exp(np.stack([rows[f"scale_{axis}"] for axis in range(3)]))
 
 
-def _fill(owned: OwnedDataBlocks, rows: NDArray[np.void], corners: NDArray[np.float32]) -> bpy.types.Mesh:
-    """Our mesh of squares, with Col, opacity, corner, class_id and instance_id at its vertices."""
+def _columns(rows: NDArray[np.void], viewpoints: NDArray[np.floating]) -> dict[str, NDArray[np.generic]]:
+    """What the mesh has at the 4 M vertices of the squares of Gaussians [M], by attribute."""
     count = len(rows)
+    srgb = np.clip(0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"] for axis in range(3)], axis=1), 0, 1)
+    rgba = np.ones((count, 4), np.float32)
+    rgba[:, :3] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    corner = np.zeros((count, 4, 3), np.float32)
+    corner[..., :2] = _EXTENT * _CORNERS
+    columns = {"position": squares(rows, viewpoints), "corner": corner, "Col": np.repeat(rgba, 4, axis=0)}
+    columns["opacity"] = np.repeat(_opacity(rows), 4)
+    for name in ("class_id", "instance_id"):
+        ids = rows[name] if name in (rows.dtype.names or ()) else np.zeros(count, np.int32)
+        columns[name] = np.repeat(ids.astype(np.int32), 4)
+    return {name: values.ravel() for name, values in columns.items()}
+
+
+def _sides(count: int) -> dict[str, NDArray[np.generic]]:
+    """The sides of the squares: attributes that Blender's meshes have of themselves."""
+    numbers = np.arange(4 * count, dtype=np.int32)
+    ends = np.stack([numbers, numbers + np.tile(np.array([1, 1, 1, -3], np.int32), count)], axis=1)
+    return {".corner_vert": numbers, ".corner_edge": numbers, ".edge_verts": ends.ravel()}
+
+
+def _fill(owned: OwnedDataBlocks, columns: Mapping[str, NDArray[np.generic]]) -> bpy.types.Mesh:
+    """Our mesh of squares with these attributes."""
+    count = len(columns["opacity"]) // 4
     mesh: bpy.types.Mesh = owned.data(GAUSSIANS, lambda: bpy.data.meshes.new("Gaussians"))
     mesh.clear_geometry()
     mesh.vertices.add(4 * count)
     mesh.loops.add(4 * count)
     mesh.edges.add(4 * count)
-    # As attributes they are copied at once; by their own names they are set one by one.
-    numbers = np.arange(4 * count, dtype=np.int32)
-    following = numbers + np.tile(np.array([1, 1, 1, -3], np.int32), count)
-    mesh.attributes["position"].data.foreach_set("vector", corners.ravel())
-    mesh.attributes[".edge_verts"].data.foreach_set("value", np.stack([numbers, following], axis=1).ravel())
-    for name in (".corner_vert", ".corner_edge"):
-        mesh.attributes[name].data.foreach_set("value", numbers)
     mesh.polygons.add(count)
     mesh.polygons.foreach_set("loop_start", np.arange(0, 4 * count, 4, dtype=np.int32))
-    srgb = np.clip(0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"] for axis in range(3)], axis=1), 0, 1)
-    rgba = np.ones((count, 4), np.float32)
-    rgba[:, :3] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    colours = mesh.color_attributes.new("Col", "FLOAT_COLOR", "POINT")
-    colours.data.foreach_set("color", np.repeat(rgba, 4, axis=0).ravel())
-    corner = np.zeros((count, 4, 3), np.float32)
-    corner[..., :2] = _EXTENT * _CORNERS
-    mesh.attributes.new("corner", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", corner.ravel())
-    mesh.attributes.new("opacity", "FLOAT", "POINT").data.foreach_set("value", np.repeat(_opacity(rows), 4))
-    for column in ("class_id", "instance_id"):
-        ids = rows[column] if column in (rows.dtype.names or ()) else np.zeros(count, np.int32)
-        layer = mesh.attributes.new(column, "INT", "POINT")
-        layer.data.foreach_set("value", np.repeat(ids, 4).astype(np.int32))
+    mesh.color_attributes.new("Col", "FLOAT_COLOR", "POINT")
+    for name, kind in (("corner", "FLOAT_VECTOR"), ("opacity", "FLOAT"), ("class_id", "INT"), ("instance_id", "INT")):
+        mesh.attributes.new(name, kind, "POINT")
+    # Attributes are copied at once. What `vertices` and `loops` call co and vertex_index would be set one by one.
+    for name, values in columns.items():
+        field = {"position": "vector", "corner": "vector", "Col": "color"}.get(name, "value")
+        mesh.attributes[name].data.foreach_set(field, values)
     mesh.color_attributes.active_color = mesh.color_attributes["Col"]
     mesh.materials.clear()
     mesh.materials.append(splat_material(owned))
