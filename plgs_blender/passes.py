@@ -168,6 +168,7 @@ def _one_pixel_of(image: bpy.types.Image) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="plgs-", dir=bpy.app.tempdir) as folder:
         pixel = Path(folder) / "0001.exr"
         pixel.write_bytes(one_pixel_of(Path(path)))
+        image.filepath_raw = str(pixel)  # to set `source` reads the file
         image.source, image.filepath = "FILE", str(pixel)
         try:
             yield
