@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
@@ -35,6 +36,8 @@ _FARTHEST = 1e6
 """Metres. No room is that large. Numbers near the largest float would spoil the sums that are made of them."""
 _BAD = (OSError, KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError)
 """What reading content of the wrong form raises."""
+_CORNER = r"[01]\.\d{3},[01]\.\d{3}"
+_OUTLINE = re.compile(rf"{_CORNER}(?:[ ;]{_CORNER})*")
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "xyz": (np.float32, (3,)),
     "rgb": (np.uint8, (3,)),
@@ -79,8 +82,9 @@ class MatchedSegment:
     ``cost`` and ``agreement`` say why it was matched; one of them is None. ``cost`` is that of Algorithm 1, from -1.5
     (same box) to 0, and None for the segment that founded the instance. ``agreement`` is the share of the views'
     judgements that put it together with the instance's other masks. ``pixels``: how many it has with depth at the size
-    of the lift; ``share`` of the picture's pixels; ``rectangle`` around it: left, top, right, bottom, 0..1. The first
-    versions of this file have none of the last four: then they are None and 0.
+    of the lift; ``share`` of the picture's pixels; ``rectangle`` around it: left, top, right, bottom, 0..1;
+    ``outline``: polygons around its parts, "x,y x,y x,y;x,y x,y x,y" in shares of the picture. The first versions of
+    this file have none of the last five: then they are None, 0 and empty.
     """
 
     frame: str
@@ -92,6 +96,7 @@ class MatchedSegment:
     pixels: int
     share: float
     rectangle: tuple[float, float, float, float]
+    outline: str = ""
 
 
 @dataclass(frozen=True)
@@ -215,7 +220,14 @@ def _segment(entry: dict[str, Any]) -> MatchedSegment:
         pixels=_whole(entry.get("pixels", 0)),
         share=_number(entry.get("share", 0.0)),
         rectangle=_floats(entry.get("rectangle", (0.0, 0.0, 0.0, 0.0)), 4),
+        outline=_outline(entry.get("outline", "")),
     )
+
+
+def _outline(value: Any) -> str:
+    if not isinstance(value, str) or (value and not _OUTLINE.fullmatch(value)):
+        raise ValueError(f"{value!r} is no outline")
+    return value
 
 
 def _colour(value: Any) -> tuple[int, int, int]:

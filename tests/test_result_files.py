@@ -43,6 +43,9 @@ def test_arrays_are_read_back_and_their_bytes_repeat(tmp_path: Path) -> None:
         write_arrays(tmp_path / "c.npz", points)
 
 
+OUTLINE = "0.000,0.100 0.500,0.100 0.500,0.600;0.700,0.700 0.800,0.700 0.800,0.800"
+
+
 def made_instance(number: int) -> Instance:
     return Instance(
         id=number,
@@ -57,7 +60,7 @@ def made_instance(number: int) -> Instance:
         views=3,
         score=0.9,
         points=100,
-        segments=(MatchedSegment("0001", 17, 5, 0.8, None, 0.75, 1200, 0.25, (0.0, 0.1, 0.5, 0.6)),),
+        segments=(MatchedSegment("0001", 17, 5, 0.8, None, 0.75, 1200, 0.25, (0.0, 0.1, 0.5, 0.6), OUTLINE),),
     )
 
 
@@ -75,6 +78,13 @@ def test_bad_instances_are_refused(tmp_path: Path) -> None:
         write_instances(path, CLASSES, [made_instance(1)])
         content = json.loads(path.read_text())
         content["instances"][0][field] = value
+        path.write_text(json.dumps(content))
+        with pytest.raises(PlgsError, match="cannot be read"):
+            read_instances(path)
+    for outline in ("0.1,0.2", "0.100,0.200,", "0.100,0.200 " * 3, 7, ["0.100,0.200"], "9.000,0.000"):
+        write_instances(path, CLASSES, [made_instance(1)])
+        content = json.loads(path.read_text())
+        content["instances"][0]["segments"][0]["outline"] = outline
         path.write_text(json.dumps(content))
         with pytest.raises(PlgsError, match="cannot be read"):
             read_instances(path)

@@ -1,4 +1,4 @@
-"""What is drawn over the 3D views: the growing model before the camera, the selected instance's points, the rectangle
+"""What is drawn over the 3D views: the growing model before the camera, the selected instance's points, the outline
 of a mask, what is painted, labels and a legend.
 
 Each view is drawn many times a second, so everything is read from Blender's data: nothing from disk, nothing written.
@@ -100,7 +100,7 @@ def _draw_preview(context: bpy.types.Context) -> None:
 
 
 def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> None:
-    """Draw the rectangle of the chosen mask while somebody looks through the camera of its frame."""
+    """Draw the outline of the chosen mask while somebody looks through the camera of its frame."""
     lists, camera = root.plgs, context.scene.camera
     if context.region_data.view_perspective != "CAMERA" or not 0 <= lists.instance_index < len(lists.instances):
         return
@@ -110,9 +110,10 @@ def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, region: V
     mask = row.masks[row.mask_index]
     if camera is None or objects_by_key(root).get(f"frame:{mask.frame}") != camera or mask.rectangle[2] <= 0.0:
         return
-    corners = [region.pixel_of(corner) for corner in highlight.rectangle_in_space(camera, tuple(mask.rectangle))]
-    if None not in corners:
-        draw_outline([corner for corner in corners if corner is not None], tuple(row.colour))
+    for polygon in highlight.outline_in_space(camera, mask.outline, tuple(mask.rectangle)):
+        corners = [region.pixel_of(corner) for corner in polygon]
+        if None not in corners:
+            draw_outline([corner for corner in corners if corner is not None], tuple(row.colour))
 
 
 def _size(context: bpy.types.Context) -> tuple[int, int]:

@@ -31,6 +31,12 @@ class SegmentOptions:
     min_points: int = 30
 
 
+OUTLINE_ERROR = 0.004
+"""Shares of the picture's longer side by which an outline may be off."""
+OUTLINE_PART = 0.1
+"""Share of a mask's largest part below which a part has no outline."""
+
+
 @dataclass(frozen=True, eq=False)
 class LocalInstance:
     """A segment of one view in space: P_l, thinned points float64 [n, 3] in metres, and its box B_l.
@@ -67,6 +73,20 @@ def mask_extents(mask: PanopticMask) -> dict[int, MaskExtent]:
         for segment, pixels, (down, across) in zip(present, count, places, strict=True)
         if segment > 0
     }
+
+
+def outline_of(mask: PanopticMask, segment: int) -> str:
+    """Polygons around the parts of a segment that are not small, as `MatchedSegment` has them."""
+    inside = (mask.ids == segment).astype(np.uint8)
+    contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    areas = [cv2.contourArea(contour) for contour in contours]
+    size = np.array(mask.ids.shape[::-1], np.float64)
+    polygons = []
+    for contour, area in zip(contours, areas, strict=True):
+        corners = cv2.approxPolyDP(contour, OUTLINE_ERROR * float(size.max()), True)[:, 0]
+        if len(corners) >= 3 and area >= OUTLINE_PART * max(areas):
+            polygons.append(" ".join(f"{x:.3f},{y:.3f}" for x, y in (corners + 0.5) / size))
+    return ";".join(polygons)
 
 
 def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptions) -> list[LocalInstance]:

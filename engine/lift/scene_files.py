@@ -13,7 +13,7 @@ from safetensors.torch import save
 from ..corrections import CorrectedResult
 from ..errors import PlgsError
 from ..instances.matching import GlobalInstance
-from ..instances.segments import mask_extents
+from ..instances.segments import mask_extents, outline_of
 from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
 from ..model.baking import bake
 from ..model.structured import StructuredScene, from_tensors, to_tensors
@@ -133,14 +133,20 @@ def listed_instances(
     views: Sequence[View], prepared: PreparedLift, classes: ClassTable, names: Mapping[int, str]
 ) -> list[Instance]:
     """The matched objects as instances.json lists them, with the masks that made them."""
-    extents = {view.name: mask_extents(view.mask) for view in views}
+    masks = {view.name: view.mask for view in views}
+    extents = {name: mask_extents(mask) for name, mask in masks.items()}
     points = np.bincount(prepared.instance_of_point, minlength=max(names, default=0) + 1)
     listed = []
     for instance in prepared.instances:
         x, y, z = instance.box.centre.tolist()
         length, width, height = instance.box.size.tolist()
         segments = tuple(
-            MatchedSegment(**vars(item), **vars(extents[item.frame][item.segment_id])) for item in instance.evidence
+            MatchedSegment(
+                **vars(item),
+                **vars(extents[item.frame][item.segment_id]),
+                outline=outline_of(masks[item.frame], item.segment_id),
+            )
+            for item in instance.evidence
         )
         listed.append(
             Instance(

@@ -1,4 +1,4 @@
-"""What is highlighted in a 3D view: the selected instance's points and anchors, and the rectangle of a mask.
+"""What is highlighted in a 3D view: the selected instance's points and anchors, and the outline of a mask.
 
 A view is drawn many times, so points are read from Blender's data once for each selection, and kept.
 """
@@ -76,16 +76,23 @@ def _points_of(cloud: bpy.types.Object, instance: int) -> _Points:
     return xyz.reshape(-1, 3)[mine] @ world[:3, :3].T + world[:3, 3], shade.astype(np.float32), radius[mine]
 
 
-def rectangle_in_space(camera: bpy.types.Object, rectangle: tuple[float, float, float, float]) -> list[Vector]:
-    """The corners of a rectangle (left, top, right, bottom, shares of the picture) in the picture of a frame's camera,
-    as world points one metre before the camera. Empty when the user removed the camera's properties of its lens.
+def outline_in_space(
+    camera: bpy.types.Object, outline: str, rectangle: tuple[float, float, float, float]
+) -> list[list[Vector]]:
+    """The polygons of a mask's outline in the picture of a frame's camera, as world points one metre before the camera;
+    the rectangle around the mask where a lift has no outlines. Both are as `MatchedSegment` has them. Empty when the
+    user removed the camera's properties of its lens.
     """
     if any(name not in camera for name in ("width", "height", "fx", "fy", "cx", "cy")):
         return []
-    left, top, right, bottom = rectangle
-    corners = []
-    for u, v in ((left, top), (right, top), (right, bottom), (left, bottom)):
+
+    def in_space(u: float, v: float) -> Vector:
         x = (u * camera["width"] - camera["cx"]) / camera["fx"]
         y = (v * camera["height"] - camera["cy"]) / camera["fy"]
-        corners.append(camera.matrix_world @ Vector((x, -y, -1.0)))  # a Blender camera looks along -z with y up
-    return corners
+        return camera.matrix_world @ Vector((x, -y, -1.0))  # a Blender camera looks along -z with y up
+
+    left, top, right, bottom = rectangle
+    polygons = [[corner.split(",") for corner in polygon.split()] for polygon in outline.split(";") if polygon]
+    found = [[(float(u), float(v)) for u, v in polygon] for polygon in polygons]
+    found = found or [[(left, top), (right, top), (right, bottom), (left, bottom)]]
+    return [[in_space(u, v) for u, v in polygon] for polygon in found]

@@ -82,7 +82,7 @@ def _update_names(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -
 
 
 class PLGS_PG_mask(bpy.types.PropertyGroup):
-    """One mask that was matched to an instance. `rectangle`: left, top, right, bottom in shares of the picture."""
+    """One mask that was matched to an instance. `rectangle` and `outline` are as `MatchedSegment` has them."""
 
     frame: StringProperty(name="Frame")
     segment: IntProperty(name="Segment", description="Id of the segment in the frame's mask")
@@ -101,6 +101,7 @@ class PLGS_PG_mask(bpy.types.PropertyGroup):
     pixels: IntProperty(name="Pixels", description="Pixels with depth, at the size of the lift")
     share: FloatProperty(name="Share", description="Share of the picture's pixels")
     rectangle: FloatVectorProperty(name="Rectangle", size=4)
+    outline: StringProperty(name="Outline")
     reason: StringProperty(name="Why", description="Why it was matched, in words")
 
 
@@ -294,7 +295,7 @@ def _fill_instance(row: Any, instance: Instance, classes: ClassTable) -> None:
         each.score, each.pixels, each.share = mask.score, mask.pixels, mask.share
         each.cost = NO_COST if mask.cost is None else mask.cost
         each.agreement = NO_AGREEMENT if mask.agreement is None else mask.agreement
-        each.rectangle, each.reason = mask.rectangle, _reason(mask)
+        each.rectangle, each.outline, each.reason = mask.rectangle, mask.outline, _reason(mask)
 
 
 def _fill_class(row: Any, class_id: int, points: int, score: float, classes: ClassTable) -> None:

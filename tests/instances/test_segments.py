@@ -4,7 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from engine.instances.segments import MaskExtent, SegmentOptions, edge_distance, local_instances, mask_extents, thin
+from engine.instances.segments import (
+    MaskExtent,
+    SegmentOptions,
+    edge_distance,
+    local_instances,
+    mask_extents,
+    outline_of,
+    thin,
+)
 from engine.scene import PanopticMask
 from tests.instances.two_chairs import THINGS, WALL, look, view_of
 
@@ -45,6 +53,15 @@ def test_distance_to_other_segments_ignores_the_pictures_border() -> None:
 def test_thinning_keeps_one_mean_a_voxel() -> None:
     points = np.array([[0.01, 0.0, 0.0], [0.03, 0.0, 0.0], [-0.01, 0.0, 0.0], [0.0, 0.0, 7.0]])
     np.testing.assert_allclose(thin(points, 0.05), [[-0.01, 0, 0], [0.02, 0, 0], [0.0, 0.0, 7.0]])
+
+
+def test_the_outline_goes_around_the_parts_that_are_not_small() -> None:
+    ids = np.zeros((100, 200), np.int32)
+    ids[20:40, 50:100], ids[60:80, 150:170], ids[0:4, 0:4] = 7, 7, 7
+    first, second = sorted(outline_of(PanopticMask(ids, ()), 7).split(";"))
+    assert sorted(first.split()) == ["0.253,0.205", "0.253,0.395", "0.497,0.205", "0.497,0.395"]
+    assert len(second.split()) == 4 and second.startswith("0.752,")
+    assert outline_of(PanopticMask(ids, ()), 9) == ""
 
 
 def test_extents_tell_where_masks_lie_in_the_picture() -> None:

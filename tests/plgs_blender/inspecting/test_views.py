@@ -10,7 +10,7 @@ from mathutils import Vector
 from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender.inspecting import views
-from plgs.plgs_blender.inspecting.highlight import rectangle_in_space
+from plgs.plgs_blender.inspecting.highlight import outline_in_space
 from plgs.plgs_blender.inspecting.lookup import boxes_of, objects_by_key, row_of
 from plgs.plgs_blender.lift_collection import SCENE
 
@@ -67,19 +67,24 @@ def test_a_framed_box_fills_the_view_and_no_more(root: bpy.types.Collection, asp
     assert 0.4 < fills < 1.0
 
 
-def test_a_rectangle_lies_on_the_photo(root: bpy.types.Collection) -> None:
+TWO_POLYGONS = "0.250,0.100 0.750,0.100 0.750,0.600 0.250,0.600;0.000,0.000 1.000,0.000 1.000,1.000"
+
+
+@pytest.mark.parametrize("outline", ["", TWO_POLYGONS])
+def test_an_outline_lies_on_the_photo(outline: str, root: bpy.types.Collection) -> None:
     camera = objects_by_key(root)["frame:0003"]
     scene = bpy.context.scene
     scene.camera = camera
     scene.render.resolution_x, scene.render.resolution_y = camera["width"], camera["height"]
     bpy.context.view_layer.update()
     rectangle = (0.25, 0.1, 0.75, 0.6)
-    corners = [world_to_camera_view(scene, camera, corner) for corner in rectangle_in_space(camera, rectangle)]
-    expected = [(0.25, 0.9), (0.75, 0.9), (0.75, 0.4), (0.25, 0.4)]
-    assert np.allclose([(corner.x, corner.y) for corner in corners], expected, atol=1e-4)
+    polygons = outline_in_space(camera, outline, rectangle)
+    seen = [[world_to_camera_view(scene, camera, corner)[:2] for corner in polygon] for polygon in polygons]
+    assert np.allclose(seen[0], [(0.25, 0.9), (0.75, 0.9), (0.75, 0.4), (0.25, 0.4)], atol=1e-4)
+    assert not outline or np.allclose(seen[1], [(0, 1), (1, 1), (1, 0)], atol=1e-4)
 
 
-def test_a_camera_without_its_properties_has_no_rectangle(root: bpy.types.Collection) -> None:
+def test_a_camera_without_its_properties_has_no_outline(root: bpy.types.Collection) -> None:
     camera = bpy.data.objects["0003"]
     del camera["cx"]
-    assert rectangle_in_space(camera, (0.1, 0.1, 0.2, 0.2)) == []
+    assert outline_in_space(camera, "", (0.1, 0.1, 0.2, 0.2)) == []
