@@ -22,7 +22,7 @@ from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_
 from .made_pictures import cloud_of, made_before, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
 from .timeline import mark_timeline
-from .viewport import areas_that_show, frame_room, show_room
+from .viewport import areas_of, areas_that_show, frame_room, show_room
 
 MISSING = "plgs_missing"
 """Property of an imported scene's collection: what an engine has still to make of it, "colour" and "cloud" as its
@@ -64,7 +64,7 @@ def place_scene(place: ChosenScene, scene: bpy.types.Scene, *, cloud: bool = Tru
 
 def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """Let the 3D views that show the scene look down at the frames' cameras and the points before them."""
-    show_room(scene, *_room(root, scene), vertex=False)
+    show_room(areas_of(scene), *_room(root, scene), vertex=False)
 
 
 def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:

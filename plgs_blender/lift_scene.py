@@ -6,13 +6,12 @@ are bound to our cameras, and scenes for the passes. Placing a lift of the same 
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Vector
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
@@ -44,7 +43,7 @@ from .reuse import leave_holes
 from .splats import GAUSSIANS, gaussians_of, has_native_splats, place_gaussians, placing_gaussians
 from .surfaces import SurfaceGrid
 from .timeline import mark_timeline
-from .viewport import colour_views, look_from, show_room, start_file
+from .viewport import all_views, areas_of, colour_views, show_room, start_file
 
 _VIEWPOINTS = 200
 """Cameras that decide which side of a surface was seen; of more, every n-th is taken."""
@@ -290,10 +289,8 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
     scene.frame_set(0)
     scene.camera = overview
     scene.view_layers[0].update()
-    corners = _corners(root)
     with registered():
-        middle = Vector(((corners.min(axis=0) + corners.max(axis=0)) / 2.0).tolist())
-        look_from(scene, overview, middle, root.plgs.show_as != POINTS)
+        _look_at(root, overview, all_views())
 
 
 def _choose_what_is_shown(root: bpy.types.Collection) -> None:
@@ -322,7 +319,11 @@ def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     overview = overview_of(root)
     if overview is not None and len(root.plgs.classes):
         scene.view_layers[0].update()
-        show_room(scene, overview.matrix_world.to_quaternion(), _corners(root), root.plgs.show_as != POINTS)
+        _look_at(root, overview, areas_of(scene))
+
+
+def _look_at(root: bpy.types.Collection, overview: bpy.types.Object, areas: Iterable[bpy.types.Area]) -> None:
+    show_room(areas, overview.matrix_world.to_quaternion(), _corners(root), root.plgs.show_as != POINTS)
 
 
 def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:

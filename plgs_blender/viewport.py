@@ -39,7 +39,17 @@ def start_file() -> bpy.types.Scene:
     show_object_colours(scene.display.shading)
     scene.world = bpy.data.worlds.new("World")
     set_ground(scene.world)
+    for area in all_views():
+        for space in area.spaces:
+            if space.type == "VIEW_3D":
+                show_lift_colours(space)
+                _make_ready(space)
     return scene
+
+
+def all_views() -> list[bpy.types.Area]:
+    """The 3D views of the file, in all its workspaces."""
+    return [area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
 
 
 def set_ground(world: bpy.types.World) -> None:
@@ -72,7 +82,7 @@ def colour_views(scene: bpy.types.Scene, vertex: bool) -> None:
     """Let 3D views of this scene that a lift has coloured, or that are as Blender starts them, show the colours of
     vertices, or of objects.
     """
-    for area in _areas(scene):
+    for area in areas_of(scene):
         _colour_view(area.spaces.active, vertex)
 
 
@@ -86,19 +96,25 @@ def _colour_view(space: bpy.types.SpaceView3D, vertex: bool) -> bool:
     return is_new
 
 
-def show_room(scene: bpy.types.Scene, rotation: Quaternion, corners: NDArray[np.float64], vertex: bool) -> None:
-    """Let the 3D views of the windows with this scene look at the room with these corners [N, 3], in metres, turned as
-    a camera with this rotation is, beside what the sidebar covers. Views through a camera stay.
+def show_room(
+    areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64], vertex: bool
+) -> None:
+    """Let these 3D views look at the room with these corners [N, 3], in metres, turned as a camera with this rotation
+    is, beside what the sidebar covers. Views through a camera stay.
 
     Views that are still as Blender starts them get the lift's colours: those of vertices, or of objects.
     """
-    for area in _areas(scene):
+    for area in areas:
         space = area.spaces.active
         if _colour_view(space, vertex):
-            space.clip_start = 0.01
-            space.overlay.show_relationship_lines = space.overlay.show_floor = False
+            _make_ready(space)
         if space.region_3d.view_perspective != "CAMERA":
             frame_room(area, rotation, corners)
+
+
+def _make_ready(space: bpy.types.SpaceView3D) -> None:
+    space.clip_start = 0.01
+    space.overlay.show_relationship_lines = space.overlay.show_floor = False
 
 
 def areas_that_show(
@@ -107,7 +123,7 @@ def areas_that_show(
     """The 3D views that stand where `show_room` puts them with this rotation and these corners [N, 3]: nobody has
     moved them since.
     """
-    return [area for area in _areas(scene) if _stands(area.spaces.active.region_3d, *_place(area, rotation, corners))]
+    return [area for area in areas_of(scene) if _stands(area.spaces.active.region_3d, *_place(area, rotation, corners))]
 
 
 def _stands(view: bpy.types.RegionView3D, rotation: Quaternion, location: Vector, distance: float) -> bool:
@@ -117,7 +133,7 @@ def _stands(view: bpy.types.RegionView3D, rotation: Quaternion, location: Vector
     return view.view_perspective == "PERSP" and not (is_turned or is_away)
 
 
-def _areas(scene: bpy.types.Scene) -> list[bpy.types.Area]:
+def areas_of(scene: bpy.types.Scene) -> list[bpy.types.Area]:
     """The 3D views of the windows with this scene."""
     windows = [window for window in bpy.context.window_manager.windows if window.scene == scene]
     return [area for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
@@ -171,7 +187,7 @@ def show_lift_colours_at_first(view: bpy.types.SpaceView3D) -> None:
 
 def show_lift_colours_in(scene: bpy.types.Scene) -> None:
     """The same in all 3D views of windows that show this scene."""
-    for area in _areas(scene):
+    for area in areas_of(scene):
         show_lift_colours_at_first(area.spaces.active)
 
 
@@ -186,27 +202,6 @@ def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, f
     region = next((region for region in area.regions if region.type == "WINDOW"), None)
     aspect = region.width / region.height if region is not None and region.width and region.height else 1.0
     return area.spaces.active, aspect
-
-
-def look_from(scene: bpy.types.Scene, camera: bpy.types.Object, target: Vector, vertex: bool) -> None:
-    """Let every 3D view of the file look at `target` from where the camera stands, in the colours of vertices or of
-    objects.
-    """
-    rotation = camera.matrix_world.to_quaternion()
-    distance = (camera.matrix_world.translation - target).length
-    for screen in bpy.data.screens:
-        for area in screen.areas:
-            for space in area.spaces:
-                if space.type != "VIEW_3D":
-                    continue
-                show_lift_colours(space)
-                if vertex:
-                    show_splats_colours(space.shading)
-                space.overlay.show_relationship_lines = space.overlay.show_floor = False
-                space.clip_start = 0.01
-                view = space.region_3d
-                view.view_perspective = "PERSP"
-                view.view_location, view.view_rotation, view.view_distance = target, rotation, distance
 
 
 def show_finding(picture: Path, screens: Iterable[bpy.types.Screen]) -> tuple[bpy.types.Image, bool]:

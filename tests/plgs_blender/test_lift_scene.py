@@ -228,6 +228,18 @@ def test_a_file_that_we_start_shows_colours(lift: Path, tmp_path: Path) -> None:
     assert {view.shading.wireframe_color_type for view in views} == {"OBJECT"}
 
 
+def test_a_file_that_we_start_opens_with_a_view_full_of_the_room(lift: Path, tmp_path: Path) -> None:
+    lift_scene.save_lift(lift, tmp_path / "lift.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
+    area = next(area for area in bpy.data.screens["Layout"].areas if area.type == "VIEW_3D")
+    region, view = next(each for each in area.regions if each.type == "WINDOW"), area.spaces.active
+    xyz = np.concatenate([values(ob, "position", "vector", 3) for ob in bpy.data.objects if "class_id" in ob])
+    local = (xyz - np.array(view.region_3d.view_location)) @ np.array(view.region_3d.view_rotation.to_matrix())
+    scale = view.lens / 36.0 / (view.region_3d.view_distance - local[:, 2])  # 72 mm along the longer side
+    filled = np.ptp(local[:, :2] * scale[:, None], axis=0) / 2.0 * max(region.width, region.height)
+    assert 0.6 < (filled / (region.width, region.height)).max() < 1.0
+
+
 def test_a_lift_can_move_with_its_file(lift: Path, tmp_path: Path) -> None:
     shutil.copytree(lift.parent, tmp_path / "a")
     request = tmp_path / "a" / "lift" / "request.json"
