@@ -1,5 +1,5 @@
-"""What is drawn over the 3D views: the growing model before the camera, the selected instance's points, the outline
-of a mask, what is painted, labels and a legend.
+"""What is drawn over the 3D views: the growing model before the camera, the way of the frames' cameras, the selected
+instance's points, the outline of a mask, what is painted, labels and a legend.
 
 Each view is drawn many times a second, so everything is read from Blender's data: nothing from disk, nothing written.
 """
@@ -15,6 +15,7 @@ from ..plgs_blender.inspecting import highlight
 from ..plgs_blender.inspecting.drawing import (
     draw_highlight,
     draw_outline,
+    draw_path,
     draw_picture,
     draw_text_boxes,
     forget_picture,
@@ -46,6 +47,7 @@ def _draw_in_space() -> None:
     for each in painting.now if _is_wanted(context) else ():
         each.draw(context.region_data, _size(context))
     for root in _lifts(context):
+        _draw_cameras_path(context, root)
         lists = root.plgs
         number = selected_instance(root, context.view_layer.objects.active)
         row = next((row for row in lists.instances if row.instance_id == number), None)
@@ -60,6 +62,15 @@ def _draw_in_space() -> None:
         )
         box = boxes_of(root).get(number)
         draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), lists.dim_others)
+
+
+def _draw_cameras_path(context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    """Draw the way of the frames' cameras that are seen, unless somebody looks through a camera."""
+    if context.region_data.view_perspective == "CAMERA":
+        return
+    frames = [ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")]
+    seen = [ob for ob in frames if ob.visible_in_viewport_get(context.space_data)]
+    draw_path([ob.matrix_world.translation for ob in seen])
 
 
 def _draw_on_top() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import blf
@@ -22,6 +23,9 @@ _BEHIND = 0.22
 """Opacity of a highlighted point behind other things."""
 _SMALLEST, _LARGEST = 2.5, 14.0
 """Limits to the size of a highlighted point, pixels."""
+_PATH_COLOUR = (1.0, 0.78, 0.3, 0.9)
+_JUMP = 6.0
+"""Times the usual distance of two frames beyond which a path is broken."""
 _EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7)
 """Pairs of corners of an object's `bound_box`."""
 
@@ -68,6 +72,23 @@ def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None
     gpu.state.blend_set("ALPHA")
     for width, ink in ((5.0, (0.0, 0.0, 0.0, 0.5)), (2.5, (*_brightened(colour), 1.0))):
         _draw_lines([Vector((x, y, 0.0)) for x, y in corners], edges, ink, width)
+    gpu.state.blend_set("NONE")
+
+
+def draw_path(points: Sequence[Vector]) -> None:
+    """A line through points in metres, one after the other, behind what is nearer. A step that is much longer than
+    usual is a jump to another part of a recording: there is no line.
+    """
+    steps = [(end - start).length for start, end in pairwise(points)]
+    longest = _JUMP * float(np.median(steps)) if steps else 0.0
+    edges = [end for number, step in enumerate(steps) if step <= longest for end in (number, number + 1)]
+    if not edges:
+        return
+    gpu.state.blend_set("ALPHA")
+    gpu.state.depth_test_set("LESS_EQUAL")
+    for width, ink in ((4.0, (0.0, 0.0, 0.0, 0.4)), (2.0, _PATH_COLOUR)):
+        _draw_lines(points, edges, ink, width)
+    gpu.state.depth_test_set("NONE")
     gpu.state.blend_set("NONE")
 
 

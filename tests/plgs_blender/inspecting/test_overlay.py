@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Matrix, Vector
 from plgs.plgs_blender.inspecting import highlight
-from plgs.plgs_blender.inspecting.drawing import draw_highlight, draw_outline, draw_text_boxes
+from plgs.plgs_blender.inspecting.drawing import draw_highlight, draw_outline, draw_path, draw_text_boxes
 from plgs.plgs_blender.inspecting.lookup import boxes_of
 from plgs.plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes, legend_text_boxes, stack_labels
 
@@ -138,6 +138,17 @@ def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
     green = (drawn[..., 1] > 200) & (drawn[..., 0] < 160) & (drawn[..., 2] < 180)
     assert green[205:285, 295:405].sum() > 400, "the rectangle of the mask"
     assert (drawn.min(axis=-1) > 230)[:HEIGHT].sum() > 100, "white letters"
+
+
+@pytest.mark.skipif(bool(os.environ.get("PLGS_NO_EGL")), reason="this machine has no EGL")
+def test_a_path_is_a_line_that_jumps_break(root: bpy.types.Collection) -> None:
+    def draw() -> None:
+        in_pixels()
+        draw_path([Vector((x, 50.0, 0.0)) for x in (20, 40, 60, 80, 300, 320)])
+
+    drawn = picture(draw)[HEIGHT - 52 : HEIGHT - 48].astype(int)
+    amber = ((drawn[..., 0] > 200) & (drawn[..., 2] < 140)).any(axis=0)
+    assert amber[22:78].all() and amber[302:318].all() and not amber[90:290].any()
 
 
 def save(pixels: np.ndarray, path: str) -> None:
