@@ -16,6 +16,7 @@ from .. import __version__
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import LiftFolder, LiftRequest, LiftState
 from ..job.follower import TaskFollower
+from ..job.main_memory import SHARE
 from ..job.process import ROOT, engine_call, engine_command
 from ..job.task import BAKE, LIFT, TaskPlace, TaskProgress
 from ..json_file import Json
@@ -95,11 +96,14 @@ def engine_tag(root: Path = ROOT) -> str:
     return f"plgs-{__version__}-{digest.hexdigest()[:8]}"
 
 
-def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "") -> Outcome:
-    """Do it, with so many ``threads`` (0: all). What is done already ends at once. Never raises for what a scene or a
-    machine lacks: the outcome says it.
+def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: float = 0.0) -> Outcome:
+    """Do it, with so many ``threads`` and ``gigabytes`` (0: all). What is done already ends at once. Never raises for
+    what a scene or a machine lacks: the outcome says it.
     """
     began = time.monotonic()
+    variables = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)} if threads else {}
+    if gigabytes:
+        variables[SHARE] = f"{gigabytes:g}"
 
     def outcome(ended: Ended, error: PlgsError | None = None, answer: Mapping[str, Json] | None = None) -> Outcome:
         reason, code = ("", 0) if error is None else (str(error), int(error.exit_code))
@@ -108,7 +112,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "") -> Outcome:
 
     try:
         _refuse_unfit_place(piece)
-        follower = _followed(piece, tell, threads)
+        follower = _followed(piece, tell, variables)
         is_done = follower is None or follower.error is None and follower.exit_code is ExitCode.FINISHED
         frames: list[Json] = [*_frames_of(piece.lift)] if piece.tells_frames and is_done else []
     except PlgsError as error:
@@ -141,13 +145,13 @@ def _refuse_unfit_place(piece: Piece) -> None:
             raise PlgsError("is not there on this worker", place, fix, code=ErrorCode.NO_ENGINE)
 
 
-def _followed(piece: Piece, tell: Tell, threads: int) -> TaskFollower | None:
+def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFollower | None:
     """The piece's engine, when it has ended; None where there was nothing to do. While another engine is at work there,
     it is waited for.
     """
     told = 0.0
     while True:
-        follower = _started(piece, threads)
+        follower = _started(piece, variables)
         if follower is None:
             return None
         try:
@@ -165,8 +169,7 @@ def _followed(piece: Piece, tell: Tell, threads: int) -> TaskFollower | None:
         time.sleep(BUSY_S)
 
 
-def _started(piece: Piece, threads: int) -> TaskFollower | None:
-    variables = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)} if threads else {}
+def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:
     if piece.kind is Kind.LIFT:
         lift, is_new = _lift_folder(piece)
         if not is_new and not lift.is_running and lift.state_at_rest() is LiftState.FINISHED and lift.is_whole():
@@ -211,8 +214,9 @@ def do_on_dask(piece: Piece) -> Outcome:
     def tell(progress: TaskProgress) -> None:
         worker.log_event(TOPIC, {"scene": piece.scene, "kind": str(piece.kind), "text": describe(progress)})
 
-    threads = int(worker.state.total_resources.get(THREADS, 0))
-    return do(piece, tell, threads, f"{os.uname().nodename if hasattr(os, 'uname') else ''} {worker.name}".strip())
+    offers = worker.state.total_resources
+    name = f"{os.uname().nodename if hasattr(os, 'uname') else ''} {worker.name}".strip()
+    return do(piece, tell, int(offers.get(THREADS, 0)), name, offers.get(GIGABYTES, 0.0))
 
 
 TOPIC = "plgs-batch"

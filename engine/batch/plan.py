@@ -57,12 +57,15 @@ class Row:
 
 
 def names_of(scenes: Sequence[Path]) -> list[str]:
-    """A name for each scene: that of its folder or file. Raises PlgsError for two of one name, which on some disks
-    may differ in case, and for one that is no name of a folder of its own, as of "...zip".
+    """A name for each scene: that of its folder or file. Raises PlgsError for a scene that is given twice, for two of
+    one name, which on some disks may differ in case, and for a name of no folder of its own, as of "...zip".
     """
     names = [scene.resolve().name if scene.is_dir() else scene.stem for scene in scenes]
     folded = [name.casefold() for name in names]
-    for name, scene in zip(names, scenes, strict=True):
+    places = [scene.resolve() for scene in scenes]
+    for name, scene, place in zip(names, scenes, places, strict=True):
+        if places.count(place) > 1:
+            raise PlgsError("the scene is given twice", scene, "Name it once.")
         if name.strip(". ") == "":
             raise PlgsError("no folder can have this scene's name", scene, "Rename the scene.")
         if folded.count(name.casefold()) > 1 or name.casefold() in (RECORDS, "table.csv", "table.md"):

@@ -16,17 +16,21 @@ from ..job import LiftFolder
 from ..job.task import TaskProgress
 from ..job.terminal import Interrupts, LiveLine
 from ..json_file import Json
-from .cluster import Farm, Place, opened, reconnected
+from .cluster import RETURN_S, Farm, Place, opened, reconnected
 from .piece import GIGABYTES, TOPIC, Ended, Kind, Outcome, Piece, do_on_dask, engine_tag
 from .plan import BatchPlan, Row, SceneJob, done_before, remember
 from .table import write_tables
 
 _POLL_S = 0.2
+_LOOK_S = 1.0
+"""Seconds between two looks at which workers are there."""
 _ENDING_S = 10.0
 """Seconds that engines may take to stop on Ctrl-C."""
 _PRIORITY = {Kind.LIFT: 0, Kind.BAKE: 1, Kind.EXPORT: 2, Kind.SCORE: 3}
 """What was begun is finished first, and the first scenes before the last ones."""
 LIFTED, STRICT = "lifted", "strict"
+STOPPED = "stopped"
+"""The state of a scene that Ctrl-C left unfinished."""
 
 
 @dataclass
@@ -41,6 +45,14 @@ class _Scene:
     unfit: dict[str, str] = field(default_factory=dict)
     metrics: Mapping[str, Json] = field(default_factory=dict)
     frames: Sequence[str] = ()
+
+
+@dataclass
+class _Pin:
+    """The addresses of the only ``workers`` that can do a piece, and when one of them was last ``seen``."""
+
+    workers: Sequence[str]
+    seen: float
 
 
 def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts) -> ExitCode:
@@ -63,8 +75,9 @@ def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts) -> ExitCode
             batch = _Batch(plan, farm, line, rows)
             batch.run(missing, interrupts)
     line.end()
-    ordered = [rows[job.name] for job in plan.jobs if job.name in rows]
-    print(write_tables(plan.output, ordered), plan.output / "table.csv", sep="\n", flush=True)
+    ordered = [rows[job.name] for job in plan.jobs]
+    files = (plan.output / "table.md", plan.output / "table.csv")
+    print(write_tables(plan.output, ordered), *files, sep="\n", flush=True)
     return ExitCode(next((row.exit_code for row in ordered if row.exit_code), 0))
 
 
@@ -81,7 +94,10 @@ class _Batch:
         self._plan, self._farm, self._line, self._rows = plan, farm, line, rows
         self._scenes: dict[str, _Scene] = {}
         self._out: dict[Any, Piece] = {}
+        self._pins: dict[Any, _Pin] = {}
         self._told: dict[str, str] = {}
+        self._looked = self._staffed = time.monotonic()
+        self._is_missed = False
 
     def run(self, jobs: Sequence[SceneJob], interrupts: Interrupts) -> None:
         self._listen()
@@ -97,6 +113,7 @@ class _Batch:
                 return
             self._farm.tend()
             self._take_in()
+            self._look_at_workers()
             self._show()
             time.sleep(_POLL_S)
 
@@ -119,7 +136,8 @@ class _Batch:
             if stage:
                 scene.out = len(stage)
                 for piece in stage:
-                    self._submit(piece)
+                    if scene.job.name not in self._rows:  # the piece before it may have failed
+                        self._submit(piece)
                 return
         self._end(scene, Row(scene.job.name, Ended.DONE, scene.seconds, "", 0, scene.metrics))
 
@@ -143,6 +161,35 @@ class _Batch:
             priority=_PRIORITY[piece.kind] * len(self._scenes) - scene.place, workers=fit,
         )  # fmt: skip
         self._out[future] = piece
+        if fit is not None:
+            self._pins[future] = _Pin(fit, time.monotonic())
+
+    def _look_at_workers(self) -> None:
+        """Tell when none has been there for long. A piece whose workers have all left goes to those that came since,
+        also to the same ones under new addresses; when none has come for long, `_submit` says so."""
+        now = time.monotonic()
+        if now < self._looked + _LOOK_S or self._farm.client.status != "running":
+            return
+        self._looked = now
+        there = self._farm.workers()
+        if there:
+            self._staffed, self._is_missed = now, False
+        elif not self._is_missed and now > self._staffed + RETURN_S:
+            self._is_missed = True
+            self._line.say(f"No worker is there: waiting. Start one: python -m engine worker {self._farm.address}")
+        for future, pin in [*self._pins.items()]:
+            piece = self._out[future]
+            if not there or there.keys() & set(pin.workers):
+                pin.seen = now
+            elif there.keys() - self._scenes[piece.scene].unfit or now > pin.seen + RETURN_S:
+                self._withdraw(future)
+                self._submit(piece)
+
+    def _withdraw(self, future: Any) -> None:
+        """Ask no longer for a piece. A worker that has begun it ends it."""
+        del self._out[future]
+        self._pins.pop(future, None)
+        future.cancel()
 
     def _take_in(self) -> None:
         """What ended. Where the scheduler was lost, all that is out is asked for anew, and goes on where it was."""
@@ -150,15 +197,16 @@ class _Batch:
             self._line.say("The scheduler is gone: waiting for its return.")
             reconnected(self._farm)
             self._listen()
-            pieces, self._out = [*self._out.values()], {}
+            pieces, self._out, self._pins = [*self._out.values()], {}, {}
             for piece in pieces:
                 self._submit(piece)
             return
         for future in [future for future in self._out if future.done()]:
-            piece = self._out.pop(future)
-            scene = self._scenes[piece.scene]
-            if piece.scene in self._rows:
+            piece = self._out.pop(future, None)
+            if piece is None:
                 continue  # another piece of the scene has failed
+            self._pins.pop(future, None)
+            scene = self._scenes[piece.scene]
             if future.status == "error":
                 what = f"its workers ended with it ({type(future.exception()).__name__}: {future.exception()})"
                 error = PlgsError(what, scene.job.lift, "Their logs may say more.", code=ErrorCode.INTERNAL)
@@ -196,6 +244,8 @@ class _Batch:
         name = scene.job.name
         self._rows[name] = row
         self._told.pop(name, None)
+        for future in [future for future, piece in self._out.items() if piece.scene == name]:
+            self._withdraw(future)
         if row.state == Ended.DONE:
             remember(self._plan, scene.job, row)
         self._line.say(
@@ -227,9 +277,12 @@ class _Batch:
         give_up = time.monotonic() + _ENDING_S
         while any(folder.is_running for folder in folders) and time.monotonic() < give_up:
             time.sleep(_POLL_S)
+        for name, scene in self._scenes.items():
+            if name not in self._rows:
+                self._rows[name] = _row(scene, STOPPED, "the same command goes on", ExitCode.CANCELLED)
 
 
-def _row(scene: _Scene, state: Ended, reason: str, code: int) -> Row:
+def _row(scene: _Scene, state: str, reason: str, code: int) -> Row:
     return Row(scene.job.name, state, scene.seconds, reason, code or ExitCode.INTERNAL_ERROR, {})
 
 

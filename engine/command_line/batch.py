@@ -31,7 +31,8 @@ def add_batch(parser: argparse.ArgumentParser, exports: Sequence[str]) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the folder for all results")
     add_lift_options(parser)
     parser.add_argument("--chunk", type=positive, default=50, metavar="N", help="with --bake all: frames a piece (50)")
-    parser.add_argument("--export", nargs="+", choices=exports, default=(), metavar="FORM", help="forms to export")
+    forms = f"forms to export: {', '.join(exports)}"
+    parser.add_argument("--export", nargs="+", choices=exports, default=(), metavar="FORM", help=forms)
     place = parser.add_argument_group("where", "Without any of these: workers on this machine, within its memory.")
     place.add_argument("--workers", type=positive, metavar="N", help="workers on this machine, or jobs of Slurm")
     place.add_argument(
@@ -81,6 +82,8 @@ def batch(options: argparse.Namespace) -> int:
     if options.poses is not None:
         raise PlgsError("finds poses of one scene", "--poses", "Find them first: python -m engine poses.")
     names = names_of(options.scenes)
+    if ".." in options.output.parts:
+        options.output = options.output.resolve()
     bakes_all = options.bake == "all"
     _refuse_two_places(options)
     jobs = tuple(_job(options, scene, name, bakes_all) for scene, name in zip(options.scenes, names, strict=True))

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 CGROUP = Path("/sys/fs/cgroup")
+SHARE = "PLGS_MEMORY_GB"
+"""The variable with which several engines share this computer: the GB that each may take."""
 
 
 class MainMemory(NamedTuple):
-    """Bytes in all, and bytes that are free. A container's limit counts as the computer's memory."""
+    """Bytes in all, and bytes that are free. A container's limit, and SHARE, count as the computer's memory."""
 
     total: int
     free: int
@@ -21,13 +23,18 @@ def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> Ma
     """The memory now; None when the system does not say. Never raises."""
     try:
         if sys.platform == "win32":
-            return _of_windows()
+            return _share(_of_windows())
         if proc.exists():
-            return _within(_of_linux(proc), cgroup)
+            return _share(_within(_of_linux(proc), cgroup))
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        return MainMemory(total, total)
+        return _share(MainMemory(total, total))
     except (OSError, ValueError, KeyError, IndexError):
         return None
+
+
+def _share(memory: MainMemory) -> MainMemory:
+    share = int(float(os.environ[SHARE]) * 1e9) if SHARE in os.environ else memory.total
+    return MainMemory(min(memory.total, share), min(memory.free, share))
 
 
 def _of_linux(proc: Path) -> MainMemory:

@@ -48,7 +48,7 @@ def pretend(kind: str) -> None:
         raise PlgsError("the disk is full", "/scratch", "Make room there.", code=ErrorCode.DISK_FULL)
 
     started = piece._started
-    piece._started = lambda each, threads: started(each, threads) if each.kind is piece.Kind.LIFT else None
+    piece._started = lambda each, variables: started(each, variables) if each.kind is piece.Kind.LIFT else None
     piece.engine_command = command
     if kind == "another-engine":
         worker.engine_tag = lambda: "plgs-0.0.0-00000000"

@@ -186,6 +186,7 @@ def test_ctrl_c_leaves_all_resumable(tmp_path: Path, start: Start, address: str)
         run(plan, Place(scheduler=address))
     stopping.join()
     assert not LiftFolder.open(plan.output / "a").is_running
+    assert [row["state"] for row in rows_of(plan).values()] == ["stopped", "stopped", ""]
     assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
     assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
 

@@ -20,6 +20,12 @@ def test_a_name_of_no_folder_of_its_own_is_refused(name: str, tmp_path: Path) ->
         names_of([tmp_path / name])
 
 
+def test_a_scene_that_is_given_twice(tmp_path: Path) -> None:
+    (tmp_path / "room").mkdir()
+    with pytest.raises(PlgsError, match=r"^the scene is given twice: .*room\. Name it once\.$"):
+        names_of([tmp_path / "room", tmp_path / "room" / ".." / "room"])
+
+
 @pytest.mark.parametrize("other", ["y/room", "y/Room", "y/ROOM.zip"])
 def test_two_scenes_of_one_name(other: str, tmp_path: Path) -> None:
     for scene in (tmp_path / "x" / "room", tmp_path / other):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.main_memory import MainMemory, main_memory
+from engine.job.main_memory import SHARE, MainMemory, main_memory
 
 INFO = "MemTotal:       1000 kB\nMemFree:         100 kB\nMemAvailable:    600 kB\nHugePages_Total:   0\n"
 
@@ -33,6 +33,13 @@ def test_of_a_container(proc: Path, tmp_path: Path) -> None:
     assert main_memory(proc, limit(tmp_path, "500000\n", 100_000)) == MainMemory(500_000, 400_000)
     assert main_memory(proc, limit(tmp_path, "500000", 900_000)) == MainMemory(500_000, 0)
     assert main_memory(proc, limit(tmp_path, "900000000", 0)) == MainMemory(1_024_000, 614_400)
+
+
+def test_a_share_of_it(proc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SHARE, "0.0005")
+    assert main_memory(proc, tmp_path) == MainMemory(500_000, 500_000)
+    monkeypatch.setenv(SHARE, "5")
+    assert main_memory(proc, tmp_path) == MainMemory(1_024_000, 614_400)
 
 
 @pytest.mark.parametrize("text", ["", "MemTotal: 5 kB", "MemTotal: x\n", "MemTotal:\nMemAvailable:\n"])

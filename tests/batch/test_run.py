@@ -1,0 +1,133 @@
+"""What a batch does when workers come and go, and when a scene fails. The farm is pretended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from engine.batch import run
+from engine.batch.piece import Ended, Kind, Outcome, Piece
+from engine.batch.plan import BatchPlan, SceneJob
+from engine.job import LiftRequest
+
+
+@dataclass(eq=False)
+class Future:
+    piece: Piece
+    workers: list[str] | None
+    outcome: Outcome | None = None
+    status: str = "pending"
+
+    def done(self) -> bool:
+        return self.outcome is not None
+
+    def result(self) -> Outcome | None:
+        return self.outcome
+
+    def cancel(self) -> None:
+        self.status = "cancelled"
+
+    def cancelled(self) -> bool:
+        return self.status == "cancelled"
+
+
+@dataclass
+class Farm:
+    """Also its own client."""
+
+    there: dict[str, dict[str, Any]]
+    status: str = "running"
+    address: str = "tcp://here:1"
+    asked: list[Future] = field(default_factory=list)
+
+    @property
+    def client(self) -> Farm:
+        return self
+
+    def submit(self, do: object, piece: Piece, *, workers: list[str] | None, **_: object) -> Future:
+        self.asked.append(Future(piece, workers))
+        return self.asked[-1]
+
+    def workers(self) -> dict[str, dict[str, Any]]:
+        return self.there
+
+    def largest(self) -> float:
+        return 0.0
+
+
+class Line:
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+
+class Batch:
+    """A batch of one scene whose clock is ours."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, *workers: str) -> None:
+        self.now = 0.0
+        monkeypatch.setattr(run.time, "monotonic", lambda: self.now)
+        job = SceneJob("a", folder / "a", LiftRequest(scene=folder / "scene"))
+        self.farm, self.line = Farm({worker: {"name": worker} for worker in workers}), Line()
+        self.rows: dict[str, run.Row] = {}
+        plan = BatchPlan(folder, (job,), chunk=1)
+        self.batch = run._Batch(plan, self.farm, self.line, self.rows)  # type: ignore[arg-type]
+        scene = self.batch._scenes["a"] = run._Scene(job, 0, iter(()))
+        scene.stages = self.batch._stages(scene)
+        self.batch._next_stage(scene)
+
+    def end(self, future: Future, ended: Ended, worker: str = "", **answer: Any) -> None:
+        future.outcome = Outcome(future.piece, ended, 1.0, "why" if ended is not Ended.DONE else "", 0, worker, answer)
+        self.batch._take_in()
+
+    def look(self, after: float = 2.0) -> None:
+        self.now += after
+        self.batch._look_at_workers()
+
+
+def test_the_other_pieces_of_a_failed_scene_are_asked_for_no_longer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = Batch(tmp_path, monkeypatch, "one")
+    batch.end(batch.farm.asked[0], Ended.DONE, frames=["1", "2", "3"])
+    bakes = batch.farm.asked[1:]
+    assert [each.piece.kind for each in bakes] == [Kind.BAKE] * 3
+    batch.end(bakes[1], Ended.FAILED)
+    assert batch.rows["a"].state == "failed" and not batch.batch._out
+    assert [each.status for each in bakes] == ["cancelled", "pending", "cancelled"]
+
+
+def test_a_piece_follows_its_worker_to_a_new_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    batch = Batch(tmp_path, monkeypatch, "one", "two")
+    batch.end(batch.farm.asked[0], Ended.ELSEWHERE, "host one")
+    assert batch.farm.asked[1].workers == ["two"]
+    del batch.farm.there["two"]
+    batch.look()
+    assert len(batch.farm.asked) == 2  # it may come back
+    batch.farm.there["three"] = {"name": "two"}
+    batch.look()
+    assert batch.farm.asked[1].status == "cancelled" and batch.farm.asked[2].workers == ["three"]
+    del batch.farm.there["three"]
+    batch.look()
+    batch.look(run.RETURN_S + 2.0)
+    assert "no worker can do it" in batch.rows["a"].reason
+
+
+def test_when_no_worker_is_there_a_line_says_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    batch = Batch(tmp_path, monkeypatch, "one")
+    gone, batch.farm.there = batch.farm.there, {}
+    batch.look()
+    assert not batch.line.said
+    for _ in range(2):
+        batch.look(run.RETURN_S + 2.0)
+    assert batch.line.said == ["No worker is there: waiting. Start one: python -m engine worker tcp://here:1"]
+    batch.farm.there = gone
+    batch.look()
+    batch.farm.there = {}
+    batch.look(run.RETURN_S + 2.0)
+    assert len(batch.line.said) == 2
