@@ -171,7 +171,10 @@ class _Batch:
         if now < self._looked + _LOOK_S or self._farm.client.status != "running":
             return
         self._looked = now
-        there = self._farm.workers()
+        try:
+            there = self._farm.workers()
+        except (OSError, KeyError):  # the scheduler is gone: `_take_in` waits for its return
+            return
         if there:
             self._staffed, self._is_missed = now, False
         elif not self._is_missed and now > self._staffed + RETURN_S:
@@ -202,9 +205,9 @@ class _Batch:
                 self._submit(piece)
             return
         for future in [future for future in self._out if future.done()]:
-            piece = self._out.pop(future, None)
-            if piece is None:
+            if future not in self._out:
                 continue  # another piece of the scene has failed
+            piece = self._out.pop(future)
             self._pins.pop(future, None)
             scene = self._scenes[piece.scene]
             if future.status == "error":

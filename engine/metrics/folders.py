@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..errors import PlgsError
-from ..scene.label_folders import LabelFolder, common_classes
+from ..scene.label_folders import LabelFolder, in_one_table
 from ..scene.pixels import resize_nearest
 from .report import PredictedView, Report
 
@@ -20,7 +20,8 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
     if unknown:
         what = f"{len(unknown)} predicted frames have no ground truth, {unknown[0]} among them"
         raise PlgsError(what, truth.folder, "Call the images of a frame alike in both folders, or take these away.")
-    report, next_id = Report(common_classes(predictions, truth)), 0
+    classes, truth = in_one_table(predictions, truth)
+    report, next_id = Report(classes), 0
     for name, read in predictions.readers.items():
         predicted, true = read(), truth.readers[name]()
         height, width = true.semantic.shape

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from .class_choice import ClassChoice, find_class_choice
@@ -38,11 +39,7 @@ class GroundTruthReader:
     def __call__(self, size: Size | None = None) -> GroundTruth:
         """Ground truth at ``size`` (width, height) or its own. Raises PlgsError when a file is bad."""
         stored = read_label_pair(self.semantic, self.instance)
-        known = np.zeros(int(stored.semantic.max(initial=0)) + 1, np.int32)
-        for number, class_id in self.class_of.items():
-            if number < len(known):
-                known[number] = class_id
-        semantic, instance = known[stored.semantic], stored.instance
+        semantic, instance = in_classes(stored.semantic, self.class_of), stored.instance
         if size is not None:
             semantic, instance = resize_nearest(semantic, size), resize_nearest(instance, size)
         return GroundTruth(semantic, instance)
@@ -109,6 +106,15 @@ def _own_table(folder: Path) -> dict[int, str] | None:
         return None
     own = class_map(None, choice, folder, objects=False)
     return {n: "void" if class_id == VOID else own.classes[class_id].name for n, class_id in own.class_of.items()}
+
+
+def in_classes(semantic: NDArray[np.integer], class_of: Mapping[int, int]) -> NDArray[np.int32]:
+    """Class ids [H, W] from 0 on, each as ``class_of`` maps it, and void where that lacks it."""
+    known = np.zeros(int(semantic.max(initial=0)) + 1, np.int32)
+    for number, class_id in class_of.items():
+        if number < len(known):
+            known[number] = class_id
+    return known[semantic]
 
 
 def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from .class_map import class_map
 from .class_tables import REDUCED, known_table
 from .classes import VOID, Category, ClassTable, distinct_colour
 from .frame import GroundTruth, PanopticMask
-from .ground_truth import read_label_pair
+from .ground_truth import classes_by_name, in_classes, read_label_pair
 from .label_image import check_label_header
 from .layout import files_by_stem, require_all
 from .mask_formats import label_pairs
@@ -100,16 +100,28 @@ def _classes_of_export(path: Path) -> ClassTable:
     return ClassTable(tuple(found[class_id] for class_id in sorted(found)))
 
 
-def common_classes(predictions: LabelFolder, truth: LabelFolder) -> ClassTable:
-    """The class table of both, whose ids mean the same. Raises PlgsError if there is none, or an id has two names."""
-    tables = [each.classes for each in (truth, predictions) if each.classes is not None]
+def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTable, LabelFolder]:
+    """The class table of both, whose ids mean the same, and the truth in it. Where an id has two names, the truth's
+    classes become the predictions' of the same name, else void.
+
+    Raises PlgsError if there is no table, or no class has its name in both.
+    """
+    tables = [each.classes for each in (predictions, truth) if each.classes is not None]
     if not tables:
         raise PlgsError("there is no table of classes and of which are things", truth.folder, _TABLE_FIX)
-    merged: dict[int, Category] = {}
-    for table in tables:
-        for category in table.categories:
-            known = merged.setdefault(category.id, category)
-            if (known.name, known.is_thing) != (category.name, category.is_thing):
-                what = f"class {category.id} is {category.name!r} here and {known.name!r} in the ground truth"
-                raise PlgsError(what, predictions.folder, "Bring both to one class table.")
-    return ClassTable(tuple(merged[class_id] for class_id in sorted(merged)))
+    own, true = tables[0], tables[-1]
+    if any(each.id in own and (own[each.id].name, own[each.id].is_thing) != (each.name, each.is_thing)
+           for each in true.categories):  # fmt: skip
+        class_of = classes_by_name({each.id: each.name for each in true.categories}, own)
+        if not class_of:
+            what = f"its classes have other names than those in {predictions.folder}"
+            raise PlgsError(what, truth.folder, "Bring both to one class table.")
+        mapped = {name: partial(_in_classes, read, class_of) for name, read in truth.readers.items()}
+        return own, replace(truth, readers=mapped)
+    merged = {each.id: each for table in tables for each in table.categories}
+    return ClassTable(tuple(merged[class_id] for class_id in sorted(merged))), truth
+
+
+def _in_classes(read: Callable[[], GroundTruth], class_of: Mapping[int, int]) -> GroundTruth:
+    stored = read()
+    return GroundTruth(in_classes(stored.semantic, class_of), stored.instance)

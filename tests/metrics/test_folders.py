@@ -73,7 +73,7 @@ def test_the_classes_of_an_export(tmp_path: Path) -> None:
     (predictions / "labels.json").write_text(json.dumps({"classes": classes}))
     assert strict(predictions, truth)["pq"] == 1.0
     (truth / "labels.json").write_text(json.dumps({"classes": [{"id": 5, "name": "sofa", "is_thing": True}]}))
-    with pytest.raises(PlgsError, match="'chair' here and 'sofa'"):
+    with pytest.raises(PlgsError, match="its classes have other names than those in"):
         strict(predictions, truth)
     (truth / "labels.json").write_text("{}")
     with pytest.raises(PlgsError, match='no "classes"'):
@@ -82,6 +82,18 @@ def test_the_classes_of_an_export(tmp_path: Path) -> None:
     (truth / "labels.json").write_text(json.dumps({"classes": [one, one]}))
     with pytest.raises(PlgsError, match="has the id 5"):
         strict(predictions, truth)
+
+
+def test_truth_in_another_table_is_mapped_by_name(tmp_path: Path) -> None:
+    """The truth has the same classes with each other's numbers."""
+    predictions = write_pngs(tmp_path / "predictions", "class", "instance")
+    truth = write_pngs(tmp_path / "truth", "semantic", "instance")
+    for path in (truth / "semantic").iterdir():
+        cv2.imwrite(str(path), np.where(SEMANTIC == 5, 1, 5).astype(np.uint8))
+    for folder, ids in ((predictions, {"wall": 1, "chair": 5}), (truth, {"Wall": 5, "Chair": 1})):
+        classes = [{"id": number, "name": name, "is_thing": "hair" in name} for name, number in ids.items()]
+        (folder / "labels.json").write_text(json.dumps({"classes": classes}))
+    assert strict(predictions, truth)["pq"] == 1.0
 
 
 def test_frames_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

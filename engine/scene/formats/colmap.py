@@ -33,6 +33,8 @@ _SCALE = "COLMAP's lengths have no unit, and a lift takes them for metres: scale
 _MOST_DEPTH = 1 << 30
 _FARTHEST = 1e6
 """Lengths of the reconstruction. A stereo that was cut off leaves other numbers in its file."""
+_MOST_BROKEN = 0.5
+"""Share of a depth map that may be such numbers. COLMAP itself writes 0, or less, where it finds no depth."""
 
 
 def _recognises(place: Path) -> bool:
@@ -143,8 +145,12 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     start = sum(len(part) + 1 for part in head[:3])
     if channels != 1 or not width * height or len(data) != start + 4 * width * height:
         raise PlgsError("the depth map is cut off", path, "Let COLMAP write it again.")
-    depth = only_depth(np.frombuffer(data, "<f4", offset=start).reshape(height, width))
-    return np.where(depth < _FARTHEST, depth, np.float32(0.0))
+    values = np.frombuffer(data, "<f4", offset=start).reshape(height, width)
+    is_broken = ~(np.abs(values) < _FARTHEST)  # not a number, too
+    if is_broken.mean() > _MOST_BROKEN:
+        what = f"{is_broken.mean():.0%} of the depth map is no depth"
+        raise PlgsError(what, path, "Let COLMAP write it again, or delete it: the frame then has no depth.")
+    return np.where(is_broken, np.float32(0.0), only_depth(values))
 
 
 FORMAT = SceneFormat("colmap", "COLMAP", _LOOKS_FOR, _recognises, _read)

@@ -2,8 +2,9 @@
 
 * ``color``, ``image`` or ``rgb``, and ``depth`` (16-bit PNG, millimetres), as many of each; they belong together in
   the order of their names.
-* ``*.log`` in the folder or in ``scene``: for each picture a line of three numbers and a 4x4 camera-to-world; or
-  ``trajectory.json``, Open3D's PinholeCameraTrajectory: world-to-camera, column by column, each with its lens.
+* ``*.log`` in the folder or in ``scene``, of several the one with as many poses as there are pictures: for each
+  picture a line of three numbers and a 4x4 camera-to-world; or ``trajectory.json``, Open3D's
+  PinholeCameraTrajectory: world-to-camera, column by column, each with its lens.
 * ``camera_intrinsic.json`` or ``intrinsic.json``, Open3D's PinholeCameraIntrinsic. Without it the lens is a
   PrimeSense's, 525 525 319.5 239.5 of 640x480. OpenCV axes, metres, integer pixel centres.
 """
@@ -40,22 +41,31 @@ _Poses = list[tuple[NDArray[np.float64], Camera | None]]
 
 def _recognises(place: Path) -> bool:
     has_pictures = any((place / name).is_dir() for name in _COLOURS) and (place / "depth").is_dir()
-    return has_pictures and _find_trajectory(place) is not None
+    return has_pictures and bool(_trajectories(place))
 
 
-def _find_trajectory(place: Path) -> Path | None:
-    """The only .log, or of several the one that is called trajectory.log or alone holds poses, or a trajectory.json."""
+def _trajectories(place: Path) -> list[Path]:
+    """The only .log; of several those that hold poses, trajectory.log first; without any a trajectory.json."""
     for folder in (place, place / "scene"):
-        logs = sorted(folder.glob("*.log"))
+        logs = sorted(folder.glob("*.log"), key=lambda path: (path.name != "trajectory.log", path.name))
         if len(logs) > 1:
             logs = [path for path in logs if _holds_poses(path)]
-        if len(logs) == 1:
-            return logs[0]
-        if folder / "trajectory.log" in logs:
-            return folder / "trajectory.log"
+        if logs:
+            return logs
         if (folder / "trajectory.json").is_file():
-            return folder / "trajectory.json"
-    return None
+            return [folder / "trajectory.json"]
+    return []
+
+
+def _fitting(paths: list[Path], pictures: int) -> tuple[Path, _Poses]:
+    """The only trajectory, or of several the first with as many poses as there are pictures. Raises PlgsError."""
+    read = [(path, _read_json(path) if path.suffix == ".json" else _read_log(path)) for path in paths]
+    fits = [(path, poses) for path, poses in read if len(poses) == pictures]
+    if not fits and len(read) > 1:
+        counts = ", ".join(f"{path.name} has {len(poses)}" for path, poses in read)
+        what = f"no trajectory has as many poses as there are pictures, {pictures}: {counts}"
+        raise PlgsError(what, paths[0].parent, "Keep the trajectory of these pictures.")
+    return fits[0] if fits else read[0]
 
 
 def _holds_poses(path: Path) -> bool:
@@ -67,13 +77,13 @@ def _holds_poses(path: Path) -> bool:
 
 def _read(place: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
-    trajectory = _find_trajectory(place)
-    if trajectory is None:
-        raise PlgsError("there is no trajectory, or more than one", place, "Keep one .log file or trajectory.json.")
+    trajectories = _trajectories(place)
+    if not trajectories:
+        raise PlgsError("there is no trajectory", place, "Add a .log file or trajectory.json.")
     folder = next((place / name for name in _COLOURS if (place / name).is_dir()), place / "color")
     colours = files_by_stem(folder, _IMAGES, "Put the pictures there.")
     depths = files_by_stem(place / "depth", {".png"}, "Put depth there, in millimetres.")
-    poses = _read_json(trajectory) if trajectory.suffix == ".json" else _read_log(trajectory)
+    trajectory, poses = _fitting(trajectories, len(colours))
     if not len(colours) == len(depths) == len(poses):
         what = f"there are {len(colours)} pictures, {len(depths)} depth images and {len(poses)} poses"
         raise PlgsError(what, place, "Keep as many of each: they belong together in the order of their names.")

@@ -36,8 +36,8 @@ from .rows import numbers, read_rows
 _STEP = 1.0 / 5000.0
 _APART = 0.02
 """Seconds by which a picture, its depth and its pose may differ at most."""
-_POSE_FIX = "Write t tx ty tz qx qy qz qw, a pose a line."
-_LIST_FIX = "Write a time stamp and a file name a line."
+_POSE_FIX = "Write one pose on each line: t tx ty tz qx qy qz qw."
+_LIST_FIX = "Write a time stamp and a file name on each line."
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -147,7 +147,7 @@ def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
     lists = [place / name for name in ("associations.txt", "associated.txt") if (place / name).is_file()]
     if lists:
         pairs = []
-        for row in read_rows(lists[0], "Write two time stamps, each with a file name, a line."):
+        for row in read_rows(lists[0], "Write two time stamps, each with a file name, on each line."):
             one, two = _stamped(row.words[:2], row.line, lists[0]), _stamped(row.words[2:], row.line, lists[0])
             pairs.append((two, one) if one.path.parent.name == "depth" else (one, two))
         return sorted(pairs, key=lambda pair: pair[0].time)

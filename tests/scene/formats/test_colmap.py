@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.errors import PlgsError
 from engine.scene import describe, open_scene
 from tests.scene.formats.room import Lens, View, cast, check_colours, check_on_room, elsewhere, look, quaternion, views
 from tests.scene.formats.writing import write_colour
@@ -80,6 +81,20 @@ def test_text_pictures_and_points(tmp_path: Path) -> None:
 def test_dense_depth_lies_on_the_room(tmp_path: Path) -> None:
     write_depth(write_text(tmp_path))
     check_on_room(open_scene(tmp_path))
+
+
+def test_broken_dense_depth(tmp_path: Path) -> None:
+    """Some numbers that are no depth are none; a file of them is broken."""
+    write_depth(write_text(tmp_path))
+    path = tmp_path / "stereo" / "depth_maps" / f"{image_name(0)}.geometric.bin"
+    whole = path.read_bytes()
+    bad = struct.pack("<4f", 1.7e38, -2e9, float("nan"), float("inf"))
+    path.write_bytes(whole[: -len(bad)] + bad)
+    depth = open_scene(tmp_path).frames[0].depth()
+    assert (depth[-1, -4:] == 0.0).all() and (depth[:-1] > 0.0).all()
+    path.write_bytes(b"128&96&1&" + bad * (128 * 96 // 4))
+    with pytest.raises(PlgsError, match=r"^100% of the depth map is no depth: .*img_.*geometric\.bin\. Let COLMAP"):
+        open_scene(tmp_path).frames[0].depth()
 
 
 @pytest.mark.parametrize("place", ["sparse", "model", "."])

@@ -62,6 +62,15 @@ def test_of_several_logs_the_one_with_poses_is_read(tmp_path: Path) -> None:
     assert open_scene(tmp_path).format == "open3d"
 
 
+def test_of_several_trajectories_the_one_of_the_pictures_is_read(tmp_path: Path) -> None:
+    write_images(tmp_path, PRIMESENSE)
+    (tmp_path / "trajectory.log").write_text(log(views()[:2]))
+    (tmp_path / "first.log").write_text(log(views()[:3]))
+    refuses("as there are pictures, 6: trajectory.log has 2, first.log has 3", tmp_path)
+    (tmp_path / "second.log").write_text(log([elsewhere(view) for view in views()]))
+    check_on_room(open_scene(tmp_path))
+
+
 def test_open3ds_own_trajectory(tmp_path: Path) -> None:
     write_images(tmp_path, Lens())
     parameters = []

@@ -130,7 +130,7 @@ def test_a_world_with_another_up_is_turned(tmp_path: Path) -> None:
         ("groundtruth.txt", "1.5 1 2 3 0 0 0 0\n", "quaternion is zero"),
         ("groundtruth.txt", "1.5 1 2 3 0 0 0 1\n", "no picture with a pose"),
         ("groundtruth.txt", "1.5 1 2 3 0 nan 0 1\n", "no picture with a pose"),
-        ("rgb.txt", "1305031102.17\n", "line 1 is no time stamp"),
+        ("rgb.txt", "1305031102.17\n", "line 1 is no time stamp.*Write a time stamp and a file name on each line"),
         ("rgb.txt", "1305031102.17 ../a.png\n", "leaves the folder"),
         ("rgb.txt", "1305031102.17 rgb/a.png\n", "cannot be read"),
         ("calibration.txt", "-3 1 1 1", "intrinsics that no camera has"),
