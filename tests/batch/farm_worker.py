@@ -62,8 +62,11 @@ def pretend(kind: str) -> None:
 if __name__ == "__main__":
     if sys.argv[1] == "lift":
         pipe = 0 if "--stay-with-parent" in sys.argv else None
-        sys.exit(
-            run_engine(LiftFolder.open(Path(sys.argv[2])), resume="--resume" in sys.argv, parent_pipe=pipe, lift=lift)
-        )
+        try:
+            folder = LiftFolder.open(Path(sys.argv[2]))
+            sys.exit(run_engine(folder, resume="--resume" in sys.argv, parent_pipe=pipe, lift=lift))
+        except PlgsError as error:  # as the real command does: another engine may be at work
+            print(error, file=sys.stderr)
+            sys.exit(error.exit_code)
     pretend(sys.argv[1])
     sys.exit(worker.run_worker(sys.argv[2], threads=1, patience_s=20.0))
