@@ -24,6 +24,7 @@ import subprocess
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
@@ -264,7 +265,10 @@ def is_blend(path: Path) -> bool:
 
 
 def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
-    """Make the .blend. An error becomes one line, and its details go to the log. The lift stays finished."""
+    """Make the .blend. An error becomes one line, and its details go to the log. The lift stays finished. Raises
+    PlgsError.
+    """
+    lift.refuse_read_only()
     print("Building the .blend ...", file=sys.stderr, flush=True)
     try:
         from plgs.plgs_blender.lift_scene import save_lift  # brings bpy
@@ -275,8 +279,8 @@ def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
     except PlgsError:
         raise
     except Exception as error:
-        with os.fdopen(open_to_append(lift.log_path), "a", encoding="utf-8") as log:
-            traceback.print_exc(file=log)
+        with suppress(OSError), os.fdopen(open_to_append(lift.log_path), "a", encoding="utf-8") as log:
+            traceback.print_exc(file=log)  # which fails with the .blend where the disk is full
         what = f"the .blend could not be made ({type(error).__name__}: {error})"
         print(f"error: {what}: {lift.log_path}. --resume tries again; the lift is done.", file=sys.stderr)
         return ExitCode.INTERNAL_ERROR

@@ -58,6 +58,10 @@ class ErrorCode(StrEnum):
         return ExitCode.BAD_INPUT
 
 
+MEMORY_IS_GONE = "no memory is left"
+"""Words of every reader's error that only memory mends."""
+
+
 class PlgsError(Exception):
     """Input, a lift folder or a computer that cannot be used: what is wrong, where, and what to do.
 
@@ -70,6 +74,8 @@ class PlgsError(Exception):
         self, what: str, where: Path | str, fix: str, *, code: ErrorCode = ErrorCode.BAD_INPUT, option: str = ""
     ) -> None:
         self.what = shortened(what, _LONGEST)
+        if MEMORY_IS_GONE in self.what:  # whatever it was read for: the file may be sound
+            fix, option = "Close other programs, or use a computer with more memory.", ""
         self.where, self.fix, self.code, self.option = str(where), fix, code, option
         subject = f"{self.what}: {where}" if self.where else self.what
         super().__init__(one_line(f"{subject}. {fix}" if fix else subject))

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import run_plgs
 from engine.errors import PlgsError
 from engine.job import LiftFolder, LiftState
 from engine.job.events import last_run
@@ -338,3 +339,5 @@ def test_a_read_only_lift_is_refused(run: Run, tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may write everywhere
     with pytest.raises(PlgsError, match="this lift is read-only"):
         LiftFolder.open(out).refuse_read_only()
+    with pytest.raises(Exception, match="this lift is read-only"):  # of the package plgs, which run_plgs.py imports
+        run_plgs.build_blend(LiftFolder.open(out), out / "lift.blend")

@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "trust.md"
 MODULES = (
     "scene/test_limits", "scene/test_bombs", "scene/test_fuzz", "diagnosis/test_fuzz", "model/test_checking",
-    "corrections/test_fuzz", "job/test_fuzz", "plgs_blender/test_fuzz_files", "gates/test_texts",
-    "batch/test_plan", "set_up/test_adding", "test_kill_and_resume",
+    "corrections/test_fuzz", "job/test_fuzz", "plgs_blender/test_fuzz_files", "scene/test_splat_file",
+    "gates/test_texts", "batch/test_plan", "set_up/test_adding", "test_kill_and_resume",
 )  # fmt: skip
 """Below tests/. Each is about nothing but an attack."""
 _HEAD = """# What was attacked

@@ -1,0 +1,61 @@
+"""Whatever stands in a file of splats, it is read, or refused by one line"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from engine.errors import PlgsError
+from engine.passes.ply import columns_of, write_ply_table
+from engine.scene.splat_file import read_gaussians
+from tests.fuzzing import damaged, examples
+
+COUNT = 6
+
+
+@pytest.fixture
+def original(tmp_path: Path) -> bytes:
+    random = np.random.default_rng(0).normal(size=(COUNT, 14)).astype(np.float32)
+    columns = columns_of("x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3", random)
+    write_ply_table(tmp_path / "splats.ply", {**columns, "class_id": np.arange(COUNT, dtype=np.int32)})
+    return (tmp_path / "splats.ply").read_bytes()
+
+
+@examples(60)
+@given(data=st.data())
+def test_damaged_splats(original: bytes, tmp_path: Path, data: st.DataObject) -> None:
+    path = tmp_path / "damaged.ply"
+    path.write_bytes(damaged(data.draw, original))
+    try:
+        rows = read_gaussians(path)
+    except PlgsError as error:
+        assert "\n" not in str(error)
+        return
+    assert all(np.isfinite(rows[name]).all() and np.abs(rows[name]).max(initial=0) <= 1e6 for name in "xyz")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e30])
+def test_splats_that_are_nowhere_are_left_out(original: bytes, tmp_path: Path, value: float) -> None:
+    path = tmp_path / "nowhere.ply"
+    start = original.index(b"end_header\n") + len(b"end_header\n")
+    path.write_bytes(original[:start] + np.float32(value).tobytes() + original[start + 4 :])
+    assert read_gaussians(path)["class_id"].tolist() == [1, 2, 3, 4, 5]
+
+
+def test_a_column_that_is_there_twice(original: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "twice.ply"
+    path.write_bytes(original.replace(b"property float y", b"property float x"))
+    with pytest.raises(PlgsError, match="holds no splats"):
+        read_gaussians(path)
+
+
+def test_splats_of_holes(tmp_path: Path) -> None:
+    path = tmp_path / "holes.ply"
+    with path.open("wb") as file:
+        file.truncate(5 << 30)
+    with pytest.raises(PlgsError, match="larger than"):
+        read_gaussians(path)
