@@ -11,6 +11,8 @@ from typing import Any
 import bpy
 
 from ..plgs_blender import painting
+from ..plgs_blender.frame_pictures import MASKS
+from ..plgs_blender.frames import SHOWN
 from ..plgs_blender.inspecting import highlight
 from ..plgs_blender.inspecting.drawing import (
     draw_highlight,
@@ -23,9 +25,11 @@ from ..plgs_blender.inspecting.drawing import (
 from ..plgs_blender.inspecting.looks import POINTS
 from ..plgs_blender.inspecting.lookup import boxes_of, objects_by_key
 from ..plgs_blender.inspecting.selection import selected_instance
-from ..plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes, legend_text_boxes
+from ..plgs_blender.inspecting.text_boxes import Colour, ViewRegion, label_text_boxes, legend_text_boxes, shown_classes
 from ..plgs_blender.lift_collection import lifts_in
 from ..plgs_blender.running import live_preview
+from ..plgs_blender.running.survey import survey_of
+from ..plgs_blender.settings import chosen_scene
 
 _handles: list[Any] = []
 
@@ -85,7 +89,9 @@ def _draw_on_top() -> None:
         region = ViewRegion.of(context)
         _draw_mask(context, root, region)
         if lists.show_legend:
-            draw_text_boxes(legend_text_boxes(lists.classes, region))
+            draw_text_boxes(legend_text_boxes(shown_classes(lists.classes), region))
+        elif shows_classes(context):
+            draw_text_boxes(legend_text_boxes(classes_of_scene(context.scene), region))
         if lists.show_labels:
             boxes = {
                 number: box
@@ -94,6 +100,20 @@ def _draw_on_top() -> None:
             }
             active = selected_instance(root, context.view_layer.objects.active)
             draw_text_boxes(label_text_boxes(lists.instances, boxes, active, region))
+
+
+def shows_classes(context: bpy.types.Context) -> bool:
+    """Whether somebody looks at masks, or at the live preview, through the scene's camera."""
+    camera = context.scene.camera
+    if camera is None or context.region_data.view_perspective != "CAMERA":
+        return False
+    return camera.get(SHOWN) == MASKS or live_preview.picture_for(context.scene) is not None
+
+
+def classes_of_scene(scene: bpy.types.Scene) -> tuple[tuple[str, Colour], ...]:
+    """The classes of the scene that the panel shows, as far as they are known."""
+    survey = survey_of(chosen_scene(scene.plgs)) if scene.plgs.scene_folder else None
+    return survey.classes if survey is not None else ()
 
 
 def _draw_preview(context: bpy.types.Context) -> None:

@@ -55,7 +55,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
 
 def _draw_look(column: bpy.types.UILayout, root: bpy.types.Collection) -> None:
     """What the colours mean, and as what the lift is shown: a button makes what is not there yet."""
-    column.row(align=True).prop(root.plgs, "look", expand=True)
+    column.grid_flow(row_major=True, columns=2, even_columns=True, align=True).prop(root.plgs, "look", expand=True)
     row = column.row(align=True)
     for kind, label in ((POINTS, "Points"), (SPLATS, "Splats"), (SURFACE, "Surface")):
         if kind == SURFACE and not has(root, SURFACE):

@@ -16,11 +16,12 @@ from .frame import Scene, Size
 
 @dataclass(frozen=True)
 class ClassReport:
-    """One class of the masks, and its share of all mask pixels (0..1)."""
+    """One class of the masks, its ``colour`` in sRGB bytes, and its share of all mask pixels (0..1)."""
 
     id: int
     name: str
     is_thing: bool
+    colour: tuple[int, int, int]
     share: float
 
 
@@ -81,7 +82,7 @@ def describe(scene: Scene) -> SceneReport:
         depth_range=_range(depths) if depths else None,
         segments_per_frame=(segments[0], segments[len(segments) // 2], segments[-1]) if segments else None,
         classes=tuple(
-            ClassReport(category.id, category.name, category.is_thing, shares[category.id])
+            ClassReport(category.id, category.name, category.is_thing, category.colour, shares[category.id])
             for category in scene.classes.categories
             if shares[category.id] > 0.0
         ),

@@ -123,13 +123,18 @@ def stack_labels(
     return placed
 
 
-def legend_text_boxes(rows: Any, region: ViewRegion) -> list[TextBox]:
-    """As many of the shown classes as fit into the lower left corner, those with most points first."""
+def shown_classes(rows: Any) -> list[tuple[str, Colour]]:
+    """The names and colours of the classes that are shown, those with most points first."""
+    shown = sorted((row for row in rows if row.visible), key=lambda row: (-row.points, row.name))
+    return [(row.name, tuple(row.colour)) for row in shown]
+
+
+def legend_text_boxes(shown: Sequence[tuple[str, Colour]], region: ViewRegion) -> list[TextBox]:
+    """As many of the classes, names and colours, as fit into the lower left corner, the first first."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     line = size + 1.2 * padding
-    shown = sorted((row for row in rows if row.visible), key=lambda row: (-row.points, row.name))
     room = max(1, int((0.7 * region.height) / line))
-    texts: list[tuple[str, Colour | None]] = [(row.name, tuple(row.colour)) for row in shown[:room]]
+    texts: list[tuple[str, Colour | None]] = [*shown[:room]]
     if len(shown) > room:
         texts[-1] = (f"and {len(shown) - room + 1} more", None)
     if not texts:

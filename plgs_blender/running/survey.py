@@ -7,7 +7,7 @@ nothing while it draws.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
 from ...engine.scene import Scene, Size
 from ..chosen_scene import ChosenScene
+from ..inspecting.text_boxes import Colour
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 
@@ -27,7 +28,8 @@ _NAMES = {"depth": "depth maps", "masks": "masks"}
 class Survey:
     """What is known of a scene. ``error`` says why it cannot be lifted; None when it can.
 
-    ``sizes`` holds the sizes of the colour images with how many have each, the commonest first. ``depth_range`` is the
+    ``classes`` are names with their colours in sRGB, 0..1, the commonest first where an engine has counted. ``sizes``
+    holds the sizes of the colour images with how many have each, the commonest first. ``depth_range`` is the
     nearest, middle and farthest depth in metres, None where no engine has looked into the pixels. ``picture_files``
     counts the frames whose picture is an image file that Blender can show as it is. While an engine looks
     (``is_looking``), nothing else is known.
@@ -37,7 +39,7 @@ class Survey:
     train_frames: int = 0
     test_frames: int = 0
     sizes: tuple[tuple[Size, int], ...] = ()
-    classes: tuple[str, ...] = ()
+    classes: tuple[tuple[str, Colour], ...] = ()
     warnings: tuple[str, ...] = ()
     error: PlgsError | None = None
     depth_range: tuple[float, float, float] | None = None
@@ -113,7 +115,7 @@ def _from_headers(chosen: ChosenScene, scene: Scene) -> Survey:
         train_frames=len(scene.train_frames),
         test_frames=len(scene.test_frames),
         sizes=tuple(sizes),
-        classes=tuple(category.name for category in scene.classes.categories),
+        classes=tuple((each.name, _colour(each.colour)) for each in scene.classes.categories),
         warnings=scene.warnings,
         format=scene.format,
         has_depth=scene.has_depth,
@@ -138,7 +140,10 @@ def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsEr
             train_frames=int(answer["train_frames"]),
             test_frames=int(answer["test_frames"]),
             sizes=tuple(((int(width), int(height)), int(count)) for (width, height), count in answer["colour_sizes"]),
-            classes=tuple(str(each["name"]) for each in answer["classes"]),
+            classes=tuple(
+                (str(each["name"]), _colour(each["colour"]))
+                for each in sorted(answer["classes"], key=lambda each: -float(each["share"]))
+            ),
             warnings=tuple(str(each) for each in answer["warnings"]),
             depth_range=depth_range,
             format=str(answer["format"]),
@@ -150,6 +155,11 @@ def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsEr
     except (ValueError, TypeError, KeyError) as fault:
         what = f"the engine's answer is not understood ({fault!r})"
         return replace(survey, error=PlgsError(what, survey.chosen.scene, "Look again."))
+
+
+def _colour(colour: Sequence[int]) -> Colour:
+    red, green, blue = (channel / 255.0 for channel in colour)
+    return red, green, blue
 
 
 def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:

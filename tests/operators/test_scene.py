@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
-from plgs.engine.scene import FORMATS
+from plgs.engine.scene import FORMATS, open_scene
+from plgs.plgs_blender.frame_pictures import MASKS
+from plgs.plgs_blender.frames import SHOWN
 from plgs.plgs_blender.running.estimate import estimate_of
 from plgs.plgs_blender.running.survey import possibilities, survey_of
 from plgs.plgs_blender.settings import chosen_scene, request_of
+from plgs.ui import overlay
 
 from tests.scene.formats.test_colmap import write_text
 
@@ -51,6 +55,17 @@ def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
     survey = survey_of(chosen_scene(settings))
     assert survey is not None and survey.error is None
     assert (survey.frames, survey.sizes) == (8, (((64, 48), 8),))
+    bpy.ops.plgs.import_scene(scene_folder=str(room))
+    scene = bpy.context.scene
+    scene.camera = next(ob for ob in scene.objects if "frame" in ob)
+    through = SimpleNamespace(scene=scene, region_data=SimpleNamespace(view_perspective="CAMERA"))
+    assert not overlay.shows_classes(through)
+    scene.camera[SHOWN] = MASKS
+    assert overlay.shows_classes(through), "masks have a legend"
+    colours = {each.name: each.colour for each in open_scene(room).classes.categories}
+    assert dict(overlay.classes_of_scene(scene)) == {
+        name: tuple(channel / 255.0 for channel in colour) for name, colour in colours.items()
+    }
 
 
 def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:

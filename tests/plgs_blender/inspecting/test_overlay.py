@@ -14,7 +14,13 @@ from mathutils import Matrix, Vector
 from plgs.plgs_blender.inspecting import highlight
 from plgs.plgs_blender.inspecting.drawing import draw_highlight, draw_outline, draw_path, draw_text_boxes
 from plgs.plgs_blender.inspecting.lookup import boxes_of
-from plgs.plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes, legend_text_boxes, stack_labels
+from plgs.plgs_blender.inspecting.text_boxes import (
+    ViewRegion,
+    label_text_boxes,
+    legend_text_boxes,
+    shown_classes,
+    stack_labels,
+)
 
 WIDTH, HEIGHT = 480, 300
 
@@ -69,15 +75,16 @@ def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> 
 
 def test_the_legend_has_the_classes_that_are_shown(root: bpy.types.Collection, seen: Seen) -> None:
     rows = root.plgs.classes
-    text_boxes = legend_text_boxes(rows, seen.region)
+    text_boxes = legend_text_boxes(shown_classes(rows), seen.region)
     assert {text_box.text for text_box in text_boxes} == {row.name for row in rows}
     order = [text_box.text for text_box in sorted(text_boxes, key=lambda text_box: -text_box.y)]
     points = {row.name: row.points for row in rows}
     assert [points[name] for name in order] == sorted(points.values(), reverse=True)
     rows[0].visible = False
-    assert len(legend_text_boxes(rows, seen.region)) == len(rows) - 1
+    assert len(legend_text_boxes(shown_classes(rows), seen.region)) == len(rows) - 1
     low = ViewRegion(WIDTH, 70, 0, Matrix.Identity(4), 1.0)
-    assert len(legend_text_boxes(rows, low)) == 2 and legend_text_boxes(rows, low)[-1].text.startswith("and ")
+    few = legend_text_boxes(shown_classes(rows), low)
+    assert len(few) == 2 and few[-1].text.startswith("and ")
 
 
 def test_points_behind_the_eye_are_nowhere(seen: Seen) -> None:
@@ -124,7 +131,7 @@ def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
         draw_highlight(seen, (WIDTH, HEIGHT), points, box, colour, dim=True)  # type: ignore[arg-type]
         in_pixels()
         draw_text_boxes(label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region))
-        draw_text_boxes(legend_text_boxes(root.plgs.classes, seen.region))
+        draw_text_boxes(legend_text_boxes(shown_classes(root.plgs.classes), seen.region))
         draw_outline([(300, 20), (400, 20), (400, 90), (300, 90)], (0.2, 0.9, 0.3))
 
     drawn = picture(draw)[..., :3].astype(int)
