@@ -158,11 +158,15 @@ def _place(
     axes = np.array(rotation.to_matrix())  # columns: right, up, towards the eye
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
     local = (corners - middle) @ axes
-    longest = max(window.width, window.height)
-    half = np.array([window.width * (1.0 - covered), window.height]) / longest * (_VIEW_SENSOR / 2.0 / space.lens)
-    distance = float((np.abs(local[:, :2]) / (_FILLED * half) + local[:, 2:]).max())
-    aside = covered * window.width / longest * (_VIEW_SENSOR / 2.0 / space.lens) * distance
-    return rotation, Vector((middle + aside * axes[:, 0]).tolist()), distance
+    width, height = _FILLED * np.array([window.width, window.height]) / max(window.width, window.height)
+    # A corner at (x, y) and z nearer than the location is seen at (x, y) / (distance - z), from -low to high.
+    low = np.array([width, height]) * _VIEW_SENSOR / 2.0 / space.lens
+    high = low * [1.0 - 2.0 * covered, 1.0]
+    most = (local[:, :2] + high * local[:, 2:]).max(axis=0)
+    least = (local[:, :2] - low * local[:, 2:]).min(axis=0)
+    distance = float(((most - least) / (low + high)).max())
+    aside = (most - high * distance + least + low * distance) / 2.0
+    return rotation, Vector((middle + axes[:, :2] @ aside).tolist()), distance
 
 
 def _is_as_started(view: bpy.types.SpaceView3D) -> bool:
