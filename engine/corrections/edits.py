@@ -14,6 +14,7 @@ from typing import Any
 from uuid import uuid4
 
 from ..errors import PlgsError
+from ..gates import one_line
 from ..json_file import Json, take_list, take_number, take_objects, take_text, take_whole_number, wrong_type
 
 CORRECTIONS = "corrections.json"
@@ -99,8 +100,8 @@ class Edit:
 
 def edit_of(entry: dict[str, Any], path: Path) -> Edit:
     """The edit of an entry. Raises PlgsError when it is damaged."""
-    kind = take_text(entry, "kind", "an edit", path)
-    uid, time = take_text(entry, "uid", kind, path), take_text(entry, "time", kind, path)
+    kind = _line(entry, "kind", "an edit", path)
+    uid, time = take_text(entry, "uid", kind, path), _line(entry, "time", kind, path)
     undone = entry.get("undone") is True
     if kind not in KINDS:
         return Edit(kind, undone=undone, uid=uid, time=time, raw=entry)
@@ -109,7 +110,7 @@ def edit_of(entry: dict[str, Any], path: Path) -> Edit:
     return Edit(
         kind,
         tuple(_mark(each, kind, path) for each in _optional(entry, "objects", kind, path)),
-        take_text(entry, "name", kind, path) if "name" in entry else "",
+        _line(entry, "name", kind, path) if "name" in entry else "",
         take_whole_number(entry, "class_id", kind, path) if "class_id" in entry else 0,
         _whole_numbers(entry, "classes", kind, path) if "classes" in entry else (),
         tuple(_moved(each, kind, path) for each in moved),
@@ -133,8 +134,13 @@ def _mark(entry: dict[str, Any], kind: str, path: Path) -> ObjectMark:
 
 
 def _made(entry: dict[str, Any], kind: str, path: Path) -> NewObject:
-    name, class_id = take_text(entry, "name", kind, path), take_whole_number(entry, "class_id", kind, path)
+    name, class_id = _line(entry, "name", kind, path), take_whole_number(entry, "class_id", kind, path)
     return NewObject(_id(entry, kind, path), name, class_id)
+
+
+def _line(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
+    """A text that is shown to people. Raises PlgsError."""
+    return one_line(take_text(entry, key, context, path))
 
 
 def _moved(entry: dict[str, Any], kind: str, path: Path) -> MovedPoints:

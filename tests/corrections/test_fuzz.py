@@ -57,6 +57,13 @@ def test_odd_values(lift: Path, original: bytes, data: st.DataObject) -> None:
     survives(lift)
 
 
+def test_what_is_told_of_an_unknown_edit_is_printable(lift: Path, original: bytes) -> None:
+    content = json.loads(original)
+    content["edits"][1]["kind"], content["edits"][2]["time"] = "\ud7fc", "\u202e"
+    (lift / CORRECTIONS).write_text(json.dumps(content))
+    survives(lift)
+
+
 @examples(100)
 @given(data=st.data())
 def test_damaged_bytes(lift: Path, original: bytes, data: st.DataObject) -> None:
