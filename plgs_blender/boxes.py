@@ -53,7 +53,7 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     ob.matrix_world = where or _where_placed(ob)
     ob.color = object_colour(instance.colour)
     # Only meshes with faces have lines in the object's colour. Renders ignore the display type, so they show bars.
-    ob.display_type, ob.show_name = "WIRE", True
+    ob.display_type, ob.show_name = "WIRE", False  # the labels over the view are readable, Blender's names are not
     ob.show_in_front = True  # it is seen and picked through the points that fill it
     # The bars lie outside the box, where its points do not cover them.
     bars = ob.modifiers.get("Bars") or ob.modifiers.new("Bars", "WIREFRAME")

@@ -44,7 +44,7 @@ from .looks import (
     apply_show_as,
 )
 from .selection import select_row
-from .visibility import apply_colours, apply_visibility, let_boxes_show_names, size_cameras
+from .visibility import apply_colours, apply_visibility, size_cameras
 
 NO_COST, NO_AGREEMENT = 1.0, -1.0
 """Values of a mask's `cost` and `agreement` that say there is none."""
@@ -75,10 +75,6 @@ def _update_show_as(lists: bpy.types.PropertyGroup, _context: bpy.types.Context)
 
 def _update_cameras(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     size_cameras(lists.id_data, lists.show_cameras)
-
-
-def _update_names(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    let_boxes_show_names(lists.id_data, not lists.show_labels)
 
 
 class PLGS_PG_mask(bpy.types.PropertyGroup):
@@ -192,7 +188,7 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         name="Cameras", update=_update_cameras, description="Draw the frames' cameras large, not only their path"
     )
     show_labels: BoolProperty(
-        name="Labels", default=True, update=_update_names, description="Draw the instances' names over the view"
+        name="Labels", default=True, description="Draw the instances' names over the view"
     )
     show_legend: BoolProperty(name="Legend", description="Draw the classes and their colours over the view")
     show_selected: BoolProperty(
@@ -244,7 +240,6 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult)
         scores = np.bincount(rows, np.nan_to_num(points.confidence), len(ids)) / np.maximum(counts, 1)
         for class_id, count, score in zip(ids.tolist(), counts.tolist(), scores.tolist(), strict=True):
             _fill_class(lists.classes.add(), class_id, count, score, result.classes)
-        let_boxes_show_names(root, not lists.show_labels)
         size_cameras(root, lists.show_cameras)
         apply_show_as(root)
         if lists.look != PHOTO:

@@ -96,12 +96,6 @@ def _linear(srgb: bpy.types.bpy_prop_array) -> tuple[float, float, float, float]
     return object_colour((red, green, blue))
 
 
-def let_boxes_show_names(root: bpy.types.Collection, shown: bool) -> None:
-    """Set whether Blender itself writes the names at the boxes. It does not while we draw labels."""
-    for box in boxes_of(root).values():
-        box.show_name = shown
-
-
 def size_cameras(root: bpy.types.Collection, large: bool) -> None:
     """Draw the frames' cameras large, or as dots on their path. They are not hidden: a hidden camera shows no photo."""
     for key, ob in objects_by_key(root).items():

@@ -110,7 +110,7 @@ def test_overlays(root: bpy.types.Collection) -> None:
     bpy.ops.plgs.toggle_overlay(part="SELECTED")
     assert root.plgs.show_legend and not root.plgs.show_selected
     bpy.ops.plgs.toggle_overlay(part="LABELS")
-    assert box.show_name, "Blender writes the names while we do not"
+    assert not root.plgs.show_labels and not box.show_name, "no names at all"
 
 
 def test_gaussians_that_are_no_splats_leave_nothing(
