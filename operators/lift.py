@@ -10,7 +10,17 @@ from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import lifting, lifts
 from ..plgs_blender.settings import LiftOptions, option_names
 from ..plgs_blender.tasks.registry import Task
-from .base import FINISHED, PASSED_ON, RUNNING, OnLiftFolder, StartsTask, panel_of, reporting, reporting_events
+from .base import (
+    CANCELLED,
+    FINISHED,
+    PASSED_ON,
+    RUNNING,
+    OnLiftFolder,
+    StartsTask,
+    panel_of,
+    reporting,
+    reporting_events,
+)
 
 _PART_S = 0.02
 """Pause between two parts of a lift that is placed."""
@@ -107,6 +117,9 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.place_lift", "Show Result", {"UNDO"}
 
+    _at_work = False
+    """Whether one places a lift at the ticks of its timer: a second one would place between its parts."""
+
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         self._placing = lifting.showing_lift(context.scene, self.lift_folder)
@@ -119,11 +132,15 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
         """The first part at once, the others at the ticks of a timer, so that the window never waits long."""
         if bpy.app.background:
             return self.execute(context)
+        if PLGS_OT_place_lift._at_work:
+            self.report({"INFO"}, "A lift is being placed. Wait a moment")
+            return CANCELLED
         self._placing = lifting.showing_lift(context.scene, self.lift_folder)
         self.has_more()
         manager = context.window_manager
         self._timer = manager.event_timer_add(_PART_S, window=context.window or manager.windows[0])
         manager.modal_handler_add(self)
+        PLGS_OT_place_lift._at_work = True
         return RUNNING
 
     @reporting_events
@@ -136,18 +153,22 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
         finally:
             if not goes_on:
                 self.cancel(context)
-        return RUNNING if goes_on else FINISHED
+        return PASSED_ON if goes_on else FINISHED
 
     def has_more(self) -> bool:
         """Place the next part; whether there may be others."""
-        for root in self._placing:
-            self._name = root.name if root is not None else ""
-            return True
-        self.report({"INFO"}, f"{self._name} is placed")
-        return False
+        try:
+            next(self._placing)
+        except StopIteration as end:
+            found = end.value.find() if end.value is not None else None
+            told = f"{found[0].name} is placed" if found is not None else "It was removed while it was placed"
+            self.report({"INFO"}, told)
+            return False
+        return True
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender calls it, too, when another file is opened."""
+        PLGS_OT_place_lift._at_work = False
         context.window_manager.event_timer_remove(self._timer)
 
 

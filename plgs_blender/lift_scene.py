@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar, cast
 
 import bpy
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.scene import Camera
+from ..engine.scene.splat_file import read_gaussians
 from .boxes import place_boxes
 from .cameras import overview_camera
 from .clouds import place_anchors, place_depth_clouds, place_semantic_points
@@ -40,7 +42,7 @@ from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import check_layers, place_passes, place_shots
 from .results import LiftResult, read_result
 from .reuse import leave_holes
-from .splats import GAUSSIANS, gaussians_of, has_native_splats, place_gaussians, placing_gaussians
+from .splats import GAUSSIANS, has_native_splats, place_gaussians, placing_gaussians
 from .surfaces import SurfaceGrid
 from .timeline import mark_timeline
 from .viewport import all_views, areas_of, colour_views, show_room, start_file
@@ -57,65 +59,74 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     The collection is found again by the folder of the lift or of its scene. When `scene` holds passes, the scene with
     their lift is filled. Raises PlgsError, before anything is changed, when the lift is not finished or cannot be read.
     """
-    root = [*placing_lift(lift, scene)][-1]
-    assert root is not None
-    return root
+    placed = place_room(result_of(reading_lift(lift)), scene)
+    result_of(placed.rest)
+    return root_of_placed(lift, scene_to_fill(scene))
+
+
+Result = TypeVar("Result")
+
+
+def result_of(parts: Generator[None, None, Result]) -> Result:
+    """Do all parts at once, and return their result."""
+    while True:
+        try:
+            next(parts)
+        except StopIteration as end:
+            return cast(Result, end.value)
 
 
 @dataclass(frozen=True, eq=False)
 class ReadLift:
     """A result, and what is computed of its points [N]: their grid, their normals float32 [N, 3], and a camera outside
-    the room.
+    the room. ``gaussians`` are the rows of its splats, None where Blender reads them itself or there are none.
     """
 
     result: LiftResult
     grid: SurfaceGrid
     normals: NDArray[np.float32]
     overview: Camera
+    gaussians: NDArray[np.void] | None
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedRoom:
+    """Where a lift was placed, and the parts that are left: its splats and passes."""
+
+    at: Placed
+    rest: Generator[None, None, None]
 
 
 def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
     """Read a lift, in parts, for a window that must not wait. Raises PlgsError."""
     result = _read(lift)
     yield
+    splats = result.folder / "result" / "gaussians.ply"
+    gaussians = read_gaussians(splats) if not has_native_splats() and splats.is_file() else None
+    yield
     xyz, frames = result.points.xyz, result.scene.frames
     grid = SurfaceGrid.of(xyz)
     normals = grid.normals(np.array([frame.camera.centre for frame in frames])[:: 1 + len(frames) // _VIEWPOINTS])
     overview = overview_camera(xyz, normals)
     yield
-    return ReadLift(result, grid, normals, overview)
+    return ReadLift(result, grid, normals, overview, gaussians)
 
 
-def placing_lift(lift: Path, scene: bpy.types.Scene) -> Iterator[bpy.types.Collection | None]:
-    """`place_lift` in parts, for a window that must not wait; None while nothing is placed yet."""
-    name = scene.name
-    read = yield from reading_lift(lift)
-    if name in bpy.data.scenes:
-        yield from placing_read(read, bpy.data.scenes[name])
-
-
-def placing_read(read: ReadLift, scene: bpy.types.Scene) -> Iterator[bpy.types.Collection]:
-    """Place a lift in parts: after the first one it is there, without its splats and passes. They are left out when the
-    lift is removed in the meantime.
-    """
-    root, scene = _place_room(read, scene)
-    placed = Placed(root[LIFT], scene.name)
+def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]:
+    """The splats and the passes, left out when the lift is removed in the meantime."""
+    yield
     for part in (_placing_splats, _placing_passes):
-        yield root
         found = placed.find()
         if found is None:
             return
-        root, scene = found
-        yield from part(read.result, root, scene)
+        yield from part(read, *found)
+        yield
 
 
-def _placing_splats(
-    result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene
-) -> Iterator[bpy.types.Collection]:
+def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
     placed = Placed(root[LIFT], scene.name)
-    if not has_native_splats() and gaussians_of(root).is_file():
-        for _ in placing_gaussians(root, scene):
-            yield root
+    if read.gaussians is not None:
+        yield from placing_gaussians(root, scene, read.gaussians)
     found = placed.find()
     if found is not None:
         root, scene = found
@@ -126,19 +137,18 @@ def _placing_splats(
             colour_views(scene, root.plgs.show_as != POINTS)
 
 
-def _placing_passes(
-    result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene
-) -> Iterator[bpy.types.Collection]:
+def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
     owned = OwnedDataBlocks(root[LIFT], scene)
-    place_passes(owned, result)
-    place_shots(owned, result, scene)
+    place_passes(owned, read.result)
+    place_shots(owned, read.result, scene)
+    owned.sweep_data()  # images of views that are no more
     if bpy.data.filepath:
         relate_paths(root, Path(bpy.data.filepath).parent)
-    yield root
+    yield
 
 
-def _place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[bpy.types.Collection, bpy.types.Scene]:
-    """Everything but splats and passes, and the scene that holds it."""
+def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
+    """Place everything but splats and passes, which are left for later."""
     result, grid, normals = read.result, read.grid, read.normals
     scene = scene_to_fill(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
@@ -155,7 +165,7 @@ def _place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[bpy.types.Colle
     place_meshes(owned, root, result)
     place_depth_clouds(owned, root, result.folder)
     splats = owned.known(GAUSSIANS)
-    if splats is not None and not has_native_splats() and gaussians_of(root).is_file():
+    if splats is not None and read.gaussians is not None:
         owned.keep(splats)  # until they are filled anew
     # A new lift moves the overview back, where a user moved it.
     overview = place_camera(owned, root, "overview", "Overview", read.overview, _OVERVIEW_SIZE)
@@ -168,7 +178,8 @@ def _place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[bpy.types.Colle
     leave_holes(root)
     remember(root, result.edits)
     owned.sweep()
-    return root, scene
+    placed = Placed(root[LIFT], scene.name)
+    return PlacedRoom(placed, _placing_rest(read, placed))
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
@@ -227,7 +238,7 @@ def save_lift(lift: Path, blend: Path) -> None:
         _dress(scene, root)
     _save(blend)
     if is_new:
-        # Relative paths lead somewhere only now, and Blender can read which layers the passes have.
+        # Relative paths lead somewhere only now.
         relate_paths(root, blend.parent)
         _save(blend, keep_backup=False)
 

@@ -145,6 +145,10 @@ class OwnedDataBlocks:
         for ob in self._own_objects():
             if ob not in self._kept:
                 bpy.data.objects.remove(ob)
+        self.sweep_data()
+
+    def sweep_data(self) -> None:
+        """Remove the lift's data that this placement did not use and nobody else does."""
         for kind in _DATA:
             blocks = getattr(bpy.data, kind)
             for block in [b for b in blocks if key_of(b, self.lift) is not None and b not in self._kept]:

@@ -58,24 +58,25 @@ def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 
     Raises PlgsError when the file is missing, when it holds no splats, or when Blender did not read it as splats.
     """
-    for _ in placing_gaussians(root, scene):
-        pass
-
-
-def placing_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
-    """`place_gaussians` in parts, for a window that must not wait. It ends early when the collection is removed
-    between two.
-    """
     path = gaussians_of(root)
     if not path.is_file():
         raise PlgsError("is not there", path, "Lift the scene again, or load the lift from where it is now.")
     if has_native_splats():
         _place_native(root, scene, path)
         return
+    for _ in placing_gaussians(root, scene, read_gaussians(path)):
+        pass
+
+
+def placing_gaussians(
+    root: bpy.types.Collection, scene: bpy.types.Scene, rows: NDArray[np.void]
+) -> Iterator[None]:
+    """Put Gaussians, as `read_gaussians` has them, into a lift's collection in parts, for a window that must not wait.
+    It ends early when the collection is removed between two.
+    """
     placed = Placed(root[LIFT], scene.name)
     eyes = [ob.matrix_world.translation for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")]
     viewpoints = np.array(eyes, np.float64).reshape(-1, 3)
-    rows = read_gaussians(path)
     rows = rows[seen(rows)]
     parts = [_columns(rows[:0], viewpoints)]
     for start in range(0, len(rows), _AT_ONCE):

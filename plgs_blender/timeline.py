@@ -33,8 +33,8 @@ def mark_timeline(
 
     In a scene that already has a camera of the user's, ours lie behind the end of its own frames.
     """
-    markers = scene.timeline_markers
-    for marker in [m for m in markers if m.camera is not None and key_of(m.camera, root[LIFT]) is not None]:
+    markers, ours = scene.timeline_markers, _originals(scene, root[LIFT])
+    for marker in [m for m in markers if m.camera in ours]:
         markers.remove(marker)
     if type(root.get(_FIRST_FRAME)) is not int:
         theirs = scene.camera is not None and key_of(scene.camera, root[LIFT]) is None
@@ -51,8 +51,8 @@ def mark_timeline(
 
 def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
     """The places on the timeline of the lift's cameras, also while its markers wait."""
-    bound = {m.camera: m.frame for m in scene.timeline_markers if m.camera is not None}
-    ours = {ob: place for ob, place in bound.items() if key_of(ob, root[LIFT]) is not None}
+    own = _originals(scene, root[LIFT])
+    ours = {m.camera: m.frame for m in scene.timeline_markers if m.camera in own}
     if not root.get(_ASIDE):
         return ours
     return {ob: ob[_PLACE] for ob in _waiting(scene, root[LIFT])} | ours
@@ -66,6 +66,9 @@ def follow_camera(scene: bpy.types.Scene) -> None:
         return
     seen = [marker for marker in scene.timeline_markers if marker.camera is not None]
     bound = [marker for marker in seen if any(key_of(marker.camera, lift) is not None for lift in roots)]
+    if bound:  # a copy of our camera is the user's, with its marker
+        ours = set().union(*(_originals(scene, lift) for lift in roots))
+        bound = [marker for marker in bound if marker.camera in ours]
     is_ours = any(marker.camera == camera for marker in bound) or any(_waits(scene, lift) for lift in roots)
     if camera is None or is_ours:
         for root in roots.values():
@@ -87,7 +90,12 @@ def _waits(scene: bpy.types.Scene, lift: str) -> bool:
 
 def _waiting(scene: bpy.types.Scene, lift: str) -> list[bpy.types.Object]:
     """The cameras of a lift whose markers wait."""
-    return [ob for ob in originals(scene.objects, lift).values() if _PLACE in ob]
+    return [ob for ob in _originals(scene, lift) if _PLACE in ob]
+
+
+def _originals(scene: bpy.types.Scene, lift: str) -> set[bpy.types.Object]:
+    """The lift's own objects in a scene, without the user's copies of them."""
+    return set(originals(scene.objects, lift).values())
 
 
 def _bring_back(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:

@@ -181,6 +181,8 @@ class _Batch:
             self._is_missed = True
             self._line.say(f"No worker is there: waiting. Start one: python -m engine worker {self._farm.address}")
         for future, pin in [*self._pins.items()]:
+            if future not in self._out:
+                continue  # another piece of the scene could not be placed
             piece = self._out[future]
             if not there or there.keys() & set(pin.workers):
                 pin.seen = now
@@ -202,7 +204,8 @@ class _Batch:
             self._listen()
             pieces, self._out, self._pins = [*self._out.values()], {}, {}
             for piece in pieces:
-                self._submit(piece)
+                if piece.scene not in self._rows:
+                    self._submit(piece)
             return
         for future in [future for future in self._out if future.done()]:
             if future not in self._out:

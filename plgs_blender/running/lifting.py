@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from ..engine_environment import why_no_engine
 from ..errors import with_field_names
 from ..farm_job import write_farm_job
 from ..inspecting.lookup import objects_by_key
-from ..lift_collection import FOLDER, is_same_place, lift_of_scene, lifts_in, root_of_placed
+from ..lift_collection import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed
 from ..meshes import mesh_folder
 from ..owned import text_of
 from ..paths import absolute, free_folder
@@ -226,13 +226,13 @@ def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> ex
     return exports.export(lift, "clouds", cloud_folder(lift), python, [frame], cameras=cameras, shown_in=scene.name)
 
 
-def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Iterator[bpy.types.Collection | None]:
-    """Put the finished lift in `folder`, or in that of the scene's settings, into the scene, part by part. Raises
-    PlgsError.
+def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Generator[None, None, Placed | None]:
+    """Put the finished lift in `folder`, or in that of the scene's settings, into the scene, part by part. Returns
+    where it is, None when the scene is gone meanwhile. Raises PlgsError.
     """
     lift = lift_at(scene.plgs, folder)
     try:
-        yield from lifts.showing_lift(scene, lift)
+        return (yield from lifts.showing_lift(scene, lift))
     except PlgsError as error:
         if not lift.is_running:
             raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ from ...engine.job.follower import TaskFollower, start_bake
 from ...engine.job.process import engine_command
 from ...engine.job.recent import RecentLift, recent_lifts
 from ...engine.job.task import BAKE, LIFT, TaskState
-from ..lift_scene import look_at_placed, place_passes_anew, placing_read, reading_lift
+from ..lift_collection import Placed
+from ..lift_scene import look_at_placed, place_passes_anew, place_room, reading_lift, result_of
 from ..settings import adopt, chosen_lift
 from ..startup_file import taking_over
 from ..tasks import registry, timer
@@ -73,6 +74,10 @@ class Lift(Task):
             return "The lift is finished"
         return "The lift was not started" if self.lift_state is LiftState.NOT_STARTED else "The lift was cancelled"
 
+    def _is_wanted(self, scene: Any) -> bool:
+        """Whether a scene is set to this lift, and wants its result."""
+        return bool(scene.plgs.place_when_done) and chosen_lift(scene.plgs) == self.folder.path
+
     def done(self, scene: Any) -> Iterator[object]:
         """Put a finished result into the scene if that is still set to it and wants it; baked passes in any case."""
         try:
@@ -84,9 +89,7 @@ class Lift(Task):
             return
         if self.is_baking:
             place_passes_anew(self.folder.path, scene)
-        elif scene.plgs.place_when_done and chosen_lift(scene.plgs) == self.folder.path:
-            yield from showing_lift(scene, self.folder)
-        else:
+        elif not self._is_wanted(scene) or (yield from showing_lift(scene, self.folder, self._is_wanted)) is None:
             return
         self.undo_step = "Show Result"
 
@@ -170,6 +173,8 @@ def bake(
     if known is not None and known.is_running and known.follower.is_own:
         fix = "Wait for it, or cancel it first."
         raise PlgsError("this Blender bakes or lifts here already", lift.path, fix, code=ErrorCode.BUSY)
+    if known is not None and known.is_being_taken:
+        raise PlgsError("its result is being placed", lift.path, "Wait a moment.", code=ErrorCode.BUSY)
     if not lift.manifest_path.is_file():
         _refuse_running(lift)
     ties = not keep_running
@@ -208,25 +213,32 @@ def look_at(folder: Path) -> Lift | None:
 
 def show_lift(scene: Any, lift: LiftFolder) -> Any:
     """Put a finished lift into the scene, let the panel say what it was asked for, and return its collection. The 3D
-    views look at it, as splats when it was not in the scene before. Raises PlgsError.
+    views look at it. Raises PlgsError.
     """
-    return [*showing_lift(scene, lift)][-1]
+    placed = result_of(showing_lift(scene, lift))
+    found = placed.find() if placed is not None else None
+    return found[0] if found is not None else None
 
 
-def showing_lift(scene: Any, lift: LiftFolder) -> Iterator[Any]:
-    """`show_lift` in parts, for a window that must not wait; None while nothing is placed yet. Raises PlgsError."""
+def showing_lift(
+    scene: Any, lift: LiftFolder, is_wanted: Callable[[Any], bool] = lambda scene: True
+) -> Generator[None, None, Placed | None]:
+    """`show_lift` in parts, for a window that must not wait. Returns where it is; None when the scene is gone once the
+    lift is read, or does not want it any more. Raises PlgsError.
+    """
     name = scene.name
     read = yield from reading_lift(lift.path)
     scene = bpy.data.scenes.get(name)  # undo may have put another one in its place
-    if scene is None:
-        return
-    placing = placing_read(read, scene)
+    if scene is None or not is_wanted(scene):
+        return None
     with taking_over(scene):
-        root = next(placing)
+        placed = place_room(read, scene)
     adopt(scene.plgs, lift.request, lift.path)
-    look_at_placed(root, scene)
-    yield root
-    yield from placing
+    found = placed.at.find()
+    if found is not None:
+        look_at_placed(found[0], scene)
+    yield from placed.rest
+    return placed.at
 
 
 def _refuse_running(lift: LiftFolder) -> None:

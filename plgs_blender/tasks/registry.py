@@ -54,6 +54,11 @@ class Task:
         return self.follower.is_running
 
     @property
+    def is_being_taken(self) -> bool:
+        """Whether `done` has parts left."""
+        return self._parts is not None and not self.is_taken
+
+    @property
     def state(self) -> TaskState:
         return self.follower.state
 

@@ -131,3 +131,15 @@ def test_when_no_worker_is_there_a_line_says_it(tmp_path: Path, monkeypatch: pyt
     batch.farm.there = {}
     batch.look(run.RETURN_S + 2.0)
     assert len(batch.line.said) == 2
+
+
+def test_when_no_fit_worker_is_left_all_pieces_of_the_scene_are_withdrawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = Batch(tmp_path, monkeypatch, "one", "two")
+    batch.end(batch.farm.asked[0], Ended.ELSEWHERE, "host one")
+    batch.end(batch.farm.asked[1], Ended.DONE, frames=["1", "2", "3"])
+    del batch.farm.there["two"]
+    batch.look()
+    batch.look(run.RETURN_S + 2.0)
+    assert "no worker can do it" in batch.rows["a"].reason and not batch.batch._out and not batch.batch._pins

@@ -21,8 +21,9 @@ def main(behaviour: str, arguments: list[str]) -> int:
     """What run_plgs.main returns."""
     import run_plgs
 
-    # A shell that runs tests in the background makes them ignore Ctrl-C.
+    # A shell that runs tests in the background makes them ignore Ctrl-C, and nohup a closed terminal.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     run_plgs.load_package()
     session = importlib.import_module("plgs.engine.job.session")
 

@@ -115,7 +115,7 @@ def test_the_request_tells_of_it_and_the_events_count(lifts: tuple[LiftFolder, L
 
 
 def test_what_is_no_finished_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
-    with pytest.raises(PlgsError, match="no folder"):
+    with pytest.raises(PlgsError, match="no such lift folder"):
         read_earlier(tmp_path / "nothing")
     other = LiftFolder.create(tmp_path / "begun", LiftRequest(scene=lifts[0].request.scene))
     with pytest.raises(PlgsError, match="not finished"):

@@ -42,3 +42,16 @@ def test_a_camera_of_the_users_that_is_added_later_stays_active(lift: Path) -> N
     assert {marker.name: marker.frame for marker in scene.timeline_markers} == before
     scene.frame_set(1)
     assert scene.camera["frame"] == "0000"
+
+
+def test_a_marker_of_the_users_at_a_copy_of_our_camera_stays(lift: Path) -> None:
+    scene = bpy.context.scene
+    lift_scene.place_lift(lift, scene)
+    copy = bpy.data.objects["0001"].copy()
+    scene.collection.objects.link(copy)
+    cut = scene.timeline_markers.new("cut", frame=3)
+    cut.camera = scene.camera = copy
+    timeline.follow_camera(scene)
+    assert [(marker.name, marker.camera) for marker in scene.timeline_markers] == [("cut", copy)]
+    lift_scene.place_lift(lift, scene)
+    assert ("cut", copy) in [(marker.name, marker.camera) for marker in scene.timeline_markers]
