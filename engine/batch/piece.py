@@ -26,7 +26,7 @@ TELL_S = 1.0
 """Seconds between two times that a piece tells how far it is."""
 BUSY_S = 1.0
 """Seconds between two tries where another engine is at work, such as that of a worker which does not answer."""
-_PLACE_CODES = (ErrorCode.DISK_FULL, ErrorCode.NO_ENGINE, ErrorCode.LACKS_PART)
+_PLACE_CODES = (ErrorCode.DISK_FULL, ErrorCode.NO_ENGINE, ErrorCode.LACKS_PART, ErrorCode.NO_MEMORY)
 """Errors that say something about the worker rather than about the scene."""
 
 

@@ -28,7 +28,7 @@ def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> Ma
             return _share(_within(_of_linux(proc), cgroup))
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
         return _share(MainMemory(total, total))
-    except (OSError, ValueError, KeyError, IndexError):
+    except (OSError, ValueError, KeyError, IndexError, OverflowError):
         return None
 
 

@@ -20,7 +20,7 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
     if unknown:
         what = f"{len(unknown)} predicted frames have no ground truth, {unknown[0]} among them"
         raise PlgsError(what, truth.folder, "Call the images of a frame alike in both folders, or take these away.")
-    classes, truth = in_one_table(predictions, truth)
+    classes, predictions = in_one_table(predictions, truth)
     report, next_id = Report(classes), 0
     for name, read in predictions.readers.items():
         predicted, true = read(), truth.readers[name]()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -101,8 +102,9 @@ def _classes_of_export(path: Path) -> ClassTable:
 
 
 def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTable, LabelFolder]:
-    """The class table of both, whose ids mean the same, and the truth in it. Where an id has two names, the truth's
-    classes become the predictions' of the same name, else void.
+    """The class table of both, whose ids mean the same, and the predictions in it. Where an id has two names, the
+    truth's table counts: predicted classes become those of the same name there, and others stay, after them, as classes
+    that the truth never shows.
 
     Raises PlgsError if there is no table, or no class has its name in both.
     """
@@ -110,16 +112,20 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
     if not tables:
         raise PlgsError("there is no table of classes and of which are things", truth.folder, _TABLE_FIX)
     own, true = tables[0], tables[-1]
-    if any(each.id in own and (own[each.id].name, own[each.id].is_thing) != (each.name, each.is_thing)
-           for each in true.categories):  # fmt: skip
-        class_of = classes_by_name({each.id: each.name for each in true.categories}, own)
-        if not class_of:
-            what = f"its classes have other names than those in {predictions.folder}"
-            raise PlgsError(what, truth.folder, "Bring both to one class table.")
-        mapped = {name: partial(_in_classes, read, class_of) for name, read in truth.readers.items()}
-        return own, replace(truth, readers=mapped)
-    merged = {each.id: each for table in tables for each in table.categories}
-    return ClassTable(tuple(merged[class_id] for class_id in sorted(merged))), truth
+    if not any(each.id in own and (own[each.id].name, own[each.id].is_thing) != (each.name, each.is_thing)
+               for each in true.categories):  # fmt: skip
+        merged = {each.id: each for table in tables for each in table.categories}
+        return ClassTable(tuple(merged[class_id] for class_id in sorted(merged))), predictions
+    class_of = classes_by_name({each.id: each.name for each in own.categories}, true)
+    if not class_of:
+        what = f"its classes have other names than those in {predictions.folder}"
+        raise PlgsError(what, truth.folder, "Bring both to one class table.")
+    free = count(max(true.ids) + 1)
+    others = tuple(replace(each, id=next(free)) for each in own.categories if each.id not in class_of)
+    left = [each.id for each in own.categories if each.id not in class_of]
+    class_of |= dict(zip(left, (each.id for each in others), strict=True))
+    mapped = {name: partial(_in_classes, read, class_of) for name, read in predictions.readers.items()}
+    return ClassTable((*true.categories, *others)), replace(predictions, readers=mapped)
 
 
 def _in_classes(read: Callable[[], GroundTruth], class_of: Mapping[int, int]) -> GroundTruth:
