@@ -91,6 +91,28 @@ class PLGS_OT_watch_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
         return lifting.join_lift(context.scene, self.lift_folder)
 
 
+class PLGS_OT_open_lift(StartsTask, bpy.types.Operator):
+    """Choose the folder of a lift: its result is put into the scene, or the lift is followed while it runs"""
+
+    bl_idname, bl_label = "plgs.open_lift", "Open Lift"
+    has_undo_step = True
+
+    directory: StringProperty(  # type: ignore[valid-type]
+        name="Lift folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="The folder of a lift"
+    )
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        return lifting.join_lift(context.scene, str(absolute(self.directory)))
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        context.window_manager.fileselect_add(self)
+        return RUNNING
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.run(context, waits=bpy.app.background)
+
+
 class PLGS_OT_cancel_lift(OnLiftFolder, bpy.types.Operator):
     """Stop the lift at its next step, within a second; it can be resumed"""
 
@@ -188,6 +210,7 @@ CLASSES = (
     PLGS_OT_resume_lift,
     PLGS_OT_find_scene,
     PLGS_OT_watch_lift,
+    PLGS_OT_open_lift,
     PLGS_OT_cancel_lift,
     PLGS_OT_refresh_lifts,
     PLGS_OT_place_lift,

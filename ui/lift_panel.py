@@ -103,7 +103,9 @@ class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
             row.operator("plgs.watch_lift", text="", icon="VIEWZOOM").lift_folder = str(lift.folder.path)
         if not lately:
             layout.label(text="None yet", icon="INFO")
-        layout.operator("plgs.refresh_lifts", icon="FILE_REFRESH")
+        row = layout.row(align=True)
+        row.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
+        row.operator("plgs.refresh_lifts", text="", icon="FILE_REFRESH")
 
 
 def _draw_other(layout: bpy.types.UILayout, other: Lift) -> None:

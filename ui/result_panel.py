@@ -29,6 +29,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         layout, root = self.layout, _lift(context)
         if root is None:
             tell(layout, context, "Nothing is lifted yet. Start a lift above, or open a finished one.", "INFO")
+            layout.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
             return
         lists, row = root.plgs, _chosen(context)
         layout.label(text=root.name, icon="OUTLINER_COLLECTION")

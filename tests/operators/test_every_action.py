@@ -28,6 +28,7 @@ UNTRIED = {
     "plgs.use_this_python",
     "plgs.resume_lift",
     "plgs.watch_lift",
+    "plgs.open_lift",
     "plgs.browse_scene",
     "plgs.make_poses",
     "plgs.answer_proposal",

@@ -124,10 +124,19 @@ def test_no_scene_is_said(behaves: Behaves) -> None:
         bpy.ops.plgs.lift_scene()
 
 
-def test_watching_a_finished_lift_places_it(lift: Path) -> None:
-    assert bpy.ops.plgs.watch_lift(lift_folder=str(lift)) == {"FINISHED"}
+@pytest.mark.parametrize("how", ["watch", "open"])
+def test_watching_or_opening_a_finished_lift_places_it(how: str, lift: Path) -> None:
+    if how == "watch":
+        assert bpy.ops.plgs.watch_lift(lift_folder=str(lift)) == {"FINISHED"}
+    else:
+        assert bpy.ops.plgs.open_lift(directory=str(lift)) == {"FINISHED"}
     assert any(ob.type == "POINTCLOUD" for ob in bpy.context.scene.objects)
     assert Path(bpy.context.scene.plgs.scene_folder) == lift.parent / "tiny room"
+
+
+def test_opening_what_is_no_lift_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="is no lift folder"):
+        bpy.ops.plgs.open_lift(directory=str(tmp_path))
 
 
 def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None:
