@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProperty, StringProperty
 
+from ..engine.gates import one_line
 from ..plgs_blender import corrections, painting
 from ..plgs_blender.engine_environment import why_no_engine
 from ..plgs_blender.errors import EXPECTED, PlgsError
@@ -157,7 +158,7 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
             edit = corrections.split_plane(root, number, (*self.point,), (*self.normal,))
         else:
             edit = corrections.split_parts(root, number)
-        self.report({"INFO"}, f"New: {', '.join(one.name for one in edit.made)}")
+        self.report({"INFO"}, one_line(f"New: {', '.join(one.name for one in edit.made)}"))
         return FINISHED
 
 
@@ -358,7 +359,7 @@ class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
         selection.select_instance(root, one.instance, context.view_layer)
         if one.frame:
             views.look_from_frame(root, one.frame, context.scene, view_of(context)[0])
-        self.report({"INFO"}, f"{one.name}: {one.reason}")
+        self.report({"INFO"}, one_line(f"{one.name}: {one.reason}"))
         return FINISHED
 
 
@@ -388,7 +389,7 @@ class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
         root = self.root(context)
         frame, visited, frames = corrections.next_uncertain(root)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
-        self.report({"INFO"}, f"Frame {frame}, {visited} of {frames} looked at")
+        self.report({"INFO"}, f"Frame {one_line(frame)}, {visited} of {frames} looked at")
         return FINISHED
 
 

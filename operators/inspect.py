@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
+from ..engine.gates import one_line
 from ..plgs_blender.inspecting import looks, selection, views, visibility
 from ..plgs_blender.inspecting.lookup import chosen_row, class_row_of, find_lift, row_of
 from ..plgs_blender.lift_collection import lifts_in
@@ -71,7 +72,7 @@ class PLGS_OT_select_instance(OnInstance, bpy.types.Operator):
         selection.select_instance(root, self.instance, context.view_layer)
         row = row_of(root, self.instance)
         if selection.selected_instance(root, context.view_layer.objects.active) != row.instance_id:
-            self.report({"WARNING"}, f"The box of {row.name} is hidden or gone: only its row is selected")
+            self.report({"WARNING"}, f"The box of {one_line(row.name)} is hidden or gone: only its row is selected")
         return FINISHED
 
 
@@ -85,7 +86,7 @@ class PLGS_OT_select_class(OnClass, bpy.types.Operator):
         root = self.root(context)
         row = class_row_of(root, self.class_id)
         if not selection.select_class(root, self.class_id, context.view_layer):
-            self.report({"WARNING"}, f"{row.name} has no box to select")
+            self.report({"WARNING"}, f"{one_line(row.name)} has no box to select")
             return CANCELLED
         return FINISHED
 
@@ -217,7 +218,7 @@ class PLGS_OT_go_to_best_view(OnInstance, bpy.types.Operator):
         root = self.root(context)
         frame = views.best_frame(root, self.instance)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
-        self.report({"INFO"}, f"Frame {frame}")
+        self.report({"INFO"}, f"Frame {one_line(frame)}")
         return FINISHED
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import StringProperty
 
+from ..engine.gates import one_line
 from ..plgs_blender.engine_environment import why_no_engine
 from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import lifting, lifts
@@ -77,7 +78,7 @@ class PLGS_OT_find_scene(OnLiftFolder, bpy.types.Operator):
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         found = lifting.find_scene(context.scene, absolute(self.filepath), self.lift_folder)
-        self.report({"INFO"}, f"The lift reads {found.folder.request.scene}")
+        self.report({"INFO"}, f"The lift reads {one_line(found.folder.request.scene)}")
         return FINISHED
 
 
@@ -183,7 +184,7 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
             next(self._placing)
         except StopIteration as end:
             found = end.value.find() if end.value is not None else None
-            told = f"{found[0].name} is placed" if found is not None else "It was removed while it was placed"
+            told = f"{one_line(found[0].name)} is placed" if found is not None else "It was removed while it was placed"
             self.report({"INFO"}, told)
             return False
         return True

@@ -7,6 +7,7 @@ import math
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
+from ..engine.gates import one_line
 from ..plgs_blender import mattes
 from ..plgs_blender.compositing import show_compositor
 from ..plgs_blender.engine_environment import why_no_engine
@@ -186,7 +187,8 @@ class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        self.report({"INFO"}, f"The compositor's matte is {mattes.matte_instance(self.root(context), self.instance)}")
+        name = one_line(mattes.matte_instance(self.root(context), self.instance))
+        self.report({"INFO"}, f"The compositor's matte is {name}")
         return FINISHED
 
 
@@ -197,7 +199,8 @@ class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        self.report({"INFO"}, f"The compositor's matte is {mattes.matte_class(self.root(context), self.class_id)}")
+        name = one_line(mattes.matte_class(self.root(context), self.class_id))
+        self.report({"INFO"}, f"The compositor's matte is {name}")
         return FINISHED
 
 

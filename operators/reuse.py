@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import BoolProperty
 
+from ..engine.gates import one_line
 from ..plgs_blender import corrections, reuse
 from .base import FINISHED, reporting
 from .inspect import OnInstances
@@ -25,7 +26,7 @@ class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
         root = self.root(context)
         numbers = corrections.chosen_instances(root, self.instances, context)
         made = reuse.make_objects(root, numbers, as_assets=self.as_assets)
-        self.report({"INFO"}, f"Made: {', '.join(each.name for each in made)}")
+        self.report({"INFO"}, one_line(f"Made: {', '.join(each.name for each in made)}"))
         return FINISHED
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
+from ..engine.gates import one_line
 from ..plgs_blender.dropping import lift_or_scene, scene_at
 from ..plgs_blender.errors import with_field_names
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
@@ -73,7 +74,7 @@ class ImportsScene(SceneOptions, StartsTask):
         cameras = sum("frame" in ob for ob in root.all_objects)
         lacking = "" if is_making else what_is_missing(root) if error is None else with_field_names(error)
         show_lift_colours_in(context.scene)
-        self.report({"WARNING" if lacking else "INFO"}, f"{root.name}: {cameras} cameras. {lacking}".rstrip())
+        self.report({"WARNING" if lacking else "INFO"}, f"{one_line(root.name)}: {cameras} cameras. {lacking}".rstrip())
         return FINISHED
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 
 from ..engine.errors import ErrorCode, PlgsError
+from ..engine.gates import one_line
 
 __all__ = ["EXPECTED", "ErrorCode", "PlgsError", "field_of_option", "with_field_names"]
 
@@ -27,13 +28,14 @@ _OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
 
 
 def with_field_names(said: PlgsError | OSError | str) -> str:
-    """What the engine said, with the names of the panel's fields in place of the options of a command line.
+    """What the engine said, with the names of the panel's fields in place of the options of a command line, in one
+    printable line.
 
     Paths stay as they are. The placeholder of an option, such as OUT, goes with it.
     """
     where = said.where if isinstance(said, PlgsError) else ""
     before, where, after = str(said).partition(where) if where else ("", "", str(said))
-    return _OPTION.sub(_name_in_panel, before) + where + _OPTION.sub(_name_in_panel, after)
+    return one_line(_OPTION.sub(_name_in_panel, before) + where + _OPTION.sub(_name_in_panel, after))
 
 
 def field_of_option(option: str) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..engine.gates import one_line
 from ..plgs_blender import corrections
 from ..plgs_blender.errors import EXPECTED
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
@@ -59,13 +60,13 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
 def _draw_proposals(layout: bpy.types.UILayout, root: bpy.types.Collection) -> None:
     """The most doubtful objects, each with its reason and its one-press answers."""
     proposals, progress = corrections.kept_proposals(root)
-    layout.operator("plgs.propose_corrections", text=progress or "What May Be Wrong?", icon="VIEWZOOM")
+    layout.operator("plgs.propose_corrections", text=one_line(progress) or "What May Be Wrong?", icon="VIEWZOOM")
     layout.operator("plgs.next_uncertain_frame", icon="CAMERA_DATA")
     for one in proposals[:_SHOWN]:
         box = layout.box().column(align=True)
-        look = box.operator("plgs.go_to_proposal", text=f"{one.name}: {one.reason}", emboss=False)
+        look = box.operator("plgs.go_to_proposal", text=one_line(f"{one.name}: {one.reason}"), emboss=False)
         row = box.row(align=True)
-        do = row.operator("plgs.answer_proposal", text=one.answer.capitalize())
+        do = row.operator("plgs.answer_proposal", text=one_line(one.answer).capitalize())
         keep = row.operator("plgs.answer_proposal", text="Keep")
         look.instance = do.instance = keep.instance = one.instance
         keep.keep = True
@@ -84,11 +85,11 @@ class OfClasses:
         try:
             names = corrections.class_choices(root, 0 if chosen is None else chosen.instance_id)
         except EXPECTED as error:
-            self.layout.label(text=str(error), icon="ERROR")
+            self.layout.label(text=one_line(error), icon="ERROR")
             return
         self.layout.operator_context = "INVOKE_DEFAULT"
         for name in names:
-            paint = self.layout.operator("plgs.assign_points", text=name.capitalize())
+            paint = self.layout.operator("plgs.assign_points", text=one_line(name).capitalize())
             paint.to, paint.class_name = self.to, name
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..engine.gates import one_line
 from ..plgs_blender import engine_environment
 from ..plgs_blender.errors import PlgsError
 from ..plgs_blender.frames import camera_seen
@@ -87,7 +88,7 @@ class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
         column = layout.column(align=True)
         column.scale_y = 0.7
         for name, value, is_changed in shown_preset(settings):
-            column.label(text=f"{name}={value}", icon="CHECKMARK" if is_changed else "BLANK1")
+            column.label(text=one_line(f"{name}={value}"), icon="CHECKMARK" if is_changed else "BLANK1")
 
 
 class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
@@ -99,7 +100,8 @@ class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
         lately = lifts.recent()
         for lift in lately:
             row = layout.row(align=True)
-            row.label(text=f"{lift.folder.path.name}: {lift.state.value}", icon=_ICONS.get(lift.state, "FILE_FOLDER"))
+            name = one_line(lift.folder.path.name)
+            row.label(text=f"{name}: {lift.state.value}", icon=_ICONS.get(lift.state, "FILE_FOLDER"))
             row.operator("plgs.watch_lift", text="", icon="VIEWZOOM").lift_folder = str(lift.folder.path)
         if not lately:
             layout.label(text="None yet", icon="INFO")
@@ -111,7 +113,7 @@ class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
 def _draw_other(layout: bpy.types.UILayout, other: Lift) -> None:
     """Draw a lift that continues while the panel is set to another, or to none after an undo."""
     row = layout.row()
-    row.label(text=f"{other.folder.path.name}: {other.progress.label}", icon="RENDER_ANIMATION")
+    row.label(text=one_line(f"{other.folder.path.name}: {other.progress.label}"), icon="RENDER_ANIMATION")
     row.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
 
 

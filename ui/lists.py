@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 from bpy.props import EnumProperty
 
+from ..engine.gates import one_line
 from ..plgs_blender.inspecting.looks import CLASSES as BY_CLASS
 
 _SORTS = [
@@ -71,7 +72,7 @@ def _swatch_name_numbers(layout: Any, row: Any, coloured: Any) -> Any:
     swatch.ui_units_x = 0.9
     swatch.prop(coloured, "colour", text="")
     split = line.split(factor=0.5, align=True)
-    split.label(text=row.name)
+    split.label(text=one_line(row.name))
     numbers = split.row()
     numbers.alignment = "RIGHT"
     numbers.label(text=short_count(row.points))
@@ -128,17 +129,17 @@ class PLGS_UL_masks(bpy.types.UIList):
         frame = line.row(align=True)
         frame.ui_units_x = 4.0
         jump = frame.operator(
-            "plgs.go_to_mask", text=mask.frame, icon="SOLO_ON" if is_best else "OUTLINER_OB_CAMERA"
+            "plgs.go_to_mask", text=one_line(mask.frame), icon="SOLO_ON" if is_best else "OUTLINER_OB_CAMERA"
         )
         jump.instance, jump.frame, jump.segment = instance.instance_id, mask.frame, mask.segment
         split = line.split(factor=0.45, align=True)
         named = split.row()
         named.alert = mask.class_id != instance.class_id
-        named.label(text=mask.class_name)
+        named.label(text=one_line(mask.class_name))
         numbers = split.row()
         numbers.alignment = "RIGHT"
         numbers.label(text=f"{mask.score:.2f}")
-        numbers.label(text=mask.reason)
+        numbers.label(text=one_line(mask.reason))
 
     def filter_items(self, _context: bpy.types.Context, data: Any, name: str) -> tuple[list[int], list[int]]:
         rows = getattr(data, name)

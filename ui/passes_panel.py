@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..engine.gates import one_line
 from ..plgs_blender.mattes import panoptic_of
 from ..plgs_blender.panoptic_group import COLOURS, CONTROLS
 from ..plgs_blender.running.estimate import bake_estimate
@@ -62,7 +63,7 @@ def _draw_cost(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
     frames = len(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
     cost = bake_estimate(frames, (width, height), scene.plgs.layers)
-    layout.label(text=f"{'No camera' if camera is None else camera.name}: {width} x {height}", icon="BLANK1")
+    layout.label(text=f"{'No camera' if camera is None else one_line(camera.name)}: {width} x {height}", icon="BLANK1")
     layout.label(text=f"Frames {scene.frame_start} to {scene.frame_end}, {amount(cost.bytes)}", icon="BLANK1")
     layout.label(text=f"About {duration(cost.seconds)}", icon="BLANK1")
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ..engine.gates import one_line
 from ..plgs_blender.inspecting.looks import POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from .sidebar import Sidebar, Step, from_panel, tell
@@ -32,7 +33,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
             layout.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
             return
         lists, row = root.plgs, _chosen(context)
-        layout.label(text=root.name, icon="OUTLINER_COLLECTION")
+        layout.label(text=one_line(root.name), icon="OUTLINER_COLLECTION")
         _draw_look(from_panel(layout.column(align=True), context), root)
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
         heads = layout.row().split(factor=0.5)
@@ -87,7 +88,7 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
         if not len(row.masks):
             tell(layout, context, "This lift did not record its masks: lift again to see them.", "INFO")
             return
-        layout.label(text=f"{row.name}: {len(row.masks)} masks in {row.views} frames")
+        layout.label(text=f"{one_line(row.name)}: {len(row.masks)} masks in {row.views} frames")
         layout.template_list("PLGS_UL_masks", "", row, "masks", row, "mask_index", rows=5, maxrows=12)
         if row.best_mask < 0:
             tell(layout, context, "Lift again to see where they lie and how sure the match was.", "INFO")
@@ -126,7 +127,8 @@ class PLGS_PT_not_shown(OfResult, bpy.types.Panel):
         root = _lift(context)
         for row in () if root is None else root.plgs.not_shown:
             tell(self.layout, context, row.name, "HIDE_ON")
-            go = from_panel(self.layout.row(), context).operator("plgs.go_to_frame", text=f"Frame {row.frame}")
+            line = from_panel(self.layout.row(), context)
+            go = line.operator("plgs.go_to_frame", text=f"Frame {one_line(row.frame)}")
             go.frame = row.frame
 
 

@@ -7,6 +7,7 @@ import time
 
 import bpy
 
+from ..engine.gates import one_line
 from ..plgs_blender.errors import ErrorCode, PlgsError, field_of_option, with_field_names
 from ..plgs_blender.running.adding import ADDED, Adding, size_of, why_lacking, why_not_added
 from ..plgs_blender.tasks import registry
@@ -129,7 +130,7 @@ def draw_log(layout: bpy.types.UILayout, lines: tuple[str, ...]) -> None:
     column.scale_y = 0.7
     column.active = False
     for line in lines:
-        column.label(text=line)
+        column.label(text=one_line(line))
 
 
 def duration(seconds: float) -> str:

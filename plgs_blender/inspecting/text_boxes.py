@@ -10,6 +10,8 @@ import blf
 import bpy
 from mathutils import Matrix, Vector
 
+from ...engine.gates import one_line
+
 Colour = tuple[float, float, float]
 
 _TEXT = 11.0
@@ -82,7 +84,7 @@ def label_text_boxes(
         if at is not None and len(seen) < _MOST_LABELS:
             seen.append(row)
             anchors.append((at[0], at[1] + padding))
-            widths.append(_text_width(row.name, size) + 2.0 * padding)
+            widths.append(_text_width(one_line(row.name), size) + 2.0 * padding)
     text_boxes = []
     height = size + 1.4 * padding
     for index, (x, y) in stack_labels(anchors, widths, height, (region.width, region.height)).items():
@@ -93,7 +95,7 @@ def label_text_boxes(
         luminance = 0.3 * red + 0.6 * green + 0.1 * blue
         text_boxes.append(
             TextBox(
-                x, y, widths[index], height, row.name, size,
+                x, y, widths[index], height, one_line(row.name), size,
                 ground=(red * shade, green * shade, blue * shade),
                 opacity=0.95 if bright else 0.8,
                 ink=_DARK if bright and luminance > 0.5 else (1.0, 1.0, 1.0),
@@ -126,7 +128,7 @@ def stack_labels(
 def shown_classes(rows: Any) -> list[tuple[str, Colour]]:
     """The names and colours of the classes that are shown, those with most points first."""
     shown = sorted((row for row in rows if row.visible), key=lambda row: (-row.points, row.name))
-    return [(row.name, tuple(row.colour)) for row in shown]
+    return [(one_line(row.name), tuple(row.colour)) for row in shown]
 
 
 def legend_text_boxes(shown: Sequence[tuple[str, Colour]], region: ViewRegion) -> list[TextBox]:

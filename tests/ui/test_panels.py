@@ -14,11 +14,14 @@ from typing import Any
 import bpy
 import pytest
 from plgs.engine.errors import ErrorCode, PlgsError, lacks_part
+from plgs.engine.job import LiftState
 from plgs.engine.job.task import BAKE, LIFT, TaskProgress, TaskState
 from plgs.operators import diagnose, masks
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.engine_environment.tasks import SetUp
+from plgs.plgs_blender.inspecting import text_boxes
+from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.running import adding, lifts, survey
 from plgs.plgs_blender.running.exports import Export
@@ -31,6 +34,7 @@ from plgs.plgs_blender.tasks.registry import Task
 from plgs.ui import (
     export_panel,
     lift_panel,
+    lists,
     passes_panel,
     preferences,
     result_panel,
@@ -130,6 +134,46 @@ def tasks_with(follower: Any, folder: Path) -> list[Task]:
         Export(folder, "coco", folder, "", follower),
         SetUp(follower),
     ]
+
+
+def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A .blend, a folder and an engine's log may hold characters that turn a line around, break it or command a
+    terminal."""
+    odd = "a\u202eb\u2028c\x1b[31md"
+    lift = tiny_lift.write_tiny_lift(tmp_path / odd).path
+    settings = bpy.context.scene.plgs
+    settings.lift_folder = str(lift)
+    place_lift(lift, bpy.context.scene)
+    root = lifts_in(bpy.context.scene)[0]
+    root.name, bpy.context.scene.camera.name = f"lift {odd}", f"camera {odd}"
+    unshown = root.plgs.not_shown.add()
+    unshown.name, unshown.frame = odd, odd
+    for row in (*root.plgs.instances, *root.plgs.classes):
+        row.name = odd
+    for row in root.plgs.instances:
+        row.masks.add()
+        for mask in row.masks:
+            mask.frame = mask.class_name = mask.reason = odd
+    root.plgs.instance_index = 0
+    followed = lifts.lift_of(lift)
+    assert followed is not None
+    follower: Any = Pretended(TaskState.FAILED, PlgsError("is bad", odd, odd))
+    follower.log_lines = (odd,)
+    follower.progress.label = odd
+    followed.follower = follower
+    monkeypatch.setattr(lifts, "recent", lambda: (SimpleNamespace(folder=followed.folder, state=LiftState.FINISHED),))
+    seen = drawn().split("\n")
+    follower.state, follower.is_running = TaskState.RUNNING, True
+    seen += drawn().split("\n")
+    settings.lift_folder = ""  # the lift goes on beside the panel's
+    seen += drawn().split("\n")
+    layout, rows = Layout(seen), root.plgs.instances
+    lists.PLGS_UL_instances.draw_item(None, None, layout, root.plgs, rows[0], 0, None, "")
+    lists.PLGS_UL_classes.draw_item(None, None, layout, root.plgs, root.plgs.classes[0], 0, None, "")
+    lists.PLGS_UL_masks.draw_item(None, None, layout, rows[0], rows[0].masks[0], 0, None, "", 0)
+    seen += [name for name, _ in text_boxes.shown_classes(root.plgs.classes)]
+    assert [line for line in seen if not line.isprintable()] == []
+    assert sum("a?b?c?[31md" in line for line in seen) >= 15
 
 
 def test_nothing_is_chosen_yet() -> None:
