@@ -9,7 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from .gates import one_line, shortened
+from .gates import one_line as one_line
+from .gates import shortened
 
 _LONGEST = 600
 """Characters of what is wrong, at most."""

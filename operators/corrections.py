@@ -8,10 +8,9 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProperty, StringProperty
 
-from ..engine.gates import one_line
 from ..plgs_blender import corrections, painting
 from ..plgs_blender.engine_environment import why_no_engine
-from ..plgs_blender.errors import EXPECTED, PlgsError
+from ..plgs_blender.errors import EXPECTED, PlgsError, one_line
 from ..plgs_blender.inspecting import selection, views
 from ..plgs_blender.inspecting.lookup import chosen_row, find_lift, row_of
 from ..plgs_blender.painting import Painting

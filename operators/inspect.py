@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
-from ..engine.gates import one_line
+from ..plgs_blender.errors import one_line
 from ..plgs_blender.inspecting import looks, selection, views, visibility
 from ..plgs_blender.inspecting.lookup import chosen_row, class_row_of, find_lift, row_of
 from ..plgs_blender.lift_collection import lifts_in

@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 from bpy.props import StringProperty
 
-from ..engine.gates import one_line
 from ..plgs_blender.engine_environment import why_no_engine
+from ..plgs_blender.errors import one_line
 from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import lifting, lifts
 from ..plgs_blender.settings import LiftOptions, option_names

@@ -7,10 +7,10 @@ import math
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
-from ..engine.gates import one_line
 from ..plgs_blender import mattes
 from ..plgs_blender.compositing import show_compositor
 from ..plgs_blender.engine_environment import why_no_engine
+from ..plgs_blender.errors import one_line
 from ..plgs_blender.passes import open_passes, passes_scene_of
 from ..plgs_blender.running import lifting
 from ..plgs_blender.shots import ShotReader

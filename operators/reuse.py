@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 from bpy.props import BoolProperty
 
-from ..engine.gates import one_line
 from ..plgs_blender import corrections, reuse
+from ..plgs_blender.errors import one_line
 from .base import FINISHED, reporting
 from .inspect import OnInstances
 

@@ -8,9 +8,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..engine.gates import one_line
 from ..plgs_blender.dropping import lift_or_scene, scene_at
-from ..plgs_blender.errors import with_field_names
+from ..plgs_blender.errors import one_line, with_field_names
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
 from ..plgs_blender.frames import PHOTO
 from ..plgs_blender.paths import absolute

@@ -7,10 +7,9 @@ from typing import Any
 
 import bpy
 
-from ..engine.errors import ErrorCode, PlgsError
-from ..engine.gates import one_line
+from ..engine.errors import ErrorCode, PlgsError, one_line
 
-__all__ = ["EXPECTED", "ErrorCode", "PlgsError", "field_of_option", "with_field_names"]
+__all__ = ["EXPECTED", "ErrorCode", "PlgsError", "field_of_option", "one_line", "with_field_names"]
 
 EXPECTED = (PlgsError, OSError)
 """The errors that an operator reports in one line. Anything else is a defect of ours and shows its traceback."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine.gates import one_line
 from ..plgs_blender import corrections
-from ..plgs_blender.errors import EXPECTED
+from ..plgs_blender.errors import EXPECTED, one_line
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from ..plgs_blender.running.splitting import SplitByViews
 from ..plgs_blender.tasks import registry

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine.gates import one_line
 from ..plgs_blender import engine_environment
-from ..plgs_blender.errors import PlgsError
+from ..plgs_blender.errors import PlgsError, one_line
 from ..plgs_blender.frames import camera_seen
 from ..plgs_blender.running import lifts
 from ..plgs_blender.running.estimate import estimate_of

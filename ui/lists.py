@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 from bpy.props import EnumProperty
 
-from ..engine.gates import one_line
+from ..plgs_blender.errors import one_line
 from ..plgs_blender.inspecting.looks import CLASSES as BY_CLASS
 
 _SORTS = [

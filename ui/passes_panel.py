@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine.gates import one_line
+from ..plgs_blender.errors import one_line
 from ..plgs_blender.mattes import panoptic_of
 from ..plgs_blender.panoptic_group import COLOURS, CONTROLS
 from ..plgs_blender.running.estimate import bake_estimate

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..engine.gates import one_line
+from ..plgs_blender.errors import one_line
 from ..plgs_blender.inspecting.looks import POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from .sidebar import Sidebar, Step, from_panel, tell

@@ -7,8 +7,7 @@ import time
 
 import bpy
 
-from ..engine.gates import one_line
-from ..plgs_blender.errors import ErrorCode, PlgsError, field_of_option, with_field_names
+from ..plgs_blender.errors import ErrorCode, PlgsError, field_of_option, one_line, with_field_names
 from ..plgs_blender.running.adding import ADDED, Adding, size_of, why_lacking, why_not_added
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task

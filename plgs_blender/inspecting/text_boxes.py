@@ -10,7 +10,7 @@ import blf
 import bpy
 from mathutils import Matrix, Vector
 
-from ...engine.gates import one_line
+from ..errors import one_line
 
 Colour = tuple[float, float, float]
 
