@@ -91,8 +91,9 @@ COMPOSITE_OUTPUT = "NodeGroupOutput" if _COMPOSITOR_IS_A_GROUP else "CompositorN
 
 
 def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
-    """A node of the first kind that this Blender knows. RuntimeError when it knows none."""
-    for kind in kinds:
+    """A node of the first kind that this Blender knows, of kinds with the newest first. RuntimeError for none."""
+    # Before 4.5 a compositor refuses the new kinds, and writes a line to the terminal for each that is tried.
+    for kind in kinds if bpy.app.version >= (4, 5) else kinds[::-1]:
         try:
             return tree.nodes.new(kind)
         except RuntimeError:

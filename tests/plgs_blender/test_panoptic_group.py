@@ -5,6 +5,7 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import cv2
@@ -160,3 +161,14 @@ def test_without_passes_there_is_nothing_to_matte(lift: Path, root: bpy.types.Co
     with pytest.raises(PlgsError, match="no passes in a compositor"):
         mattes.matte_instance(root, CHAIR)
     assert mattes.panoptic_of(bpy.context.scene) is None
+
+
+@pytest.mark.parametrize(("version", "tried"), [((4, 3, 2), "CompositorNodeMath"), ((4, 5, 0), "ShaderNodeMath")])
+def test_an_older_blender_is_not_asked_for_a_node_that_it_refuses(
+    version: tuple[int, int, int], tried: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It writes a line to the terminal for each."""
+    asked: list[str] = []
+    monkeypatch.setattr(compat, "bpy", SimpleNamespace(app=SimpleNamespace(version=version)))
+    compat.new_node(SimpleNamespace(nodes=SimpleNamespace(new=asked.append)), "ShaderNodeMath", "CompositorNodeMath")
+    assert asked == [tried]
