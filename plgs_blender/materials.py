@@ -67,6 +67,18 @@ def box_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     return material
 
 
+def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
+    """The material of the boxes' faces: nothing is seen of them."""
+    material = owned.block("materials", "clear", lambda: bpy.data.materials.new("PLGS clear"))
+    tree = use_nodes(material)
+    if not any(node.bl_idname == "ShaderNodeBsdfTransparent" for node in tree.nodes):
+        tree.nodes.clear()
+        clear, end = _node(tree, "ShaderNodeBsdfTransparent", 0, 0), _node(tree, "ShaderNodeOutputMaterial", 1, 0)
+        tree.links.new(clear.outputs[0], end.inputs["Surface"])
+    material.surface_render_method = "DITHERED"  # needs no sorting
+    return material
+
+
 def surface_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     """The meshes' material: matt, lit by the scene's lights, in the colour of the attribute Col."""
     material = owned.block("materials", "surfaces", lambda: bpy.data.materials.new("PLGS surfaces"))

@@ -79,8 +79,8 @@ def show_splats_colours(shading: Any) -> None:
 
 
 def colour_views(scene: bpy.types.Scene, vertex: bool) -> None:
-    """Let 3D views of this scene that a lift has coloured, or that are as Blender starts them, show the colours of
-    vertices, or of objects.
+    """Let 3D views of this scene that a lift has coloured, or that are as Blender starts them, show the attribute Col:
+    of ``vertex`` meshes in Solid shading, else of points. Solid shading draws each cloud of points in one colour.
     """
     for area in areas_of(scene):
         _colour_view(area.spaces.active, vertex)
@@ -93,6 +93,8 @@ def _colour_view(space: bpy.types.SpaceView3D, vertex: bool) -> bool:
         show_lift_colours(space)
         if vertex:
             show_splats_colours(space.shading)
+        else:
+            space.shading.type = "MATERIAL"
     return is_new
 
 
@@ -102,7 +104,7 @@ def show_room(
     """Let these 3D views look at the room with these corners [N, 3], in metres, turned as a camera with this rotation
     is, beside what the sidebar covers. Views through a camera stay.
 
-    Views that are still as Blender starts them get the lift's colours: those of vertices, or of objects.
+    Views that are still as Blender starts them get the lift's colours (`colour_views`).
     """
     for area in areas:
         space = area.spaces.active
