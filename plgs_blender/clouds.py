@@ -25,8 +25,6 @@ from .surfaces import SurfaceGrid
 
 _SMALLEST, _LARGEST = 0.002, 0.03
 """Limits to the radius of a point, metres."""
-_SHADE = 86
-"""Values of a colour channel that make one shade where a cloud is cut by its colours: three shades a channel."""
 Attributes = list[tuple[str, str, NDArray[Any]]]
 _FOREACH = {"FLOAT_COLOR": "color", "FLOAT_VECTOR": "vector", "INT": "value", "FLOAT": "value"}
 
@@ -98,30 +96,6 @@ def _label_attributes(points: SemanticPoints, rows: NDArray[np.int64] | slice = 
         ("confidence", "FLOAT", points.confidence[rows]),
         ("entropy", "FLOAT", entropy_of(points.confidence[rows]).astype(np.float32)),
     ]
-
-
-def place_points(
-    owned: OwnedDataBlocks,
-    parent: bpy.types.Collection,
-    key: str,
-    name: str,
-    xyz: NDArray[np.float32],
-    rgb: NDArray[np.uint8],
-) -> list[bpy.types.Object]:
-    """Place points without classes, xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB. Points of about one colour are
-    one cloud, whose object has that colour. Clouds of an earlier placement are removed.
-    """
-    radius = SurfaceGrid.of(xyz).radii(_SMALLEST, _LARGEST)
-    shades = (rgb // _SHADE).astype(np.int64) @ [64, 8, 1]
-    placed = []
-    for shade, chosen in _groups(shades):
-        attributes = [("Col", "FLOAT_COLOR", linear_rgba(rgb[chosen]))]
-        ob = _place(owned, parent, f"{key}:{shade}", name, xyz[chosen], radius[chosen], attributes)
-        ob.color = object_colour(np.rint(rgb[chosen].mean(axis=0)).astype(int).tolist())
-        ob["points"] = len(chosen)
-        placed.append(ob)
-    owned.sweep_only(f"{key}:")
-    return placed
 
 
 def _groups(values: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.int64]]]:

@@ -14,13 +14,13 @@ from ..engine.job.made_frames import MadeFrames
 from ..engine.scene import Scene
 from .cameras import object_matrix, overview_camera
 from .chosen_scene import ChosenScene, lacks_package
-from .clouds import place_points
 from .frames import picture_of, place_camera_path, place_frames, show_photo
 from .inspecting.looks import places
 from .inspecting.lookup import objects_by_key
 from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
 from .made_pictures import cloud_of, made_before, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
+from .squares import place_points
 from .timeline import mark_timeline
 from .viewport import areas_of, areas_that_show, frame_room, show_room
 
@@ -28,7 +28,8 @@ MISSING = "plgs_missing"
 """Property of an imported scene's collection: what an engine has still to make of it, "colour" and "cloud" as its
 command calls them."""
 
-_CLOUDS = "Coloured points"
+_CLOUDS, _CLOUD, _SPARSE = "Coloured points", "cloud", "sparse_points"
+"""The collection of the clouds, and their keys."""
 _AHEAD = 2.0
 """Metres that a room reaches before its cameras, where no points say more."""
 _INNER = (0.2, 99.8)
@@ -64,7 +65,7 @@ def place_scene(place: ChosenScene, scene: bpy.types.Scene, *, cloud: bool = Tru
 
 def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """Let the 3D views that show the scene look down at the frames' cameras and the points before them."""
-    show_room(areas_of(scene), *_room(root, scene), vertex=False)
+    show_room(areas_of(scene), *_room(root, scene), vertex=True)
 
 
 def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
@@ -73,7 +74,7 @@ def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternio
     scene.view_layers[0].update()
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
     eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]
-    clouds = [places(ob.data) for ob in root.all_objects if ob.type == "POINTCLOUD"]
+    clouds = [places(ob.data)[::4] for key, ob in objects_by_key(root).items() if key in (_CLOUD, _SPARSE)]
     points = [np.percentile(cloud, _INNER, axis=0) for cloud in clouds if len(cloud)] or [eyes + _AHEAD * ahead]
     xyz = np.concatenate([eyes, *points])
     corners = np.array(list(product(*np.stack([xyz.min(axis=0), xyz.max(axis=0)], axis=1))))
@@ -107,9 +108,10 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
     there |= {"cloud"} if made.cloud is not None else set()
     root[MISSING] = " ".join(kind for kind in root.get(MISSING, "").split() if kind not in there)
     if made.cloud is not None and not root[FOLDER]:
-        xyz, rgb = read_cloud(made.cloud)
+        points = read_cloud(made.cloud)
         unmoved = areas_that_show(scene, *_room(root, scene))
-        place_points(owned, child_collection(root, _CLOUDS), "cloud", "Coloured cloud", xyz, rgb)
+        eyes = np.array([camera.matrix_world.translation for camera in cameras.values()])
+        place_points(owned, child_collection(root, _CLOUDS), _CLOUD, "Coloured cloud", points, eyes)
         for area in unmoved:
             frame_room(area, *_room(root, scene))
 
@@ -120,15 +122,14 @@ def _place_clouds(
     """Place the points of the reconstruction and the cloud, as far as there are some. Returns what is left to an
     engine.
     """
+    eyes = np.array([frame.camera.centre for frame in opened.frames])
     if opened.points is not None and len(opened.points):
-        xyz = opened.points.xyz.astype(np.float32)
-        parent = child_collection(root, _CLOUDS)
-        place_points(owned, parent, "sparse_points", "Sparse points", xyz, opened.points.rgb)
+        points = opened.points.xyz.astype(np.float32), opened.points.rgb
+        place_points(owned, child_collection(root, _CLOUDS), _SPARSE, "Sparse points", points, eyes)
     if not cloud:
         return []
     path = cloud_of(made, opened.frames)
     if path is None:
         return ["cloud"] if any(frame.read_depth is not None for frame in opened.frames) else []
-    xyz, rgb = read_cloud(path)
-    place_points(owned, child_collection(root, _CLOUDS), "cloud", "Coloured cloud", xyz, rgb)
+    place_points(owned, child_collection(root, _CLOUDS), _CLOUD, "Coloured cloud", read_cloud(path), eyes)
     return []
