@@ -15,10 +15,10 @@ def _modules() -> tuple[ModuleType, ...]:
     from . import corrections, mask_classes, settings, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection
-    from .running import looking
+    from .running import looking, used_options
     from .tasks import timer
 
-    return settings, mask_classes, lists, selection, timer, tasks, looking, corrections, timeline
+    return settings, used_options, mask_classes, lists, selection, timer, tasks, looking, corrections, timeline
 
 
 def register() -> None:

@@ -53,8 +53,8 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     ob[NAME], ob[PLACED] = instance.name, placed
     ob.matrix_world = where or _where_placed(ob)
     ob.color = object_colour(instance.colour)
-    # Only meshes with faces have lines in the object's colour. Renders ignore the display type, so they show bars; views
-    # that render show nothing of the clear faces.
+    # Only meshes with faces have lines in the object's colour. Renders ignore the display type, so they show bars;
+    # views that render show nothing of the clear faces.
     ob.display_type, ob.show_name = "WIRE", False  # the labels over the view are readable, Blender's names are not
     ob.show_in_front = True  # it is seen and picked through the points that fill it
     # The bars lie outside the box, where its points do not cover them.

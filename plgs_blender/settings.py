@@ -161,7 +161,7 @@ class LiftOptions(SceneOptions):
     )  # fmt: skip
     keep_running: BoolProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE,
-        name="Go on without Blender",
+        name="Outlive Blender",
         description="Closing Blender does not stop the lift; the next Blender finds it again",
     )
 

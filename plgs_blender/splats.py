@@ -1,9 +1,9 @@
 """The lift's Gaussians as splats: Blender's own from 5.3 on, and before that one square a Gaussian.
 
 A Gaussian of a lifted surface is flat, so a square across its two longest axes shows it from all sides but its edge.
-The squares are one mesh. Its material fades them from the middle and hides their backs, so a room lies open from outside.
-EEVEE and Cycles mix what overlaps; Solid shading draws opaque squares. Of many Gaussians, those that cover most are
-shown.
+The squares are one mesh. Its material fades them from the middle and hides their backs, so a room lies open from
+outside. EEVEE and Cycles mix what overlaps; Solid shading draws opaque squares. Of many Gaussians, those that cover
+most are shown.
 
 Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT from any splat file, and its default axes (forward
 Y, up Z) are ours. This was read in Blender's source and in its API. It has not been run: there was no Blender 5.3.

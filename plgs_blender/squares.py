@@ -1,7 +1,7 @@
 """Meshes of squares, which have a colour each in Solid shading too: splats, and points without classes.
 
-Their attributes are Col, opacity and, where the material fades the squares from the middle, corner: the place of a vertex
-on its square, in standard deviations of a Gaussian.
+Their attributes are Col, opacity and, where the material fades the squares from the middle, corner: the place of a
+vertex on its square, in standard deviations of a Gaussian.
 """
 
 from __future__ import annotations
@@ -54,12 +54,10 @@ def place_points(
     return ob
 
 
-def _facing(
-    xyz: NDArray[np.float32], half: NDArray[np.float32], normals: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _facing(xyz: NDArray[np.float32], half: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.float32]:
     """Corners [N, 4, 3] of the squares around points xyz [N, 3], with half a side [N], across normals [N, 3]."""
     upright = np.abs(normals[:, 2]) < 0.9
-    other = np.where(upright[:, None], np.float32([0, 0, 1]), np.float32([1, 0, 0]))
+    other = np.where(upright[:, None], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     first = np.cross(other, normals)
     first *= (half / np.maximum(np.linalg.norm(first, axis=1), 1e-9))[:, None]
     own = np.stack([first, np.cross(normals, first)], axis=1)

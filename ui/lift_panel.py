@@ -11,6 +11,7 @@ from ..plgs_blender.running import lifts
 from ..plgs_blender.running.estimate import estimate_of
 from ..plgs_blender.running.lifting import followed_lift
 from ..plgs_blender.running.lifts import Lift, LiftState
+from ..plgs_blender.running.used_options import NAMES
 from ..plgs_blender.settings import chosen_lift, shown_preset, why_no_options
 from .sidebar import Sidebar, Step, draw_error, draw_log, draw_task, duration, from_panel, tell
 
@@ -61,16 +62,26 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
         layout.use_property_split, layout.use_property_decorate = True, False
-        layout.prop(settings, "lift_folder")
-        column = layout.column(align=True)
-        for name in ("steps", "width", "height", "frames", "seed"):
-            column.prop(settings, name)
-        layout.prop(settings, "fit")
-        layout.prop(settings, "bake")
-        layout.prop(settings, "keep_names")
+        followed = followed_lift(settings)
+        is_running = followed is not None and followed.is_running
+        fixed = layout.column()
+        fixed.enabled = not is_running
+        if is_running:
+            tell(fixed, context, "A lift that runs keeps its options", "INFO")
+        fixed.prop(settings, "lift_folder")
+        column = fixed.column(align=True)
+        for name in NAMES:
+            _draw_used(column, context, name)
+        column.prop(settings, "seed")
+        for name in ("fit", "bake", "keep_names"):
+            fixed.prop(settings, name)
         column = layout.column(heading="While it lifts")
-        for name in ("live_preview", "place_when_done", "keep_running"):
-            column.prop(settings, name)
+        if not is_running:  # else it is above
+            column.prop(settings, "live_preview")
+        column.prop(settings, "place_when_done")
+        row = column.row()
+        row.enabled = not is_running
+        row.prop(settings, "keep_running")
 
 
 class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
@@ -79,6 +90,8 @@ class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
+        followed = followed_lift(settings)
+        layout.enabled = followed is None or not followed.is_running
         layout.prop(settings, "device")
         layout.prop(settings, "preset_options")
         refusal = why_no_options(settings)
@@ -107,6 +120,15 @@ class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
         row.operator("plgs.refresh_lifts", text="", icon="FILE_REFRESH")
+
+
+def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
+    """Draw the value that a lift will use, with a way back to the preset's."""
+    row = column.row(align=True)
+    row.prop(context.scene.plgs_used, name)
+    if getattr(context.scene.plgs, name):
+        back = row.operator("wm.context_set_int", text="", icon="LOOP_BACK")
+        back.data_path, back.value = f"scene.plgs.{name}", 0
 
 
 def _draw_other(layout: bpy.types.UILayout, other: Lift) -> None:

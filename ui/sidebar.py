@@ -103,10 +103,16 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task:
     share = progress.step / progress.steps if progress.steps else 0.0
     counted = f"{progress.step} of {progress.steps}" if task.counts_steps else f"{100 * share:.0f} %"
     layout.progress(factor=share, type="BAR", text=counted if progress.steps else "...")
+    if progress.stage == "train" and not progress.step:
+        tell(layout, context, "The first step compiles kernels, once on each computer: up to two minutes", "INFO")
     about = [] if progress.loss is None else [f"Loss {progress.loss:.4f}"]
     took = time.monotonic() - task.began
     about.append(duration(took) if progress.eta_s is None else f"{duration(progress.eta_s)} left")
     layout.label(text=", ".join(about))
+    if progress.left_s is not None:
+        whole = took / max(took + progress.left_s, 1e-9)
+        left = f"All: {100 * whole:.0f} %, {duration(progress.left_s)} left"
+        layout.progress(factor=whole, type="BAR", text=left)
     for warning in progress.warnings[-2:]:
         tell(layout, context, warning, "ERROR")
     if task.cancel_operator:

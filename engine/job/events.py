@@ -99,10 +99,17 @@ class EventWriter:
         self._write("stage", name=name, index=index, count=count, label=label)
 
     def progress(
-        self, stage: str, step: int, steps: int, *, loss: float | None = None, eta_s: float | None = None
+        self,
+        stage: str,
+        step: int,
+        steps: int,
+        *,
+        loss: float | None = None,
+        eta_s: float | None = None,
+        left_s: float | None = None,
     ) -> None:
-        """``step`` of ``steps`` of a stage is done; ``eta_s`` seconds of it remain."""
-        self._write("progress", stage=stage, step=step, steps=steps, loss=loss, eta_s=eta_s)
+        """``step`` of ``steps`` of a stage is done; ``eta_s`` seconds of it remain, and ``left_s`` of the whole run."""
+        self._write("progress", stage=stage, step=step, steps=steps, loss=loss, eta_s=eta_s, left_s=left_s)
 
     def metric(self, name: str, values: Mapping[str, float | int | str | None]) -> None:
         """Figures that belong together, such as one row of the end table."""

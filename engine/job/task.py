@@ -91,7 +91,7 @@ class TaskPlace:
 @dataclass
 class TaskProgress:
     """How far a run is. ``stage_index`` counts from 1; ``step`` of ``steps`` of this stage are done, ``eta_s`` seconds
-    of it remain.
+    of it remain, and ``left_s`` of the whole run, as far as that is known.
 
     ``live_preview`` is a picture of the growing model. Its content was replaced ``live_previews`` times, the last time
     as seen by the camera with the fingerprint ``live_preview_camera``. ``previews`` are the pictures that stay.
@@ -105,6 +105,7 @@ class TaskProgress:
     steps: int = 0
     loss: float | None = None
     eta_s: float | None = None
+    left_s: float | None = None
     metrics: dict[str, Mapping[str, Json]] = field(default_factory=dict)
     artifacts: list[tuple[str, Path]] = field(default_factory=list)
     previews: list[Path] = field(default_factory=list)
@@ -124,6 +125,7 @@ class TaskProgress:
             case "progress":
                 self.step, self.steps = _int(data["step"]), _int(data["steps"])
                 self.loss, self.eta_s = _float(data.get("loss")), _float(data.get("eta_s"))
+                self.left_s = _float(data.get("left_s"))
             case "metric":
                 values = data["values"]
                 self.metrics[str(data["name"])] = values if isinstance(values, dict) else {}

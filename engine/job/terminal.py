@@ -224,7 +224,7 @@ class LiveLine:
 
 
 def describe(progress: TaskProgress) -> str:
-    """Such as "[3/6] Training  1200/3000  loss 0.0123  2:31 left"."""
+    """Such as "[3/6] Training  1200/3000  loss 0.0123  2:31 left  3:20 to the end"."""
     place = f"[{progress.stage_index}/{progress.stage_count}] " if progress.stage_count > 1 else ""
     parts = [place + progress.label]
     if progress.steps:
@@ -232,7 +232,13 @@ def describe(progress: TaskProgress) -> str:
     if progress.loss is not None:
         parts.append(f"loss {progress.loss:.4f}")
     if progress.eta_s is not None:
-        minutes, seconds = divmod(round(max(0.0, progress.eta_s)), 60)
-        hours, minutes = divmod(minutes, 60)
-        parts.append((f"{hours}:{minutes:02d}" if hours else f"{minutes}") + f":{seconds:02d} left")
+        parts.append(f"{_clock(progress.eta_s)} left")
+    if progress.left_s is not None and progress.stage_index < progress.stage_count:
+        parts.append(f"{_clock(progress.left_s)} to the end")
     return "  ".join(parts)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(max(0.0, seconds)), 60)
+    hours, minutes = divmod(minutes, 60)
+    return (f"{hours}:{minutes:02d}" if hours else f"{minutes}") + f":{rest:02d}"

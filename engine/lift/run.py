@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from statistics import median
 
 import numpy as np
@@ -18,7 +18,7 @@ from safetensors.torch import save_file
 
 from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, LiftRequest, StopSignal, write_manifest
-from ..job.prediction import learn_slowness
+from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
 from ..machine.log_compilation import log_compilation
 from ..model.settling import OwnedPoints
 from ..model.structured import StructuredScene
@@ -39,11 +39,12 @@ from ..scene import (
 )
 from ..scene.blocks import scene_of_block
 from ..scene_of_lift import have_masks_changed, remember_scene
-from ..train.progress import StageReporter
+from ..train.progress import Course, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .device import be_repeatable, refuse_missing_device
+from .fitting import predicted_lift
 from .lasting_names import keep_names, read_earlier, take_over_edits, write_names
 from .live_previews import LivePreviews
 from .method import Method, method_in_use
@@ -109,6 +110,7 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method:
         scene = scene_to_lift(whole, request, checkpoint, progress, events)
         for warning in (*scene.warnings, *check_scene(scene, progress)):
             events.warning(warning)
+    stages.course = expected_course(whole, len(scene.train_frames), preset, request.bake)
     with stages.stage("read") as progress:
         frames, voting = scene.train_frames, frames_to_vote(whole, scene, preset)
         total = len(frames) + len(voting)
@@ -156,6 +158,13 @@ def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method:
         timings=stages.timings,
     )
     remember_pace(paces, trainer)
+
+
+def expected_course(whole: Scene, views: int, preset: Preset, bake: str) -> Course:
+    """How long the stages after the check take when ``views`` frames of the scene are lifted."""
+    seconds = predicted_lift(whole, replace(preset, frames=views), USUAL_MASKS, bake).stages
+    slowness = machine_slowness()
+    return Course({name: slowness * value for name, value in seconds.items() if name not in ("start", "check")})
 
 
 def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
@@ -211,12 +220,15 @@ def train(
     with stages.stage("train") as progress:
         saved_at = time.monotonic()
         compiled = log_compilation("the kernels of a training step", "half a minute")
+        stages.events.progress("train", trainer.step_number, steps)  # the first step may compile for long
         try:
             while not trainer.finished:
                 began = time.monotonic()
                 report = trainer.step(stages.stop.check)
                 paces.append(time.monotonic() - began)
                 compiled()
+                if len(paces) == 1 and stages.course is not None:
+                    stages.course.leave_out(paces[0])
                 progress(report.step, steps, report.loss)
                 show(trainer.scene)
                 if time.monotonic() - saved_at > CHECKPOINT_EVERY_S:

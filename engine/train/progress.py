@@ -12,13 +12,40 @@ from ..job import EventWriter, StopSignal
 
 REPORT_EVERY_S = 0.2
 """Progress events are written no more often than this."""
+_TRUSTED = 0.1
+"""Share of the whole run for which the predicted pace counts as much as the measured one."""
+
+
+class Course:
+    """How long a run takes from here on. ``seconds``: as predicted, by stage, in their order, from now to the end."""
+
+    def __init__(self, seconds: Mapping[str, float]) -> None:
+        self.began, self.seconds = time.monotonic(), dict(seconds)
+
+    def leave_out(self, seconds: float) -> None:
+        """These seconds say nothing of the pace: kernels were compiled."""
+        self.began += seconds
+
+    def left(self, stage: str, share: float, eta: float | None, now: float) -> float | None:
+        """Seconds left of the run when ``share`` of a stage is done and ``eta`` seconds of it are left; None in a stage
+        that was not predicted."""
+        if stage not in self.seconds:
+            return None
+        values, place = [*self.seconds.values()], [*self.seconds].index(stage)
+        done = sum(values[:place]) + share * values[place]
+        trusted = _TRUSTED * sum(values)
+        pace = (now - self.began + trusted) / (done + trusted)
+        own = pace * (1.0 - share) * values[place] if eta is None or share < _TRUSTED else eta
+        return round(own + pace * sum(values[place + 1 :]), 1)
 
 
 class StageProgress:
-    """Called with (done, total, loss) inside a stage; raises Cancelled when the lift shall stop."""
+    """Called with (done, total, loss) inside a stage; raises Cancelled when the lift shall stop. ``course`` knows how
+    long the later stages take.
+    """
 
-    def __init__(self, name: str, events: EventWriter, stop: StopSignal) -> None:
-        self.name, self.events, self.stop = name, events, stop
+    def __init__(self, name: str, events: EventWriter, stop: StopSignal, course: Course | None = None) -> None:
+        self.name, self.events, self.stop, self.course = name, events, stop, course
         self.began = self.reported = time.monotonic()
         self.first: int | None = None
         self.last: int | None = None
@@ -31,7 +58,9 @@ class StageProgress:
         if now - self.reported < REPORT_EVERY_S and (done < total or done == self.last):
             return
         self.reported, self.last = now, done
-        self.events.progress(self.name, done, total, loss=loss, eta_s=self._remaining(done, total, now))
+        eta = self._remaining(done, total, now)
+        whole = None if self.course is None else self.course.left(self.name, done / max(total, 1), eta, now)
+        self.events.progress(self.name, done, total, loss=loss, eta_s=eta, left_s=whole)
 
     def _remaining(self, done: int, total: int, now: float) -> float | None:
         """Seconds left at the mean pace of this run so far; None before there is a pace."""
@@ -41,11 +70,14 @@ class StageProgress:
 
 
 class StageReporter:
-    """Announces the stages in their order and keeps how long each took (``timings``, seconds)."""
+    """Announces the stages in their order and keeps how long each took (``timings``, seconds). Once it has a
+    ``course``, stages tell how long the whole run still takes.
+    """
 
     def __init__(self, events: EventWriter, stop: StopSignal, labels: Mapping[str, str]) -> None:
         self.events, self.stop, self.labels = events, stop, labels
         self.timings: dict[str, float] = {}
+        self.course: Course | None = None
 
     @contextmanager
     def stage(self, name: str) -> Iterator[StageProgress]:
@@ -53,7 +85,7 @@ class StageReporter:
         self.stop.check()
         self.events.stage(name, list(self.labels).index(name) + 1, len(self.labels), self.labels[name])
         began = time.monotonic()
-        yield StageProgress(name, self.events, self.stop)
+        yield StageProgress(name, self.events, self.stop, self.course)
         self.timings[name] = round(time.monotonic() - began, 3)
 
 

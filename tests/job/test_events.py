@@ -24,7 +24,7 @@ def test_writes_what_the_contract_says(tmp_path: Path) -> None:
     writer = EventWriter(path)
     writer.hello(threads=2, resumed=False)
     writer.stage("train", 2, 3, "Training")
-    writer.progress("train", 5, 10, loss=float("nan"), eta_s=1.5)
+    writer.progress("train", 5, 10, loss=float("nan"), eta_s=1.5, left_s=9.0)
     writer.metric("lifted", {"miou": 0.5, "psnr": float("inf")})
     writer.preview(tmp_path / "result" / "previews" / "a.png")
     writer.artifact(Path("/elsewhere/b.exr"), "pass")
@@ -36,7 +36,8 @@ def test_writes_what_the_contract_says(tmp_path: Path) -> None:
     assert all(isinstance(entry.pop("time"), float) for entry in written)
     assert set(written[0]) == {"event", "task", "engine_version", "pid", "machine", "python", "threads", "resumed"}
     assert written[1] == {"event": "stage", "name": "train", "index": 2, "count": 3, "label": "Training"}
-    assert written[2] == {"event": "progress", "stage": "train", "step": 5, "steps": 10, "loss": None, "eta_s": 1.5}
+    progress = {"stage": "train", "step": 5, "steps": 10, "loss": None, "eta_s": 1.5, "left_s": 9.0}
+    assert written[2] == {"event": "progress", **progress}
     assert written[3] == {"event": "metric", "name": "lifted", "values": {"miou": 0.5, "psnr": None}}
     assert written[4] == {"event": "preview", "path": "result/previews/a.png"}
     assert written[5] == {"event": "artifact", "path": "/elsewhere/b.exr", "kind": "pass"}

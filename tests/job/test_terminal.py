@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import signal
+from dataclasses import replace
 
 import pytest
 
@@ -28,6 +29,7 @@ class Terminal(io.StringIO):
         (TaskProgress("train", "Training", 2, 3), "[2/3] Training"),
         (TRAINING, "[2/3] Training  5/10  loss 0.2500  1:01 left"),
         (TaskProgress("bake", "Baking", 3, 3, step=1, steps=9, eta_s=3725.2), "[3/3] Baking  1/9  1:02:05 left"),
+        (replace(TRAINING, left_s=90.4), "[2/3] Training  5/10  loss 0.2500  1:01 left  1:30 to the end"),
     ],
 )
 def test_describes(progress: TaskProgress, text: str) -> None:
