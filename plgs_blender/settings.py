@@ -48,7 +48,7 @@ _BAKES = [
 ]
 _DEVICES = [
     ("cpu", "CPU", "Draw the Gaussians on the processor"),
-    ("cuda", "CUDA", "Draw them on an NVIDIA GPU; the engine's Python needs gsplat, and this has not run on a GPU yet"),
+    ("cuda", "CUDA", "Draw them on an NVIDIA GPU, with gsplat in the engine's Python. Untested: no GPU was at hand"),
 ]
 
 _FORMATS = {name for name, *_ in FORMAT_ITEMS}

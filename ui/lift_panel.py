@@ -51,7 +51,8 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
             _draw_ending(layout, context, followed)
         elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
             tell(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
-        elif folder is not None:  # a file that was opened names it: nothing there is looked at unasked
+        elif folder is not None and not lifts.is_nothing_there(folder):
+            # A file that was opened names it: nothing there is looked at unasked.
             from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
 
 
@@ -109,17 +110,32 @@ class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        lately = lifts.recent()
-        for lift in lately:
-            row = layout.row(align=True)
-            name = one_line(lift.folder.path.name)
-            row.label(text=f"{name}: {lift.state.value}", icon=_ICONS.get(lift.state, "FILE_FOLDER"))
-            row.operator("plgs.watch_lift", text="", icon="VIEWZOOM").lift_folder = str(lift.folder.path)
-        if not lately:
-            layout.label(text="None yet", icon="INFO")
+        _draw_recent(layout)
         row = layout.row(align=True)
         row.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
         row.operator("plgs.refresh_lifts", text="", icon="FILE_REFRESH")
+
+
+class PLGS_MT_recent_lifts(bpy.types.Menu):
+    bl_idname, bl_label = "PLGS_MT_recent_lifts", "Recent PLGS Lifts"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        _draw_recent(self.layout)
+
+
+def _draw_recent(layout: bpy.types.UILayout) -> None:
+    """Draw a button for each recent lift: it is shown, or followed while it runs."""
+    for lift in lifts.recent():
+        text = f"{one_line(lift.folder.path.name)}: {lift.state.value}"
+        button = layout.operator("plgs.watch_lift", text=text, icon=_ICONS.get(lift.state, "FILE_FOLDER"))
+        button.lift_folder = str(lift.folder.path)
+    if not lifts.recent():
+        layout.label(text="None yet", icon="INFO")
+
+
+def _in_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.operator("plgs.open_lift", text="PLGS Lift (folder)")
+    menu.layout.menu(PLGS_MT_recent_lifts.bl_idname)
 
 
 def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
@@ -177,4 +193,12 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
         draw_log(box, followed.follower.log_lines[-_LOG_LINES:])
 
 
-CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_all_options, PLGS_PT_recent_lifts)
+CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_all_options, PLGS_PT_recent_lifts, PLGS_MT_recent_lifts)
+
+
+def register() -> None:
+    bpy.types.TOPBAR_MT_file_import.append(_in_import_menu)
+
+
+def unregister() -> None:
+    bpy.types.TOPBAR_MT_file_import.remove(_in_import_menu)

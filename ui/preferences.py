@@ -89,6 +89,8 @@ def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, is_set_
     for text in (engine.fix, engine.note, obstacle):
         if text:
             tell(layout, context, text, "INFO")
+    if obstacle is not None and not bpy.app.online_access:
+        layout.prop(context.preferences.system, "use_online_access")
     if engine.python is not None:
         tell(layout, context, str(engine.python), "BLANK1")
 

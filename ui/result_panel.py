@@ -36,11 +36,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         layout.label(text=one_line(root.name), icon="OUTLINER_COLLECTION")
         _draw_look(from_panel(layout.column(align=True), context), root)
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
-        heads = layout.row().split(factor=0.5)
-        heads.label(text="Name")
-        numbers = heads.row()
-        numbers.alignment = "CENTER"
-        numbers.label(text="Points, score")
+        _draw_heads(layout, "Name", "Points, score")
         layout.template_list("PLGS_UL_instances", "", lists, "instances", lists, "instance_index", rows=6)
         if not len(lists.instances):
             layout.label(text="No instances were found", icon="INFO")
@@ -53,6 +49,15 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         column.operator("plgs.go_to_best_view", icon="VIEW_CAMERA")
         column.operator("plgs.matte_instance", icon="IMAGE_ALPHA")
         layout.operator("plgs.show_all", icon="HIDE_OFF")
+
+
+def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:
+    """Say what the columns of the list below hold."""
+    heads = layout.row().split(factor=0.5)
+    heads.label(text=left)
+    numbers = heads.row()
+    numbers.alignment = "CENTER"
+    numbers.label(text=right)
 
 
 def _draw_look(column: bpy.types.UILayout, root: bpy.types.Collection) -> None:
@@ -89,6 +94,7 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
             tell(layout, context, "This lift did not record its masks: lift again to see them.", "INFO")
             return
         layout.label(text=f"{one_line(row.name)}: {len(row.masks)} masks in {row.views} frames")
+        _draw_heads(layout, "Frame, class", "Score, match")
         layout.template_list("PLGS_UL_masks", "", row, "masks", row, "mask_index", rows=5, maxrows=12)
         if row.best_mask < 0:
             tell(layout, context, "Lift again to see where they lie and how sure the match was.", "INFO")
@@ -96,7 +102,7 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
         if 0 <= row.mask_index < len(row.masks):
             mask = row.masks[row.mask_index]
             share = f"{100.0 * mask.share:.1f} % of the picture"
-            layout.label(text=f"Segment {mask.segment}, {mask.pixels} pixels, {share}")
+            tell(layout, context, f"Segment {mask.segment}, {mask.pixels} pixels, {share}")
 
 
 class PLGS_PT_classes(OfResult, bpy.types.Panel):
@@ -107,6 +113,7 @@ class PLGS_PT_classes(OfResult, bpy.types.Panel):
         if root is not None:
             lists = root.plgs
             self.layout.prop(lists, "classes_search", text="", icon="VIEWZOOM")
+            _draw_heads(self.layout, "Name", "Points, score")
             self.layout.template_list("PLGS_UL_classes", "", lists, "classes", lists, "class_index", rows=6)
             if 0 <= lists.class_index < len(lists.classes):
                 matte = self.layout.operator("plgs.matte_class", icon="IMAGE_ALPHA")

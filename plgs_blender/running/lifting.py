@@ -24,6 +24,7 @@ from ..owned import text_of
 from ..paths import absolute, free_folder
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, chosen_scene, request_of, why_no_options
 from ..shots import ShotReader, shot_of, write_view
+from ..tasks import timer
 from . import exports, lifts
 from .lifts import Lift
 from .survey import survey_of, why_not_liftable
@@ -121,15 +122,15 @@ def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> Lift:
 
 
 def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
-    """Follow the lift in `folder`, or in that of the settings, which then say what was asked. One that is finished is
-    put into the scene if that wants it. Raises PlgsError.
+    """Follow the lift in `folder`, or in that of the settings, which then say what was asked. At its next polls, one
+    that is finished is put into the scene if that wants it. Raises PlgsError.
     """
     lift = lift_at(scene.plgs, folder)
     followed = lifts.attach(lift.path)
     adopt(scene.plgs, lift.request, lift.path)
     if not followed.is_running:
-        for _ in followed.done(scene):
-            pass
+        followed.is_taken = False
+        timer.go_on()
     return followed
 
 

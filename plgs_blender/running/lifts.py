@@ -111,6 +111,7 @@ class Lift(Task):
 
 
 _refusals: dict[Path, PlgsError | OSError | ValueError] = {}
+_nothing_there: set[Path] = set()
 _recent: tuple[RecentLift, ...] = ()
 
 
@@ -125,8 +126,14 @@ def refusal_of(folder: Path) -> PlgsError | OSError | ValueError | None:
     return _refusals.get(folder)
 
 
+def is_nothing_there(folder: Path) -> bool:
+    """Whether there was no lift folder when it was chosen. Looks at no disk."""
+    return folder in _nothing_there
+
+
 def forget_refusals() -> None:
     _refusals.clear()
+    _nothing_there.clear()
 
 
 def running() -> list[Lift]:
@@ -204,8 +211,12 @@ def look_at(folder: Path) -> Lift | None:
     if known is not None:
         return known
     _refusals.pop(folder, None)
+    _nothing_there.discard(folder)
     try:
-        return attach(folder) if folder.exists() else None
+        if folder.exists():
+            return attach(folder)
+        _nothing_there.add(folder)
+        return None
     except (PlgsError, OSError, ValueError) as error:  # ValueError: this system has no such path
         _refusals[folder] = error
         return None

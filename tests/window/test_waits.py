@@ -75,9 +75,22 @@ def test_the_window_does_not_wait_for_a_result(window: Window, lift: Path) -> No
     assert window.ask("len(bpy.data.objects['Gaussians'].data.polygons)") == SPLATS
     window.settle()
     window.screenshot("large-result")
+    opened = opening(window, lift)
     window.run("watch.begin()")
     window.run(AFTER_A_BAKE.format(lift=str(lift)))
     window.wait_for("'lift_scene.py: place_passes_anew' in watch.waits")
     baked, _ = longest(window)
     print(f"a bake ends: {1000 * baked:.0f} ms")
-    assert max(placed, baked) < SHARED * ALLOWED_S, (placed, call, baked)
+    assert max(placed, opened, baked) < SHARED * ALLOWED_S, (placed, call, opened, baked)
+
+
+def opening(window: Window, lift: Path) -> float:
+    """Open the lift in an empty file as *Recent lifts* does: the longest that the window waits, seconds."""
+    window.new_file()
+    window.settle()
+    window.run("watch.begin()")
+    window.run(f"bpy.ops.plgs.watch_lift('INVOKE_DEFAULT', lift_folder={str(lift)!r})")
+    window.wait_for("'Gaussians' in bpy.data.objects")
+    opened, call = longest(window)
+    print(f"a lift is opened: {1000 * opened:.0f} ms at once ({call})")
+    return opened
