@@ -220,7 +220,8 @@ def train(
     with stages.stage("train") as progress:
         saved_at = time.monotonic()
         compiled = log_compilation("the kernels of a training step", "half a minute")
-        stages.events.progress("train", trainer.step_number, steps)  # the first step may compile for long
+        if not trainer.finished:  # the first step may compile for long
+            stages.events.progress("train", trainer.step_number, steps)
         try:
             while not trainer.finished:
                 began = time.monotonic()

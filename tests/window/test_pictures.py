@@ -1,0 +1,127 @@
+"""The pictures of docs/blender.md, of the sample in Blender's window; and its splats look like its photos.
+
+    PLGS_WINDOW_TREE=build/blender-trixie .venv/bin/python -m pytest tests/window/test_pictures.py
+    .venv/bin/python -m docs.make_pictures.window          sheets of the screenshots
+"""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from blender import SIZE, Window
+from numpy.typing import NDArray
+from tree import ROOT
+
+pytestmark = pytest.mark.slow
+FRAME = "0014"
+LIKE_DB = 17.0
+"""Least PSNR of the splats in Solid shading to a photo, after one gain and offset for each channel."""
+_IN_VIEW = """
+import sys
+lookup = sys.modules[EXTENSION + '.plgs_blender.inspecting.lookup']
+window = bpy.context.window_manager.windows[0]
+area = next(each for each in window.screen.areas if each.type == 'VIEW_3D')
+region = next(each for each in area.regions if each.type == 'WINDOW')
+view = area.spaces.active
+root = lookup.active_lift(window.scene, None)
+window.scene.plgs['scene_folder'] = '/home/artist/room'
+with bpy.context.temp_override(window=window, area=area, region=region):
+"""
+_CORNERS = """
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+camera = window.scene.camera
+frame = [camera.matrix_world @ each for each in camera.data.view_frame(scene=window.scene)]
+spots = [location_3d_to_region_2d(region, view.region_3d, each) for each in frame]
+answer = [[region.x + each.x, region.y + each.y] for each in spots]
+"""
+_BEFORE_NOTHING = """
+view.overlay.show_overlays = view.show_gizmo = False
+window.scene.camera.data.show_background_images = False
+"""
+
+
+@pytest.fixture(scope="module")
+def lift(work_folder: Path) -> Path:
+    """The sample's lift as `make demo` makes it, with meshes."""
+    folder, python = work_folder / "room lift", ROOT / ".venv" / "bin" / "python"
+    for command in (["lift", "sample/room", "-o", folder], ["export", folder, "--to", "mesh", "-o", folder / "exports"]):
+        subprocess.run([python, "-m", "engine", *command], cwd=ROOT, check=True, capture_output=True)
+    return folder
+
+
+@pytest.fixture
+def shown(window: Window, lift: Path) -> Window:
+    window.open_sidebar()
+    window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})", timeout=120)
+    in_view(window, "pass")
+    return window
+
+
+def in_view(window: Window, statements: str) -> None:
+    """Run statements where the 3D view is the context, and wait until it is drawn."""
+    window.run(_IN_VIEW + "\n".join(f"    {line}" for line in statements.splitlines()), timeout=120)
+    window.move(SIZE[0] // 2, SIZE[1] - 5)
+    window.settle(timeout=120)
+
+
+def test_the_opening_view_and_its_colours(shown: Window) -> None:
+    shown.screenshot("docs-opened")
+    seen = []
+    for look in ("PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY"):
+        in_view(shown, f"root.plgs.look = {look!r}")
+        seen.append(cv2.imread(str(shown.screenshot(f"docs-look-{look.lower()}"))))
+    assert all((one != other).any(axis=2).mean() > 0.05 for one, other in zip(seen, seen[1:], strict=False))
+
+
+def test_what_it_is_shown_as_in_each_shading(shown: Window, lift: Path) -> None:
+    meshes = f"bpy.ops.plgs.make_meshes(lift_folder={str(lift)!r})"
+    for kind, before in (("POINTS", ""), ("SPLATS", ""), ("SURFACE", meshes)):
+        in_view(shown, f"{before}\nbpy.ops.plgs.show_as(kind={kind!r})")
+        for shading in ("SOLID", "MATERIAL", "RENDERED"):
+            in_view(shown, f"view.shading.type = {shading!r}")
+            shown.screenshot(f"docs-{kind.lower()}-{shading.lower()}")
+
+
+def test_splats_look_like_the_photo(shown: Window) -> None:
+    in_view(shown, f"bpy.ops.plgs.go_to_frame(frame={FRAME!r})\nview.region_3d.view_perspective = 'CAMERA'")
+    in_view(shown, _BEFORE_NOTHING + "bpy.ops.view3d.view_center_camera()")
+    corners = np.array(shown.run(_IN_VIEW + "    pass" + _CORNERS))
+    (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
+    rows = slice(round(SIZE[1] - top), round(SIZE[1] - bottom))
+    splats = shown.picture()[rows, round(left) : round(right)]
+    photo = cv2.imread(str(next((ROOT / "sample" / "room" / "color").glob(f"{FRAME}.*"))))[..., ::-1]
+    photo = np.asarray(cv2.resize(photo, splats.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
+    pair = np.concatenate([photo, splats], axis=1)[..., ::-1]
+    cv2.imwrite(str(ROOT / "build" / "window" / "screenshots" / "docs-beside.png"), pair)
+    alike = fitted_psnr(splats, photo)
+    print(f"splats and photo: {alike:.1f} dB")
+    assert alike > LIKE_DB
+
+
+def fitted_psnr(seen: NDArray[np.uint8], photo: NDArray[np.uint8]) -> float:
+    """PSNR in dB of one picture to another of its size, after one gain and offset for each channel."""
+    errors = []
+    for channel in range(3):
+        have, want = seen[..., channel].ravel() / 255.0, photo[..., channel].ravel() / 255.0
+        errors.append(np.mean((np.polyval(np.polyfit(have, want, 1), have) - want) ** 2))
+    return float(-10.0 * np.log10(np.mean(errors)))
+
+
+def test_the_compositor(shown: Window) -> None:
+    in_view(shown, "bpy.ops.plgs.show_passes()")
+    shown.screenshot("docs-compositor")
+
+
+def test_an_import(window: Window) -> None:
+    window.open_sidebar()
+    window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(ROOT / 'sample' / 'room')!r})", timeout=120)
+    window.run("bpy.context.scene.plgs['scene_folder'] = '/home/artist/room'")
+    window.settle()
+    window.screenshot("docs-imported")
+    window.run("bpy.ops.plgs.show_picture(what='MASKS')")
+    window.settle()
+    window.screenshot("docs-masks")
