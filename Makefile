@@ -42,11 +42,11 @@ extension: set-up
 # The zip in a real Blender's window, under a virtual screen, with real mouse and keys: in Debian's Blender 4.3, and in 5.2.
 test-window: extension
 	@$(PYTHON) set_up/blender_window.py trixie
-	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) $(ENDING) tests/window
+	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) $(ENDING) -m "not slow" tests/window
 
 test-blender-next: extension
 	@$(PYTHON) set_up/blender_window.py sid
-	PLGS_WINDOW_TREE=build/blender-sid $(PYTHON) $(PYTEST) $(ENDING) tests/window
+	PLGS_WINDOW_TREE=build/blender-sid $(PYTHON) $(PYTEST) $(ENDING) -m "not slow" tests/window
 
 # mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve. research/
 # runs from the repository alone and imports the engine by its own name, so mypy reads it in a second call.

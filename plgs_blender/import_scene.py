@@ -65,7 +65,7 @@ def place_scene(place: ChosenScene, scene: bpy.types.Scene, *, cloud: bool = Tru
 
 def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """Let the 3D views that show the scene look down at the frames' cameras and the points before them."""
-    show_room(areas_of(scene), *_room(root, scene), vertex=True)
+    show_room(areas_of(scene), *_room(root, scene))
 
 
 def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:

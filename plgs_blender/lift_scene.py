@@ -134,7 +134,7 @@ def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
         with registered():
             if root.plgs.look != PHOTO:
                 apply_look(root)
-            colour_views(scene, root.plgs.show_as != POINTS)
+            colour_views(scene, points=root.plgs.show_as == POINTS)
 
 
 def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
@@ -199,10 +199,11 @@ def place_meshes_anew(lift: Path, scene: bpy.types.Scene) -> list[bpy.types.Obje
     root = root_of_placed(result.folder, scene)
     placed = place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
     with registered():
+        were_points = root.plgs.show_as == POINTS
         if placed:
             root.plgs.show_as = SURFACE
         apply_look(root)
-    colour_views(scene, vertex=True)
+        colour_views(scene, points=root.plgs.show_as == POINTS, were_points=were_points)
     return placed
 
 
@@ -321,8 +322,9 @@ def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) 
         apply_look(root)
     if kind == SURFACE and not has(root, SURFACE):
         raise PlgsError("has no meshes yet", root.name, "Make them first: plgs.make_meshes.")
+    were_points = root.plgs.show_as == POINTS
     root.plgs.show_as = kind
-    colour_views(scene, kind != POINTS)
+    colour_views(scene, points=kind == POINTS, were_points=were_points)
 
 
 def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
@@ -334,7 +336,7 @@ def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 
 
 def _look_at(root: bpy.types.Collection, overview: bpy.types.Object, areas: Iterable[bpy.types.Area]) -> None:
-    show_room(areas, overview.matrix_world.to_quaternion(), _corners(root), root.plgs.show_as != POINTS)
+    show_room(areas, overview.matrix_world.to_quaternion(), _corners(root))
 
 
 def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:

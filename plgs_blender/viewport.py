@@ -66,49 +66,37 @@ def show_object_colours(shading: Any) -> None:
 
 
 def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
-    """Let a 3D view show the colours of classes and instances in Solid shading, and boxes in coloured lines."""
-    show_object_colours(view.shading)
+    """Let a 3D view show a lift's colours in Solid shading: the attribute Col of splats and meshes, with their backs
+    open, the classes' colours of points, which have no others there, and boxes in coloured lines.
+    """
     view.shading.type = "SOLID"
+    show_object_colours(view.shading)
+    view.shading.color_type, view.shading.show_backface_culling = "VERTEX", True
     view.shading.wireframe_color_type = "OBJECT"
 
 
-def show_splats_colours(shading: Any) -> None:
-    """Let Solid shading show the attribute Col of splats and meshes, with their backs open."""
-    show_object_colours(shading)
-    shading.color_type, shading.show_backface_culling = "VERTEX", True
-
-
-def colour_views(scene: bpy.types.Scene, vertex: bool) -> None:
-    """Let 3D views of this scene that a lift has coloured, or that are as Blender starts them, show the attribute Col:
-    of ``vertex`` meshes in Solid shading, else of points. Solid shading draws each cloud of points in one colour.
+def colour_views(scene: bpy.types.Scene, *, points: bool, were_points: bool = False) -> None:
+    """Let 3D views of this scene that a lift has coloured, or that are as Blender starts them, show a lift's colours:
+    of ``points`` in Material Preview. Where there ``were_points``, they turn back from it.
     """
     for area in areas_of(scene):
-        _colour_view(area.spaces.active, vertex)
+        space = area.spaces.active
+        if _is_as_started(space) or _is_ours(space, were_points):
+            show_lift_colours(space)
+            if points:
+                space.shading.type = "MATERIAL"
 
 
-def _colour_view(space: bpy.types.SpaceView3D, vertex: bool) -> bool:
-    """The same for one 3D view. Returns whether it was as Blender starts it."""
-    is_new = _is_as_started(space)
-    if is_new or _is_ours(space):
-        show_lift_colours(space)
-        if vertex:
-            show_splats_colours(space.shading)
-        else:
-            space.shading.type = "MATERIAL"
-    return is_new
-
-
-def show_room(
-    areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64], vertex: bool
-) -> None:
+def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64]) -> None:
     """Let these 3D views look at the room with these corners [N, 3], in metres, turned as a camera with this rotation
     is, beside what the sidebar covers. Views through a camera stay.
 
-    Views that are still as Blender starts them get the lift's colours (`colour_views`).
+    Views that are still as Blender starts them get the lift's colours.
     """
     for area in areas:
         space = area.spaces.active
-        if _colour_view(space, vertex):
+        if _is_as_started(space):
+            show_lift_colours(space)
             _make_ready(space)
         if space.region_3d.view_perspective != "CAMERA":
             frame_room(area, rotation, corners)
@@ -177,10 +165,11 @@ def _is_as_started(view: bpy.types.SpaceView3D) -> bool:
     return shading.type == "SOLID" and shading.color_type == "MATERIAL" and shading.light == "STUDIO"
 
 
-def _is_ours(view: bpy.types.SpaceView3D) -> bool:
-    """Whether a 3D view is in Solid shading as a lift left it."""
+def _is_ours(view: bpy.types.SpaceView3D, has_points: bool) -> bool:
+    """Whether a 3D view is as a lift left it: in Solid shading, or where it ``has_points`` in Material Preview."""
     shading = view.shading
-    return shading.type == "SOLID" and shading.light == "FLAT" and shading.color_type in ("OBJECT", "VERTEX")
+    is_left = shading.type == "SOLID" or (has_points and shading.type == "MATERIAL")
+    return is_left and shading.light == "FLAT" and shading.color_type == "VERTEX"
 
 
 def show_lift_colours_at_first(view: bpy.types.SpaceView3D) -> None:

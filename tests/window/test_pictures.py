@@ -39,17 +39,18 @@ spots = [location_3d_to_region_2d(region, view.region_3d, each) for each in fram
 answer = [[region.x + each.x, region.y + each.y] for each in spots]
 """
 _BEFORE_NOTHING = """
-view.overlay.show_overlays = view.show_gizmo = False
+view.region_3d.view_perspective = 'CAMERA'
+view.overlay.show_overlays = view.show_gizmo = view.show_region_ui = view.show_region_toolbar = False
+view.show_region_header = view.show_region_tool_header = False
 window.scene.camera.data.show_background_images = False
 """
 
 
 @pytest.fixture(scope="module")
 def lift(work_folder: Path) -> Path:
-    """The sample's lift as `make demo` makes it, with meshes."""
+    """The sample's lift as `make demo` makes it."""
     folder, python = work_folder / "room lift", ROOT / ".venv" / "bin" / "python"
-    for command in (["lift", "sample/room", "-o", folder], ["export", folder, "--to", "mesh", "-o", folder / "exports"]):
-        subprocess.run([python, "-m", "engine", *command], cwd=ROOT, check=True, capture_output=True)
+    subprocess.run([python, "-m", "engine", "lift", "sample/room", "-o", folder], cwd=ROOT, check=True)
     return folder
 
 
@@ -69,6 +70,7 @@ def in_view(window: Window, statements: str) -> None:
 
 
 def test_the_opening_view_and_its_colours(shown: Window) -> None:
+    assert shown.run(_IN_VIEW + "    answer = [root.plgs.show_as, view.shading.type]\n") == ["SPLATS", "SOLID"]
     shown.screenshot("docs-opened")
     seen = []
     for look in ("PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY"):
@@ -78,16 +80,17 @@ def test_the_opening_view_and_its_colours(shown: Window) -> None:
 
 
 def test_what_it_is_shown_as_in_each_shading(shown: Window, lift: Path) -> None:
-    meshes = f"bpy.ops.plgs.make_meshes(lift_folder={str(lift)!r})"
-    for kind, before in (("POINTS", ""), ("SPLATS", ""), ("SURFACE", meshes)):
-        in_view(shown, f"{before}\nbpy.ops.plgs.show_as(kind={kind!r})")
-        for shading in ("SOLID", "MATERIAL", "RENDERED"):
+    in_view(shown, f"bpy.ops.plgs.make_meshes(lift_folder={str(lift)!r})")
+    for kind in ("POINTS", "SPLATS", "SURFACE"):
+        in_view(shown, f"bpy.ops.plgs.show_as(kind={kind!r})")
+        assert shown.run(_IN_VIEW + "    answer = view.shading.type\n") == ("MATERIAL" if kind == "POINTS" else "SOLID")
+        for shading in ("MATERIAL", "RENDERED", "SOLID"):
             in_view(shown, f"view.shading.type = {shading!r}")
             shown.screenshot(f"docs-{kind.lower()}-{shading.lower()}")
 
 
 def test_splats_look_like_the_photo(shown: Window) -> None:
-    in_view(shown, f"bpy.ops.plgs.go_to_frame(frame={FRAME!r})\nview.region_3d.view_perspective = 'CAMERA'")
+    in_view(shown, f"bpy.ops.plgs.show_as(kind='SPLATS')\nbpy.ops.plgs.go_to_frame(frame={FRAME!r})")
     in_view(shown, _BEFORE_NOTHING + "bpy.ops.view3d.view_center_camera()")
     corners = np.array(shown.run(_IN_VIEW + "    pass" + _CORNERS))
     (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
