@@ -125,6 +125,7 @@ def test_an_import(window: Window) -> None:
     window.run("bpy.context.scene.plgs['scene_folder'] = '/home/artist/room'")
     window.settle()
     window.screenshot("docs-imported")
-    window.run("bpy.ops.plgs.show_picture(what='MASKS')")
+    window.press("plgs.show_picture", "MASKS")
+    window.wait_for("bpy.context.scene.camera.data.background_images[0].image is not None")
     window.settle()
     window.screenshot("docs-masks")
