@@ -74,7 +74,7 @@ def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternio
     scene.view_layers[0].update()
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
     eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]
-    clouds = [places(ob.data)[::4] for key, ob in objects_by_key(root).items() if key in (_CLOUD, _SPARSE)]
+    clouds = [places(ob.data) for key, ob in objects_by_key(root).items() if key in (_CLOUD, _SPARSE)]
     points = [np.percentile(cloud, _INNER, axis=0) for cloud in clouds if len(cloud)] or [eyes + _AHEAD * ahead]
     xyz = np.concatenate([eyes, *points])
     corners = np.array(list(product(*np.stack([xyz.min(axis=0), xyz.max(axis=0)], axis=1))))

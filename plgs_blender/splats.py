@@ -1,9 +1,9 @@
 """The lift's Gaussians as splats: Blender's own from 5.3 on, and before that one square a Gaussian.
 
 A Gaussian of a lifted surface is flat, so a square across its two longest axes shows it from all sides but its edge.
-The squares are one mesh. Its material fades them from the middle and hides their backs, so a room lies open from
-outside. EEVEE and Cycles mix what overlaps; Solid shading draws opaque squares. Of many Gaussians, those that cover
-most are shown.
+The squares are one mesh with the attributes Col, opacity and corner (places on the square in standard deviations). The
+material fades them from the middle and hides their backs, so a room lies open from outside. EEVEE and Cycles mix what
+overlaps; Solid shading draws opaque squares.
 
 Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT from any splat file, and its default axes (forward
 Y, up Z) are ours. This was read in Blender's source and in its API. It has not been run: there was no Blender 5.3.
@@ -11,7 +11,7 @@ Y, up Z) are ours. This was read in Blender's source and in its API. It has not 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import bpy
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from ..engine.errors import PlgsError
 from ..engine.scene.splat_file import read_gaussians
 from .lift_collection import FOLDER, Placed, child_collection
+from .materials import splat_material
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag, text_of
-from .squares import CORNERS, MOST_SQUARES, fill_squares, sides
 from .surfaces import towards_nearest
 
 GAUSSIANS = "gaussians"
@@ -35,8 +35,11 @@ _LARGEST = 0.2
 """Largest standard deviation of a square in metres: stray Gaussians would hide the room."""
 _AT_ONCE = 100_000
 """Squares that are computed while the window waits."""
+MOST_SQUARES = 600_000
+"""Squares that are made; of more Gaussians, those that cover most."""
 _COLOUR_SCALE = 0.28209479177387814
 """The constant spherical harmonic: colour = 0.5 + this * f_dc."""
+_CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
 
 
 def has_native_splats() -> bool:
@@ -80,14 +83,14 @@ def placing_gaussians(
         yield
         parts.append(_columns(rows[start : start + _AT_ONCE], viewpoints))
     yield
-    columns = sides(len(rows)) | {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
+    columns = _sides(len(rows)) | {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
     yield
     found = placed.find()
     if found is None:
         return
     root, scene = found
     owned = OwnedDataBlocks(root[LIFT], scene)
-    mesh = fill_squares(owned, GAUSSIANS, "Gaussians", columns)
+    mesh = _fill(owned, columns)
     splats = owned.object(GAUSSIANS, "Gaussians", mesh, child_collection(root, "Gaussians", scene))
     splats.hide_select = True  # a click is meant for the box within
 
@@ -147,7 +150,7 @@ def squares(rows: NDArray[np.void], viewpoints: NDArray[np.floating]) -> NDArray
         towards = towards_nearest(middle.astype(np.float64), viewpoints)
         away = np.einsum("ij,ij->i", np.cross(own[:, 0], own[:, 1]), towards) < 0.0
         own[away] = own[away][:, ::-1]
-    return (middle[:, None] + np.einsum("ca,maj->mcj", CORNERS, own)).astype(np.float32)
+    return (middle[:, None] + np.einsum("ca,maj->mcj", _CORNERS, own)).astype(np.float32)
 
 
 def _opacity(rows: NDArray[np.void]) -> NDArray[np.float32]:
@@ -166,13 +169,44 @@ def _columns(rows: NDArray[np.void], viewpoints: NDArray[np.floating]) -> dict[s
     rgba = np.ones((count, 4), np.float32)
     rgba[:, :3] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     corner = np.zeros((count, 4, 3), np.float32)
-    corner[..., :2] = _EXTENT * CORNERS
+    corner[..., :2] = _EXTENT * _CORNERS
     columns = {"position": squares(rows, viewpoints), "corner": corner, "Col": np.repeat(rgba, 4, axis=0)}
     columns["opacity"] = np.repeat(_opacity(rows), 4)
     for name in ("class_id", "instance_id"):
         ids = rows[name] if name in (rows.dtype.names or ()) else np.zeros(count, np.int32)
         columns[name] = np.repeat(ids.astype(np.int32), 4)
     return {name: values.ravel() for name, values in columns.items()}
+
+
+def _sides(count: int) -> dict[str, NDArray[np.generic]]:
+    """The sides of the squares: attributes that Blender's meshes have of themselves."""
+    numbers = np.arange(4 * count, dtype=np.int32)
+    ends = np.stack([numbers, numbers + np.tile(np.array([1, 1, 1, -3], np.int32), count)], axis=1)
+    return {".corner_vert": numbers, ".corner_edge": numbers, ".edge_verts": ends.ravel()}
+
+
+def _fill(owned: OwnedDataBlocks, columns: Mapping[str, NDArray[np.generic]]) -> bpy.types.Mesh:
+    """Our mesh of squares with these attributes."""
+    count = len(columns["opacity"]) // 4
+    mesh: bpy.types.Mesh = owned.data(GAUSSIANS, lambda: bpy.data.meshes.new("Gaussians"))
+    mesh.clear_geometry()
+    mesh.vertices.add(4 * count)
+    mesh.loops.add(4 * count)
+    mesh.edges.add(4 * count)
+    mesh.polygons.add(count)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 4 * count, 4, dtype=np.int32))
+    mesh.color_attributes.new("Col", "FLOAT_COLOR", "POINT")
+    for name, kind in (("corner", "FLOAT_VECTOR"), ("opacity", "FLOAT"), ("class_id", "INT"), ("instance_id", "INT")):
+        mesh.attributes.new(name, kind, "POINT")
+    # Attributes are copied at once. What `vertices` and `loops` call co and vertex_index would be set one by one.
+    for name, values in columns.items():
+        field = {"position": "vector", "corner": "vector", "Col": "color"}.get(name, "value")
+        mesh.attributes[name].data.foreach_set(field, values)
+    mesh.color_attributes.active_color = mesh.color_attributes["Col"]
+    mesh.materials.clear()
+    mesh.materials.append(splat_material(owned))
+    mesh.update()
+    return mesh
 
 
 def _import(path: Path) -> bpy.types.Object:

@@ -1,31 +1,22 @@
-"""Meshes of squares, which have a colour each in Solid shading too: splats, and points without classes.
+"""Points without classes as one mesh: in Solid shading its points have a colour each, those of a point cloud have not.
 
-Their attributes are Col, opacity and, where the material fades the squares from the middle, corner: the place of a
-vertex on its square, in standard deviations of a Gaussian.
+The mesh has nothing but vertices: the points. A modifier makes a square of each, so squares take no room in the file.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .materials import linear_rgba, splat_material
+from .compat import new_geometry_group
+from .materials import splat_material
 from .owned import OwnedDataBlocks
 from .surfaces import SurfaceGrid
 
-MOST_SQUARES = 600_000
-"""Squares that splats have at most."""
-_MOST_POINTS = 300_000
-"""Squares that points have at most: the window waits for them."""
-CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
-"""Of a square, in half its sides."""
 _SMALLEST, _LARGEST = 0.002, 0.03
-"""Limits to half the side of a point's square, metres."""
-_KINDS = {"Col": "FLOAT_COLOR", "corner": "FLOAT_VECTOR", "opacity": "FLOAT", "class_id": "INT", "instance_id": "INT"}
-_FIELDS = {"position": "vector", "corner": "vector", "Col": "color"}
+"""Limits to half the side of a square, metres."""
+_MODIFIER = "Squares"
 
 
 def place_points(
@@ -36,60 +27,75 @@ def place_points(
     points: tuple[NDArray[np.float32], NDArray[np.uint8]],
     viewpoints: NDArray[np.float64],
 ) -> bpy.types.Object:
-    """Place points without classes, xyz [N, 3] metres and rgb [N, 3] sRGB, as one mesh of squares that face the
-    viewpoints [V, 3]. Of more than _MOST_POINTS points, evenly many are left out.
+    """Place points without classes, xyz [N, 3] metres and rgb [N, 3] sRGB, as one mesh of squares that lie in their
+    surfaces and face the viewpoints [V, 3]. Its vertices are the points, with Col and facing: the square's normal with
+    the length of half its side.
     """
     xyz, rgb = points
-    if len(xyz) > _MOST_POINTS:
-        chosen = np.linspace(0, len(xyz) - 1, _MOST_POINTS).astype(np.int64)
-        xyz, rgb = xyz[chosen], rgb[chosen]
     grid = SurfaceGrid.of(xyz)
-    columns = sides(len(xyz)) | {
-        "position": _facing(xyz, grid.radii(_SMALLEST, _LARGEST), grid.normals(viewpoints)).ravel(),
-        "Col": np.repeat(linear_rgba(rgb), 4, axis=0).ravel(),
-        "opacity": np.ones(4 * len(xyz), np.float32),
-    }
-    ob = owned.object(key, name, fill_squares(owned, key, name, columns), parent)
-    ob["points"] = len(xyz)
-    return ob
-
-
-def _facing(xyz: NDArray[np.float32], half: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Corners [N, 4, 3] of the squares around points xyz [N, 3], with half a side [N], across normals [N, 3]."""
-    upright = np.abs(normals[:, 2]) < 0.9
-    other = np.where(upright[:, None], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    first = np.cross(other, normals)
-    first *= (half / np.maximum(np.linalg.norm(first, axis=1), 1e-9))[:, None]
-    own = np.stack([first, np.cross(normals, first)], axis=1)
-    return (xyz[:, None] + np.einsum("ca,naj->ncj", CORNERS, own)).astype(np.float32)
-
-
-def sides(count: int) -> dict[str, NDArray[np.generic]]:
-    """The sides of the squares: attributes that Blender's meshes have of themselves."""
-    numbers = np.arange(4 * count, dtype=np.int32)
-    ends = np.stack([numbers, numbers + np.tile(np.array([1, 1, 1, -3], np.int32), count)], axis=1)
-    return {".corner_vert": numbers, ".corner_edge": numbers, ".edge_verts": ends.ravel()}
-
-
-def fill_squares(
-    owned: OwnedDataBlocks, key: str, name: str, columns: Mapping[str, NDArray[np.generic]]
-) -> bpy.types.Mesh:
-    """Our mesh `key` of squares with `sides` and these attributes, flat, of its vertices [4 N]."""
-    count = len(columns["opacity"]) // 4
+    facing = grid.normals(viewpoints)
+    facing[~facing.any(axis=1)] = (0.0, 0.0, 1.0)
+    facing *= grid.radii(_SMALLEST, _LARGEST)[:, None]
+    rgba = np.ones((len(rgb), 4), np.float32)
+    rgba[:, :3] = rgb / np.float32(255)
     mesh: bpy.types.Mesh = owned.data(key, lambda: bpy.data.meshes.new(name))
     mesh.clear_geometry()
-    mesh.vertices.add(4 * count)
-    mesh.loops.add(4 * count)
-    mesh.edges.add(4 * count)
-    mesh.polygons.add(count)
-    mesh.polygons.foreach_set("loop_start", np.arange(0, 4 * count, 4, dtype=np.int32))
-    for attribute in columns.keys() & _KINDS.keys():
-        mesh.attributes.new(attribute, _KINDS[attribute], "POINT")
-    # Attributes are copied at once. What `vertices` and `loops` call co and vertex_index would be set one by one.
-    for attribute, values in columns.items():
-        mesh.attributes[attribute].data.foreach_set(_FIELDS.get(attribute, "value"), values)
+    mesh.vertices.add(len(xyz))
+    mesh.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(xyz, np.float32).ravel())
+    mesh.attributes.new("facing", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", facing.ravel())
+    mesh.attributes.new("Col", "BYTE_COLOR", "POINT").data.foreach_set("color_srgb", rgba.ravel())
     mesh.color_attributes.active_color = mesh.color_attributes["Col"]
     mesh.materials.clear()
     mesh.materials.append(splat_material(owned))
     mesh.update()
-    return mesh
+    ob = owned.object(key, name, mesh, parent)
+    ob["points"] = len(xyz)
+    modifier = ob.modifiers.get(_MODIFIER) or ob.modifiers.new(_MODIFIER, "NODES")
+    modifier.node_group = owned.block("node_groups", "squares", _new_group)
+    return ob
+
+
+def _new_group() -> bpy.types.NodeTree:
+    """Move each vertex to a corner of its square, draw it out to a side, and the side to the square. All that is made
+    of a vertex has its attributes, and the mesh keeps its active colour. Drawn out in this order, up before right, the
+    squares show their fronts along their normals.
+    """
+    tree = new_geometry_group("PLGS squares")
+    tree.is_modifier = True
+    link = tree.links.new
+
+    def add(kind: str, column: int, row: int = 0) -> bpy.types.Node:
+        node = tree.nodes.new(kind)
+        node.location = (220 * column, -180 * row)
+        return node
+
+    facing, half = add("GeometryNodeInputNamedAttribute", 0, 1), add("ShaderNodeVectorMath", 1, 2)
+    facing.data_type, facing.inputs["Name"].default_value = "FLOAT_VECTOR", "facing"
+    found = next(socket for socket in facing.outputs if socket.enabled and socket.name == "Attribute")
+    half.operation = "LENGTH"
+    link(found, half.inputs[0])
+    turn = add("FunctionNodeAlignRotationToVector", 1, 1)
+    turn.axis = "Z"
+    link(found, turn.inputs["Vector"])
+    offsets = []
+    for row, corner in enumerate([(-1.0, -1.0, 0.0), (0.0, 2.0, 0.0), (2.0, 0.0, 0.0)], start=1):
+        turned, offset = add("FunctionNodeRotateVector", 2, row), add("ShaderNodeVectorMath", 3, row)
+        turned.inputs["Vector"].default_value, offset.operation = corner, "SCALE"
+        link(turn.outputs["Rotation"], turned.inputs["Rotation"])
+        link(turned.outputs["Vector"], offset.inputs[0])
+        link(half.outputs["Value"], offset.inputs["Scale"])
+        offsets.append(offset.outputs["Vector"])
+    start, opaque = add("NodeGroupInput", 3), add("GeometryNodeStoreNamedAttribute", 4)
+    opaque.data_type, opaque.domain, opaque.inputs["Name"].default_value = "FLOAT", "POINT", "opacity"
+    next(each for each in opaque.inputs if each.enabled and each.name == "Value").default_value = 1.0
+    move = add("GeometryNodeSetPosition", 5)
+    side, square = add("GeometryNodeExtrudeMesh", 6), add("GeometryNodeExtrudeMesh", 7)
+    side.mode, square.mode = "VERTICES", "EDGES"
+    for extrusion in (side, square):
+        extrusion.inputs["Offset Scale"].default_value = 1.0
+    chain = [start, opaque, move, side, square, add("NodeGroupOutput", 8)]
+    for before, after in zip(chain, chain[1:], strict=False):
+        link(before.outputs[0], after.inputs[0])
+    for node, offset in zip((move, side, square), offsets, strict=True):
+        link(offset, node.inputs["Offset"])
+    return tree

@@ -15,6 +15,7 @@ import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
+from plgs.plgs_blender.made_pictures import read_cloud
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder, make_frames
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
@@ -55,7 +56,11 @@ def clouds(key: str = "cloud") -> list[bpy.types.Object]:
 
 
 def points_of(ob: bpy.types.Object, name: str = "position", key: str = "vector", width: int = 3) -> np.ndarray:
-    points = ob.data.attributes[name].data
+    return values_of(ob.data, name, key, width)
+
+
+def values_of(data: bpy.types.Mesh, name: str, key: str, width: int) -> np.ndarray:
+    points = data.attributes[name].data
     values = np.empty(width * len(points), np.float32)
     points.foreach_get(key, values)
     return values.reshape(-1, width)
@@ -63,6 +68,19 @@ def points_of(ob: bpy.types.Object, name: str = "position", key: str = "vector",
 
 def positions(key: str = "cloud") -> np.ndarray:
     return np.concatenate([points_of(ob) for ob in clouds(key)])
+
+
+def squares_of(ob: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [N, 4, 3] and sRGB colours [N, 4, 3] of the squares that Blender draws, in Solid shading too."""
+    mesh = ob.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    assert mesh.color_attributes.active_color.name == "Col" and len(mesh.polygons) == len(ob.data.vertices)
+    corners = np.empty(4 * len(mesh.polygons), np.int32)
+    mesh.loops.foreach_get("vertex_index", corners)
+    values = values_of(mesh, "position", "vector", 3), values_of(mesh, "Col", "color_srgb", 4)[:, :3]
+    # Blender may number the squares otherwise than the points; a square's first corner in its mesh is its point.
+    order = np.argsort(corners.reshape(-1, 4).min(axis=1))
+    squares, colours = (value[corners].reshape(-1, 4, 3)[order] for value in values)
+    return squares, colours
 
 
 def test_an_archive_comes_with_pictures_and_a_cloud(own: Path) -> None:
@@ -73,8 +91,10 @@ def test_an_archive_comes_with_pictures_and_a_cloud(own: Path) -> None:
         assert np.abs(shown(frames()[frame.name]).astype(int) - frame.read_colour(None)).mean() < 3.0
     assert len(positions()) > 2000 and (distance_to_room(positions()) < 0.06).mean() > 0.97
     [cloud] = clouds()
-    squares, colours = positions().reshape(-1, 4, 3), points_of(cloud, "Col", "color", 4).reshape(-1, 4, 4)
-    assert (colours == colours[:, :1]).all() and len(np.unique(colours, axis=0)) > 50, "each square has its own colour"
+    squares, colours = squares_of(cloud)
+    assert np.allclose(squares.mean(axis=1), positions(), atol=1e-5), "a point is the middle of its square"
+    stored = read_cloud(next((own / "scans" / "one_frames").glob("*.npz")))[1]
+    assert np.array_equal(np.rint(colours * 255), np.repeat(stored[:, None], 4, axis=1)), "in its own colour, exactly"
     sides = np.linalg.norm(squares - np.roll(squares, 1, axis=1), axis=2)
     assert np.ptp(sides, axis=1).max() < 1e-4 and 0.0039 < sides.min() and sides.max() < 0.061
     eyes = np.array([ob.matrix_world.translation for ob in frames().values()])
@@ -116,8 +136,7 @@ def test_sparse_points_need_no_engine(captures: Path, no_engine: None) -> None:
     assert len(frames()) == 6 and all(ob.data.background_images for ob in frames().values())
     points = open_scene(captures / "walk").points
     assert points is not None
-    middles = positions("sparse_points").reshape(-1, 4, 3).mean(axis=1)
-    np.testing.assert_allclose(middles, points.xyz, atol=1e-5)
+    np.testing.assert_allclose(positions("sparse_points"), points.xyz, atol=1e-5)
 
 
 def test_a_file_is_chosen_in_the_browser(captures: Path) -> None:
