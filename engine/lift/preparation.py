@@ -3,6 +3,7 @@ semantic point cloud, Algorithm 1, anchors by voxelisation, and the projected ta
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from ..model.structured import StructuredScene
 from ..presets.preset import Preset
 from ..scene import ClassTable, OnDemand, View, stored
 from ..scene.hole_filling import fill_holes
+from ..semantics.adaptive_spacing import ENLARGED
 from ..semantics.consistency import ConsistencyOptions, consistency_masks, views_are_sparse
 from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud
 from ..train.progress import StageProgress, StageReporter
@@ -23,6 +25,8 @@ from ..train.targets import ViewTargets
 from .objects import MATCHINGS, ViewsToMatch
 from .starting_scene import label_channels, starting_anchors, starting_scene
 from .targets_of_views import targets_of
+
+log = logging.getLogger("plgs.lift")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +98,11 @@ def semantic_cloud(
         spacing=preset.voxel_size / 2, cap=preset.most_points, evidence=preset.evidence.points, majority=preset.majority
     )
     cloud = build_point_cloud(views, consistency_masks(views, comparison), class_ids, options, progress)
-    if cloud.spacing > options.spacing:
-        wanted, got = (f"{100 * metres:.1f} cm" for metres in (options.spacing, cloud.spacing))
-        events.warning(f"the scene is large: the point cloud has a point every {got}, not every {wanted}")
+    spacing, got = options.spacing, f"the point cloud has a point every {100 * cloud.spacing:.1f} cm"
+    if cloud.spacing > ENLARGED * spacing:
+        events.warning(f"the scene is large: {got}, not every {100 * spacing:.1f} cm, and small objects may be lost")
+    else:
+        log.info(got)
     return cloud
 
 

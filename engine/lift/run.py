@@ -221,7 +221,11 @@ def train(
         saved_at = time.monotonic()
         compiled = log_compilation("the kernels of a training step", "half a minute")
         if not trainer.finished:  # the first step may compile for long
-            stages.events.progress("train", trainer.step_number, steps)
+            done, left = trainer.step_number / steps, None
+            if stages.course is not None:
+                stages.course.skip("train", done)
+                left = stages.course.left("train", done, None, time.monotonic())
+            stages.events.progress("train", trainer.step_number, steps, left_s=left)
         try:
             while not trainer.finished:
                 began = time.monotonic()

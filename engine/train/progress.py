@@ -14,6 +14,8 @@ REPORT_EVERY_S = 0.2
 """Progress events are written no more often than this."""
 _TRUSTED = 0.1
 """Share of the whole run for which the predicted pace counts as much as the measured one."""
+_SURE = 0.2
+"""Share of a stage from which its own pace alone tells how long it still takes."""
 
 
 class Course:
@@ -26,6 +28,10 @@ class Course:
         """These seconds say nothing of the pace: kernels were compiled."""
         self.began += seconds
 
+    def skip(self, stage: str, share: float) -> None:
+        """This share of a stage was done before the run: a lift was resumed."""
+        self.began -= share * self.seconds[stage]
+
     def left(self, stage: str, share: float, eta: float | None, now: float) -> float | None:
         """Seconds left of the run when ``share`` of a stage is done and ``eta`` seconds of it are left; None in a stage
         that was not predicted."""
@@ -35,7 +41,9 @@ class Course:
         done = sum(values[:place]) + share * values[place]
         trusted = _TRUSTED * sum(values)
         pace = (now - self.began + trusted) / (done + trusted)
-        own = pace * (1.0 - share) * values[place] if eta is None or share < _TRUSTED else eta
+        own = pace * (1.0 - share) * values[place]
+        if eta is not None:
+            own += min(1.0, share / _SURE) * (eta - own)
         return round(own + pace * sum(values[place + 1 :]), 1)
 
 

@@ -102,6 +102,13 @@ def test_what_is_done_otherwise_than_asked_is_said(tmp_path: Path, monkeypatch: 
     assert "overlap too little" in said and "not every 10.0 cm" in said
 
 
+def test_an_ordinary_flat_is_not_called_large(tmp_path: Path) -> None:
+    views, classes = views_of(tmp_path / "scene")
+    flat = prepared_for(views, classes, replace(TINY, most_points=1500), tmp_path)
+    assert flat.cloud.spacing > 1.3 * TINY.voxel_size / 2
+    assert "large" not in (tmp_path / "events.jsonl").read_text()
+
+
 def test_there_is_a_slot_for_no_object_however_many_objects_there_are() -> None:
     assert label_channels((1, 5), [], replace(TINY, instance_slots=3)).slot_ids == (NO_OBJECT, *[SPARE] * 3)
     found = [GlobalInstance(number, np.zeros((1, 3)), SOME_BOX, (), CHAIR_ID) for number in (1, 2, 3)]

@@ -7,6 +7,16 @@ import pytest
 from engine.train.progress import Course
 
 PREDICTED = {"read": 10.0, "match": 20.0, "train": 60.0, "bake": 10.0}
+FORESEEN = (0.5, 12.7, 5.6, 6.7, 192.8, 44.5, 5.7, 2.6)
+STAGES = ("read", "consistency", "match", "prepare", "train", "result", "bake", "evaluate")
+LIFT = (
+    (17.6, "match", 0.01, None), (33.9, "train", 0.001, None), (48.7, "train", 0.09, 151.4),
+    (62.8, "train", 0.183, 129.7), (91.0, "train", 0.361, 101.3), (119.3, "train", 0.547, 71.0),
+    (147.8, "train", 0.75, 37.9), (176.3, "train", 0.948, 7.8), (190.4, "result", 0.181, 28.5),
+    (204.5, "result", 0.695, 8.9), (218.9, "evaluate", 0.015, None),
+)  # fmt: skip
+"""Of the events of a lift that took 225.0 s after the check, the second floor with `standard`: seconds since then,
+stage, share of it, seconds left of it. FORESEEN: what was predicted for STAGES."""
 
 
 @pytest.mark.parametrize("slowness", [0.5, 1.0, 3.0])
@@ -28,3 +38,23 @@ def test_the_time_left_follows_the_measured_pace(slowness: float) -> None:
 def test_a_stage_that_was_not_predicted_has_no_time_left() -> None:
     course = Course(PREDICTED)
     assert course.left("check", 0.5, 1.0, course.began + 1.0) is None
+
+
+@pytest.mark.parametrize("slowness", [0.7, 1.0, 2.0])
+def test_the_time_left_of_a_recorded_lift_is_steady(slowness: float) -> None:
+    course = Course({name: slowness * seconds for name, seconds in zip(STAGES, FORESEEN, strict=True)})
+    ends = []
+    for at, name, share, eta in LIFT:
+        left = course.left(name, share, eta, course.began + at)
+        assert left is not None
+        ends.append(at + left)
+    assert ends[LIFT.index((91.0, "train", 0.361, 101.3)) :] == pytest.approx([225.0] * 7, rel=0.25)
+    jumps = [abs(after - before) for before, after in zip(ends, ends[1:], strict=False)]
+    assert max(jumps) < 0.5 * 225.0
+
+
+def test_a_resumed_lift_does_not_take_its_skipped_steps_for_a_fast_pace() -> None:
+    course = Course(PREDICTED)
+    now = course.began + 30.0
+    course.skip("train", 0.5)
+    assert course.left("train", 0.5, None, now) == pytest.approx(40.0)
