@@ -43,8 +43,8 @@ def used_options(settings: PLGS_PG_settings) -> UsedOptions:
     return UsedOptions(preset.for_views(views).steps, *size_within(size, preset.size), views)
 
 
-def _used(name: str, description: str, **kinds: str) -> IntProperty:
-    """A property that shows what will be used. What is typed goes to the setting of its name, 0 takes the preset's."""
+def _used(name: str, description: str, least: int = 0, **kinds: str) -> IntProperty:
+    """A property that shows what will be used. What is typed goes to the setting of its name."""
 
     def read(shown: PLGS_PG_used_options) -> int:
         return int(getattr(used_options(shown.id_data.plgs), name))
@@ -52,7 +52,8 @@ def _used(name: str, description: str, **kinds: str) -> IntProperty:
     def write(shown: PLGS_PG_used_options, value: int) -> None:
         setattr(shown.id_data.plgs, name, value)
 
-    return IntProperty(name=name.capitalize(), description=description, get=read, set=write, min=0, **kinds)
+    told = f"{description}. 0: the preset's"
+    return IntProperty(name=name.capitalize(), description=told, get=read, set=write, min=least, **kinds)
 
 
 class PLGS_PG_used_options(bpy.types.PropertyGroup):
@@ -62,7 +63,7 @@ class PLGS_PG_used_options(bpy.types.PropertyGroup):
     width: _used("width", "Frames are brought within this width", subtype="PIXEL")  # type: ignore[valid-type]
     height: _used("height", "Frames are brought within this height", subtype="PIXEL")  # type: ignore[valid-type]
     frames: _used(  # type: ignore[valid-type]
-        "frames", "Train on at most so many frames, the sharpest of each stretch"
+        "frames", "Train on at most so many frames, the sharpest of each stretch; -1: on all", least=-1
     )
 
 
