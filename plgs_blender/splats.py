@@ -2,8 +2,8 @@
 
 A Gaussian of a lifted surface is flat, so a square across its two longest axes shows it from all sides but its edge.
 The squares are one mesh with the attributes Col, opacity and corner (places on the square in standard deviations). The
-material fades them from the middle and hides their backs, so a room lies open from outside. EEVEE and Cycles mix what
-overlaps; Solid shading draws opaque squares.
+material fades them from the middle and hides their backs, so a room lies open from outside; what cameras have seen from
+both sides has a square for each. EEVEE and Cycles mix what overlaps; Solid shading draws opaque squares.
 
 Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT from any splat file, and its default axes (forward
 Y, up Z) are ours. This was read in Blender's source and in its API. It has not been run: there was no Blender 5.3.
@@ -11,7 +11,8 @@ Y, up Z) are ours. This was read in Blender's source and in its API. It has not 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -31,15 +32,35 @@ _FAINTEST = 0.1
 """Opacity below which a Gaussian is left out."""
 _EXTENT = 2.0
 """Half the side of a square, in standard deviations."""
+_EDGE_ON = 0.2
+"""Cosine to a square's normal below which a camera sees it from no side."""
+_CAMERAS = 60
+"""Cameras, evenly chosen, that are asked what they see from behind."""
 _LARGEST = 0.2
 """Largest standard deviation of a square in metres: stray Gaussians would hide the room."""
-_AT_ONCE = 100_000
-"""Squares that are computed while the window waits."""
+_AT_ONCE = 50_000
+"""Gaussians whose squares are computed while the window waits."""
 MOST_SQUARES = 600_000
-"""Squares that are made; of more Gaussians, those that cover most."""
+"""Gaussians that are shown; of more, those that cover most."""
 _COLOUR_SCALE = 0.28209479177387814
 """The constant spherical harmonic: colour = 0.5 + this * f_dc."""
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Eyes:
+    """Where cameras [V] are: ``places`` float64 [V, 3] metres; ``ahead`` [V, 3], the unit vectors of where they look;
+    ``reach`` [V], the cosine of the angle to the picture's nearer edge."""
+
+    places: NDArray[np.float64]
+    ahead: NDArray[np.float64]
+    reach: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, cameras: Sequence[bpy.types.Object]) -> Eyes:
+        turned = np.array([ob.matrix_world for ob in cameras], np.float64).reshape(-1, 4, 4)
+        angles = np.array([ob.data.angle for ob in cameras], np.float64)
+        return cls(turned[:, :3, 3], -turned[:, :3, 2], np.cos(angles / 2))
 
 
 def has_native_splats() -> bool:
@@ -75,15 +96,15 @@ def placing_gaussians(
     It ends early when the collection is removed between two.
     """
     placed = Placed(root[LIFT], scene.name)
-    eyes = [ob.matrix_world.translation for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")]
-    viewpoints = np.array(eyes, np.float64).reshape(-1, 3)
+    eyes = Eyes.of([ob for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")])
     rows = rows[seen(rows)]
-    parts = [_columns(rows[:0], viewpoints)]
+    parts = [_columns(rows[:0], eyes)]
     for start in range(0, len(rows), _AT_ONCE):
         yield
-        parts.append(_columns(rows[start : start + _AT_ONCE], viewpoints))
+        parts.append(_columns(rows[start : start + _AT_ONCE], eyes))
     yield
-    columns = _sides(len(rows)) | {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
+    columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
+    columns |= _sides(len(columns["opacity"]) // 4)
     yield
     found = placed.find()
     if found is None:
@@ -153,6 +174,20 @@ def squares(rows: NDArray[np.void], viewpoints: NDArray[np.floating]) -> NDArray
     return (middle[:, None] + np.einsum("ca,maj->mcj", _CORNERS, own)).astype(np.float32)
 
 
+def seen_from_behind(corners: NDArray[np.float32], eyes: Eyes) -> NDArray[np.int64]:
+    """Indices of the squares, float32 [M, 4, 3], whose backs a camera has before it."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    middle, behind = corners.mean(axis=1), np.zeros(len(corners), np.bool_)
+    count = len(eyes.places)
+    for number in np.linspace(0, count - 1, min(count, _CAMERAS)).astype(np.int64):
+        way = middle - eyes.places[number].astype(np.float32)
+        far = np.sqrt(np.einsum("ij,ij->i", way, way))
+        is_in_view = way @ eyes.ahead[number].astype(np.float32) > eyes.reach[number] * far
+        behind |= is_in_view & (np.einsum("ij,ij->i", way, normal) > _EDGE_ON * far)
+    return np.flatnonzero(behind)
+
+
 def _opacity(rows: NDArray[np.void]) -> NDArray[np.float32]:
     return np.asarray(1.0 / (1.0 + np.exp(-rows["opacity"])), np.float32)
 
@@ -162,18 +197,24 @@ def _size(rows: NDArray[np.void]) -> NDArray[np.float32]:
     return np.exp(np.stack([rows[f"scale_{axis}"] for axis in range(3)]))
 
 
-def _columns(rows: NDArray[np.void], viewpoints: NDArray[np.floating]) -> dict[str, NDArray[np.generic]]:
-    """What the mesh has at the 4 M vertices of the squares of Gaussians [M], by attribute."""
-    count = len(rows)
-    srgb = np.clip(0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"] for axis in range(3)], axis=1), 0, 1)
+def _columns(rows: NDArray[np.void], eyes: Eyes) -> dict[str, NDArray[np.generic]]:
+    """What the mesh has at the vertices of the squares of Gaussians [M], four each, by attribute."""
+    corners = squares(rows, eyes.places)
+    both = seen_from_behind(corners, eyes)
+    corners, rows = np.concatenate([corners, corners[both, ::-1]]), np.concatenate([rows, rows[both]])
+    count, names = len(rows), rows.dtype.names or ()
+    if {"red", "green", "blue"} <= {*names}:  # what is around: the squares are opaque, or nearly so
+        srgb = np.stack([rows[name] for name in ("red", "green", "blue")], axis=1) / np.float32(255)
+    else:
+        srgb = np.clip(0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"] for axis in range(3)], axis=1), 0, 1)
     rgba = np.ones((count, 4), np.float32)
     rgba[:, :3] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     corner = np.zeros((count, 4, 3), np.float32)
     corner[..., :2] = _EXTENT * _CORNERS
-    columns = {"position": squares(rows, viewpoints), "corner": corner, "Col": np.repeat(rgba, 4, axis=0)}
+    columns = {"position": corners, "corner": corner, "Col": np.repeat(rgba, 4, axis=0)}
     columns["opacity"] = np.repeat(_opacity(rows), 4)
     for name in ("class_id", "instance_id"):
-        ids = rows[name] if name in (rows.dtype.names or ()) else np.zeros(count, np.int32)
+        ids = rows[name] if name in names else np.zeros(count, np.int32)
         columns[name] = np.repeat(ids.astype(np.int32), 4)
     return {name: values.ravel() for name, values in columns.items()}
 

@@ -64,8 +64,11 @@ def _draw_in_space() -> None:
             lambda cloud, lists=lists: (lists.show_as != POINTS and "class_id" in cloud)
             or cloud.visible_in_viewport_get(context.space_data),
         )
+        if _outlined(context, root) is not None:
+            seen = highlight.NOTHING  # the outline tells more, and leaves the photo to see
         box = boxes_of(root).get(number)
-        draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), lists.dim_others)
+        dim = lists.dim_others and seen is not highlight.NOTHING
+        draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), dim)
 
 
 def _draw_cameras_path(context: bpy.types.Context, root: bpy.types.Collection) -> None:
@@ -132,19 +135,27 @@ def _draw_preview(context: bpy.types.Context) -> None:
 
 def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> None:
     """Draw the outline of the chosen mask while somebody looks through the camera of its frame."""
-    lists, camera = root.plgs, context.scene.camera
-    if context.region_data.view_perspective != "CAMERA" or not 0 <= lists.instance_index < len(lists.instances):
-        return
-    row = lists.instances[lists.instance_index]
-    if not 0 <= row.mask_index < len(row.masks):
+    camera, row = context.scene.camera, _outlined(context, root)
+    if camera is None or row is None:
         return
     mask = row.masks[row.mask_index]
-    if camera is None or objects_by_key(root).get(f"frame:{mask.frame}") != camera or mask.rectangle[2] <= 0.0:
-        return
     for polygon in highlight.outline_in_space(camera, mask.outline, tuple(mask.rectangle)):
         corners = [region.pixel_of(corner) for corner in polygon]
         if None not in corners:
             draw_outline([corner for corner in corners if corner is not None], tuple(row.colour))
+
+
+def _outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
+    """The chosen instance's row, if somebody looks through the camera of its chosen mask's frame."""
+    lists, camera = root.plgs, context.scene.camera
+    if context.region_data.view_perspective != "CAMERA" or not 0 <= lists.instance_index < len(lists.instances):
+        return None
+    row = lists.instances[lists.instance_index]
+    if camera is None or not 0 <= row.mask_index < len(row.masks):
+        return None
+    mask = row.masks[row.mask_index]
+    is_here = objects_by_key(root).get(f"frame:{mask.frame}") == camera and mask.rectangle[2] > 0.0
+    return row if is_here else None
 
 
 def _size(context: bpy.types.Context) -> tuple[int, int]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
 from ..result_files import Anchors
@@ -18,6 +19,8 @@ from .structured import LabelChannels, StructuredScene
 CHUNK = 65536
 """Anchors decoded at a time, to bound the memory. They are fewer where there are more than USUAL_LABELS labels."""
 USUAL_LABELS = 64
+_NEIGHBOURS = 16
+"""Gaussians whose colours are blended, itself with them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +35,21 @@ class BakedGaussians:
     colours: NDArray[np.float32]
     class_id: NDArray[np.int32]
     instance_id: NDArray[np.int32]
+
+    def blended_colours(self) -> NDArray[np.float32]:
+        """The colour around each Gaussian, sRGB float32 [N, 3] in [0, 1]: the mean over its nearest neighbours, by
+        opacity. A pixel mixes many Gaussians, whose own colours scatter around what is seen; a viewer that draws each
+        opaque shows this one."""
+        if not len(self.means):
+            return self.colours
+        tree, blended = cKDTree(self.means), np.empty_like(self.colours)
+        for start in range(0, len(self.means), CHUNK):
+            rows = slice(start, start + CHUNK)
+            _, near = tree.query(self.means[rows], min(_NEIGHBOURS, len(self.means)), workers=-1)
+            near = near.reshape(-1, min(_NEIGHBOURS, len(self.means)))
+            weights = self.opacities[near][..., None]
+            blended[rows] = (weights * self.colours[near]).sum(axis=1) / weights.sum(axis=1)
+        return blended
 
 
 def decided_labels(

@@ -61,8 +61,8 @@ def relabelled_splats(content: bytes, new_ids: NewIds) -> bytes:
     and instance ids [N]. Raises ValueError for another file."""
     head, mark, body = content.partition(b"end_header\n")
     lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    kinds = {"float": "<f4", "int": "<i4"}
-    fields = [(line[2], kinds[line[1]]) for line in lines if line[0] == "property"]
+    kinds = {name: kind for kind, name in _KINDS.items()}
+    fields = [(line[2], "<" + kinds[line[1]]) for line in lines if line[0] == "property"]
     splats = np.frombuffer(body, np.dtype(fields)).copy()
     xyz = np.stack([splats[axis] for axis in "xyz"], axis=1)
     splats["class_id"], splats["instance_id"] = new_ids(xyz, splats["class_id"].copy(), splats["instance_id"].copy())
@@ -70,8 +70,8 @@ def relabelled_splats(content: bytes, new_ids: NewIds) -> bytes:
 
 
 def write_splats(path: Path, splats: BakedGaussians) -> None:
-    """Spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of every Gaussian.
-    Raises OSError."""
+    """Spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of every Gaussian, and
+    its blended colour as red, green and blue. Raises OSError."""
     opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     floats = {
         **columns_of("x y z", splats.means),
@@ -81,5 +81,7 @@ def write_splats(path: Path, splats: BakedGaussians) -> None:
         **columns_of("scale_0 scale_1 scale_2", np.log(np.maximum(splats.scales, 1e-9))),
         **columns_of("rot_0 rot_1 rot_2 rot_3", splats.quats),
     }
+    blended = np.rint(255 * np.clip(splats.blended_colours(), 0, 1)).astype(np.uint8)
     labels = {"class_id": splats.class_id, "instance_id": splats.instance_id}
-    write_ply_table(path, {name: column.astype(np.float32) for name, column in floats.items()} | labels)
+    columns: dict[str, NDArray[Any]] = {name: column.astype(np.float32) for name, column in floats.items()}
+    write_ply_table(path, columns | labels | columns_of("red green blue", blended))

@@ -33,7 +33,8 @@ _Points = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 """World positions [n, 3], shades [n] and radii [n]."""
 
 _NOTHING: _Points = (np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.float32))
-
+NOTHING = Highlight((), *_NOTHING[:2], 0.0)
+"""No points."""
 _last: list[Highlight] = []
 
 

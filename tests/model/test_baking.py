@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.instances.class_first import LEAST_OF_CLASS
-from engine.model.baking import bake, decided_labels
+from engine.model.baking import BakedGaussians, bake, decided_labels
 from engine.model.rendering import PanopticRendering
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, LabelChannels
 from engine.passes.layers import decide
@@ -101,3 +101,23 @@ def test_voted_labels_are_baked() -> None:
     assert not anchors.instance_id[~drawn].any() and not anchors.opacity[~drawn].any()
     pairs = set(zip(gaussians.class_id.tolist(), gaussians.instance_id.tolist(), strict=True))
     assert pairs == {(WALL, 0), (CHAIR, 0), (CHAIR, 9), (SOFA, 4)}
+
+
+def test_blended_colours_are_those_around() -> None:
+    """Two grey clouds of scattered colours, and one nearly clear Gaussian of another colour amid the first."""
+    random = np.random.default_rng(7)
+    count = 40
+    means = np.concatenate([random.uniform(0, 0.1, (2 * count, 3)), [[0.05, 0.05, 0.05]]]).astype(np.float32)
+    means[count : 2 * count, 0] += 5.0
+    light = np.repeat(np.array([0.2, 0.8, 0.2], np.float32), (count, count, 1))
+    colours = light[:, None] + random.uniform(-0.2, 0.2, (2 * count + 1, 3)).astype(np.float32)
+    colours[-1] = 1.0
+    opacities = np.ones(len(means), np.float32)
+    opacities[-1] = 1e-3
+    ids = np.zeros(len(means), np.int32)
+    blended = BakedGaussians(means, means, means, opacities, colours, ids, ids).blended_colours()
+    assert blended.dtype == np.float32
+    np.testing.assert_allclose(blended[:count], np.full((count, 3), 0.2), atol=0.15)
+    assert blended[:count].std() < 0.5 * colours[:count].std()
+    np.testing.assert_allclose(blended[count : 2 * count], np.full((count, 3), 0.8), atol=0.15)
+    assert blended[-1].max() < 0.35

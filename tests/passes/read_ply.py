@@ -11,7 +11,8 @@ from engine.model.baking import BakedGaussians
 from engine.passes.ply import SH_DEGREE_0
 
 _FLOATS = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
-_VERTEX = np.dtype([*((name, "<f4") for name in _FLOATS), ("class_id", "<i4"), ("instance_id", "<i4")])
+_COLUMNS = {"<f4": _FLOATS, "<i4": ["class_id", "instance_id"], "u1": ["red", "green", "blue"]}
+_VERTEX = np.dtype([(name, kind) for kind, names in _COLUMNS.items() for name in names])
 
 
 def read_ply(path: Path) -> BakedGaussians:

@@ -54,7 +54,8 @@ def test_ply_is_what_splat_viewers_expect(tmp_path: Path) -> None:
         *(f"scale_{k}" for k in range(3)),
         *(f"rot_{k}" for k in range(4)),
     ]
-    assert head[-2:] == ["property int class_id", "property int instance_id"]
+    blended = [f"property uchar {name}" for name in ("red", "green", "blue")]
+    assert head[-5:] == ["property int class_id", "property int instance_id", *blended]
 
 
 @pytest.mark.slow

@@ -46,6 +46,36 @@ def test_squares_lie_across_the_two_longest_axes_and_face_who_saw_them(tmp_path:
         assert np.sign(normal[2]) == np.sign(above)
 
 
+def test_what_cameras_see_from_both_sides_has_two_squares(tmp_path: Path) -> None:
+    write_gaussians(tmp_path / "gaussians.ply")
+    rows = read_gaussians(tmp_path / "gaussians.ply")[:1]
+    down, up = [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]
+
+    def seen(*cameras: tuple[float, list[float]]) -> list[int]:
+        places = np.array([[0.0, 0.0, height] for height, _ in cameras])
+        ahead = np.array([ahead for _, ahead in cameras])
+        eyes = splats.Eyes(places, ahead, np.full(len(cameras), 0.9))
+        columns = splats._columns(rows, eyes)
+        both = splats.seen_from_behind(splats.squares(rows, eyes.places), eyes)
+        assert len(columns["opacity"]) == 4 + 4 * len(both) and len(columns["position"]) == 12 * (1 + len(both))
+        return list(both)
+
+    assert seen((2.0, down)) == seen((2.0, down), (-9.0, down)) == []
+    assert seen((2.0, down), (-9.0, up)) == [0]
+
+
+def test_splats_have_the_colour_around_them_where_the_file_tells_it(tmp_path: Path) -> None:
+    write_gaussians(tmp_path / "gaussians.ply")
+    rows = read_gaussians(tmp_path / "gaussians.ply")
+    told = np.zeros(len(rows), rows.dtype.descr + [(name, "u1") for name in ("red", "green", "blue")])
+    for name in rows.dtype.names:
+        told[name] = rows[name]
+    told["green"] = 255
+    nowhere = splats.Eyes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    assert splats._columns(rows, nowhere)["Col"].reshape(-1, 4)[0] == pytest.approx([1, 0, 0, 1], abs=1e-3)
+    assert splats._columns(told, nowhere)["Col"].reshape(-1, 4)[0].tolist() == [0, 1, 0, 1]
+
+
 def test_a_file_without_splats_is_refused(tmp_path: Path) -> None:
     write_ply_table(tmp_path / "points.ply", columns_of("x y z", np.zeros((2, 3), np.float32)))
     with pytest.raises(PlgsError, match="holds no splats"):
