@@ -118,7 +118,7 @@ class Lease:
             if state is None:
                 continue
             if _is_stale(self._lease, state):
-                _set_aside(self._lease, state["id"])
+                _take_away(self._lease, state["id"])
                 continue
             waited = time.monotonic() - began
             if not self._wait_s or (waited > self._wait_s and _watched[self._lease, state["id"]].lives):
@@ -133,7 +133,7 @@ class Lease:
         part = self._lease.with_name(f"{PART}{self._id}.lease")
         try:
             with create_plain(part) as file:
-                file.write(self._content(0))
+                file.write(_content(self._id, 0))
                 file.flush()
                 os.fsync(file.fileno())
             try:
@@ -143,26 +143,12 @@ class Lease:
                 if os.stat(part).st_nlink != 2:
                     return False
             except OSError:  # a file system without links
-                if not self._taken_without_link():
+                if not _created(self._lease, self._id):
                     return False
             self._descriptor = os.open(self._lease, os.O_WRONLY)
         finally:
             part.unlink(missing_ok=True)
         return True
-
-    def _taken_without_link(self) -> bool:
-        try:
-            descriptor = os.open(self._lease, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-        except FileExistsError:
-            return False
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(self._content(0))
-        return True
-
-    def _content(self, beat: int) -> bytes:
-        """Always of one length, so that it is written in place."""
-        about = {"id": self._id, "machine": MACHINE, "pid": os.getpid(), "since": time.time(), "beat": f"{beat:012d}"}
-        return json.dumps(about).encode().ljust(512) + b"\n"
 
     def _beat(self) -> None:
         beat = 0
@@ -170,10 +156,9 @@ class Lease:
             beat += 1
             with suppress(OSError):  # a server that does not answer now; whether the lease is lost, the next look shows
                 os.lseek(self._descriptor, 0, os.SEEK_SET)
-                os.write(self._descriptor, self._content(beat))
+                os.write(self._descriptor, _content(self._id, beat))
                 os.fsync(self._descriptor)
-            # Twice, as who takes a stale lease away may have it in hand for a moment, and puts ours back.
-            if not self._is_ours() and (self._over.wait(BEAT_S / 5) or not self._is_ours()) and not self._over.is_set():
+            if not self._is_ours() and not self._over.is_set():
                 what = f"error: another machine took this over, as nothing was heard from here: {self._path}"
                 print(what, file=sys.stderr, flush=True)
                 os._exit(ExitCode.BUSY)
@@ -194,6 +179,23 @@ class Lease:
             if self._is_ours():
                 self._lease.unlink()
         os.close(self._descriptor)
+
+
+def _content(holder: str, beat: int) -> bytes:
+    """Always of one length, so that it is written in place."""
+    about = {"id": holder, "machine": MACHINE, "pid": os.getpid(), "since": time.time(), "beat": f"{beat:012d}"}
+    return json.dumps(about).encode().ljust(512) + b"\n"
+
+
+def _created(path: Path, holder: str) -> bool:
+    """Whether the file is made, which it can be once only. Raises OSError."""
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    except FileExistsError:
+        return False
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(_content(holder, 0))
+    return True
 
 
 def lease_of(path: Path) -> Path:
@@ -244,28 +246,19 @@ def _is_stale(lease: Path, state: dict[str, str]) -> bool:
     return time.monotonic() - seen.since > STALE_S
 
 
-def _set_aside(lease: Path, stale: str) -> None:
-    """Take a stale lease away. One that somebody else took meanwhile stays, or is put back. Raises OSError."""
-    now = _holder(lease)
-    if now is None or now["id"] != stale:
+def _take_away(lease: Path, stale: str) -> None:
+    """Take a stale lease away. One process at a time does, so that none takes away what another has taken since. Raises
+    OSError."""
+    guard = lease.with_name(f"{PART}{lease.name}.stale")
+    if not _created(guard, uuid4().hex):
+        guarded = _holder(guard)
+        if guarded is not None and _is_stale(guard, guarded):  # left by a crash
+            guard.unlink(missing_ok=True)
+        time.sleep(min(0.05, BEAT_S / 4))
         return
-    aside = lease.with_name(f"{PART}{uuid4().hex}.stale")
-    with suppress(FileNotFoundError):
-        os.rename(lease, aside)
-        found = _holder(aside)
-        if found is not None and found["id"] != stale:
-            with suppress(FileExistsError):
-                _put_back(aside, lease)
-        aside.unlink(missing_ok=True)
-
-
-def _put_back(aside: Path, lease: Path) -> None:
-    """Raises FileExistsError when the name is taken, OSError."""
     try:
-        os.link(aside, lease)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links
-        if lease.exists():
-            raise FileExistsError(None, "exists", str(lease)) from None
-        os.rename(aside, lease)
+        state = _holder(lease)
+        if state is not None and state["id"] == stale:
+            lease.unlink(missing_ok=True)
+    finally:
+        guard.unlink(missing_ok=True)
