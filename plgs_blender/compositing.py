@@ -8,8 +8,13 @@ from . import compat
 from .owned import KEY
 from .pass_nodes import PANOPTIC
 
-_TREE, _FILLED = "CompositorNodeTree", 0.8
-"""The kind of a compositor's tree, and the share of the window that the picture behind the nodes fills at most."""
+_TREE = "CompositorNodeTree"
+_SHARE, _ASIDE = (0.45, 0.42), (-0.05, 0.09)
+"""Of the window's width and height: what the picture behind the nodes fills at most, and how far it stands to the left
+of the middle and above it, where neither nodes nor the sidebar cover it.
+"""
+_LARGEST = 3.0
+"""The picture is not enlarged more."""
 
 
 def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
@@ -29,7 +34,8 @@ def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
     for area in editors:
         space = area.spaces.active
         space.pin, space.show_backdrop = False, True
-        space.backdrop_zoom = min(1.0, _FILLED * window.width / width, _FILLED * window.height / height)
+        space.backdrop_zoom = min(_LARGEST, _SHARE[0] * window.width / width, _SHARE[1] * window.height / height)
+        space.backdrop_offset = (_ASIDE[0] * window.width, _ASIDE[1] * window.height)
     select_group(passes)
 
 

@@ -15,6 +15,8 @@ LAYER = "PLGS"
 PASSES, INSTANCES, CLASSES, PANOPTIC = "passes", "CryptoInstance", "CryptoClass", "panoptic"
 _STRENGTH = 0.55
 """Opacity of the instances' colours over the picture."""
+_LOWER = 240.0
+"""Units that the nodes stand lower than Blender's own would, so that they leave the picture behind them to see."""
 
 
 _OUTPUTS = {
@@ -80,7 +82,7 @@ class _NodeBuilder:
         return self.dress(compat.new_node(self.tree, *kinds), key, label, column, row)
 
     def dress(self, node: bpy.types.Node, key: str, label: str, column: float, row: float) -> bpy.types.Node:
-        node.location, node.label, node.name = (220 * column, row), label, key
+        node.location, node.label, node.name = (220 * column, row - _LOWER), label, key
         tag(node, self._lift, key)
         return node
 
@@ -97,7 +99,7 @@ def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
     use_image(tree, image)
     _colour_code(make, "Instance", "Instance", -60)
     _colour_code(make, "Class", "Semantic", -420)
-    depth = make.add("depth", "Depth, near is black", 1.5, 400, "CompositorNodeNormalize")
+    depth = make.add("depth", "Depth, near is black", 1.5, 80, "CompositorNodeNormalize")
     make.link(output_of(tree, "Depth"), depth.inputs[0])
     _show_panoptic(make)
 

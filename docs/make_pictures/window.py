@@ -39,6 +39,8 @@ def sheets() -> dict[str, Picture]:
         "window_looks": tiled(looks, 2, 480),
         "window_shown_as": tiled(kinds, 2, 480),
         "window_beside": taken("beside"),
+        "window_best_view": taken("best-view")[VIEW],
+        "window_lifting": taken("lifting"),
         "window_compositor": taken("compositor"),
         "window_import": tiled({"imported": taken("imported"), "Masks": taken("masks")}, 2, 640),
     }
