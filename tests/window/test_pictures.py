@@ -64,6 +64,12 @@ def lift(work_folder: Path) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def scene(work_folder: Path) -> Path:
+    """A copy of the sample, beside which an import writes."""
+    return shutil.copytree(ROOT / "sample" / "room", work_folder / "room")
+
+
 @pytest.fixture
 def shown(window: Window, lift: Path) -> Window:
     window.open_sidebar()
@@ -130,8 +136,7 @@ def test_the_best_view(shown: Window) -> None:
     shown.screenshot("docs-best-view")
 
 
-def test_a_lift_under_way(window: Window, work_folder: Path) -> None:
-    scene = shutil.copytree(ROOT / "sample" / "room", work_folder / "room")
+def test_a_lift_under_way(window: Window, scene: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(scene)!r})", timeout=120)
     window.run(_LOOK_THROUGH)
@@ -151,9 +156,9 @@ def test_the_compositor(shown: Window) -> None:
     shown.screenshot("docs-compositor")
 
 
-def test_an_import(window: Window) -> None:
+def test_an_import(window: Window, scene: Path) -> None:
     window.open_sidebar()
-    window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(ROOT / 'sample' / 'room')!r})", timeout=120)
+    window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(scene)!r})", timeout=120)
     window.run("bpy.context.scene.plgs['scene_folder'] = '/home/artist/room'")
     window.settle()
     window.screenshot("docs-imported")
