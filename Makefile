@@ -31,8 +31,9 @@ test: lint set-up-next
 	$(PYTHON) $(PYTEST) $(ENDING) -m "not slow"
 	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(ENDING) -m "not slow" $(NEXT_TESTS); fi
 
-test-slow: set-up-next
-	$(PYTHON) $(PYTEST)
+test-slow: set-up-next extension
+	@$(PYTHON) set_up/blender_window.py trixie
+	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST)
 	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(NEXT_TESTS); fi
 
 # The extension's zip, built and validated by Blender's own tool.

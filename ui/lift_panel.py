@@ -64,12 +64,12 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         layout, settings = self.layout, context.scene.plgs
         layout.use_property_split, layout.use_property_decorate = True, False
         followed = followed_lift(settings)
-        is_running = followed is not None and followed.is_running
+        is_running = followed is not None and followed.is_running and not followed.is_baking
+        layout.prop(settings, "lift_folder")
         fixed = layout.column()
         fixed.enabled = not is_running
         if is_running:
             tell(fixed, context, "A lift that runs keeps its options", "INFO")
-        fixed.prop(settings, "lift_folder")
         column = fixed.column(align=True)
         for name in NAMES:
             _draw_used(column, context, name)
@@ -92,7 +92,7 @@ class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
         followed = followed_lift(settings)
-        layout.enabled = followed is None or not followed.is_running
+        layout.enabled = followed is None or not followed.is_running or followed.is_baking
         layout.prop(settings, "device")
         layout.prop(settings, "preset_options")
         refusal = why_no_options(settings)

@@ -57,6 +57,10 @@ def _draw_in_space() -> None:
         row = next((row for row in lists.instances if row.instance_id == number), None)
         if row is None or not lists.show_selected:
             continue
+        box = boxes_of(root).get(number)
+        if row == _outlined(context, root):  # the outline tells more, and leaves the photo to see
+            draw_highlight(context.region_data, _size(context), highlight.NOTHING, box, tuple(row.colour), False)
+            continue
         # The points lie on the surface and among the splats, so they mark these too.
         seen = highlight.highlight_of(
             root,
@@ -64,11 +68,7 @@ def _draw_in_space() -> None:
             lambda cloud, lists=lists: (lists.show_as != POINTS and "class_id" in cloud)
             or cloud.visible_in_viewport_get(context.space_data),
         )
-        if _outlined(context, root) is not None:
-            seen = highlight.NOTHING  # the outline tells more, and leaves the photo to see
-        box = boxes_of(root).get(number)
-        dim = lists.dim_others and seen is not highlight.NOTHING
-        draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), dim)
+        draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), lists.dim_others)
 
 
 def _draw_cameras_path(context: bpy.types.Context, root: bpy.types.Collection) -> None:

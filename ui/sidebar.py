@@ -110,6 +110,8 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task:
     about.append(duration(took) if progress.eta_s is None else f"{duration(progress.eta_s)} left")
     layout.label(text=", ".join(about))
     if progress.left_s is not None:
+        # Another Blender may have begun it, on a machine whose clock differs.
+        took = max(took, time.time() - (progress.began or time.time()))
         whole = took / max(took + progress.left_s, 1e-9)
         left = f"All: {100 * whole:.0f} %, {duration(progress.left_s)} left"
         layout.progress(factor=whole, type="BAR", text=left)

@@ -177,7 +177,7 @@ class TaskFollower:
             self.on_event(event)
         match event.kind:
             case "hello":
-                self.kind, self.progress = str(data.get("task", LIFT)), TaskProgress()
+                self.kind, self.progress = str(data.get("task", LIFT)), TaskProgress(began=event.time)
                 self.answer = self.error = self._done = None
             case "answer" if isinstance(data["answer"], dict):
                 self.answer = data["answer"]

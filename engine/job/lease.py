@@ -50,13 +50,14 @@ _PROCESSES = Path("/proc/self/ns/pid")
 class _Watched:
     """A holder's last beat, when it was first seen by this process's own clock, and whether one came before it."""
 
+    holder: str
     beat: str
     since: float
     lives: bool = False
 
 
-_watched: dict[tuple[Path, str], _Watched] = {}
-"""By lease and its holder."""
+_watched: dict[Path, _Watched] = {}
+"""By lease."""
 
 
 def machine_id() -> str:
@@ -117,11 +118,10 @@ class Lease:
             state = _holder(self._lease)
             if state is None:
                 continue
-            if _is_stale(self._lease, state):
-                _take_away(self._lease, state["id"])
+            if _is_stale(self._lease, state) and _take_away(self._lease, state["id"]):
                 continue
             waited = time.monotonic() - began
-            if not self._wait_s or (waited > self._wait_s and _watched[self._lease, state["id"]].lives):
+            if not self._wait_s or (waited > self._wait_s and _watched[self._lease].lives):
                 raise at_work(self._path)
             time.sleep(min(0.05, BEAT_S / 4))
         if self._beats:
@@ -129,26 +129,9 @@ class Lease:
         return self
 
     def _taken(self) -> bool:
-        """Whether the file is made, which it can be once only, with its content."""
-        part = self._lease.with_name(f"{PART}{self._id}.lease")
-        try:
-            with create_plain(part) as file:
-                file.write(_content(self._id, 0))
-                file.flush()
-                os.fsync(file.fileno())
-            try:
-                os.link(part, self._lease)
-            except FileExistsError:
-                # A server whose answer was lost is asked again, and says that the name is taken: by this very file.
-                if os.stat(part).st_nlink != 2:
-                    return False
-            except OSError:  # a file system without links
-                if not _created(self._lease, self._id):
-                    return False
+        if _created(self._lease, self._id):
             self._descriptor = os.open(self._lease, os.O_WRONLY)
-        finally:
-            part.unlink(missing_ok=True)
-        return True
+        return self._descriptor >= 0
 
     def _beat(self) -> None:
         beat = 0
@@ -188,13 +171,25 @@ def _content(holder: str, beat: int) -> bytes:
 
 
 def _created(path: Path, holder: str) -> bool:
-    """Whether the file is made, which it can be once only. Raises OSError."""
+    """Whether the file is made, which it can be once only, with its content. Raises OSError."""
+    part = path.with_name(f"{PART}{holder}.lease")
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-    except FileExistsError:
-        return False
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(_content(holder, 0))
+        with create_plain(part) as file:
+            file.write(_content(holder, 0))
+            file.flush()
+            os.fsync(file.fileno())
+        try:
+            os.link(part, path)
+        except FileExistsError:
+            # A server whose answer was lost is asked again, and says that the name is taken: by this very file.
+            return os.stat(part).st_nlink == 2
+        except OSError:  # a file system without links
+            with suppress(FileExistsError), open(path, "xb") as file:
+                file.write(_content(holder, 0))
+                return True
+            return False
+    finally:
+        part.unlink(missing_ok=True)
     return True
 
 
@@ -218,7 +213,7 @@ def may_have_crashed(path: Path) -> bool:
         return False
     lease = lease_of(path)
     state = _holder(lease)
-    return state is not None and not _is_stale(lease, state) and not _watched[lease, state["id"]].lives
+    return state is not None and not _is_stale(lease, state) and not _watched[lease].lives
 
 
 def _holder(lease: Path) -> dict[str, str] | None:
@@ -236,7 +231,9 @@ def _holder(lease: Path) -> dict[str, str] | None:
 
 
 def _is_stale(lease: Path, state: dict[str, str]) -> bool:
-    seen = _watched.setdefault((lease, state["id"]), _Watched(state["beat"], time.monotonic()))
+    seen = _watched.get(lease)
+    if seen is None or seen.holder != state["id"]:
+        seen = _watched[lease] = _Watched(state["id"], state["beat"], time.monotonic())
     if seen.beat != state["beat"]:
         seen.beat, seen.since, seen.lives = state["beat"], time.monotonic(), True
     if state["machine"] == MACHINE and state["pid"].isdecimal():
@@ -246,19 +243,26 @@ def _is_stale(lease: Path, state: dict[str, str]) -> bool:
     return time.monotonic() - seen.since > STALE_S
 
 
-def _take_away(lease: Path, stale: str) -> None:
-    """Take a stale lease away. One process at a time does, so that none takes away what another has taken since. Raises
-    OSError."""
-    guard = lease.with_name(f"{PART}{lease.name}.stale")
-    if not _created(guard, uuid4().hex):
+def _take_away(lease: Path, stale: str) -> bool:
+    """Take a stale lease away, unless another process is about to. One at a time does, so that none takes away what
+    another has taken since. Returns whether it is gone. Raises OSError."""
+    guard, own = lease.with_name(f"{PART}{lease.name}.stale"), uuid4().hex
+    if not _created(guard, own):
         guarded = _holder(guard)
-        if guarded is not None and _is_stale(guard, guarded):  # left by a crash
-            guard.unlink(missing_ok=True)
-        time.sleep(min(0.05, BEAT_S / 4))
-        return
+        if guarded is None or not _is_stale(guard, guarded):
+            return False
+        _remove(guard, guarded["id"])  # left by a crash
+        if not _created(guard, own):
+            return False
     try:
-        state = _holder(lease)
-        if state is not None and state["id"] == stale:
-            lease.unlink(missing_ok=True)
+        _remove(lease, stale)
     finally:
-        guard.unlink(missing_ok=True)
+        _remove(guard, own)
+    return True
+
+
+def _remove(path: Path, holder: str) -> None:
+    """Remove a file of this holder's; another's is left. Raises OSError."""
+    state = _holder(path)
+    if state is not None and state["id"] == holder:
+        path.unlink(missing_ok=True)

@@ -91,7 +91,7 @@ class TaskPlace:
 @dataclass
 class TaskProgress:
     """How far a run is. ``stage_index`` counts from 1; ``step`` of ``steps`` of this stage are done, ``eta_s`` seconds
-    of it remain, and ``left_s`` of the whole run, as far as that is known.
+    of it remain, and ``left_s`` of the whole run, as far as that is known. It ``began`` then, in Unix seconds.
 
     ``live_preview`` is a picture of the growing model. Its content was replaced ``live_previews`` times, the last time
     as seen by the camera with the fingerprint ``live_preview_camera``. ``previews`` are the pictures that stay.
@@ -113,6 +113,7 @@ class TaskProgress:
     live_preview: Path | None = None
     live_previews: int = 0
     live_preview_camera: str = ""
+    began: float | None = None
 
     def take(self, event: Event, folder: Path) -> None:
         """Bring it up to date. ``folder`` holds the events; the paths in them are relative to it."""

@@ -220,11 +220,11 @@ def train(
     with stages.stage("train") as progress:
         saved_at = time.monotonic()
         compiled = log_compilation("the kernels of a training step", "half a minute")
+        done, left = trainer.step_number / steps, None
+        if stages.course is not None:
+            stages.course.skip("train", done)
+            left = stages.course.left("train", done, None, time.monotonic())
         if not trainer.finished:  # the first step may compile for long
-            done, left = trainer.step_number / steps, None
-            if stages.course is not None:
-                stages.course.skip("train", done)
-                left = stages.course.left("train", done, None, time.monotonic())
             stages.events.progress("train", trainer.step_number, steps, left_s=left)
         try:
             while not trainer.finished:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -156,21 +155,24 @@ def test_of_many_that_want_what_is_stale_one_gets_it(
         return True
 
     with ThreadPoolExecutor(8) as pool:
-        assert any(pool.map(take, range(8)))
+        assert any(list(pool.map(take, range(8))))
 
 
 def test_one_at_a_time_takes_away_what_is_stale(hold: Hold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the second would take away what the first has just taken. A guard that a crash left goes, too."""
     monkeypatch.setattr(lease, "STALE_S", 30.0)
     holder = hold(lease.MACHINE)
-    stale = lease_of(tmp_path / "work")
-    guard = tmp_path / f".part-{stale.name}.stale"
-    guard.write_bytes(stale.read_bytes())
-    left = stale.read_bytes()
-    lease._take_away(stale, json.loads(left)["id"])
-    assert stale.exists() and guard.exists()
     holder.kill()
     holder.wait()
+    stale = lease_of(tmp_path / "work")
+    left = stale.read_bytes()
+    guard = tmp_path / f".part-{stale.name}.stale"
+    guard.write_bytes(lease._content("another thread", 0))
+    began = time.monotonic()
+    with pytest.raises(PlgsError, match="at work"), Lease(tmp_path / "work", 0.0):
+        pass
+    assert time.monotonic() - began < 1.0 and stale.read_bytes() == left and guard.exists()
+    guard.write_bytes(left)
     with Lease(tmp_path / "work", 0.0):
         assert not guard.exists() and stale.read_bytes() != left
     assert [*tmp_path.iterdir()] == []

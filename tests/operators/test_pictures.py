@@ -278,4 +278,4 @@ def test_files_that_nobody_waits_for_any_more_are_shown_nowhere(captures: Path, 
     chosen = ChosenScene(shutil.copytree(captures / "studio", tmp_path / "studio"))
     making = make_frames(FrameOrder(chosen, "nobody's", ("cloud",)), Path(sys.executable))
     registry.wait_for(making, bpy.context.scene)
-    assert making.error is None and not bpy.data.objects and not bpy.data.pointclouds
+    assert making.error is None and not bpy.data.objects and not bpy.data.meshes

@@ -6,6 +6,7 @@ Blender draws panels only in a window: here a layout notes what it is told.
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -174,6 +175,20 @@ def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypat
     seen += [name for name, _ in text_boxes.shown_classes(root.plgs.classes)]
     assert [line for line in seen if not line.isprintable()] == []
     assert sum("a?b?c?[31md" in line for line in seen) >= 15
+
+
+def test_a_lift_that_another_blender_began_shows_how_far_it_is_and_keeps_its_options(tmp_path: Path) -> None:
+    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
+    bpy.context.scene.plgs.lift_folder = str(lift)
+    followed = lifts.lift_of(lift)
+    assert followed is not None
+    follower: Any = Pretended(TaskState.RUNNING)
+    follower.progress.began, follower.progress.left_s = time.time() - 300.0, 100.0
+    followed.follower = follower
+    shown = drawn()
+    assert "All: 75 %, 1 min 40 s left" in shown and "keeps its options" in shown
+    follower.kind = BAKE
+    assert "keeps its options" not in drawn()
 
 
 def test_nothing_is_chosen_yet() -> None:
