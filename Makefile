@@ -32,9 +32,10 @@ test: lint set-up-next
 	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(ENDING) -m "not slow" $(NEXT_TESTS); fi
 
 test-slow: set-up-next extension
-	@$(PYTHON) set_up/blender_window.py trixie
-	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST)
+	$(PYTHON) $(PYTEST)
 	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(NEXT_TESTS); fi
+	@$(PYTHON) set_up/blender_window.py trixie
+	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) tests/window
 
 # The extension's zip, built and validated by Blender's own tool.
 extension: set-up

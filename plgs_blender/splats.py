@@ -102,8 +102,11 @@ def placing_gaussians(
     for start in range(0, len(rows), _AT_ONCE):
         yield
         parts.append(_columns(rows[start : start + _AT_ONCE], eyes))
+    columns = {}
+    for name in [*parts[0]]:
+        yield
+        columns[name] = np.concatenate([part.pop(name) for part in parts])
     yield
-    columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
     columns |= _sides(len(columns["opacity"]) // 4)
     yield
     found = placed.find()
