@@ -57,18 +57,17 @@ def _draw_in_space() -> None:
         row = next((row for row in lists.instances if row.instance_id == number), None)
         if row is None or not lists.show_selected:
             continue
-        box = boxes_of(root).get(number)
-        if row == _outlined(context, root):  # the outline tells more, and leaves the photo to see
-            draw_highlight(context.region_data, _size(context), highlight.NOTHING, box, tuple(row.colour), False)
-            continue
+        # A mask's outline tells more than points, and leaves the photo to see.
+        is_outlined = row == _outlined(context, root)
         # The points lie on the surface and among the splats, so they mark these too.
-        seen = highlight.highlight_of(
+        seen = highlight.NOTHING if is_outlined else highlight.highlight_of(
             root,
             number,
             lambda cloud, lists=lists: (lists.show_as != POINTS and "class_id" in cloud)
             or cloud.visible_in_viewport_get(context.space_data),
         )
-        draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), lists.dim_others)
+        box, dim = boxes_of(root).get(number), lists.dim_others and not is_outlined
+        draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), dim)
 
 
 def _draw_cameras_path(context: bpy.types.Context, root: bpy.types.Collection) -> None:

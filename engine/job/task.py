@@ -91,7 +91,7 @@ class TaskPlace:
 @dataclass
 class TaskProgress:
     """How far a run is. ``stage_index`` counts from 1; ``step`` of ``steps`` of this stage are done, ``eta_s`` seconds
-    of it remain, and ``left_s`` of the whole run, as far as that is known. It ``began`` then, in Unix seconds.
+    of it remain, and ``left_s`` of the whole run, as far as that is known. ``began`` is when it did, in Unix seconds.
 
     ``live_preview`` is a picture of the growing model. Its content was replaced ``live_previews`` times, the last time
     as seen by the camera with the fingerprint ``live_preview_camera``. ``previews`` are the pictures that stay.
