@@ -1,10 +1,6 @@
 """Engines that are killed at a moment of their work. Run as a script:
 
-killed_engine.py fake N COUNT LIFT
-    The pretended lift of tests/job/fake_engine.py, which kills itself with SIGKILL at its n-th change to the files of
-    the lift. N 0: never. To the file COUNT it writes how many changes there were, when it gets to its end.
-
-killed_engine.py serve SCENE LIFT
+killed_engine.py SCENE LIFT
     Lifts SCENE, so that all is loaded and compiled, then forks a real engine for each line of standard input: a JSON
     object with its ``arguments``, the `Moment` ``at`` which it is killed (null: never), and the file ``counted``, to
     which it writes how many changes there were in each stage. Its exit code is a line of standard output. A fork takes
@@ -73,20 +69,6 @@ class Changes:
         signal.setitimer(signal.ITIMER_REAL, delay_s)  # nobody handles its signal: the kernel ends the process at once
 
 
-def run_fake(at: int, counted: Path, lift: Path) -> int:
-    from engine.command_line.run_engine import run_engine
-    from engine.job import LiftFolder
-    from tests.job.fake_engine import Pretence
-
-    folder = LiftFolder.open(lift)
-    os.fsync = lambda descriptor: None
-    changes = Changes(Moment(0, at) if at else None)
-    changes.begin()
-    code = int(run_engine(folder, resume=True, lift=Pretence("short, at once")))
-    counted.write_text(str(changes.made[0]))
-    return code
-
-
 def serve(scene: Path, lift: Path) -> None:
     import OpenEXR
 
@@ -135,6 +117,4 @@ def run_forked(asked: Mapping[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "fake":
-        sys.exit(run_fake(int(sys.argv[2]), Path(sys.argv[3]), Path(sys.argv[4])))
-    serve(Path(sys.argv[2]), Path(sys.argv[3]))
+    serve(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -9,62 +9,19 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from engine.job import EventReader, LiftFolder, LiftRequest, LiftState, verify
+from engine.job import LiftFolder, LiftRequest, verify
 from tests.killed_engine import Moment
 from tests.tiny_scene import write_tiny_scene
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 KILLED = Path(__file__).with_name("killed_engine.py")
-MOMENTS, SEED = int(os.environ.get("PLGS_KILLS", "200")), int(os.environ.get("PLGS_KILLS_SEED", "0"))
+MANY, SEED = int(os.environ.get("PLGS_KILLS", "200")), int(os.environ.get("PLGS_KILLS_SEED", "0"))
 STEPS = 8
-
-
-def engine(root: Path, *arguments: str | Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "engine", "lift", *arguments]
-    env = os.environ | {"PLGS_ENGINE_PYTHON": sys.executable}
-    return subprocess.Popen(command, cwd=root, env=env, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-
-
-@pytest.mark.slow
-def test_the_same_bytes(root: Path, tmp_path: Path) -> None:
-    scene = write_tiny_scene(tmp_path / "scene", frames=6)
-    options = [scene, "--steps", "24", "--bake", "test"]
-    calm, rough = tmp_path / "calm", tmp_path / "rough"
-    assert engine(root, *options, "-o", calm).wait(timeout=300) == 0
-
-    # Killed when the n-th stage begins, and once amid the training; `kill` takes the parent, the engine follows it.
-    for stage, step in (("consistency", 0), ("train", 0), ("train", 9), ("result", 0), ("bake", 0), ("evaluate", 0)):
-        process = engine(root, *options, "-o", rough, "--resume")
-        reader = EventReader(rough / "events.jsonl", from_end=True)
-        began = time.monotonic()
-        while not any(
-            event.data.get("name", event.data.get("stage")) == stage and int(str(event.data.get("step", 0))) >= step
-            for event in reader.poll()
-            if event.kind in ("stage", "progress")
-        ):
-            assert process.poll() is None and time.monotonic() - began < 120, (stage, step)
-            time.sleep(0.01)
-        process.kill()
-        process.wait()
-        lift = LiftFolder.open(rough)
-        while lift.is_running:
-            assert time.monotonic() - began < 125
-            time.sleep(0.02)
-        assert lift.state() is LiftState.CANCELLED
-    assert engine(root, *options, "-o", rough, "--resume").wait(timeout=300) == 0
-    assert verify(rough / "result").files == verify(calm / "result").files
-
-
-def run(at: int, counted: Path, lift: Path) -> int:
-    """A pretended engine that is killed at its change number ``at``; its exit code."""
-    command = [sys.executable, KILLED, "fake", str(at), counted, lift]
-    return subprocess.run([str(part) for part in command], stdout=subprocess.DEVNULL, timeout=600).returncode
 
 
 def lift_of(folder: Path, scene: Path) -> Path:
@@ -73,31 +30,12 @@ def lift_of(folder: Path, scene: Path) -> Path:
     return LiftFolder.create(folder, request).path
 
 
-def test_a_dozen_moments_of_a_pretended_lift(tmp_path: Path) -> None:
-    calm, rough, counted = (tmp_path / name for name in ("calm", "rough", "count"))
-    lift_of(calm, tmp_path)
-    assert run(0, counted, calm) == 0
-    changes, chance = int(counted.read_text()), random.Random(0)
-    for moment in sorted(chance.sample(range(1, changes), 12)):
-        if not rough.exists():
-            lift_of(rough, tmp_path)
-        code = run(moment, counted, rough)  # a resumed lift has less to do, and may get to its end
-        assert code in (-signal.SIGKILL, 0)
-        assert LiftFolder.open(rough).state() in (LiftState.NOT_STARTED, LiftState.INTERRUPTED, LiftState.FINISHED)
-        if code == 0:
-            assert verify(rough / "result").files == verify(calm / "result").files
-            rough.rename(tmp_path / f"rough {moment}")
-    if rough.exists():
-        assert run(0, counted, rough) == 0
-        assert verify(rough / "result").files == verify(calm / "result").files
-
-
 class Engines:
     """Real engines, one after another, with one thread each: forks of a process that has all loaded."""
 
     def __init__(self, scene: Path, folder: Path) -> None:
         one_thread = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")}
-        command = [sys.executable, KILLED, "serve", scene, folder / "warm"]
+        command = [sys.executable, KILLED, scene, folder / "warm"]
         self._counted = folder / "count"
         self._server = subprocess.Popen(
             [str(part) for part in command], env=os.environ | one_thread, text=True, bufsize=1,
@@ -140,10 +78,10 @@ def moments(chance: random.Random, changes: dict[int, int], count: int) -> list[
     )
 
 
-@pytest.mark.slow
-def test_hundreds_of_moments_of_a_real_lift(tmp_path: Path) -> None:
-    """All stages, the result, its manifest, and a bake of more frames: each lift is killed a dozen times on its way,
-    each bake some times, and each time gone on with; then the result has the bytes of one that nobody disturbed.
+@pytest.mark.parametrize("kills_in_all", [17, pytest.param(MANY, marks=pytest.mark.slow)])
+def test_a_lift_that_is_killed_and_resumed_has_the_same_bytes(tmp_path: Path, kills_in_all: int) -> None:
+    """This covers all stages, the result, its manifest, and a bake of more frames. Each lift is killed a dozen times on
+    its way, each bake five times, and each time it is resumed.
     """
     scene = write_tiny_scene(tmp_path / "scene", frames=5, size=(32, 24))
     chance = random.Random(SEED)
@@ -155,10 +93,10 @@ def test_hundreds_of_moments_of_a_real_lift(tmp_path: Path) -> None:
         lifted = engines.changes()
         assert engines.run("bake", calm) == 0
         baked, whole = engines.changes(), verify(calm / "result").files
-        while kills.total() < MOMENTS:
+        while kills.total() < kills_in_all:
             rough = lift_of(tmp_path / f"rough {kills.total()}", scene)
             for task, changes, count, more in (("lift", lifted, 12, ["--resume"]), ("bake", baked, 5, [])):
-                for moment in moments(chance, changes, min(count, MOMENTS - kills.total())):
+                for moment in moments(chance, changes, min(count, kills_in_all - kills.total())):
                     code = engines.run(task, rough, *more, at=moment)
                     assert code in (-signal.SIGKILL, -signal.SIGALRM, 0), (task, moment, log_of(rough))
                     kills[task, moment.stage] += code != 0

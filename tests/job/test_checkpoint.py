@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from engine.errors import PlgsError
 from engine.job import CheckpointStore
-
-
-class Kill(BaseException):
-    """What stands for SIGKILL in these tests: nothing in the code may catch it and tidy up after it."""
 
 
 def save(store: CheckpointStore, step: int) -> None:
@@ -51,84 +45,6 @@ def test_the_newest_counts(tmp_path: Path) -> None:
 @pytest.fixture(autouse=True)
 def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
-
-
-class Countdown:
-    """Raises Kill in place of the n-th change to the file system, before or just after it."""
-
-    def __init__(self, patch: pytest.MonkeyPatch, kill_at: int, after: bool) -> None:
-        self.left, self.after = kill_at, after
-        self.dead = False
-        for owner, name in (
-            (os, "rename"),
-            (os, "replace"),
-            (os, "unlink"),
-            (os, "rmdir"),
-            (os, "mkdir"),
-            (os, "fsync"),
-            (Path, "write_bytes"),
-            (Path, "write_text"),
-        ):
-            patch.setattr(owner, name, self.wrap(getattr(owner, name)))
-
-    def wrap(self, change: Callable[..., Any]) -> Callable[..., Any]:
-        def counted(*args: Any, **kwargs: Any) -> Any:
-            if self.dead:
-                raise Kill  # the dead change nothing, not even in `finally`
-            self.left -= 1
-            if self.left == 0:
-                self.dead = True
-                if self.after:
-                    change(*args, **kwargs)
-                raise Kill
-            return change(*args, **kwargs)
-
-        return counted
-
-
-@pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
-def test_a_kill_at_any_change_leaves_a_whole_checkpoint(tmp_path: Path, after: bool) -> None:
-    kills = 0
-    for kill_at in range(1, 200):
-        folder = tmp_path / str(kill_at)
-        folder.mkdir()
-        save(CheckpointStore(folder), 1)
-        with pytest.MonkeyPatch.context() as patch:
-            countdown = Countdown(patch, kill_at, after)
-            try:
-                save(CheckpointStore(folder), 2)
-            except Kill:
-                pass
-        assert step_of(CheckpointStore(folder)) in (1, 2)
-        save(CheckpointStore(folder), 3)  # and the next save mends everything
-        assert step_of(CheckpointStore(folder)) == 3
-        left = {path.name for path in folder.iterdir()}
-        assert left <= {"checkpoint", ".part-doomed"}
-        if not countdown.dead:
-            break
-        kills += 1
-    assert kills > 10
-
-
-def test_two_kills_in_a_row(tmp_path: Path) -> None:
-    """The second save begins in what the first kill left, and is killed at every point as well."""
-    for first in range(1, 26, 3):
-        for second in range(1, 36, 6):
-            folder = tmp_path / f"{first}-{second}"
-            folder.mkdir()
-            save(CheckpointStore(folder), 1)
-            newest = 1
-            for kill_at, step in ((first, 2), (second, 3)):
-                with pytest.MonkeyPatch.context() as patch:
-                    Countdown(patch, kill_at, after=True)
-                    try:
-                        save(CheckpointStore(folder), step)
-                    except Kill:
-                        pass
-                found = step_of(CheckpointStore(folder))
-                assert newest <= found <= step  # never back to an older one
-                newest = found
-            shutil.rmtree(folder)
 
 
 def test_a_failing_writer_leaves_the_last_one(tmp_path: Path) -> None:
