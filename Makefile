@@ -2,7 +2,8 @@
 #
 #   make demo [SCENE=folder] [OUT=folder] [PRESET=preview|standard|paper]
 #   make extension
-#   make test, make test-slow, make test-window, make test-blender-next, make lint, make clean
+#   make test, make behaviours, make search [SEED=number] [PLGS_FUZZ=factor], make lint, make clean
+#   make test-slow, make test-window, make test-blender-next
 #
 # TORCH_INDEX=<url> names an index of CPU builds of torch for the set-up, if pip does not know one already.
 
@@ -11,29 +12,45 @@ OUT ?= lifts/demo
 PRESET ?= preview
 
 PYTHON := .venv/bin/python
-PYTEST := -m pytest --durations=5
+PYTEST := -m pytest --durations=10
+# One process of tests for each core, and memory for four at most.
+PARALLEL := -n logical --maxprocesses=4 --dist=worksteal
 # A test that takes longer than pyproject.toml's faulthandler_timeout hangs: none of `make test` takes a minute.
 ENDING := -o faulthandler_exit_on_timeout=true
 # The parts that mypy reads, if they exist.
 TYPED := $(addprefix -p plgs.,$(wildcard engine plgs_blender operators ui)) $(if $(wildcard run_plgs.py),-m plgs.run_plgs)
-# Tests of what runs in Blender's own Python. They run on the next Blender, too.
-NEXT_TESTS := $(wildcard tests/scene tests/job tests/plgs_blender tests/operators tests/ui tests/test_register.py \
-	tests/test_extension.py)
+# Tests of what runs in Blender's own Python, for the next Blender: all that touch bpy, and the main ways of the rest.
+NEXT_TESTS := $(wildcard tests/plgs_blender tests/operators tests/ui tests/test_register.py tests/test_extension.py \
+	tests/scene/test_opening.py tests/scene/formats tests/job/test_folder.py tests/job/test_following_events.py)
+# Which examples `make search` tries first, and how many times as many as `make test`.
+SEED := $(or $(SEED),$(shell od -An -N3 -tu4 /dev/urandom | tr -d ' '))
+PLGS_FUZZ ?= 10
 
-.PHONY: demo extension test test-slow test-window test-blender-next lint set-up set-up-next clean
+.PHONY: demo extension test test-slow test-window test-blender-next behaviours search lint set-up set-up-next clean
 .NOTPARALLEL:
 
 # A demo that was stopped goes on where it was. A finished one is left as it is.
 demo: set-up
 	$(PYTHON) run_plgs.py $(SCENE) -o $(OUT) --preset $(PRESET) --resume
 
-test: lint set-up-next
-	$(PYTHON) $(PYTEST) $(ENDING) -m "not slow"
-	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(ENDING) -m "not slow" $(NEXT_TESTS); fi
+# Kernels are compiled while mypy reads.
+test: set-up-next
+	@$(PYTHON) -m engine warm-up & $(MAKE) --no-print-directory lint && wait $$!
+	$(PYTHON) $(PYTEST) $(ENDING) $(PARALLEL) -m "not slow"
+	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(ENDING) $(PARALLEL) -m "not slow" $(NEXT_TESTS); fi
+
+# What users see, from end to end: the tests that tests/behaviours.py names.
+behaviours: set-up
+	$(PYTHON) $(PYTEST) $(ENDING) $(PARALLEL) $$($(PYTHON) tests/behaviours.py)
+
+# Other examples than those of `make test`, each time.
+search: set-up
+	@PLGS_FUZZ=$(PLGS_FUZZ) $(PYTHON) $(PYTEST) $(PARALLEL) -m hypothesis --hypothesis-profile=search --hypothesis-seed=$(SEED) || \
+	{ echo "To repeat it: make search SEED=$(SEED) PLGS_FUZZ=$(PLGS_FUZZ)"; exit 1; }
 
 test-slow: set-up-next extension
-	$(PYTHON) $(PYTEST)
-	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(NEXT_TESTS); fi
+	$(PYTHON) $(PYTEST) $(PARALLEL)
+	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(PARALLEL) $(NEXT_TESTS); fi
 	@$(PYTHON) set_up/blender_window.py trixie
 	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) tests/window
 

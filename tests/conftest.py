@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -57,6 +58,12 @@ def _end_the_process() -> None:
         sys.stderr.flush()
         os._exit(_exit_codes[-1])
 
+
+# The same examples each time, however busy the machine is; `make search` looks for others (profile "search").
+_busy = [HealthCheck.too_slow]
+settings.register_profile("same", derandomize=True, deadline=None, database=None, suppress_health_check=_busy)
+settings.register_profile("search", deadline=None, database=None, suppress_health_check=_busy, print_blob=True)
+settings.load_profile("same")
 
 # As the engine's command has it: threads that wait do not spin. Read when torch is first imported.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

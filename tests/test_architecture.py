@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.behaviours import BEHAVIOURS
+
 ROOT = Path(__file__).resolve().parent.parent
 
 # Each part of the engine, the folder or file under engine/ of that name, and the parts that it may import.
@@ -414,3 +416,10 @@ def test_the_extension_is_loaded_once() -> None:
     ours = str(ROOT / "__init__.py")
     names = [name for name, module in sys.modules.items() if getattr(module, "__file__", "") == ours]
     assert names == ["plgs"]
+
+
+@pytest.mark.parametrize("behaviour", BEHAVIOURS)
+def test_each_behaviour_is_pinned_by_a_test(behaviour: str) -> None:
+    file, _, name = BEHAVIOURS[behaviour].partition("::")
+    text = (ROOT / "tests" / file).read_text(encoding="utf-8")
+    assert f"def {name or 'test_'}" in text, f"tests/behaviours.py names {name}, which is not in tests/{file}"

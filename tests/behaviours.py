@@ -1,0 +1,80 @@
+"""What users see from end to end, and the test that pins each: `make behaviours` runs these.
+
+    python tests/behaviours.py      # prints the tests, as pytest takes them
+
+tests/test_architecture.py checks that each is there. A test that is renamed or moved is renamed here.
+"""
+
+from __future__ import annotations
+
+BEHAVIOURS = {
+    "a lift writes the files of docs/lift-folder.md": (
+        "lift/test_lift.py::test_the_files_are_those_of_the_design"
+    ),
+    "a lift's arrays: points and anchors": "lift/test_lift.py::test_points_and_anchors",
+    "a lift's arrays: instances": "lift/test_lift.py::test_instances",
+    "a lift's passes have the frames' own size": (
+        "lift/test_lift.py::test_passes_have_the_frames_own_size_and_whole_labels"
+    ),
+    "a lift with the same seed writes the same bytes": "lift/test_lift.py::test_same_seed_same_bytes",
+    "a lift beats the masks that it was given": "lift/test_quality.py::test_it_beats_the_masks_it_was_given",
+    "a lift is cancelled and resumed": "lift/test_lift.py::test_a_cancelled_lift_goes_on",
+    "a lift that was killed is resumed to the same bytes": (
+        "test_kill_and_resume.py::test_a_lift_that_is_killed_and_resumed_has_the_same_bytes"
+    ),
+    "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_every_file_has_the_ids_that_last",
+    "a lift finds a scene that was moved": "lift/test_moved.py::test_the_scene_is_found",
+    "frames are baked later with the same bytes": "lift/test_bake_more.py::test_the_bytes_of_a_lift_that_bakes_all",
+    "any camera is baked": "lift/test_bake_more.py::test_any_camera",
+    "several commands bake side by side": "lift/test_bake_together.py::test_two_commands_share_the_frames",
+    "corrections change passes, exports and scores": (
+        "lift/test_bake_more.py::test_a_corrected_lift_is_baked_exported_and_scored_as_corrected"
+    ),
+    "Blender reads ids and mattes of the passes": "passes/test_exr.py::test_blender_reads_ids_and_mattes",
+    "each format of captures is recognised": (
+        "scene/formats/test_recognising.py::test_each_format_has_a_name_of_its_own_and_says_what_it_looks_for"
+    ),
+    "frames of COLMAP": "scene/formats/test_colmap.py::test_dense_depth_lies_on_the_room",
+    "frames of Hypersim": "scene/formats/test_hypersim.py::test_points_lie_on_the_room",
+    "frames of Nerfstudio": "scene/formats/test_nerfstudio.py::test_points_lie_on_the_room",
+    "frames of Polycam": "scene/formats/test_polycam.py::test_points_lie_on_the_room",
+    "frames of posed images": "scene/formats/test_posed_images.py::test_with_depth",
+    "frames of Open3D's logs": "scene/formats/test_open3d_log.py::test_a_log_with_the_usual_lens",
+    "frames of Record3D": "scene/formats/test_record3d.py::test_points_lie_on_the_room",
+    "frames of Replica": "scene/formats/test_replica.py::test_nice_slam",
+    "frames of ScanNet's archives": "scene/formats/test_sens.py::test_points_lie_on_the_room",
+    "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_lie_on_the_room",
+    "frames of 7-Scenes": "scene/formats/test_seven_scenes.py::test_raw_depth_is_registered_to_colour",
+    "frames of Stray Scanner": "scene/formats/test_stray.py::test_points_lie_on_the_room",
+    "frames of TUM": "scene/formats/test_tum.py::test_points_lie_on_the_room",
+    "bad scenes and masks are one line": "scene/test_bad_input.py",
+    "a scene is diagnosed and mended": "diagnosis/test_mend.py::test_the_command_says_shows_and_mends",
+    "a building is lifted in blocks": "building/test_run.py::test_a_building_in_two_blocks",
+    "exports: clouds": "export/test_export.py::test_clouds_hold_each_pixel_in_the_world",
+    "exports: COCO panoptic": "export/test_export.py::test_coco",
+    "exports: label images": "export/test_export.py::test_label_images",
+    "exports: ScanNet": "export/test_export.py::test_scannet",
+    "exports: boxes": "export/test_export.py::test_boxes",
+    "exports: depth maps": "export/test_export.py::test_depth_maps",
+    "exports: meshes": "export/test_export.py::test_meshes",
+    "run_plgs.py lifts a scene into a .blend": "test_run_plgs.py::test_finishes",
+    "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_frames_are_baked_and_those_that_are_done_are_kept",
+    "the zip installs, registers and goes": "test_extension.py::test_the_zip_installs_and_registers_and_goes",
+    "every button works with the engine that the set-up made": (
+        "operators/test_every_action.py::test_every_action_works_with_the_engine_that_the_buttons_made"
+    ),
+    "the panel's buttons: import": "operators/test_scene.py::test_importing_cameras_lifts_nothing",
+    "the panel's buttons: lift": "operators/test_lift.py::test_a_script_waits_for_the_lift",
+    "the panel's buttons: resume": "operators/test_lift.py::test_resuming",
+    "the panel's buttons: masks": "operators/test_masks.py::test_masks_are_made_and_shown",
+    "the panel's buttons: corrections": ("operators/test_corrections.py::test_deleted_and_undone_by_blenders_own_undo"),
+    "the panel's buttons: passes": (
+        "operators/test_passes.py::test_passes_open_in_the_compositor_at_the_active_camera"
+    ),
+    "the panel's buttons: export": "operators/test_export.py::test_forms_are_exported_by_the_engine",
+    "the panel shows a lift that is finished": "ui/test_panels.py::test_a_finished_lift_is_shown",
+}
+
+
+if __name__ == "__main__":
+    print(*[f"tests/{test}" for test in BEHAVIOURS.values()])
