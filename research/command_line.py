@@ -29,6 +29,8 @@ from engine.job.terminal import Interrupted, Interrupts
 from engine.presets.preset import PRESETS
 from engine.scene_source import UP_OPTIONS
 
+from .baselines.options import with_baseline_options
+
 SAMPLE = "sample/room"
 OF_THE_ENGINE = ("lift", "bake", "export", "evaluate", "presets")
 """Commands of the engine that also take the baselines' options here."""
@@ -39,22 +41,18 @@ FEWEST_OF_A_CAPTURE = 10
 def main(arguments: Sequence[str]) -> int:
     """Run a command and return its exit code. Bad arguments end with SystemExit(2), as argparse has it."""
     if arguments[:1] and arguments[0] in OF_THE_ENGINE:
-        _register_baselines()
+        with_baseline_options()
         return run_command(arguments, _parser_of_the_engine)
     return run_command(arguments, make_parser)
 
 
 def _parser_of_the_engine() -> argparse.ArgumentParser:
-    """With ``lift SCENE -o OUT`` done by a process of this program."""
+    """With lifts done by a process of this program, in the baselines' ways."""
+    from .baselines.method import lift_baseline  # which makes the baselines' kinds of decoders known
+
     parser = parser_of_the_engine()
-    parser.set_defaults(program="research")
+    parser.set_defaults(program="research", lift=lift_baseline)
     return parser
-
-
-def _register_baselines() -> None:
-    from .baselines.method import register
-
-    register()
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -188,7 +186,7 @@ def run_experiments(options: argparse.Namespace) -> int:
     from .experiments.scenes import scenes_from
     from .results import read_results
 
-    _register_baselines()
+    with_baseline_options()
     rows = read_rows()
     if options.list:
         print(*rows.listed(), sep="\n")

@@ -35,7 +35,8 @@ def lift(options: argparse.Namespace) -> int:
         raise PlgsError("a lift's request never changes", ", ".join(given), fix)
     folder = LiftFolder.open(options.scene)
     pipe = _parent_pipe(options, folder)
-    return run_engine(folder, resume=options.resume, parent_pipe=pipe, echo=options.echo)
+    own = getattr(options, "lift", None)  # of another program, which has its own way to lift
+    return run_engine(folder, resume=options.resume, parent_pipe=pipe, echo=options.echo, lift=own)
 
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:

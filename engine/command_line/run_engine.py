@@ -55,7 +55,7 @@ def run_engine(
                 folder.prepare_run()
 
             def work(events: EventWriter, stop: StopSignal) -> None:
-                (lift or _run_lift(folder))(folder, events, stop, resume=resume)
+                _run_lift(folder, lift)(folder, events, stop, resume=resume)
 
             task = Task(
                 LIFT,
@@ -167,12 +167,14 @@ def _refuse_unfinished(folder: LiftFolder) -> None:
     verify_lifted(folder.result_path)
 
 
-def _run_lift(folder: LiftFolder) -> Lift:
-    """The real one, loaded late: it brings torch, and by now the watchdog can stop even a slow import."""
+def _run_lift(folder: LiftFolder, lift: Lift | None) -> Lift:
+    """``lift``, or the real one, loaded late: it brings torch, and by now the watchdog can stop even a slow import."""
     if folder.request.blocks and not folder.request.block:
         from ..building.run import run_building
 
         return run_building
+    if lift is not None:
+        return lift
     from ..lift import run_lift
 
     return run_lift

@@ -10,7 +10,9 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from statistics import median
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -21,12 +23,13 @@ from ..job import Checkpoint, EventWriter, LiftFolder, LiftRequest, StopSignal, 
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
 from ..machine.log_compilation import log_compilation
 from ..model.settling import OwnedPoints
-from ..model.structured import StructuredScene
+from ..model.structured import GaussianLabels, StructuredScene
 from ..model.tensor_file import read_tensors
 from ..presets.preset import Preset
 from ..raster import drawing_on
 from ..scene import (
     VOID,
+    ClassTable,
     Frame,
     Scene,
     StoredViews,
@@ -39,18 +42,18 @@ from ..scene import (
 )
 from ..scene.blocks import scene_of_block
 from ..scene_of_lift import have_masks_changed, remember_scene
-from ..train.progress import Course, StageReporter
+from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate
 from .device import be_repeatable, refuse_missing_device
 from .fitting import predicted_lift
+from .frame_sets import FRAMES, FrameSets, sets_of_frames
 from .lasting_names import keep_names, read_earlier, take_over_edits, write_names
 from .live_previews import LivePreviews
-from .method import Method, method_in_use
+from .preparation import PreparedLift, prepare
 from .scene_files import instance_names, shown_instances, write_scene_files
-from .training_frames import FRAMES, scene_to_lift
-from .voters import frames_to_vote, read_voters
+from .voters import read_voters
 from .voting import vote_labels
 
 log = logging.getLogger("plgs.lift")
@@ -76,93 +79,137 @@ LEAST_STEPS = 100
 """Steps from which their pace is remembered. Fewer measure the first compilation, not the computer."""
 
 
-def run_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+class Preparing(Protocol):
+    """Everything before the first step, as `prepare` does it."""
+
+    def __call__(
+        self,
+        views: Sequence[View],
+        classes: ClassTable,
+        preset: Preset,
+        seed: int,
+        stages: StageReporter,
+        scratch: Path | None = None,
+        others: Sequence[View] = (),
+    ) -> PreparedLift: ...
+
+
+def new_trainer(prepared: PreparedLift, views: Sequence[View], preset: Preset, seed: int) -> Trainer:
+    """The trainer that does the steps."""
+    return Trainer(prepared.scene, prepared.targets, views, preset, seed)
+
+
+def run_lift(
+    folder: LiftFolder,
+    events: EventWriter,
+    stop: StopSignal,
+    *,
+    resume: bool,
+    preparing: Preparing = prepare,
+    training: Callable[[PreparedLift, Sequence[View], Preset, int], Trainer] = new_trainer,
+    finishing: Callable[[Trainer, PreparedLift, ClassTable, StageProgress], PreparedLift] | None = None,
+) -> None:
     """Do the lift that ``folder`` asks for, or what is left of it.
 
-    Raises PlgsError for input that cannot be lifted, and Cancelled when stopped. The folder can then be resumed.
+    Another method than PLGS gives its own ``preparing``, ``training``, and ``finishing``, which is called after the
+    last step. Raises PlgsError for input that cannot be lifted, and Cancelled when stopped. The folder can then be
+    resumed.
     """
-    request = folder.request
+    request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
     refuse_missing_device(request.device)
     refuse_names_of_no_objects(request, preset)
-    method = method_in_use()
-    method.refuse_bad_options(preset)
     be_repeatable(request.device)
-    stages = StageReporter(events, stop, STAGES)
-    with drawing_on(request.device):
-        do_stages(folder, preset, stages, method, resume=resume)
-
-
-def do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter, method: Method, *, resume: bool) -> None:
-    """``STAGES``, one after another."""
-    request, events = folder.request, stages.events
     checkpoint = folder.checkpoints.latest() if resume else None
+    with drawing_on(request.device):
+        with stages.stage("check") as progress:
+            frames, masks_changed = checked_frames(folder, preset, checkpoint, progress, events)
+            earlier = None if request.names_from is None else read_earlier(request.names_from)
+        stages.course = expected_course(frames, preset, request.bake)
+        with stages.stage("read") as progress:
+            views, others = read_views(frames, preset, folder.path, progress, events)
 
-    with stages.stage("check") as progress:
-        if preset.labels == "votes" and not preset.can_vote:
-            events.warning(NO_VOTES)
-        whole = open_scene_to_lift(request)
-        masks_changed = have_masks_changed(folder, whole)
-        remember_scene(folder, whole)
-        if request.block:
-            whole = scene_of_block(whole, request.blocks, request.block, progress)
-        earlier = None if request.names_from is None else read_earlier(request.names_from)
-        scene = scene_to_lift(whole, request, checkpoint, progress, events)
-        for warning in (*scene.warnings, *check_scene(scene, progress)):
-            events.warning(warning)
-    stages.course = expected_course(whole, len(scene.train_frames), preset, request.bake)
-    with stages.stage("read") as progress:
-        frames, voting = scene.train_frames, frames_to_vote(whole, scene, preset)
-        total = len(frames) + len(voting)
-        read = read_ahead(frames, lambda frame: load_view(frame, size_within(frame.size, preset.size)))
-        views = StoredViews(read, folder.path, lambda done: progress(done, total))
-        refuse_empty(views, scene)
-        others = read_voters(voting, preset, lambda done: progress(len(frames) + done, total), events, folder.path)
+        preset = preset.for_views(len(views))
+        classes = frames.all.classes
+        prepared = preparing(views, classes, preset, request.seed, stages, folder.path, others)
+        trainer = training(prepared, views, preset, request.seed)
+        if checkpoint is not None:
+            take_up(trainer, checkpoint, events, masks_changed=masks_changed)
+        names: Mapping[int, str] = instance_names(prepared.instances, classes)
+        previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events)
+        paces = train(trainer, folder, [frame.name for frame in frames.training], stages, previews)
 
-    preset = preset.for_views(len(views))
-    prepared = method.prepare(views, scene.classes, preset, request.seed, stages, folder.path, others)
-    trainer = method.trainer(prepared, views, preset, request.seed)
-    if checkpoint is not None:
-        if masks_changed and not preset.shows_votes:
-            events.warning(f"the masks have changed, which the finished scene shows by training: {TRAINED_ANEW}")
-        else:
-            take_up(trainer, checkpoint, events)
-        log.info("resuming after step %d", trainer.step_number)
-    names: Mapping[int, str] = instance_names(prepared.instances, scene.classes)
-    previews = LivePreviews(folder, whole, shown_instances(prepared, names), events)
-    paces = train(trainer, folder, [frame.name for frame in frames], stages, previews)
-
-    with stages.stage("result") as progress:
-        prepared = method.finish(trainer, prepared, scene.classes, progress)
-        if preset.shows_votes:
-            maps = prepared.label_maps
-            assert maps is not None  # objects by agreement come with them
-            points = OwnedPoints(prepared.cloud.xyz, prepared.instance_of_point)
-            trainer.scene.voted = vote_labels(trainer.scene, frames, maps, preset, progress, points, folder.path)
-        if earlier is not None:
-            prepared, lasting = keep_names(earlier, prepared, trainer.scene, scene.classes)
-            names = lasting.names
-            write_names(folder, lasting, events)
-        write_scene_files(folder, scene, views, prepared, trainer.scene, events, names)
-        if earlier is not None and earlier.edits:
-            take_over_edits(folder, earlier, events)
-    baker = FrameBaker(scene.classes, trainer.scene, shown_instances(prepared, names))
-    wanted = frames_to_bake(whole, request.bake)
-    bake_and_evaluate(folder, scene, baker, wanted, views, preset.size, events, stages)
+        with stages.stage("result") as progress:
+            if finishing is not None:
+                prepared = finishing(trainer, prepared, classes, progress)
+            if preset.shows_votes:
+                trainer.scene.voted = voted_labels(trainer.scene, frames, prepared, preset, progress, folder.path)
+            if earlier is not None:
+                prepared, lasting = keep_names(earlier, prepared, trainer.scene, classes)
+                names = lasting.names
+                write_names(folder, lasting, events)
+            write_scene_files(folder, frames.chosen, views, prepared, trainer.scene, events, names)
+            if earlier is not None and earlier.edits:
+                take_over_edits(folder, earlier, events)
+        baker = FrameBaker(classes, trainer.scene, shown_instances(prepared, names))
+        wanted = frames_to_bake(frames.all, request.bake)
+        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, preset.size, events, stages)
     previews.clear_away()
-    write_manifest(
-        folder.result_path,
-        versions=library_versions(),
-        seed=request.seed,
-        settings=asdict(preset),
-        timings=stages.timings,
-    )
+    versions, settings = library_versions(), asdict(preset)
+    write_manifest(folder.result_path, versions=versions, seed=request.seed, settings=settings, timings=stages.timings)
     remember_pace(paces, trainer)
 
 
-def expected_course(whole: Scene, views: int, preset: Preset, bake: str) -> Course:
-    """How long the stages after the check take when ``views`` frames of the scene are lifted."""
-    seconds = predicted_lift(whole, replace(preset, frames=views), USUAL_MASKS, bake).stages
+def checked_frames(
+    folder: LiftFolder, preset: Preset, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
+) -> tuple[FrameSets, bool]:
+    """The frames of the scene that the folder asks for, by what they are for; and whether its masks have changed since
+    the lift was begun. Raises PlgsError."""
+    request = folder.request
+    if preset.labels == "votes" and not preset.can_vote:
+        events.warning(NO_VOTES)
+    scene = open_scene_to_lift(request)
+    masks_changed = have_masks_changed(folder, scene)
+    remember_scene(folder, scene)
+    if request.block:
+        scene = scene_of_block(scene, request.blocks, request.block, progress)
+    frames = sets_of_frames(scene, request, checkpoint, progress, events)
+    for warning in (*frames.chosen.warnings, *check_scene(frames.chosen, progress)):
+        events.warning(warning)
+    return frames, masks_changed
+
+
+def read_views(
+    frames: FrameSets, preset: Preset, scratch: Path, progress: StageProgress, events: EventWriter
+) -> tuple[StoredViews, StoredViews]:
+    """The views to train on, and those that only vote, on disk in ``scratch``. Raises PlgsError where nothing is left
+    of them, OSError when the disk is full."""
+    training, voting = frames.training, frames.voting
+    total = len(training) + len(voting)
+    read = read_ahead(training, lambda frame: load_view(frame, size_within(frame.size, preset.size)))
+    views = StoredViews(read, scratch, lambda done: progress(done, total))
+    refuse_empty(views, frames.all)
+    return views, read_voters(voting, preset, lambda done: progress(len(training) + done, total), events, scratch)
+
+
+def voted_labels(
+    lifted: StructuredScene,
+    frames: FrameSets,
+    prepared: PreparedLift,
+    preset: Preset,
+    progress: StageProgress,
+    scratch: Path,
+) -> GaussianLabels:
+    """The labels that the training frames vote onto the Gaussians. Raises as `vote_labels`."""
+    maps = prepared.label_maps
+    assert maps is not None  # objects by agreement come with them
+    points = OwnedPoints(prepared.cloud.xyz, prepared.instance_of_point)
+    return vote_labels(lifted, frames.training, maps, preset, progress, points, scratch)
+
+
+def expected_course(frames: FrameSets, preset: Preset, bake: str) -> Course:
+    """How long the stages after the check take."""
+    seconds = predicted_lift(frames.all, replace(preset, frames=len(frames.training)), USUAL_MASKS, bake).stages
     slowness = machine_slowness()
     return Course({name: slowness * value for name, value in seconds.items() if name not in ("start", "check")})
 
@@ -175,9 +222,12 @@ def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
         raise PlgsError(what, request.names_from, fix, option="--names-from")
 
 
-def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter) -> None:
+def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter, *, masks_changed: bool) -> None:
     """Continue from a checkpoint, or begin anew where the masks give other objects or classes than they did. Raises
     PlgsError for a checkpoint that is damaged, or another lift's."""
+    if masks_changed and not trainer.preset.shows_votes:
+        events.warning(f"the masks have changed, which the finished scene shows by training: {TRAINED_ANEW}")
+        return
     path = checkpoint.path / "trainer.safetensors"
     try:
         restore(trainer, read_tensors(path)[0], checkpoint.state)
@@ -186,6 +236,7 @@ def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter) -> No
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         fix = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
         raise PlgsError(f"the checkpoint cannot be used ({error})", path, fix) from error
+    log.info("resuming after step %d", trainer.step_number)
 
 
 def refuse_empty(views: Sequence[View], scene: Scene) -> None:

@@ -27,7 +27,7 @@ from ..errors import PlgsError
 from ..instances.agreement import ViewPoints, view_points
 from ..job import EventWriter
 from ..presets.preset import Preset
-from ..scene import Frame, OnDemand, Scene, Size, StoredViews, View, read_ahead, size_within
+from ..scene import Frame, OnDemand, Size, StoredViews, View, read_ahead, size_within
 
 SMALLER = 2
 """Factor by which voters are narrower and lower than the frames trained on."""
@@ -45,15 +45,6 @@ class Voters:
     def seen(self) -> Sequence[ViewPoints]:
         """What each view says of the points it sees, made when asked for."""
         return OnDemand(len(self.views), lambda number: view_points(self.views[number], self.point_of_pixel[number]))
-
-
-def frames_to_vote(whole: Scene, scene: Scene, preset: Preset) -> tuple[Frame, ...]:
-    """The frames of ``whole`` that are neither held out nor in ``scene``, which is trained on. None where the preset
-    has no use for them."""
-    if preset.objects != "agreement" or not preset.all_frames_vote:
-        return ()
-    trained_on = {frame.name for frame in scene.train_frames}
-    return tuple(frame for frame in whole.train_frames if frame.name not in trained_on)
 
 
 def read_voters(

@@ -45,7 +45,7 @@ class PresetOption:
 
 def preset_options() -> Mapping[str, PresetOption]:
     """All options by name, in the order of the presets' fields."""
-    kind: Any = type(PRESETS["preview"])  # a subclass where baselines are registered
+    kind: Any = type(PRESETS["preview"])  # or a subclass with further options
     return _options_of(kind)
 
 

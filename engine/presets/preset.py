@@ -9,7 +9,7 @@ paper's 30 000 (paper, "Implementation Details").
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeVar
 
 SHORTEST_SIDE, LONGEST_SIDE = 16, 16384
@@ -235,9 +235,3 @@ PRESETS: dict[str, Preset] = {
         ),
     )
 }
-
-
-def extend_presets(kind: type[Preset]) -> None:
-    """Give all presets the further options of a subclass, at their defaults: `research` adds those of its baselines."""
-    for name, preset in PRESETS.items():
-        PRESETS[name] = kind(**{each.name: getattr(preset, each.name) for each in fields(preset)})

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from engine.instances.panoptic_labels import PanopticLabels
 from engine.instances.segment_votes import member_labels
-from engine.lift.method import Method, use_method
-from engine.lift.preparation import PreparedLift
+from engine.job import EventWriter, LiftFolder, StopSignal
+from engine.lift.preparation import PreparedLift, prepare
+from engine.lift.run import run_lift
 from engine.lift.starting_scene import starting_anchors, starting_scene
 from engine.model.decoders import Decoders, DecoderShape
 from engine.model.structured import StructuredScene
-from engine.presets.preset import Preset, extend_presets
+from engine.presets.preset import Preset
 from engine.scene import ClassTable, OnDemand, View, stored
 from engine.train.progress import StageProgress, StageReporter
 from engine.train.targets import ViewTargets, columns_of, slots_of
@@ -32,64 +33,65 @@ from .options import BaselinePreset, refuse_clashing_options
 from .trainer import EncodingTrainer, SegmentTrainer, SplattingTrainer
 
 
-def register() -> None:
-    """Make the baselines known to the engine in this process: their options, and what they do otherwise. Their kinds of
-    decoders are known once this module is imported."""
-    extend_presets(BaselinePreset)
-    use_method(Baselines())
+def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+    """`run_lift` by whichever baseline the preset's options name; with none of them PLGS itself. Raises as it, and
+    PlgsError for options that clash."""
+    preset = cast(BaselinePreset, folder.request.chosen_preset)
+    refuse_clashing_options(preset)
+    run_lift(
+        folder,
+        events,
+        stop,
+        resume=resume,
+        preparing=prepare_baseline,
+        training=new_trainer,
+        finishing=with_instances,
+    )
 
 
-class Baselines(Method):
-    """Whichever the preset's options name; with none of them PLGS itself."""
+def prepare_baseline(
+    views: Sequence[View],
+    classes: ClassTable,
+    preset: Preset,
+    seed: int,
+    stages: StageReporter,
+    scratch: Path | None = None,
+    others: Sequence[View] = (),
+) -> PreparedLift:
+    """PLGS's start, with another scene, other targets or other label maps in place of its own."""
+    options = cast(BaselinePreset, preset)
+    has_own_start = options.representation != "structured" or options.instances != "slots" or not options.labelled_start
+    first = replace(preset, warm_start=False) if has_own_start else preset
+    prepared = prepare(views, classes, first, seed, stages, scratch, others)
+    if options.vote_from == "masks" and prepared.label_maps is not None:
+        prepared = with_labels_of_masks(prepared, views, scratch)
+    if has_own_start:
+        viewpoints = np.array([view.camera.centre for view in views])
+        prepared = replace(prepared, scene=baseline_scene(prepared, viewpoints, options, seed))
+    if options.semantic_targets != "projected":
+        prepared = with_semantic_targets(prepared, views, options.semantic_targets)
+    return prepared
 
-    def refuse_bad_options(self, preset: Preset) -> None:
-        """See ``refuse_clashing_options``."""
-        refuse_clashing_options(cast(BaselinePreset, preset))
 
-    def prepare(
-        self,
-        views: Sequence[View],
-        classes: ClassTable,
-        preset: Preset,
-        seed: int,
-        stages: StageReporter,
-        scratch: Path | None = None,
-        others: Sequence[View] = (),
-    ) -> PreparedLift:
-        """PLGS's start, with another scene, other targets or other label maps in place of its own."""
-        options = cast(BaselinePreset, preset)
-        has_own_start = (
-            options.representation != "structured" or options.instances != "slots" or not options.labelled_start
-        )
-        first = replace(preset, warm_start=False) if has_own_start else preset
-        prepared = super().prepare(views, classes, first, seed, stages, scratch, others)
-        if options.vote_from == "masks" and prepared.label_maps is not None:
-            prepared = with_labels_of_masks(prepared, views, scratch)
-        if has_own_start:
-            viewpoints = np.array([view.camera.centre for view in views])
-            prepared = replace(prepared, scene=baseline_scene(prepared, viewpoints, options, seed))
-        if options.semantic_targets != "projected":
-            prepared = with_semantic_targets(prepared, views, options.semantic_targets)
-        return prepared
+def new_trainer(prepared: PreparedLift, views: Sequence[View], preset: Preset, seed: int) -> Trainer:
+    """The trainer of the preset's baseline."""
+    options = cast(BaselinePreset, preset)
+    kind: type[Trainer] = SegmentTrainer
+    if options.representation == "plain":
+        kind = SplattingTrainer
+    elif options.instances != "slots":
+        kind = EncodingTrainer
+    return kind(prepared.scene, prepared.targets, views, preset, seed)
 
-    def trainer(self, prepared: PreparedLift, views: Sequence[View], preset: Preset, seed: int) -> Trainer:
-        """The one of the preset's baseline."""
-        options = cast(BaselinePreset, preset)
-        kind: type[Trainer] = SegmentTrainer
-        if options.representation == "plain":
-            kind = SplattingTrainer
-        elif options.instances != "slots":
-            kind = EncodingTrainer
-        return kind(prepared.scene, prepared.targets, views, preset, seed)
 
-    def finish(
-        self, trainer: Trainer, prepared: PreparedLift, classes: ClassTable, progress: StageProgress
-    ) -> PreparedLift:
-        """The clusters of contrastive embeddings become the instances."""
-        if isinstance(trainer.scene.decoders, FollowedDecoders):
-            trainer.scene = with_clusters(trainer.scene, trainer.views, classes.thing_ids, trainer.seed, progress)
-            prepared = replace(prepared, scene=trainer.scene)
-        return prepared
+def with_instances(
+    trainer: Trainer, prepared: PreparedLift, classes: ClassTable, progress: StageProgress
+) -> PreparedLift:
+    """After the last step the clusters of contrastive embeddings become the instances."""
+    if isinstance(trainer.scene.decoders, FollowedDecoders):
+        trainer.scene = with_clusters(trainer.scene, trainer.views, classes.thing_ids, trainer.seed, progress)
+        prepared = replace(prepared, scene=trainer.scene)
+    return prepared
 
 
 def baseline_scene(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from engine.errors import PlgsError
-from engine.presets.preset import Preset
+from engine.presets.preset import PRESETS, Preset
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,11 @@ class BaselinePreset(Preset):
     @property
     def can_vote(self) -> bool:
         return super().can_vote and self.instances == "slots"
+
+
+def with_baseline_options() -> None:
+    """Let the presets of this process have these options, so that they can be given by name and read from requests."""
+    PRESETS.update({name: BaselinePreset(**vars(preset)) for name, preset in PRESETS.items()})
 
 
 def refuse_clashing_options(preset: BaselinePreset) -> None:

@@ -17,8 +17,8 @@ from safetensors.torch import safe_open
 
 from engine.errors import Cancelled
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, verify
+from engine.lift import frame_sets, run_lift
 from engine.lift import run as lift_run
-from engine.lift import run_lift, training_frames
 from engine.lift.run import STAGES
 from engine.model.structured import from_tensors
 from engine.presets.preset import PRESETS
@@ -221,7 +221,7 @@ def test_a_resumed_lift_trains_on_the_frames_that_it_was_begun_with(
 
     folder = LiftFolder.create(lifts.root / "small", LiftRequest(scene=lifts.scene, fit=True))
     with monkeypatch.context() as small:
-        small.setattr(training_frames, "frames_that_fit", lambda *_: 6)
+        small.setattr(frame_sets, "frames_that_fit", lambda *_: 6)
         small.setattr(lift_run, "vote_labels", stop)
         with pytest.raises(Cancelled):
             run(folder)

@@ -12,7 +12,6 @@ import pytest
 from engine.errors import Cancelled, PlgsError
 from engine.job import EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
 from engine.lift import run
-from engine.lift.method import Method
 from engine.presets.preset import PRESETS
 from engine.scene import PanopticMask, Segment, load_view, open_scene
 from engine.train.progress import StageReporter
@@ -115,8 +114,8 @@ def test_votes_need_objects_by_agreement_of_one_class(
     preset = replace(PRESETS["preview"], **changed)  # type: ignore[arg-type]
     assert preset.shows_votes == shown
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "none"))
-    with pytest.raises(PlgsError):
-        run.do_stages(folder, preset, stages, Method(), resume=False)
+    with pytest.raises(PlgsError), stages.stage("check") as progress:
+        run.checked_frames(folder, preset, None, progress, stages.events)
     events = EventReader(tmp_path / "events.jsonl").poll()
     told = [event.data["message"] for event in events if event.kind == "warning"]
     assert told == ([] if shown else [run.NO_VOTES])

@@ -12,7 +12,7 @@ import pytest
 from engine.job import LiftRequest
 from engine.job.request import PresetName
 from engine.presets.options import changed_options, checked_options, option_value, preset_options, with_options
-from engine.presets.preset import PRESETS, Preset, extend_presets
+from engine.presets.preset import PRESETS, Preset
 from engine.train.trainer import Trainer
 
 
@@ -87,7 +87,6 @@ class _Further(Preset):
 
 def test_further_options(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, preset in list(PRESETS.items()):
-        monkeypatch.setitem(PRESETS, name, preset)  # so that it comes back
-    extend_presets(_Further)
+        monkeypatch.setitem(PRESETS, name, _Further(**vars(preset)))
     assert option_value(with_options(PRESETS["paper"], checked_options({"colour": True})), "colour") is True
     assert (PRESETS["paper"].steps, list(preset_options())[-1]) == (30_000, "colour")

@@ -10,8 +10,8 @@ import pytest
 from engine.errors import PlgsError
 from engine.job import Checkpoint, EventWriter, LiftRequest, StopSignal, last_run
 from engine.job.main_memory import MainMemory
-from engine.lift import training_frames
-from engine.lift.training_frames import scene_to_lift
+from engine.lift import frame_sets
+from engine.lift.frame_sets import sets_of_frames
 from engine.scene import Scene, open_scene
 from engine.train.progress import StageProgress
 from tests.tiny_scene import write_tiny_scene
@@ -32,7 +32,8 @@ def events(tmp_path: Path) -> Iterator[EventWriter]:
 def chosen(scene: Scene, events: EventWriter, folder: Path, state: dict[str, object] | None, **options: int) -> Scene:
     checkpoint = None if state is None else Checkpoint(folder, state)  # type: ignore[arg-type]
     progress = StageProgress("check", events, StopSignal(folder / "cancel"))
-    return scene_to_lift(scene, LiftRequest(scene=scene.folder, options=options), checkpoint, progress, events)
+    request = LiftRequest(scene=scene.folder, options=options)
+    return sets_of_frames(scene, request, checkpoint, progress, events).chosen
 
 
 def warnings(folder: Path) -> list[str]:
@@ -74,9 +75,9 @@ def test_a_smaller_machine_cannot_go_on(
     scene: Scene, events: EventWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = [frame.name for frame in scene.train_frames]
-    monkeypatch.setattr(training_frames, "main_memory", lambda: MainMemory(10**7, 10**7))
+    monkeypatch.setattr(frame_sets, "main_memory", lambda: MainMemory(10**7, 10**7))
     with pytest.raises(PlgsError, match=rf"begun with {len(names)} frames.*Resume it on a computer"):
         chosen(scene, events, tmp_path, {"frames": names})
-    monkeypatch.setattr(training_frames, "main_memory", lambda: MainMemory(10**12, 10**7))
+    monkeypatch.setattr(frame_sets, "main_memory", lambda: MainMemory(10**12, 10**7))
     chosen(scene, events, tmp_path, {"frames": names})
     assert "only 0.0 GB are free" in warnings(tmp_path)[0]
