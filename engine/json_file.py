@@ -177,5 +177,10 @@ def _take(entry: dict[str, Any], key: str, context: str, path: Path) -> Any:
 
 def wrong_type(key: str, wanted: str, value: object, context: str, path: Path) -> PlgsError:
     """The error for a value of another kind than wanted."""
+    return PlgsError(f'"{key}" of {context} must be {wanted}, not {shown_json(value)}', path, "Correct the file.")
+
+
+def shown_json(value: object) -> str:
+    """A value as messages show it."""
     shown = repr(value) if isinstance(value, bool | int | float | str) else _kind_of(value)
-    return PlgsError(f'"{key}" of {context} must be {wanted}, not {shown[:60]}', path, "Correct the file.")
+    return shown[:60]

@@ -1,18 +1,36 @@
-"""Which scene is meant, and how it is read: what commands, requests and the panel hand on."""
+"""Which scene is meant, and how it is read: what commands, requests and the panel hand on.
+
+A field's metadata holds the keywords of `argparse` for the ``option`` of the command line that sets it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from argparse import ArgumentTypeError
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
-
-from .json_file import Json
 
 UpAxis = Literal["z", "y", "-y", "+z"]
 UPS: tuple[str, ...] = get_args(UpAxis)
 UP_OPTIONS: dict[str, UpAxis] = {"auto": "z", "z": "+z", "y": "y", "-y": "-y"}
 """What --up may be, and what it means."""
+
+
+def option(help: str, metavar: str, type: Any = str, **more: Any) -> dict[str, Any]:
+    """The metadata of a field that an option of the command line sets."""
+    return {"option": {"help": help, "metavar": metavar, "type": type, **more}}
+
+
+def up_axis(text: str) -> str:
+    """What --up means; for argparse, so it raises ArgumentTypeError."""
+    if text not in UP_OPTIONS:
+        raise ArgumentTypeError(f"{text!r} is none of {', '.join(UP_OPTIONS)}")
+    return UP_OPTIONS[text]
+
+
+def class_table(text: str) -> str:
+    """The name of a table of classes as it is, the path of a file as an absolute one."""
+    return str(Path(text).resolve()) if text.endswith(".toml") else text
 
 
 @dataclass(frozen=True)
@@ -26,12 +44,40 @@ class SceneSource:
     """
 
     scene: Path
-    masks: Path | None = None
-    up: UpAxis = "z"
-    scene_format: str | None = None
-    depth: Path | None = None
-    mask_format: str | None = None
-    classes: str | None = None
+    masks: Path | None = field(default=None, metadata=option("panoptic masks, where not in SCENE itself", "PATH", Path))
+    up: UpAxis = field(
+        default="z",
+        metadata=option(
+            "the axis of the poses that points up (default: auto, what the format says, else z)",
+            "|".join(UP_OPTIONS),
+            up_axis,
+        ),
+    )
+    scene_format: str | None = field(
+        default=None,
+        metadata=option(
+            "how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its looks)", "NAME"
+        ),
+    )
+    depth: Path | None = field(
+        default=None, metadata=option("depth maps of a network, fitted to the scene's sparse points", "FOLDER", Path)
+    )
+    mask_format: str | None = field(
+        default=None,
+        metadata=option(
+            "how the masks are laid out, such as coco, transformers, sam2, pairs (default: recognised by their looks)",
+            "NAME",
+        ),
+    )
+    classes: str | None = field(
+        default=None,
+        metadata=option(
+            "the masks' classes, or one of coco, ade20k, cityscapes, nyu40, scannet200, replica, reduced (default: "
+            "classes.toml beside them)",
+            "FILE.toml",
+            class_table,
+        ),
+    )
 
     @property
     def up_option(self) -> str:
@@ -44,26 +90,3 @@ class SceneSource:
         masks, depth = (None if path is None else path.resolve() for path in (self.masks, self.depth))
         classes = None if self.classes is None else class_table(self.classes)
         return SceneSource(self.scene.resolve(), masks, self.up, self.scene_format, depth, self.mask_format, classes)
-
-    def as_json(self) -> dict[str, Json]:
-        named = {"mask_format": self.mask_format, "classes": self.classes}
-        return {
-            "scene": str(self.scene),
-            "masks": None if self.masks is None else str(self.masks),
-            "up": self.up,
-            "scene_format": self.scene_format,
-            "depth": None if self.depth is None else str(self.depth),
-            **{name: value for name, value in named.items() if value is not None},
-        }
-
-    @classmethod
-    def from_json(cls, given: Mapping[str, Any]) -> SceneSource:
-        """The source that `as_json` gave. Raises KeyError, TypeError."""
-        masks, depth = (None if given[name] is None else Path(given[name]) for name in ("masks", "depth"))
-        named = (given.get(name) for name in ("mask_format", "classes"))
-        return SceneSource(Path(given["scene"]), masks, given["up"], given["scene_format"], depth, *named)
-
-
-def class_table(text: str) -> str:
-    """The name of a table of classes as it is, the path of a file as an absolute one."""
-    return str(Path(text).resolve()) if text.endswith(".toml") else text

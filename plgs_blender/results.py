@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..engine.corrections import Edit, read_corrected
 from ..engine.errors import PlgsError
-from ..engine.job import LiftFolder, ResultFile, check_sizes
+from ..engine.job import LiftFolder, ListedFile, check_sizes
 from ..engine.job.manifest import MAKE_ANEW, verify_files
 from ..engine.job.report import not_shown, read_metrics
 from ..engine.result_files import (
@@ -80,7 +80,7 @@ def read_result(folder: Path) -> LiftResult:
     )
 
 
-def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ResultFile]) -> None:
+def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ListedFile]) -> None:
     """Compare what Blender opens with the manifest's checksums, before anything is changed. Raises PlgsError.
 
     So damage on the disk is reported, not placed. The window waits meanwhile, so only the first passes are compared,

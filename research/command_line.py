@@ -19,9 +19,7 @@ from engine.errors import PlgsError
 from engine.job import ExitCode
 from engine.job.options import (
     add_amount_options,
-    add_device_option,
-    add_format_option,
-    add_label_options,
+    add_options,
     add_set_option,
     preset_or_file,
 )
@@ -99,10 +97,8 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
         help="panoptic masks, where not in SCENE itself, such as 'predictions/{scene}': {scene} is the scene's name",
     )  # fmt: skip
     parser.add_argument("--depth", metavar="FOLDER", help="depth maps of a network, as for lift: 'depths/{scene}'")
-    add_label_options(parser)
-    add_format_option(parser)
+    add_options(parser, "mask_format", "classes", "scene_format", "device")
     add_amount_options(parser)
-    add_device_option(parser)
     parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="seeds of chance (default: 0)")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",

@@ -10,8 +10,8 @@ from .. import __version__
 from ..job import FURTHER_LAYERS, EventWriter, StopSignal
 from ..job.capabilities import ADDED, CAPABILITIES
 from ..job.options import (
-    add_capture_options,
     add_lift_options,
+    add_options,
     add_progress_option,
     add_scene_options,
     add_set_option,
@@ -224,7 +224,7 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER", help="where the masks go (default: the scene's folder)"
     )
-    add_capture_options(parser)
+    add_options(parser, "up", "scene_format")
     _make_task(parser, commands.segment, "The same command goes on.")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..errors import ExitCode
-from .atomic import sha256, write_atomically
+from .atomic import ListedFile, sha256, write_atomically
 from .cameras import BakeCamera, read_cameras
 from .checkpoint import Checkpoint, CheckpointStore
 from .events import Event, EventReader, EventWriter, last_run
@@ -11,7 +11,6 @@ from .folder import LiftFolder, LiftState, refuse_used
 from .lock import BakeLocks
 from .manifest import (
     Manifest,
-    ResultFile,
     add_files,
     check_sizes,
     drop_files,
@@ -38,8 +37,8 @@ __all__ = [
     "LiftFolder",
     "LiftRequest",
     "LiftState",
+    "ListedFile",
     "Manifest",
-    "ResultFile",
     "StopSignal",
     "Watchdog",
     "add_files",

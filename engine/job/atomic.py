@@ -6,7 +6,8 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 
 from ..gates import create_plain, open_plain
 from .system import flush_folder
@@ -64,6 +65,20 @@ def sha256(path: Path) -> str:
     """The file's SHA-256 in hex. Raises OSError."""
     with open_plain(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@dataclass(frozen=True)
+class ListedFile:
+    """A file as a list of a folder's files has it: its path relative to the folder, its size, its SHA-256 in hex."""
+
+    path: PurePosixPath
+    bytes: int
+    sha256: str
+
+    @classmethod
+    def of(cls, path: Path, folder: Path) -> ListedFile:
+        """The file as it is now. Raises OSError."""
+        return cls(PurePosixPath(path.relative_to(folder)), path.stat().st_size, sha256(path))
 
 
 def files_below(folder: Path) -> Iterator[Path]:

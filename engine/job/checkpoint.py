@@ -6,13 +6,13 @@ import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..errors import PlgsError
-from ..gates import inner_path
-from ..json_file import Json, read_object, to_text
-from .atomic import PART, files_below, flush_to_disk, sha256
+from ..json_file import Json
+from ..records import read_record, record_text
+from .atomic import PART, ListedFile, files_below, flush_to_disk
 
-FORMAT = 1
 _INDEX = "state.json"
 _FIX = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
 
@@ -23,6 +23,14 @@ class Checkpoint:
 
     path: Path
     state: Mapping[str, Json]
+
+
+@dataclass(frozen=True)
+class _Index:
+    """state.json."""
+
+    state: Mapping[str, Any]
+    files: tuple[ListedFile, ...]
 
 
 class CheckpointStore:
@@ -52,8 +60,8 @@ class CheckpointStore:
         files = list(files_below(self._part))
         for path in files:
             flush_to_disk(path)
-        index = {"format": FORMAT, "state": state, "files": [_entry(path, self._part) for path in files]}
-        (self._part / _INDEX).write_text(to_text(index), encoding="utf-8")
+        index = _Index(state, tuple(ListedFile.of(path, self._part) for path in files))
+        (self._part / _INDEX).write_text(record_text(index), encoding="utf-8")
         flush_to_disk(self._part / _INDEX)
         flush_to_disk(self._part)
         self._part.rename(self._next)
@@ -99,33 +107,20 @@ class CheckpointStore:
         _delete(self._old)
 
 
-def _entry(path: Path, folder: Path) -> dict[str, object]:
-    return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": sha256(path)}
-
-
 def _verified_state(folder: Path) -> Mapping[str, Json]:
-    index = read_object(folder / _INDEX, _FIX)
-    state, files = index.get("state"), index.get("files")
-    if index.get("format") != FORMAT:
-        what = f"has format {index.get('format')!r}, this version reads {FORMAT}"
-        raise PlgsError(what, folder, "Resume with the version of PLGS that wrote it.")
-    if not isinstance(state, dict) or not isinstance(files, list):
-        raise PlgsError("is damaged", folder / _INDEX, _FIX)
-    for entry in files:
-        if not isinstance(entry, dict) or not _is_whole(entry, folder):
+    index = read_record(_Index, folder / _INDEX, _FIX)
+    for listed in index.files:
+        path = folder / listed.path
+        try:
+            is_whole = path.is_file() and listed == ListedFile.of(path, folder)
+        except ValueError:
+            is_whole = False
+        except OSError as error:
+            fix = "See to the disk, then resume again."
+            raise PlgsError(f"cannot be read ({error.strerror})", path, fix) from error
+        if not is_whole:
             raise PlgsError("is damaged", folder, _FIX)
-    return state
-
-
-def _is_whole(entry: Mapping[str, Json], folder: Path) -> bool:
-    """Raises PlgsError when the disk does not answer."""
-    try:
-        path = folder / inner_path(str(entry.get("path")))
-        return path.is_file() and entry == _entry(path, folder)
-    except ValueError:
-        return False
-    except OSError as error:
-        raise PlgsError(f"cannot be read ({error.strerror})", path, "See to the disk, then resume again.") from error
+    return index.state
 
 
 def _delete(folder: Path) -> None:

@@ -8,16 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from ..errors import PlgsError
-from ..json_file import Json, read_object, to_text
+from ..records import read_record, record_text
 from ..scene_source import SceneSource
 from .atomic import write_atomically
 
-FORMAT = 1
 FILE = "frames.json"
 _FIX = "Delete the folder: it is made anew."
+_INSIDE = {"inside": True}
 
 
 @dataclass(frozen=True)
@@ -35,10 +34,10 @@ class MadeFrame:
     pose: tuple[float, ...] = ()
     held_out: bool = False
     picture: Path | None = None
-    colour: Path | None = None
-    depth: Path | None = None
+    colour: Path | None = field(default=None, metadata=_INSIDE)
+    depth: Path | None = field(default=None, metadata=_INSIDE)
     depth_range: tuple[float, float] | None = None
-    masks: Path | None = None
+    masks: Path | None = field(default=None, metadata=_INSIDE)
 
 
 @dataclass(frozen=True)
@@ -47,10 +46,10 @@ class MadeFrames:
     uint8 [N, 3]), None where it was not asked for. ``total`` counts the scene's frames.
     """
 
-    folder: Path
+    folder: Path = field(metadata={"apart": True})
     source: SceneSource
     frames: Mapping[str, MadeFrame] = field(default_factory=dict)
-    cloud: Path | None = None
+    cloud: Path | None = field(default=None, metadata=_INSIDE)
     total: int = 0
 
     @property
@@ -60,26 +59,16 @@ class MadeFrames:
 
     def write(self) -> None:
         """Put frames.json into the folder. Raises OSError."""
-        frames = {name: _to_json(frame, self.folder) for name, frame in self.frames.items()}
-        cloud = None if self.cloud is None else _inside(self.cloud, self.folder)
-        content: dict[str, object] = {"format": FORMAT, "source": self.source.as_json(), "frames": frames}
-        content |= {"cloud": cloud, "total": self.total}
-        write_atomically(self.folder / FILE, to_text(content))
+        write_atomically(self.folder / FILE, record_text(self, self.folder))
 
     @classmethod
     def read(cls, folder: Path) -> MadeFrames:
         """Read the frames.json of a folder. Raises PlgsError when it is missing, of another version, or damaged."""
-        path = folder / FILE
-        content: dict[str, Any] = read_object(path, _FIX)
-        if content.get("format") != FORMAT:
-            raise PlgsError(f"has format {content.get('format')!r}, this version reads {FORMAT}", path, _FIX)
-        try:
-            source = SceneSource.from_json(content["source"])
-            frames = {str(name): _from_json(each, folder) for name, each in content["frames"].items()}
-            cloud = content["cloud"]
-            return cls(folder, source, frames, None if cloud is None else folder / cloud, int(content["total"]))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise PlgsError(f"cannot be read ({error!r})", path, _FIX) from error
+        made = read_record(cls, folder / FILE, _FIX, folder=folder)
+        for name, frame in made.frames.items():
+            if len(frame.lens) != 6 or len(frame.pose) != 16:
+                raise PlgsError(f"frame {name!r} has no camera", folder / FILE, _FIX)
+        return made
 
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
@@ -103,38 +92,3 @@ def is_newer(path: Path, source: Path) -> bool:
         return path.stat().st_mtime >= source.stat().st_mtime
     except OSError:
         return False
-
-
-def _to_json(frame: MadeFrame, folder: Path) -> dict[str, Json]:
-    files = {"colour": frame.colour, "depth": frame.depth, "masks": frame.masks}
-    content: dict[str, Json] = {name: _inside(path, folder) for name, path in files.items() if path is not None}
-    content |= {"lens": [*frame.lens], "pose": [*frame.pose], "held_out": frame.held_out}
-    if frame.picture is not None:
-        content["picture"] = str(frame.picture)
-    if frame.depth_range is not None:
-        content["depth_range"] = [*frame.depth_range]
-    return content
-
-
-def _from_json(content: Mapping[str, Any], folder: Path) -> MadeFrame:
-    files = {name: folder / content[name] for name in ("colour", "depth", "masks") if name in content}
-    span = content.get("depth_range")
-    lens, pose = (tuple(float(number) for number in content[name]) for name in ("lens", "pose"))
-    if len(lens) != 6 or len(pose) != 16:
-        raise ValueError("a frame has no camera")
-    return MadeFrame(
-        lens=lens,
-        pose=pose,
-        held_out=bool(content["held_out"]),
-        picture=_path(content.get("picture")),
-        depth_range=None if span is None else (float(span[0]), float(span[1])),
-        **files,
-    )
-
-
-def _inside(path: Path, folder: Path) -> str:
-    return path.relative_to(folder).as_posix()
-
-
-def _path(text: str | None) -> Path | None:
-    return None if text is None else Path(text)

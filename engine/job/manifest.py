@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from stat import S_ISREG
-from typing import Any
 
 from .. import __version__
 from ..errors import ErrorCode, PlgsError
-from ..gates import inner_path
-from ..json_file import Json, read_object, to_text
-from .atomic import files_below, remove_parts, sha256, write_atomically
+from ..json_file import Json
+from ..records import read_record, record_text
+from .atomic import ListedFile, files_below, remove_parts, sha256, write_atomically
 
-FORMAT = 1
 NAME = "manifest.json"
 MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result anew."
 """The advice for a result that is not as it was written."""
@@ -26,15 +24,6 @@ def damaged(what: str, path: Path) -> PlgsError:
 
 
 @dataclass(frozen=True)
-class ResultFile:
-    """One file of the result: its path relative to result/, its size and its SHA-256 in hex."""
-
-    path: PurePosixPath
-    bytes: int
-    sha256: str
-
-
-@dataclass(frozen=True)
 class Manifest:
     """What a finished lift made and how. ``timings``: stage name to seconds."""
 
@@ -43,7 +32,7 @@ class Manifest:
     seed: int
     settings: Mapping[str, Json]
     timings: Mapping[str, Json]
-    files: tuple[ResultFile, ...]
+    files: tuple[ListedFile, ...]
 
 
 def write_manifest(
@@ -59,7 +48,7 @@ def write_manifest(
     ``versions``: library name to version; ``settings``: what the preset and the user's options came to.
     """
     remove_parts(result)
-    files = tuple(_as_it_is(path, result) for path in files_below(result) if path != result / NAME)
+    files = tuple(ListedFile.of(path, result) for path in files_below(result) if path != result / NAME)
     _write(result, Manifest(__version__, versions, seed, settings, timings, files))
 
 
@@ -70,7 +59,7 @@ def add_files(result: Path, paths: Sequence[Path]) -> None:
     OSError.
     """
     manifest = read_manifest(result)
-    files = {file.path: file for file in (*manifest.files, *(_as_it_is(path, result) for path in paths))}
+    files = {file.path: file for file in (*manifest.files, *(ListedFile.of(path, result) for path in paths))}
     _write(result, replace(manifest, files=tuple(files[path] for path in sorted(files))))
 
 
@@ -81,12 +70,8 @@ def drop_files(result: Path, paths: Sequence[Path]) -> None:
     _write(result, replace(manifest, files=tuple(file for file in manifest.files if file.path not in dropped)))
 
 
-def _as_it_is(path: Path, result: Path) -> ResultFile:
-    return ResultFile(PurePosixPath(path.relative_to(result)), path.stat().st_size, sha256(path))
-
-
 def _write(result: Path, manifest: Manifest) -> None:
-    write_atomically(result / NAME, to_text({"format": FORMAT, **asdict(manifest)}))
+    write_atomically(result / NAME, record_text(manifest))
 
 
 def read_manifest(result: Path) -> Manifest:
@@ -95,14 +80,12 @@ def read_manifest(result: Path) -> Manifest:
     if not path.is_file():
         what = "is not there, so this lift is not finished"
         raise PlgsError(what, path, "Resume the lift.", code=ErrorCode.NOT_FINISHED)
-    content = _read(path)
-    if content.get("format") != FORMAT:
-        what = f"has format {content.get('format')!r}, this version reads {FORMAT}"
-        raise PlgsError(what, path, "Use the version of PLGS that wrote it, or lift into another folder.")
     try:
-        return _manifest(content)
-    except (KeyError, TypeError, ValueError) as error:
-        raise damaged(f"is damaged ({error!r})", path) from error
+        return read_record(Manifest, path, MAKE_ANEW)
+    except PlgsError as error:
+        if error.fix != MAKE_ANEW:
+            raise
+        raise damaged(error.what, path) from (error.__cause__ or error)
 
 
 def check_sizes(result: Path) -> Manifest:
@@ -117,7 +100,7 @@ def check_sizes(result: Path) -> Manifest:
         except ValueError as error:
             raise damaged(f"lists a file that cannot be ({error})", result / NAME) from error
         if not S_ISREG(found.st_mode):
-            raise damaged("is no plain file", path)
+            raise damaged("is not a plain file", path)
         if found.st_size != file.bytes:
             raise damaged(f"has {found.st_size} bytes, {file.bytes} were written", path)
     return manifest
@@ -148,7 +131,7 @@ def changed_files(result: Path) -> list[Path]:
     return [path for file in listed if (path := result / file.path).is_file() and sha256(path) != file.sha256]
 
 
-def verify_files(result: Path, files: Iterable[ResultFile]) -> None:
+def verify_files(result: Path, files: Iterable[ListedFile]) -> None:
     """Compare files with their SHA-256 in the manifest. Raises PlgsError."""
     for file in files:
         path = result / file.path
@@ -158,26 +141,3 @@ def verify_files(result: Path, files: Iterable[ResultFile]) -> None:
             raise damaged(f"cannot be read ({error.strerror})", path) from error
         if found != file.sha256:
             raise damaged("was changed since it was written", path)
-
-
-def _read(path: Path) -> dict[str, Json]:
-    try:
-        return read_object(path, MAKE_ANEW)
-    except PlgsError as error:
-        raise damaged(error.what, path) from (error.__cause__ or error)
-
-
-def _manifest(content: Mapping[str, Any]) -> Manifest:
-    """Raises KeyError, TypeError or ValueError when something is missing or of the wrong type."""
-    kinds = {"engine_version": str, "versions": dict, "seed": int, "settings": dict, "timings": dict, "files": list}
-    for name, kind in kinds.items():
-        if not isinstance(content[name], kind):
-            raise TypeError(f"{name} has the wrong type")
-    files = tuple(_listed(entry) for entry in content["files"])
-    return Manifest(**{name: content[name] for name in kinds if name != "files"}, files=files)
-
-
-def _listed(entry: Any) -> ResultFile:
-    if not isinstance(entry, dict) or not isinstance(entry["bytes"], int):
-        raise TypeError(f"{entry!r} is no file entry")
-    return ResultFile(inner_path(str(entry["path"])), entry["bytes"], str(entry["sha256"]))

@@ -6,7 +6,7 @@ import argparse
 import difflib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,26 @@ from ..json_file import Json
 from ..presets.options import parsed_options
 from ..presets.preset import PRESETS
 from ..presets.toml_file import read_preset_file
-from ..scene_source import UP_OPTIONS, SceneSource, class_table
+from ..scene_source import UP_OPTIONS, SceneSource
 from .folder import LiftFolder
-from .request import BAKES, DEVICES, LiftRequest
+from .request import BAKES, LiftRequest
 
 _NONE: Mapping[str, str] = {}
 DEFAULTS = LiftRequest(scene=Path.cwd())
 """The request whose values hold for options that are not given; its scene is none."""
-_IN_REQUEST = (
-    "preset", "steps", "size", "frames", "fit", "seed", "masks", "mask_format", "classes", "up", "scene_format",
-    "depth", "bake", "device", "names_from", "set", "blocks", "block",
-)  # fmt: skip
+_OF_PRESET = ("steps", "size", "frames", "set")
+"""Options that change those of the preset."""
+_FIELDS = {each.name: each.metadata["option"] for each in fields(LiftRequest) if "option" in each.metadata}
+
+
+def add_options(parser: argparse.ArgumentParser, *names: str) -> None:
+    """The options that set these fields of a request, as the fields declare them."""
+    for name in names:
+        parser.add_argument(_flag(name), dest=name, **_FIELDS[name])
+
+
+def _flag(name: str) -> str:
+    return f"--{name.removeprefix('scene_').replace('_', '-')}"
 
 
 def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
@@ -42,30 +51,19 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     add_set_option(parser)
     add_amount_options(parser)
     parser.add_argument("--size", type=picture_size, metavar="WxH", help="train at this picture size, such as 320x240")
-    parser.add_argument(
-        "--seed", type=int, metavar="N", help=f"start of all chance: same seed, same result (default: {DEFAULTS.seed})"
-    )
+    add_options(parser, "seed")
     add_scene_options(parser)
     parser.add_argument(
         "--poses", choices=("colmap",),
         help="SCENE is photos or a film: let COLMAP find their poses first, beside the photos",
     )  # fmt: skip
-    parser.add_argument(
-        "--blocks", type=int, metavar="N",
-        help="cut a building into N blocks of about as many points, lift one after the other, and join them",
-    )  # fmt: skip
-    parser.add_argument("--block", type=int, metavar="I", help="lift only this one of the blocks, counted from 1")
-    parser.add_argument(
-        "--names-from", type=Path, metavar="LIFT",
-        help="an earlier lift of the same scene: objects that are still there keep their names and ids",
-    )  # fmt: skip
+    add_options(parser, "blocks", "block", "names_from", "device")
     parser.add_argument(
         "--bake",
         choices=(*BAKES, *more_bakes),
         help=f"which frames to render as passes: the held-out ones, all, or none (default: {DEFAULTS.bake})"
         + "".join(f"; {name}: {meaning}" for name, meaning in more_bakes.items()),
     )
-    add_device_option(parser)
 
 
 def add_amount_options(parser: argparse.ArgumentParser) -> None:
@@ -75,18 +73,7 @@ def add_amount_options(parser: argparse.ArgumentParser) -> None:
         "--frames", type=number_of_frames, metavar="N|all",
         help="train on at most so many frames, the sharpest of each stretch of the recording (default: the preset's)",
     )  # fmt: skip
-    parser.add_argument(
-        "--fit", action="store_true", default=None, help="train on fewer frames where memory would not do otherwise"
-    )
-
-
-def add_device_option(parser: argparse.ArgumentParser) -> None:
-    """--device."""
-    parser.add_argument(
-        "--device",
-        choices=DEVICES,
-        help=f"where Gaussians are drawn (default: {DEFAULTS.device}); cuda needs gsplat, and has not run on a GPU",
-    )
+    add_options(parser, "fit")
 
 
 def add_progress_option(parser: argparse.ArgumentParser) -> None:
@@ -116,62 +103,19 @@ def preset_or_file(text: str) -> str:
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """How to read the scene's folder."""
-    parser.add_argument("--masks", type=Path, metavar="PATH", help="panoptic masks, where not in SCENE itself")
-    add_label_options(parser)
-    parser.add_argument(
-        "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, fitted to the scene's sparse points"
-    )
-    add_capture_options(parser)
-
-
-def add_label_options(parser: argparse.ArgumentParser) -> None:
-    """How to read masks."""
-    parser.add_argument(
-        "--mask-format",
-        metavar="NAME",
-        help="how the masks are laid out, such as coco, transformers, sam2, pairs (default: recognised by their looks)",
-    )
-    parser.add_argument(
-        "--classes",
-        type=class_table,
-        metavar="FILE.toml",
-        help="the masks' classes, or one of coco, ade20k, cityscapes, nyu40, scannet200, replica, reduced (default: "
-        "classes.toml beside them)",
-    )
-
-
-def add_capture_options(parser: argparse.ArgumentParser) -> None:
-    """How to read the pictures and poses in the scene's folder."""
-    parser.add_argument(
-        "--up",
-        type=up_axis,
-        metavar="|".join(UP_OPTIONS),
-        help="the axis of the poses that points up (default: auto, what the format says, else z)",
-    )
-    add_format_option(parser)
-
-
-def add_format_option(parser: argparse.ArgumentParser) -> None:
-    """How a scene is laid out."""
-    parser.add_argument(
-        "--format",
-        dest="scene_format",
-        metavar="NAME",
-        help="how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its looks)",
-    )
+    add_options(parser, "masks", "mask_format", "classes", "depth", "up", "scene_format")
 
 
 def source_of(options: argparse.Namespace) -> SceneSource:
     """What ``scene`` and the options of `add_scene_options` name."""
-    up = options.up or DEFAULTS.up
-    named = options.mask_format, options.classes
-    return SceneSource(options.scene, options.masks, up, options.scene_format, options.depth, *named)
+    given = {each.name: getattr(options, each.name) for each in fields(SceneSource)}
+    return SceneSource(**{name: value for name, value in given.items() if value is not None})
 
 
 def given_lift_options(options: argparse.Namespace) -> list[str]:
     """Those of `add_lift_options` that were given, as a command line has them."""
-    given = [name for name in (*_IN_REQUEST, "poses") if getattr(options, name) is not None]
-    return [f"--{name.removeprefix('scene_').replace('_', '-')}" for name in given]
+    names = ("preset", "bake", *_FIELDS, *_OF_PRESET, "poses")
+    return [_flag(name) for name in names if getattr(options, name) is not None]
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
@@ -185,13 +129,6 @@ def readable(arguments: Sequence[str]) -> list[str]:
         else:
             joined.append(argument)
     return joined
-
-
-def up_axis(text: str) -> str:
-    """What --up means; for argparse, so it raises ArgumentTypeError."""
-    if text not in UP_OPTIONS:
-        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(UP_OPTIONS)}")
-    return UP_OPTIONS[text]
 
 
 def picture_size(text: str) -> tuple[int, int]:
@@ -216,11 +153,11 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 
     Raises PlgsError when a value is out of range.
     """
-    names = ("fit", "seed", "up", "scene_format", "mask_format", "classes", "bake", "device", "blocks", "block")
-    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    for name in ("masks", "depth", "names_from"):
-        if getattr(options, name) is not None:
-            given[name] = getattr(options, name).resolve()
+    asked: dict[str, Any] = {name: getattr(options, name) for name in (*_FIELDS, "bake")}
+    given: dict[str, Any] = {
+        name: value.resolve() if isinstance(value, Path) else value for name, value in asked.items()
+    }
+    given = {name: value for name, value in given.items() if value is not None}
     own = {name: getattr(options, name) for name in ("steps", "size", "frames")}
     changed = parsed_options(options.set or ()) | {name: value for name, value in own.items() if value is not None}
     preset, chosen = chosen_options(options.preset, changed, base or DEFAULTS)

@@ -9,19 +9,18 @@ the sample is taken.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
 from ..errors import PlgsError
-from ..json_file import read_object, to_text
 from ..presets.preset import Preset
+from ..records import read_record, record_text
 from .atomic import write_atomically
 from .environment import notes_folder
 from .lock import FileLock
 
-FORMAT = 1
 SURFACE = 400.0
 """Square metres that the sample's frames see: what anchors lie on."""
 MOST_ANCHORS_PER_POINT = 0.8
@@ -58,6 +57,13 @@ class Prediction:
     @property
     def seconds(self) -> float:
         return sum(self.stages.values())
+
+
+@dataclass(frozen=True)
+class _Speed:
+    """speed.json: how many times longer than the machine of the constants this one took lately."""
+
+    slowness: tuple[float, ...] = field(metadata={"least": 0.001, "most": 1000})
 
 
 class BakeCost(NamedTuple):
@@ -148,7 +154,7 @@ def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: flo
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock")):
         measured = [*_measured(path), seconds / step_seconds(megapixels, millions_of_gaussians)]
-        write_atomically(path, to_text({"format": FORMAT, "slowness": measured[-REMEMBERED:]}))
+        write_atomically(path, record_text(_Speed(tuple(measured[-REMEMBERED:]))))
 
 
 def _peak_bytes(frame_size: tuple[int, int], preset: Preset, views: int, gaussians: float, labels: float) -> int:
@@ -180,10 +186,6 @@ def _speed_path(cache: Path | None) -> Path:
 def _measured(path: Path) -> list[float]:
     """Empty when there is nothing, or nothing that makes sense."""
     try:
-        content = read_object(path, "Delete it.")
+        return [*read_record(_Speed, path, "Delete it.").slowness]
     except PlgsError:
         return []
-    values = content.get("slowness")
-    if content.get("format") != FORMAT or not isinstance(values, list):
-        return []
-    return [float(value) for value in values if isinstance(value, int | float) and 0.001 < value < 1000]

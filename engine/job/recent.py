@@ -6,18 +6,16 @@ It lies in the user's cache folder. It is a convenience: nothing is lost with it
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import PlgsError
-from ..json_file import Json, read_object, to_text
+from ..records import read_record, record_text
 from .atomic import write_atomically
 from .environment import notes_folder
 from .folder import LiftFolder, LiftState
 from .lock import FileLock
 
-FORMAT = 1
 MOST = 50
 _LATEST = 1 << 40
 """Unix seconds beyond any clock. A later time was not written by us."""
@@ -30,6 +28,17 @@ class RecentLift:
     folder: LiftFolder
     state: LiftState
     touched: float
+
+
+@dataclass(frozen=True)
+class _Entry:
+    path: str
+    touched: float = field(metadata={"least": 0, "most": _LATEST})
+
+
+@dataclass(frozen=True)
+class _List:
+    lifts: tuple[_Entry, ...]
 
 
 def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift]:
@@ -60,8 +69,7 @@ def remember_lift(path: Path, cache: Path | None = None) -> None:
         lift = str(path.absolute())
         others = [entry for entry in _entries(list_path, is_to_be_replaced=True) if entry[0] != lift]
         entries = [(lift, round(time.time(), 3)), *others][:MOST]
-        lifts = [{"path": each, "touched": touched} for each, touched in entries]
-        write_atomically(list_path, to_text({"format": FORMAT, "lifts": lifts}))
+        write_atomically(list_path, record_text(_List(tuple(_Entry(*each) for each in entries))))
 
 
 def _list_path(cache: Path | None) -> Path:
@@ -73,19 +81,9 @@ def _entries(list_path: Path, is_to_be_replaced: bool = False) -> list[tuple[str
     the disk cannot read a list that ``is_to_be_replaced``, which would lose it.
     """
     try:
-        content = read_object(list_path, "Delete it.")
+        listed = read_record(_List, list_path, "Delete it.").lifts
     except PlgsError as error:
         if is_to_be_replaced and isinstance(error.__cause__, OSError) and list_path.exists():
             raise
         return []
-    lifts = content.get("lifts")
-    if content.get("format") != FORMAT or not isinstance(lifts, list):
-        return []
-    return [entry for lift in lifts if isinstance(lift, dict) and (entry := _entry(lift)) is not None]
-
-
-def _entry(lift: Mapping[str, Json]) -> tuple[str, float] | None:
-    path, touched = lift.get("path"), lift.get("touched")
-    if not isinstance(path, str) or not isinstance(touched, int | float) or not 0 <= touched <= _LATEST:
-        return None
-    return path, float(touched)
+    return [(each.path, each.touched) for each in listed]

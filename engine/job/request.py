@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -13,9 +13,9 @@ from ..errors import PlgsError
 from ..json_file import Json, read_object, to_text
 from ..presets.options import changed_options, checked_options, option_value, preset_options, with_options
 from ..presets.preset import PRESETS, Preset
-from ..scene_source import UPS, SceneSource
+from ..records import check_record, record_of, refuse_other_format, to_json
+from ..scene_source import SceneSource, option
 
-FORMAT = 1
 PresetName = Literal["preview", "standard", "paper"]
 Bake = Literal["test", "all", "none"]
 Device = Literal["cpu", "cuda"]
@@ -24,28 +24,7 @@ FURTHER_LAYERS = ("normal", "position")
 colour, or more."""
 BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
-_KEYS = {
-    "format",
-    "engine_version",
-    "scene",
-    "masks",
-    "preset",
-    "overrides",
-    "seed",
-    "up",
-    "scene_format",
-    "depth",
-    "mask_format",
-    "classes",
-    "bake",
-    "device",
-    "names_from",
-    "relative",
-    "blocks",
-    "block",
-}
 MOST_BLOCKS = 1000
-_BLOCKS = ("blocks", "block")
 _PLACES = ("scene", "masks", "depth", "names_from")
 _FIX = "Mend it, or delete the folder and lift again."
 
@@ -64,40 +43,80 @@ class LiftRequest(SceneSource):
 
     preset: PresetName = "preview"
     options: Mapping[str, Json] = field(default_factory=dict)
-    fit: bool = False
-    seed: int = 0
+    fit: bool = field(
+        default=False,
+        metadata={
+            "option": {
+                "action": "store_true",
+                "default": None,
+                "help": "train on fewer frames where memory would not do otherwise",
+            }
+        },
+    )
+    seed: int = field(
+        default=0,
+        metadata={
+            **option("start of all chance: same seed, same result (default: 0)", "N", int),
+            "least": 0,
+            "most": 2**32 - 1,
+        },
+    )
     bake: Bake = "test"
-    device: Device = "cpu"
-    names_from: Path | None = None
-    blocks: int = 0
-    block: int = 0
-    engine_version: str = field(default=__version__)
+    device: Device = field(
+        default="cpu",
+        metadata={
+            "option": {
+                "choices": DEVICES,
+                "help": "where Gaussians are drawn (default: cpu); cuda needs gsplat, and has not run on a GPU",
+            }
+        },
+    )
+    names_from: Path | None = field(
+        default=None,
+        metadata=option(
+            "an earlier lift of the same scene: objects that are still there keep their names and ids", "LIFT", Path
+        ),
+    )
+    blocks: int = field(
+        default=0,
+        metadata={
+            **option(
+                "cut a building into N blocks of about as many points, lift one after the other, and join them",
+                "N",
+                int,
+            ),
+            "least": 0,
+            "most": MOST_BLOCKS,
+        },
+    )
+    block: int = field(
+        default=0,
+        metadata={
+            **option("lift only this one of the blocks, counted from 1", "I", int),
+            "least": 0,
+            "most": MOST_BLOCKS,
+        },
+    )
+    engine_version: str = __version__
 
     def __post_init__(self) -> None:
+        check_record(self, "Give another value.")
         for name in _PLACES:
             path = getattr(self, name)
             if path is not None and not path.is_absolute():
                 raise PlgsError(f"the path of '{name}' is not absolute", path, "Give the whole path.")
             if path is not None:
                 refuse_unwritable_name(path)
-        _one_of("preset", self.preset, tuple(PRESETS))
-        _one_of("up", self.up, UPS)
-        _one_of("bake", self.bake, BAKES)
-        _one_of("device", self.device, DEVICES)
-        if not isinstance(self.fit, bool):
-            raise PlgsError("is neither true nor false", f"fit = {self.fit!r}", "Leave it out, or write true.")
         changed = changed_options(PRESETS[self.preset], checked_options(self.options))
         object.__setattr__(self, "options", changed)
-        if not isinstance(self.seed, int) or isinstance(self.seed, bool) or not 0 <= self.seed < 2**32:
-            raise PlgsError("is no seed", f"seed = {self.seed!r}", "Give a whole number from 0 to 4294967295.")
         self._check_blocks()
 
     def _check_blocks(self) -> None:
-        if type(self.blocks) is not int or self.blocks == 1 or not 0 <= self.blocks <= MOST_BLOCKS:
-            raise PlgsError("is no number of blocks", f"blocks = {self.blocks!r}", f"Give one from 2 to {MOST_BLOCKS}.")
-        if type(self.block) is not int or not 0 <= self.block <= self.blocks:
+        if self.blocks == 1:
+            raise PlgsError("one block is not a building", "blocks = 1", f"Give from 2 to {MOST_BLOCKS} blocks.")
+        if self.block > self.blocks:
             fix = f"Give one from 1 to {self.blocks}." if self.blocks else "Say with --blocks how many there are."
-            raise PlgsError("is no block of the building", f"block = {self.block!r}", fix)
+            raise PlgsError("is not a block of the building", f"block = {self.block}", fix)
 
     @property
     def chosen_preset(self) -> Preset:
@@ -107,55 +126,41 @@ class LiftRequest(SceneSource):
     def to_json(self, lift: Path | None = None) -> str:
         """The text of request.json. With the folder of the ``lift`` it also tells paths relative to that, so that a
         lift and its scene can be moved together."""
-        given = {
-            "scene_format": self.scene_format,
-            "depth": None if self.depth is None else str(self.depth),
-            "mask_format": self.mask_format,
-            "classes": self.classes,
-            "device": None if self.device == "cpu" else self.device,
-            "names_from": None if self.names_from is None else str(self.names_from),
-            "relative": None if lift is None else _relative(self, lift),
-            "blocks": self.blocks or None,
-            "block": self.block or None,
-        }
-        return to_text(
-            {
-                "format": FORMAT,
-                "engine_version": self.engine_version,
-                "scene": str(self.scene),
-                "masks": None if self.masks is None else str(self.masks),
-                "preset": self.preset,
-                "overrides": {**self.options, **({"fit": True} if self.fit else {})},
-                "seed": self.seed,
-                "up": self.up,
-                "bake": self.bake,
-                **{key: value for key, value in given.items() if value is not None},
-            }
-        )
+        content = to_json(self)
+        options, fit = content.pop("options", {}), content.pop("fit", False)
+        content["overrides"] = {**options, **({"fit": True} if fit else {})}
+        if lift is not None:
+            content["relative"] = _relative(self, lift)
+        return to_text({"format": 1, **content})
 
     @classmethod
     def read(cls, path: Path) -> LiftRequest:
         """The request in a file. Raises PlgsError that names the file and the key that is wrong."""
-        content = read_object(path, _FIX)
-        _refuse_unknown_format(content, path)
-        _refuse_unknown_keys(content, _KEYS, path)
-        overrides = content.get("overrides") or {}
+        content: dict[str, Any] = read_object(path, _FIX)
+        refuse_other_format(content, path)
+        overrides, relative = content.pop("overrides", None) or {}, content.pop("relative", {})
         if not isinstance(overrides, dict):
             raise PlgsError("'overrides' is not a JSON object", path, _FIX)
+        if not isinstance(relative, dict) or not all(isinstance(value, str) for value in relative.values()):
+            raise PlgsError("'relative' is not an object of texts", path, _FIX)
+        content |= {"options": _options(overrides, path), "fit": overrides.get("fit", False)}
+        for name in _PLACES:
+            if isinstance(content.get(name), str) and name in relative:
+                content[name] = _place(content[name], relative[name], path)
         try:
-            return cls(**_arguments(content, overrides, path))
+            return record_of(cls, content, path, _FIX)
         except PlgsError as error:
             if error.where == str(path):
                 raise
-            raise PlgsError(f"{error.where}: {error.what}", path, error.fix) from error
+            what = f"{error.where}: {error.what}" if error.where else error.what
+            raise PlgsError(what, path, error.fix) from error
 
     def differences(self, other: LiftRequest) -> list[str]:
         """Names of what differs, the options of the preset among them, the engine's version left out."""
         mine, theirs = self.chosen_preset, other.chosen_preset
         options = [name for name in preset_options() if option_value(mine, name) != option_value(theirs, name)]
-        first = ("scene", "masks", "preset", "fit", "seed")
-        last = ("up", "scene_format", "depth", "mask_format", "classes", "bake", "device", "names_from", *_BLOCKS)
-        differing = [name for name in (*first, *last) if getattr(self, name) != getattr(other, name)]
+        names = [each.name for each in fields(self) if each.name not in ("options", "engine_version")]
+        differing = [name for name in names if getattr(self, name) != getattr(other, name)]
         return [*differing, *([] if "preset" in differing else options)]
 
 
@@ -168,29 +173,6 @@ def refuse_unwritable_name(path: Path) -> None:
         raise PlgsError(what, path, fix) from error
 
 
-def _arguments(content: Mapping[str, Json], overrides: Mapping[str, Json], path: Path) -> dict[str, Any]:
-    """Keyword arguments of LiftRequest; ranges are checked by itself, types of the texts here."""
-    for name in ("scene", "preset", "up", "bake", "engine_version"):
-        if not isinstance(content.get(name), str):
-            raise PlgsError(f"'{name}' is missing or not a text", path, _FIX)
-    device = content.get("device", "cpu")
-    if not isinstance(device, str):
-        raise PlgsError("'device' is not a text", path, _FIX)
-    for name in ("masks", "scene_format", "depth", "mask_format", "classes", "names_from"):
-        if not isinstance(content.get(name), str | None):
-            raise PlgsError(f"'{name}' is neither a text nor null", path, _FIX)
-    return {
-        "options": _options(overrides, path),
-        **{name: _place(content, name, path) for name in _PLACES},
-        **{name: content.get(name) for name in ("scene_format", "mask_format", "classes")},
-        "fit": overrides.get("fit", False),
-        "seed": content.get("seed"),
-        **{name: content.get(name, 0) for name in _BLOCKS},
-        "device": device,
-        **{name: content[name] for name in ("preset", "up", "bake", "engine_version")},
-    }
-
-
 def _options(overrides: Mapping[str, Json], path: Path) -> dict[str, Json]:
     """The options among the overrides. Earlier versions wrote most of them as an object of their own, and null for
     steps and size that were left to the preset."""
@@ -201,19 +183,6 @@ def _options(overrides: Mapping[str, Json], path: Path) -> dict[str, Json]:
     return {name: value for name, value in overrides.items() if name not in ("fit", "options", *unset)} | inner
 
 
-def _refuse_unknown_format(content: Mapping[str, Json], path: Path) -> None:
-    if content.get("format") != FORMAT:
-        what = f"has format {content.get('format')!r}, this version reads {FORMAT}"
-        raise PlgsError(what, path, "Use the version of PLGS that wrote it, or lift into another folder.")
-
-
-def _refuse_unknown_keys(content: Mapping[str, Json], known: set[str], path: Path) -> None:
-    unknown = sorted(set(content) - known)
-    if unknown:
-        what = f"has {', '.join(map(repr, unknown))}, which this version does not know"
-        raise PlgsError(what, path, "Remove it, or use the version of PLGS that wrote it.")
-
-
 def _relative(request: LiftRequest, lift: Path) -> dict[str, Json]:
     """The paths of a request as seen from the lift's folder, those on another drive left out."""
     paths = {name: getattr(request, name) for name in _PLACES}
@@ -221,17 +190,7 @@ def _relative(request: LiftRequest, lift: Path) -> dict[str, Json]:
     return {name: Path(os.path.relpath(path, lift)).as_posix() for name, path in inside.items()}
 
 
-def _place(content: Mapping[str, Json], name: str, request: Path) -> Path | None:
+def _place(place: str, relative: str, request: Path) -> str:
     """Where a path of the request leads: where it was, else where it now is, seen from the lift."""
-    relative, path = content.get("relative", {}), content.get(name)
-    if not isinstance(relative, dict) or not all(isinstance(value, str) for value in relative.values()):
-        raise PlgsError("'relative' is not an object of texts", request, _FIX)
-    if path is None or os.path.exists(str(path)) or name not in relative:
-        return None if path is None else Path(str(path))
-    moved = Path(os.path.normpath(request.parent.absolute() / str(relative[name])))
-    return moved if os.path.exists(moved) else Path(str(path))
-
-
-def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise PlgsError(f"is no {name}", f"{name} = {value!r}", f"Choose one of {', '.join(known)}.")
+    moved = os.path.normpath(request.parent.absolute() / relative)
+    return moved if not os.path.exists(place) and os.path.exists(moved) else place

@@ -16,7 +16,7 @@ import pytest
 
 from engine.command_line.main import main
 from engine.job import write_atomically, write_manifest
-from engine.job.options import add_capture_options
+from engine.job.options import add_options
 from engine.scene_source import SceneSource, UpAxis
 from tests.commands import exit_code, refuse_heavy_help
 from tests.job.lift_folders import new_lift
@@ -161,7 +161,7 @@ def test_up_may_be_an_axis_that_points_down(
 @pytest.mark.parametrize(("said", "meant"), [("z", "+z"), ("auto", "z"), ("y", "y")])
 def test_an_axis_that_is_said_is_meant(said: str, meant: UpAxis) -> None:
     parser = argparse.ArgumentParser()
-    add_capture_options(parser)
+    add_options(parser, "up", "scene_format")
     assert parser.parse_args(["--up", said]).up == meant
     assert SceneSource(Path("room"), up=meant).up_option == said
 

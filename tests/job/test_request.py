@@ -42,12 +42,11 @@ def test_has_the_documented_form() -> None:
         "format": 1,
         "engine_version": content["engine_version"],
         "scene": "/s",
-        "masks": None,
         "preset": "preview",
         "overrides": {},
-        "seed": 0,
         "up": "z",
         "bake": "test",
+        "device": "cpu",
     }
 
 
@@ -68,14 +67,14 @@ def test_has_the_documented_form() -> None:
         ({"overrides": {"options": {"rates.feature": [1, 1]}}}, "'rates.feature'"),
         ({"overrides": {"frames": -1}}, "frames = -1"),
         ({"overrides": {"frames": "all"}}, "frames = 'all'"),
-        ({"overrides": {"fit": 1}}, "fit = 1"),
+        ({"overrides": {"fit": 1}}, "'fit' has to be true or false, not 1"),
         ({"overrides": {"size": [64]}}, "size = [64]"),
         ({"overrides": {"size": [64, 4.5]}}, "4.5"),
         ({"overrides": {"size": "64x48x3"}}, "size = '64x48x3'"),
         ({"overrides": {"size": [8, 48]}}, "size = [8, 48]"),
-        ({"seed": -1}, "seed = -1"),
+        ({"seed": -1}, "'seed' has to be a whole number from 0 to 4294967295, not -1"),
         ({"seed": 2**32}, "seed"),
-        ({"seed": None}, "seed = None"),
+        ({"seed": None}, "not null"),
         ({"scene": 5}, "'scene'"),
         ({"scene": "relative"}, "'scene'"),
         ({"masks": 5}, "'masks'"),
@@ -122,8 +121,8 @@ def test_an_earlier_versions_overrides_are_read(tmp_path: Path) -> None:
 
 def test_tells_what_differs() -> None:
     plain = LiftRequest(scene=FULL.scene, masks=FULL.masks, preset="paper", seed=3)
-    reading = ["up", "scene_format", "depth", "mask_format", "classes", "bake", "device"]
-    assert FULL.differences(plain) == ["fit", *reading, "steps", "size", "frames"]
+    reading = ["up", "scene_format", "depth", "mask_format", "classes"]
+    assert FULL.differences(plain) == [*reading, "fit", "bake", "device", "steps", "size", "frames"]
     assert plain.differences(replace(plain, options={"weights.depth": 1.0})) == ["weights.depth"]
     assert plain.differences(replace(plain, options={"neighbours": 4})) == [], "that is the preset's"
 

@@ -1,0 +1,219 @@
+"""Records: dataclasses whose annotations say what their JSON holds.
+
+A field is a text, a number, true or false, a path, a Literal, a tuple, a mapping from texts, another record, Json, or a
+union of these. A field with a default may be absent, and is left out when it is empty as well as the default. Its
+metadata says more: ``least`` and ``most`` bound its numbers, ``longest`` its text, ``shown`` makes its text fit for one
+line, ``inside`` says that its path leads into the folder of the file, and ``apart`` that it is not in the file.
+"""
+
+from __future__ import annotations
+
+import math
+import unicodedata
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import cache
+from pathlib import Path, PurePosixPath
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from .errors import PlgsError
+from .gates import inner_path, one_line
+from .json_file import read_object, shown_json, to_text
+
+Record = TypeVar("Record")
+_NAMES = {str: "a text", Path: "a path", PurePosixPath: "a path", bool: "true or false", NoneType: "null"}
+
+
+def to_json(record: Any, folder: Path | None = None) -> dict[str, Any]:
+    """The fields of a record, for JSON. ``folder`` is where the file will lie, for paths ``inside`` it."""
+    content: dict[str, Any] = {}
+    for each in fields(record):
+        value = getattr(record, each.name)
+        if each.metadata.get("apart") or (not value and value == _default(each)):
+            continue
+        if each.metadata.get("inside") and value is not None:
+            assert folder is not None
+            value = value.relative_to(folder).as_posix()
+        content[each.name] = _plain(value, folder)
+    return content
+
+
+def record_text(record: Any, folder: Path | None = None, version: int = 1) -> str:
+    """The text of a file that `read_record` reads."""
+    return to_text({"format": version, **to_json(record, folder)})
+
+
+def read_record(kind: type[Record], path: Path, fix: str, version: int = 1, **apart: Any) -> Record:
+    """The record in a file of ours. ``apart`` are the values of fields that are not in the file. Raises PlgsError."""
+    content: dict[str, Any] = read_object(path, fix)
+    refuse_other_format(content, path, version)
+    return record_of(kind, content, path, fix, **apart)
+
+
+def refuse_other_format(content: dict[str, Any], path: Path, version: int = 1) -> None:
+    """Take the number of the format out of a file's content. Raises PlgsError for another one than ``version``."""
+    found = content.pop("format", None)
+    if found != version or isinstance(found, bool):
+        what = f"has format {found!r}, this version reads {version}"
+        raise PlgsError(what, path, "Use the version of PLGS that wrote it.")
+
+
+def record_of(
+    kind: type[Record], content: Mapping[str, Any], path: Path | str, fix: str, context: str = "", **apart: Any
+) -> Record:
+    """The record of a JSON object out of the file ``path``. ``context`` is its place there, such as "files[3]".
+
+    Raises PlgsError that names the file, the key and what it has to be.
+    """
+    declared = {each.name: each for each in _written(kind)}
+    unknown = sorted(set(content) - set(declared))
+    if unknown:
+        what = f"has {', '.join(map(repr, unknown))}{_of(context)}, which this version does not know"
+        raise PlgsError(what, path, "Remove it, or use the version of PLGS that wrote it.")
+    values, hints = dict(apart), _hints(cast(Any, kind))
+    for name, each in declared.items():
+        key = f"{context}.{name}" if context else name
+        if name in content:
+            values[name] = _Reader(path, fix, each.metadata).value(hints[name], content[name], key)
+        elif each.default is MISSING and each.default_factory is MISSING:
+            raise PlgsError(f"has no '{key}'", path, fix)
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise PlgsError(f"{context or 'the file'}: {error}", path, fix) from error
+
+
+def check_record(record: Any, fix: str) -> None:
+    """Raise PlgsError for a field whose value is not what `read_record` would take."""
+    hints = _hints(cast(Any, type(record)))
+    for each in _written(type(record)):
+        value = getattr(record, each.name)
+        given = str(value) if isinstance(value, Path) else _plain(value, None)
+        _Reader("", fix, each.metadata).value(hints[each.name], given, each.name)
+
+
+class _Reader:
+    """Reads the values of one field."""
+
+    def __init__(self, path: Path | str, fix: str, more: Mapping[str, Any]) -> None:
+        self._path, self._fix, self._more = path, fix, more
+        self._least, self._most = more.get("least", -math.inf), more.get("most", math.inf)
+
+    def value(self, kind: Any, given: Any, key: str) -> Any:
+        if kind is Any or {list, dict} <= {get_origin(each) for each in get_args(kind)}:  # Json
+            return given
+        if get_origin(kind) in (Union, UnionType):
+            return self._one_of(get_args(kind), given, key)
+        if is_dataclass(kind) and isinstance(given, dict):
+            assert isinstance(kind, type)
+            return record_of(kind, given, self._path, self._fix, key)
+        origin, inner = get_origin(kind), get_args(kind)
+        if origin is tuple and isinstance(given, list):
+            return self._tuple(kind, inner, given, key)
+        if origin is not None and origin is not tuple and origin is not Literal and isinstance(given, dict):
+            return {name: self.value(inner[1], each, f"{key}[{name!r}]") for name, each in given.items()}
+        found = self._simple(kind, given, key)
+        if found is None and kind is not NoneType:
+            raise self.wrong(kind, given, key)
+        return found
+
+    def _one_of(self, kinds: tuple[Any, ...], given: Any, key: str) -> Any:
+        """The first kind that fits; the last one's error tells what is wrong."""
+        kinds = tuple(each for each in kinds if (each is NoneType) == (given is None))
+        for each in kinds[:-1]:
+            try:
+                return self.value(each, given, key)
+            except PlgsError:
+                continue
+        if not kinds:
+            raise PlgsError(f"'{key}' must not be null", self._path, self._fix)
+        return self.value(kinds[-1], given, key)
+
+    def _tuple(self, kind: Any, inner: tuple[Any, ...], given: list[Any], key: str) -> Any:
+        if inner[-1] is not Ellipsis and len(given) != len(inner):
+            raise self.wrong(kind, given, key)
+        if inner == (int, ...) and all(type(each) is int and self._least <= each <= self._most for each in given):
+            return tuple(given)  # it may have millions
+        kinds = inner[:1] * len(given) if inner[-1] is Ellipsis else inner
+        return tuple(
+            self.value(each, value, f"{key}[{i}]") for i, (each, value) in enumerate(zip(kinds, given, strict=True))
+        )
+
+    def _simple(self, kind: Any, given: Any, key: str) -> Any:
+        """None for a value of another kind."""
+        if get_origin(kind) is Literal:
+            return given if isinstance(given, str) and given in get_args(kind) else None
+        if kind in (int, float):
+            return self._number(kind, given)
+        if kind is bool:
+            return given if isinstance(given, bool) else None
+        if not isinstance(given, str) or (kind is str and len(given) > self._more.get("longest", math.inf)):
+            return None
+        if kind is PurePosixPath or self._more.get("inside"):
+            return self._inner(kind, given, key)
+        if kind is Path:
+            return Path(given)
+        if any(unicodedata.category(character) in ("Cc", "Cs") for character in given):
+            raise PlgsError(f"'{key}' has characters that no name can have", self._path, self._fix)
+        return (one_line(given) if self._more.get("shown") else given) if kind is str else None
+
+    def _inner(self, kind: Any, given: str, key: str) -> Path | PurePosixPath:
+        try:
+            inside = inner_path(given)
+        except ValueError as error:
+            raise PlgsError(f"'{key}': {error}", self._path, self._fix) from error
+        return Path(self._path).parent / inside if kind is Path else inside
+
+    def _number(self, kind: Any, given: Any) -> int | float | None:
+        if isinstance(given, bool) or not isinstance(given, int | float) or not self._least <= given <= self._most:
+            return None
+        if kind is int:
+            return int(given) if isinstance(given, int) or given.is_integer() else None
+        return float(given) if abs(given) < 1e300 else None
+
+    def wrong(self, kind: Any, given: Any, key: str) -> PlgsError:
+        """The error for a value of another kind than ``kind``."""
+        return PlgsError(f"'{key}' has to be {self._words(kind)}, not {shown_json(given)}", self._path, self._fix)
+
+    def _words(self, kind: Any) -> str:
+        if get_origin(kind) is Literal:
+            return f"one of {', '.join(get_args(kind))}"
+        if get_origin(kind) is tuple:
+            inner = get_args(kind)
+            return "a list" if inner[-1] is Ellipsis else f"a list of {len(inner)}"
+        if kind not in (int, float):
+            longest = f" of at most {self._more['longest']} characters" if "longest" in self._more else ""
+            return _NAMES.get(kind, "an object") + longest
+        least = "" if math.isinf(self._least) else f" from {self._least:.15g}"
+        most = "" if math.isinf(self._most) else f" to {self._most:.15g}"
+        return ("a whole number" if kind is int else "a number") + least + most
+
+
+def _written(kind: Any) -> Iterator[Field[Any]]:
+    return (each for each in fields(kind) if not each.metadata.get("apart"))
+
+
+def _default(declared: Field[Any]) -> Any:
+    if declared.default is not MISSING:
+        return declared.default
+    return MISSING if declared.default_factory is MISSING else declared.default_factory()
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def _plain(value: Any, folder: Path | None) -> Any:
+    if is_dataclass(value):
+        return to_json(value, folder)
+    if isinstance(value, Mapping):
+        return {name: _plain(each, folder) for name, each in value.items()}
+    if isinstance(value, tuple) and any(is_dataclass(each) for each in value[:1]):
+        return [_plain(each, folder) for each in value]
+    return value
+
+
+def _of(context: str) -> str:
+    return f" in {context}" if context else ""
