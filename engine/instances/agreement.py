@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..presets.preset import EvidenceKind
-from ..scene import Segment, View, evidence, resolution_of
+from ..scene import OnDemand, Segment, View, chained, evidence, resolution_of
+from .records import ObjectMask
 from .segments import edge_distance
 
 PAIRS_AT_A_TIME = 8192
@@ -31,12 +32,46 @@ class ViewPoints:
 
 
 @dataclass(frozen=True, eq=False)
+class ViewsOnCloud:
+    """``views`` and what they see of a cloud: ``point_of_pixel``, the point that each of their pixels shows, int32
+    [H, W] a view (-1 = none), and ``seen``, what each view says of the points."""
+
+    views: Sequence[View]
+    point_of_pixel: Sequence[NDArray[np.int32]]
+    seen: Sequence[ViewPoints]
+
+    @classmethod
+    def of(cls, views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]]) -> ViewsOnCloud:
+        """With ``seen`` made when it is asked for."""
+        seen = OnDemand(len(views), lambda number: view_points(views[number], point_of_pixel[number]))
+        return cls(views, point_of_pixel, seen)
+
+    def and_also(self, others: ViewsOnCloud) -> ViewsOnCloud:
+        """These views, then the others."""
+        rows = chained(self.point_of_pixel, others.point_of_pixel)
+        return ViewsOnCloud(chained(self.views, others.views), rows, chained(self.seen, others.seen))
+
+    def looked_at(self, progress: Callable[[int, int], object]) -> ViewsOnCloud:
+        """With ``seen`` made now, in memory; ``progress`` is called after each view."""
+        seen = []
+        for done, one in enumerate(self.seen, start=1):
+            seen.append(one)
+            progress(done, len(self.views))
+        return replace(self, seen=seen)
+
+    def only(self, numbers: NDArray[np.integer]) -> ViewsOnCloud:
+        """The views of these numbers [n]."""
+        views, rows, seen = ([own[n] for n in numbers] for own in (self.views, self.point_of_pixel, self.seen))
+        return ViewsOnCloud(views, rows, seen)
+
+
+@dataclass(frozen=True, eq=False)
 class MasksInSpace:
-    """M masks of V views. ``masks``: frame name and segment; ``view`` int64 [M], the view of each; ``is_thing`` bool
+    """M ``masks`` of V views. ``view`` int64 [M], the view of each; ``is_thing`` bool
     [M]; ``holds`` sparse 0/1 [M, N], the points of the cloud in each mask; ``sight`` sparse 0/1 [V, N], the points that
     each view sees; ``word`` sparse [V, N], how much the view's word on each of them counts."""
 
-    masks: list[tuple[str, Segment]]
+    masks: list[ObjectMask]
     view: NDArray[np.int64]
     is_thing: NDArray[np.bool_]
     holds: Any
@@ -118,22 +153,27 @@ def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
     return np.array([class_of.get(int(segment), 0) for segment in present], np.int32)[inverse.reshape(-1)]
 
 
-def masks_in_space(
-    views: Sequence[View], summaries: Sequence[ViewPoints], points: int, min_points: int, kind: EvidenceKind = "views"
-) -> MasksInSpace:
-    """All masks that have at least ``min_points`` of the cloud's ``points``, with the views' words of that ``kind``. A
-    region that may be several objects (a thing's class without an instance) takes no part."""
-    masks: list[tuple[str, Segment]] = []
+def masks_of_view(view: View, seen: ViewPoints, min_points: int) -> Iterator[tuple[Segment, NDArray[np.int32]]]:
+    """The view's masks that have at least ``min_points`` points, and the rows int32 [n] of these. A region that may be
+    several objects (a thing's class without an instance) takes no part."""
+    for segment in sorted(view.mask.segments, key=lambda each: each.id):
+        rows = seen.row[seen.segment == segment.id]
+        if segment.id > 0 and len(rows) >= min_points and not segment.is_group:
+            yield segment, rows
+
+
+def masks_in_space(seeing: ViewsOnCloud, points: int, min_points: int, kind: EvidenceKind = "views") -> MasksInSpace:
+    """All masks that have at least ``min_points`` of the cloud's ``points``, with the views' words of that ``kind``."""
+    summaries = seeing.seen
+    masks: list[ObjectMask] = []
     view_of_mask: list[int] = []
     held: list[NDArray[np.int32]] = []
-    for number, (view, summary) in enumerate(zip(views, summaries, strict=True)):
-        for segment in sorted(view.mask.segments, key=lambda each: each.id):
-            rows = summary.row[summary.segment == segment.id]
-            if segment.id > 0 and len(rows) >= min_points and not segment.is_group:
-                masks.append((view.name, segment))
-                view_of_mask.append(number)
-                held.append(rows)
-    is_thing = np.array([segment.is_thing for _, segment in masks], bool)
+    for number, (view, summary) in enumerate(zip(seeing.views, summaries, strict=True)):
+        for segment, rows in masks_of_view(view, summary, min_points):
+            masks.append(ObjectMask(view.name, segment))
+            view_of_mask.append(number)
+            held.append(rows)
+    is_thing = np.array([mask.segment.is_thing for mask in masks], bool)
     holds = _rows_of_ones(held, points)
     sight = _rows_of_ones([summary.row for summary in summaries], points)
     pixels = np.concatenate([np.zeros(0, np.float32), *(one.pixels for one in summaries)])

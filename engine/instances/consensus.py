@@ -8,8 +8,7 @@ outvoted, and a class that changes from view to view does no harm. The idea is t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +16,18 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..presets.preset import EvidenceKind
-from ..scene import Segment, View
 from .agreement import (
     PAIRS_AT_A_TIME,
     Agreement,
     JudgingRules,
     MasksInSpace,
-    ViewPoints,
+    ViewsOnCloud,
     judge_masks,
     masks_in_space,
-    view_points,
+    masks_of_view,
 )
 from .keyframes import choose_keyframes
-from .masks import PointOfPixel
-from .matching import Progress
+from .records import ObjectMask, SceneObject
 
 
 @dataclass(frozen=True)
@@ -56,62 +53,33 @@ class ConsensusOptions:
         return min(self.min_masks, max(2, seeing - 1))
 
 
-@dataclass(frozen=True)
-class MemberMask:
-    """A mask of an object. Views judge it together with each other mask of the object. ``agreement`` is the share of
-    these judgements that show both inside one mask; None when there is none.
-    """
-
-    frame: str
-    segment: Segment
-    agreement: float | None
-
-
 @dataclass(frozen=True, eq=False)
-class ObjectMasks:
-    """``object_of_point`` int32 [N]: 0 = in no object, else 1.. ; ``masks``: those of object i are at place i - 1."""
+class FoundObjects:
+    """The ``objects`` 1.., and ``object_of_point`` int32 [N]: the one that each point is of, 0 = none."""
 
     object_of_point: NDArray[np.int32]
-    masks: tuple[tuple[MemberMask, ...], ...]
+    objects: list[SceneObject]
 
 
-def find_objects(
-    views: Sequence[View],
-    point_of_pixel: PointOfPixel,
-    points: int,
-    options: ConsensusOptions,
-    progress: Progress | None = None,
-) -> tuple[ObjectMasks, list[ViewPoints]]:
-    """Objects of a cloud of ``points`` points, and what each view says of the points (``vote_classes`` needs it)."""
-    summaries = []
-    for done, view in enumerate(views, start=1):
-        summaries.append(view_points(view, point_of_pixel(view)))
-        if progress:
-            progress(done, len(views))
-    space = masks_in_space(views, summaries, points, options.rules.min_points, options.evidence)
+def find_objects(seeing: ViewsOnCloud, points: int, options: ConsensusOptions) -> FoundObjects:
+    """The objects of a cloud of ``points`` points that the views agree on."""
+    space = masks_in_space(seeing, points, options.rules.min_points, options.evidence)
     keyframes = choose_keyframes(space, options.most_masks)
     found = objects_of_masks(space.of_views(keyframes), options)
-    others = np.setdiff1d(np.arange(len(views)), keyframes)
-    other_views, seen = (views[number] for number in others), (summaries[number] for number in others)
-    return with_masks_of(found, other_views, seen, options.rules), summaries
+    return with_masks_of(found, seeing.only(np.setdiff1d(np.arange(len(seeing.views)), keyframes)), options.rules)
 
 
-def with_masks_of(
-    objects: ObjectMasks, views: Iterable[View], seen: Iterable[ViewPoints], rules: JudgingRules
-) -> ObjectMasks:
-    """The objects with masks of more ``views`` that were not joined; ``seen``: the points that these see. A mask goes
-    to the object that owns the share ``contained`` of its points. A region that may be several objects takes no
-    part."""
-    masks = [list(own) for own in objects.masks]
-    for view, summary in zip(views, seen, strict=True):
-        for segment in sorted(view.mask.segments, key=lambda each: each.id):
-            rows = summary.row[summary.segment == segment.id]
-            if segment.id <= 0 or segment.is_group or len(rows) < rules.min_points:
-                continue
-            number = containing_object(objects.object_of_point[rows], rules.contained)
+def with_masks_of(found: FoundObjects, others: ViewsOnCloud, rules: JudgingRules) -> FoundObjects:
+    """The objects with masks of ``others``, views whose masks were not joined. A mask goes to the object that owns the
+    share ``contained`` of its points."""
+    masks = [list(one.masks) for one in found.objects]
+    for view, seen in zip(others.views, others.seen, strict=True):
+        for segment, rows in masks_of_view(view, seen, rules.min_points):
+            number = containing_object(found.object_of_point[rows], rules.contained)
             if number:
-                masks[number - 1].append(MemberMask(view.name, segment, None))
-    return ObjectMasks(objects.object_of_point, tuple(map(tuple, masks)))
+                masks[number - 1].append(ObjectMask(view.name, segment))
+    objects = [replace(one, masks=tuple(own)) for one, own in zip(found.objects, masks, strict=True)]
+    return FoundObjects(found.object_of_point, objects)
 
 
 def containing_object(owner: NDArray[np.int32], contained: float) -> int:
@@ -123,10 +91,10 @@ def containing_object(owner: NDArray[np.int32], contained: float) -> int:
     return largest if owned[largest] >= contained * len(owner) else 0
 
 
-def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> ObjectMasks:
+def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> FoundObjects:
     """Cluster all masks and give each point to the object most of whose masks hold it."""
     points = space.holds.shape[1]
-    nothing = ObjectMasks(np.zeros(points, np.int32), ())
+    nothing = FoundObjects(np.zeros(points, np.int32), [])
     if not space.masks:
         return nothing
     judgement, sound = judge_masks(space, options.rules)
@@ -138,12 +106,12 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> ObjectMa
         return nothing
     votes = np.stack([np.asarray(space.words(each).sum(0)).reshape(-1) for each in members])
     owner = np.where(votes.max(0) > 0, votes.argmax(0) + 1, 0).astype(np.int32)
-    found = []
+    found: list[SceneObject] = []
     for each in members:
         shares = agreements(*pairwise(judgement, each))
-        chosen = (space.masks[row] for row in each)
-        found.append(tuple(MemberMask(frame, one, share) for (frame, one), share in zip(chosen, shares, strict=True)))
-    return ObjectMasks(owner, tuple(found))
+        masks = (replace(space.masks[row], agreement=share) for row, share in zip(each, shares, strict=True))
+        found.append(SceneObject(len(found) + 1, tuple(masks)))
+    return FoundObjects(owner, found)
 
 
 def join_agreeing(
@@ -227,7 +195,7 @@ def linked_parts(
 
 def has_tracks(space: MasksInSpace) -> bool:
     """Whether a tracker followed any of the masks."""
-    return any(segment.track is not None for _, segment in space.masks)
+    return any(mask.segment.track is not None for mask in space.masks)
 
 
 def same_track(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -240,7 +208,7 @@ def same_track(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.
 
 def tracks_of(space: MasksInSpace, rows: NDArray[np.intp]) -> NDArray[np.int64]:
     """The track of each of the masks ``rows``, int64 [R], -1 = none."""
-    tracks = (space.masks[row][1].track for row in rows)
+    tracks = (space.masks[row].segment.track for row in rows)
     return np.array([-1 if track is None else track for track in tracks], np.int64)
 
 
@@ -274,7 +242,7 @@ def _is_supported(space: MasksInSpace, members: NDArray[np.intp], options: Conse
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:
-    """``MemberMask.agreement`` of an object's m masks, from how many views judge each pair of them and how many of
+    """``ObjectMask.agreement`` of an object's m masks, from how many views judge each pair of them and how many of
     these are in favour, both [m, m]. A mask's judgement of itself does not count."""
     judged = judging.sum(1) - np.diag(judging)
     agreed = favour.sum(1) - np.diag(favour)

@@ -8,65 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ..presets.preset import Matching
-from ..scene import Segment, View
+from ..scene import View
 from .oriented_box import OrientedBox, fit_box, intersection_volume
-from .segments import LocalInstance, SegmentOptions, local_instances, thin
+from .records import ObjectMask, SceneObject
+from .segments import SegmentOptions, local_instances, thin
 
 Progress = Callable[[int, int], None]
 """Called with (done, total) after each view; may raise to stop."""
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """One segment that belongs to an instance; ``pixels``: how many it has with depth. ``cost``: O of the match by
-    boxes, None for the segment that founded the instance. ``agreement``: ``MemberMask.agreement`` where the views
-    joined it.
-    """
-
-    frame: str
-    segment_id: int
-    class_id: int
-    score: float
-    pixels: int
-    cost: float | None
-    agreement: float | None = None
-
-    @classmethod
-    def of(
-        cls, frame: str, segment: Segment, pixels: int, *, cost: float | None = None, agreement: float | None = None
-    ) -> Evidence:
-        return cls(frame, segment.id, segment.class_id, segment.score, pixels, cost, agreement)
-
-
-@dataclass(frozen=True, eq=False)
-class GlobalInstance:
-    """{P_g, B_g}, what it is and where it comes from: ``points`` float64 [n, 3] metres, thinned."""
-
-    id: int
-    points: NDArray[np.float64]
-    box: OrientedBox
-    evidence: tuple[Evidence, ...]
-    class_id: int
-
-    @property
-    def views(self) -> int:
-        return len({item.frame for item in self.evidence})
-
-    @property
-    def score(self) -> float:
-        """Mean score of the segments."""
-        return sum(item.score for item in self.evidence) / len(self.evidence)
-
-    @property
-    def pixels(self) -> int:
-        return sum(item.pixels for item in self.evidence)
 
 
 def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") -> float:
@@ -79,15 +34,16 @@ def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") ->
     return {"IoU+IoM": -iou - iom, "IoU": -iou, "IoM": -iom}[terms]
 
 
-def class_by_views(evidence: Sequence[Evidence]) -> int:
-    """The class with the most votes. In each view the segments share the square root of their pixels, so that a near
-    view cannot outvote the others by its mass of pixels. Ties go to the lower id."""
+def class_by_views(masks: Sequence[ObjectMask]) -> int:
+    """The class with the most votes. In each view the masks share the square root of their pixels, so that a near view
+    cannot outvote the others by its mass of pixels. Ties go to the lower id."""
     seen: dict[str, int] = {}
-    for item in evidence:
-        seen[item.frame] = seen.get(item.frame, 0) + item.pixels
+    for mask in masks:
+        seen[mask.frame] = seen.get(mask.frame, 0) + mask.pixels
     votes: dict[int, float] = {}
-    for item in evidence:
-        votes[item.class_id] = votes.get(item.class_id, 0.0) + item.pixels / math.sqrt(max(seen[item.frame], 1))
+    for mask in masks:
+        kind = mask.segment.class_id
+        votes[kind] = votes.get(kind, 0.0) + mask.pixels / math.sqrt(max(seen[mask.frame], 1))
     return min(votes, key=lambda class_id: (-round(votes[class_id], 9), class_id))
 
 
@@ -97,9 +53,9 @@ def match_views(
     segments: SegmentOptions,
     options: Matching,
     progress: Progress | None = None,
-) -> list[GlobalInstance]:
+) -> list[SceneObject]:
     """Algorithm 1 over the views in their order: I_global, ids 1.. in order of first sight."""
-    known: list[GlobalInstance] = []
+    known: list[SceneObject] = []
     for done, view in enumerate(views, start=1):
         known = update_instances(known, local_instances(view, class_ids, segments), segments.voxel_size, options)
         if progress:
@@ -108,19 +64,16 @@ def match_views(
 
 
 def update_instances(
-    known: list[GlobalInstance], local: list[LocalInstance], voxel_size: float, options: Matching
-) -> list[GlobalInstance]:
-    """I'_global after one view. ``known`` is not changed."""
+    known: list[SceneObject], local: list[SceneObject], voxel_size: float, options: Matching
+) -> list[SceneObject]:
+    """I'_global after one view, whose masks are ``local``. ``known`` is not changed."""
     updated = list(known)
     cost = np.array([[pair_cost(item.box, g.box, options.cost) for g in known] for item in local])
     for row, target in enumerate(_targets(cost.reshape(len(local), len(known)), options)):
-        item = local[row]
-        of_match = None if target is None else float(cost[row, target])
-        evidence = Evidence.of(item.frame, item.segment, item.pixels, cost=of_match)
         if target is None:
-            updated.append(GlobalInstance(len(updated) + 1, item.points, item.box, (evidence,), evidence.class_id))
+            updated.append(replace(local[row], id=len(updated) + 1))
         else:
-            updated[target] = _joined(updated[target], item.points, (evidence,), voxel_size)
+            updated[target] = _joined(updated[target], local[row], float(cost[row, target]), voxel_size)
     return updated
 
 
@@ -143,17 +96,16 @@ def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
     return targets
 
 
-def _joined(
-    instance: GlobalInstance, points: NDArray[np.float64], evidence: tuple[Evidence, ...], voxel_size: float
-) -> GlobalInstance:
-    together = thin(np.concatenate([instance.points, points]), voxel_size)
-    box, both = fit_box(together, voxel_size), instance.evidence + evidence
-    return replace(instance, points=together, box=box, evidence=both, class_id=class_by_views(both))
+def _joined(known: SceneObject, local: SceneObject, cost: float, voxel_size: float) -> SceneObject:
+    together = thin(np.concatenate([known.points, local.points]), voxel_size)
+    masks = (*known.masks, *(replace(mask, cost=cost) for mask in local.masks))
+    box = fit_box(together, voxel_size)
+    return replace(known, points=together, box=box, masks=masks, class_id=class_by_views(masks))
 
 
 def limit_instances(
-    instances: Sequence[GlobalInstance], instance_of_point: NDArray[np.int32], most: int
-) -> tuple[list[GlobalInstance], NDArray[np.int32], int]:
+    instances: Sequence[SceneObject], instance_of_point: NDArray[np.int32], most: int
+) -> tuple[list[SceneObject], NDArray[np.int32], int]:
     """Keep the ``most`` instances with the most pixels, renumbered 1.. in their order.
 
     Returns them, the points' instances int32 [N] in the new numbers (0 = none or dropped), and how many were dropped,

@@ -1,4 +1,4 @@
-"""What the objects are that views agree on: the class of each, by a vote of the views, and the instance with its box.
+"""What the objects are that views agree on: the class of each, by a vote of the views, and its points with their box.
 
 The class is ours, beyond the paper. A detector is wrong about a whole object in a view far more often than about a
 pixel: it takes the sofa for a bed. So the points of an object are decided together. A view that
@@ -8,6 +8,7 @@ resolves the object better has more votes.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,8 @@ from numpy.typing import NDArray
 from ..presets.preset import EvidenceKind
 from ..scene import View, evidence
 from .agreement import ViewPoints
-from .consensus import MemberMask
-from .matching import Evidence, GlobalInstance
 from .oriented_box import fit_box
+from .records import SceneObject
 
 
 def vote_classes(
@@ -52,14 +52,14 @@ def object_classes(votes: NDArray[np.float64], class_ids: tuple[int, ...]) -> ND
     return np.where(votes.any(1), winner, 0).astype(np.int32)
 
 
-def object_instances(
+def placed_objects(
     views: Sequence[View],
-    objects: Sequence[tuple[Sequence[MemberMask], int]],
+    objects: Sequence[SceneObject],
     xyz: NDArray[np.floating],
     object_of_point: NDArray[np.int32],
     min_thickness: float,
-) -> list[GlobalInstance]:
-    """The ``objects`` 1.. (the masks of each, and its class) as instances with boxes. Each owns points.
+) -> list[SceneObject]:
+    """The objects with their points, boxes, and the pixels of their masks. Each owns points.
 
     ``xyz`` [N, 3] metres are the cloud's points; ``object_of_point`` int32 [N] is the object that each belongs to (0 =
     none); ``min_thickness`` is the shortest side of a box in metres.
@@ -69,14 +69,9 @@ def object_instances(
         for view in views
         for segment, count in zip(*np.unique(view.mask.ids[view.depth > 0], return_counts=True), strict=True)
     }
-    instances: list[GlobalInstance] = []
-    for number, (masks, class_id) in enumerate(objects, start=1):
-        points = np.asarray(xyz[object_of_point == number], np.float64)
-        evidence = tuple(
-            Evidence.of(
-                mask.frame, mask.segment, pixels.get((mask.frame, mask.segment.id), 0), agreement=mask.agreement
-            )
-            for mask in masks
-        )
-        instances.append(GlobalInstance(number, points, fit_box(points, min_thickness), evidence, class_id))
-    return instances
+    placed = []
+    for one in objects:
+        points = np.asarray(xyz[object_of_point == one.id], np.float64)
+        masks = tuple(replace(mask, pixels=pixels.get(mask.key, 0)) for mask in one.masks)
+        placed.append(replace(one, points=points, box=fit_box(points, min_thickness), masks=masks))
+    return placed

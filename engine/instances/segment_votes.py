@@ -19,6 +19,7 @@ from scipy import sparse
 
 from ..presets.preset import EvidenceKind
 from ..scene import VOID, OnDemand, PanopticMask, View, evidence, resolution_of
+from .agreement import ViewsOnCloud
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
 ROWS_AT_A_TIME = 32768
@@ -40,17 +41,17 @@ class VotedLabels:
 
 
 def vote_panoptic_labels(
-    views: Sequence[View],
-    point_of_pixel: Sequence[NDArray[np.int32]],
+    seeing: ViewsOnCloud,
     points: int,
     labels: PanopticLabels,
     object_of_segment: Mapping[tuple[str, int], int],
     rounds: int,
     kind: EvidenceKind,
 ) -> VotedLabels:
-    """Labels of a cloud of ``points`` points. ``point_of_pixel``: the point that each pixel shows, int32 [H, W] a view
-    (-1 = none); ``object_of_segment``: frame and segment id to the object 1..U that the mask is one of; ``rounds``:
-    how often segments take the label of their points and vote again; ``kind``: the votes that a view has on a point."""
+    """Labels of a cloud of ``points`` points. ``object_of_segment``: frame and segment id to the object 1..U that the
+    mask is one of; ``rounds``: how often segments take the label of their points and vote again; ``kind``: the votes
+    that a view has on a point."""
+    views, point_of_pixel = seeing.views, seeing.point_of_pixel
     maps = OnDemand(len(views), lambda number: member_labels(views[number], labels, object_of_segment))
     label, confidence = _decided(_votes(views, maps, point_of_pixel, points, len(labels), kind), labels)
     for _ in range(rounds):

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
-from ..scene import PanopticMask, Segment, View
-from .oriented_box import OrientedBox, fit_box
+from ..scene import PanopticMask, View
+from .oriented_box import fit_box
+from .records import ObjectMask, SceneObject
 
 
 @dataclass(frozen=True)
@@ -35,20 +36,6 @@ OUTLINE_ERROR = 0.004
 """Shares of the picture's longer side by which an outline may be off."""
 OUTLINE_PART = 0.1
 """Share of a mask's largest part below which a part has no outline."""
-
-
-@dataclass(frozen=True, eq=False)
-class LocalInstance:
-    """A segment of one view in space: P_l, thinned points float64 [n, 3] in metres, and its box B_l.
-
-    ``pixels`` is the number of the segment's pixels with depth before erosion.
-    """
-
-    frame: str
-    segment: Segment
-    points: NDArray[np.float64]
-    box: OrientedBox
-    pixels: int
 
 
 @dataclass(frozen=True)
@@ -89,9 +76,10 @@ def outline_of(mask: PanopticMask, segment: int) -> str:
     return ";".join(polygons)
 
 
-def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptions) -> list[LocalInstance]:
-    """I_local: the view's segments of the given classes that have enough points, in ascending order of segment id. A
-    region that may be several objects (a thing's class without an instance) is left out."""
+def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptions) -> list[SceneObject]:
+    """I_local: the view's segments of the given classes that have enough points, in ascending order of segment id, each
+    as an object of its own (id 0). Their ``pixels`` are counted before erosion. A region that may be several objects (a
+    thing's class without an instance) is left out."""
     points = view.camera.unproject(view.depth)
     margin = edge_distance(view.mask.ids)
     found = []
@@ -102,7 +90,8 @@ def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptio
             continue
         kept = _eroded(inside, margin, options)
         thinned = thin(points[kept], options.voxel_size)
-        found.append(LocalInstance(view.name, segment, thinned, fit_box(thinned, options.voxel_size), pixels))
+        box, mask = fit_box(thinned, options.voxel_size), ObjectMask(view.name, segment, pixels)
+        found.append(SceneObject(0, (mask,), segment.class_id, thinned, box))
     return found
 
 

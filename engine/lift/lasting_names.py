@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..corrections import Edit, editing, read_corrected, read_edits
 from ..errors import PlgsError
 from ..instances.lasting_objects import LastingObjects, lasting_objects, object_overlap
-from ..instances.matching import GlobalInstance
+from ..instances.records import SceneObject
 from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
 from ..json_file import read_object
 from ..model.structured import StructuredScene
@@ -84,7 +84,7 @@ class LastingNames:
 
 def lasting_names(
     earlier: EarlierLift,
-    instances: Sequence[GlobalInstance],
+    instances: Sequence[SceneObject],
     xyz: NDArray[np.floating],
     instance_of_point: NDArray[np.int32],
     classes: ClassTable,

@@ -15,20 +15,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances.agreement import ViewPoints, shown_classes
-from ..instances.consensus import ConsensusOptions, MemberMask, ObjectMasks, find_objects, with_masks_of
+from ..instances.agreement import ViewPoints, ViewsOnCloud, shown_classes
+from ..instances.consensus import ConsensusOptions, FoundObjects, find_objects, with_masks_of
 from ..instances.masks import vote_instances
-from ..instances.matching import GlobalInstance, limit_instances, match_views
-from ..instances.objects import object_classes, object_instances, vote_classes
+from ..instances.matching import limit_instances, match_views
+from ..instances.objects import object_classes, placed_objects, vote_classes
 from ..instances.panoptic_labels import PanopticLabels
 from ..instances.pieces import PieceRules, regroup_pieces
+from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions
 from ..presets.preset import EvidenceKind, Preset
-from ..scene import VOID, ClassTable, OnDemand, View, chained, stored
+from ..scene import VOID, ClassTable, OnDemand, View, stored
 from ..semantics.point_cloud import SemanticPointCloud
 from ..train.progress import StageProgress
-from .voters import Voters
 
 CONSENSUS = ConsensusOptions()
 LARGEST_GAP = 0.15
@@ -56,7 +56,7 @@ class Matching:
     was looked up."""
 
     cloud: SemanticPointCloud
-    instances: list[GlobalInstance]
+    instances: list[SceneObject]
     instance_of_point: NDArray[np.int32]
     dropped: int
     label_maps: Sequence[NDArray[np.int16]] | None = None
@@ -68,10 +68,9 @@ def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgr
     views, cloud, classes = given.views, given.cloud, given.classes
     segments = SegmentOptions(voxel_size=preset.voxel_size)
     found = match_views(views, classes.thing_ids, segments, preset.matching, progress)
-    owner_of_segment = {(item.frame, item.segment_id): one.id for one in found for item in one.evidence}
     index, reach = cloud.index(), 2 * preset.voxel_size
     owner = vote_instances(
-        views, lambda view: index.nearest_of_pixels(view.camera, view.depth, reach), len(cloud), owner_of_segment
+        views, lambda view: index.nearest_of_pixels(view.camera, view.depth, reach), len(cloud), object_of_mask(found)
     )
     owner[~np.isin(cloud.class_id, sorted(classes.thing_ids))] = 0
     instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
@@ -81,34 +80,35 @@ def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgr
 def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
     """Ours: objects that the views agree on, the class that they vote for each, and the labels that segments and points
     vote for every pixel."""
-    views, cloud, scratch = given.views, given.cloud, given.scratch
-    rows, consensus = point_of_pixels(views, cloud, scratch), replace(CONSENSUS, evidence=preset.evidence.masks)
-    voters = Voters(given.others, point_of_pixels(given.others, cloud, scratch))
-    number_of = {view.name: number for number, view in enumerate(views)}
-    objects, seen = find_objects(views, lambda view: rows[number_of[view.name]], len(cloud), consensus, progress)
-    objects = with_masks_of(objects, voters.views, voters.seen, CONSENSUS.rules)
-    all_views, all_rows = chained(views, voters.views), chained(rows, voters.point_of_pixel)
-    things = thing_objects(
-        objects, all_views, chained(seen, voters.seen), cloud, given.classes, preset.evidence.objects
-    )
-    labels = PanopticLabels(cloud.class_ids, tuple(class_id for _, class_id in things))
-    member_of = {
-        (mask.frame, mask.segment.id): number for number, (masks, _) in enumerate(things, start=1) for mask in masks
-    }
-    voted = vote_panoptic_labels(
-        all_views, all_rows, len(cloud), labels, member_of, preset.segment_voting.rounds, preset.evidence.segments
-    )
+    cloud, scratch, kinds = given.cloud, given.scratch, preset.evidence
+    training, voting = on_cloud(given.views, cloud, scratch).looked_at(progress), on_cloud(given.others, cloud, scratch)
+    everyone = training.and_also(voting)
+
+    found = find_objects(training, len(cloud), replace(CONSENSUS, evidence=kinds.masks))
+    found = with_masks_of(found, voting, CONSENSUS.rules)
+    things = thing_objects(found, everyone, cloud, given.classes, kinds.objects)
+
+    labels = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in things))
+    rounds = preset.segment_voting.rounds
+    voted = vote_panoptic_labels(everyone, len(cloud), labels, object_of_mask(things), rounds, kinds.segments)
     object_of_point = labels.objects(voted.label)
-    owner, members = pieces_in_space(things, object_of_point, views, seen, cloud)
+    owner, things = pieces_in_space(things, object_of_point, training, cloud)
+
     fragment = (object_of_point > 0) & (owner == 0)
     class_id = np.where(fragment, VOID, labels.classes(voted.label)).astype(np.int32)
     cloud = replace(cloud, class_id=class_id, confidence=voted.confidence)
-    found = object_instances(views, members, cloud.xyz, owner, preset.voxel_size)
-    instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
+    placed = placed_objects(training.views, things, cloud.xyz, owner, preset.voxel_size)
+    instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
+
     final = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in instances))
-    of_point = final.of_points(cloud.class_id, instance_of_point)
-    maps = view_labels(views, rows, of_point, len(final))
-    return Matching(cloud, instances, instance_of_point, dropped, stored(maps, scratch), rows)
+    of_point = final.of_points(class_id, instance_of_point)
+    maps = view_labels(training.views, training.point_of_pixel, of_point, len(final))
+    return Matching(cloud, instances, instance_of_point, dropped, stored(maps, scratch), training.point_of_pixel)
+
+
+def on_cloud(views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None) -> ViewsOnCloud:
+    """The views, and what they see of the cloud."""
+    return ViewsOnCloud.of(views, point_of_pixels(views, cloud, scratch))
 
 
 def point_of_pixels(
@@ -128,77 +128,64 @@ def no_objects(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> 
 MATCHINGS = {"boxes": instances_by_boxes, "agreement": objects_by_agreement, "none": no_objects}
 """The matchings by the preset's ``objects``."""
 
-MasksOfClass = tuple[Sequence[MemberMask], int]
-"""The masks of an object, and its class."""
-
 
 def thing_objects(
-    objects: ObjectMasks,
-    views: Sequence[View],
-    seen: Sequence[ViewPoints],
-    cloud: SemanticPointCloud,
-    classes: ClassTable,
-    kind: EvidenceKind,
-) -> list[MasksOfClass]:
-    """The objects that the views vote to be things, with votes of that ``kind``."""
-    shown = ((one, shown_classes(view, one)) for view, one in zip(views, seen, strict=True))
-    votes = vote_classes(shown, objects.object_of_point, len(objects.masks), cloud.class_ids, kind)
-    class_of_object = object_classes(votes, cloud.class_ids)
-    return [
-        (masks, int(class_id))
-        for masks, class_id in zip(objects.masks, class_of_object[1:], strict=True)
-        if class_id in classes.thing_ids
-    ]
+    found: FoundObjects, seeing: ViewsOnCloud, cloud: SemanticPointCloud, classes: ClassTable, kind: EvidenceKind
+) -> list[SceneObject]:
+    """The objects that the views vote to be things, with votes of that ``kind``, numbered anew from 1."""
+    shown = ((seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True))
+    votes = vote_classes(shown, found.object_of_point, len(found.objects), cloud.class_ids, kind)
+    class_of_object = object_classes(votes, cloud.class_ids).tolist()
+    things = (one for one in found.objects if class_of_object[one.id] in classes.thing_ids)
+    return [replace(one, id=number, class_id=class_of_object[one.id]) for number, one in enumerate(things, start=1)]
 
 
 def pieces_in_space(
-    things: Sequence[MasksOfClass],
+    things: Sequence[SceneObject],
     object_of_point: NDArray[np.int32],
-    views: Sequence[View],
-    seen: Sequence[ViewPoints],
+    seeing: ViewsOnCloud,
     cloud: SemanticPointCloud,
-) -> tuple[NDArray[np.int32], list[MasksOfClass]]:
-    """The objects after their pieces were regrouped: the object that owns each point, int32 [N] (0 = none), and the
-    masks of each. ``object_of_point`` int32 [N]: the one of ``things``, from 1, that the views voted for."""
-    classes = tuple(class_id for _, class_id in things)
+) -> tuple[NDArray[np.int32], list[SceneObject]]:
+    """The objects after their pieces were regrouped, and the one that owns each point, int32 [N] (0 = none).
+    ``object_of_point`` int32 [N]: the one of ``things`` that the views voted for."""
     rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
-    owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seen, rules)
-    members = masks_of_pieces([masks for masks, _ in things], views, seen, owner, len(origin))
-    owner, members, origin = without_fragments(owner, members, origin, seen)
-    return owner, [(masks, classes[number - 1]) for masks, number in zip(members, origin, strict=True)]
+    classes = [one.class_id for one in things]
+    owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seeing.seen, rules)
+    masks = masks_of_pieces([mask for one in things for mask in one.masks], seeing, owner, len(origin))
+    pieces = [SceneObject(number, own, classes[number - 1]) for number, own in zip(origin, masks, strict=True)]
+    return without_fragments(owner, pieces, seeing.seen)
 
 
 def masks_of_pieces(
-    masks: Sequence[Sequence[MemberMask]],
-    views: Sequence[View],
-    seen: Sequence[ViewPoints],
-    owner: NDArray[np.int32],
-    count: int,
-) -> list[list[MemberMask]]:
-    """The masks of each of ``count`` final objects, in the order of the views. A mask is evidence of the object that
-    owns most of its points. Masks of views that only vote are no evidence. ``owner`` int32 [N]: the final object of
-    each point, 0 = none."""
-    summary_of = {view.name: (number, one) for number, (view, one) in enumerate(zip(views, seen, strict=True))}
-    members: list[list[tuple[int, MemberMask]]] = [[] for _ in range(count)]
-    for mask in (mask for group in masks for mask in group if mask.frame in summary_of):
-        number, summary = summary_of[mask.frame]
-        owned = np.bincount(owner[summary.row[summary.segment == mask.segment.id]], minlength=count + 1)
+    masks: Sequence[ObjectMask], seeing: ViewsOnCloud, owner: NDArray[np.int32], count: int
+) -> list[tuple[ObjectMask, ...]]:
+    """The masks of each of ``count`` pieces, in the order of the views. A mask is evidence of the piece that owns most
+    of its points. Masks of views that only vote are no evidence. ``owner`` int32 [N]: the piece of each point, 0 =
+    none."""
+    number_of = {view.name: number for number, view in enumerate(seeing.views)}
+    members: list[list[ObjectMask]] = [[] for _ in range(count)]
+    own = (mask for mask in masks if mask.frame in number_of)
+    for mask in sorted(own, key=lambda each: number_of[each.frame]):
+        seen = seeing.seen[number_of[mask.frame]]
+        owned = np.bincount(owner[seen.row[seen.segment == mask.segment.id]], minlength=count + 1)
         owned[0] = 0
         if owned.any():
-            members[int(owned.argmax()) - 1].append((number, mask))
-    return [[mask for _, mask in sorted(group, key=lambda each: each[0])] for group in members]
+            members[int(owned.argmax()) - 1].append(mask)
+    return [tuple(each) for each in members]
 
 
 def without_fragments(
-    owner: NDArray[np.int32], members: list[list[MemberMask]], origin: list[int], seen: Sequence[ViewPoints]
-) -> tuple[NDArray[np.int32], list[list[MemberMask]], list[int]]:
-    """The objects with masks enough, numbered anew from 1: as many as an object needs that is seen by the same views.
-    The piece of a split object needs as many as one that all views see: else it is the ragged edge of a few masks."""
-    pieces, size = Counter(origin), np.bincount(owner, minlength=len(members) + 1)
+    owner: NDArray[np.int32], pieces: Sequence[SceneObject], seen: Sequence[ViewPoints]
+) -> tuple[NDArray[np.int32], list[SceneObject]]:
+    """The pieces with masks enough, as objects numbered anew from 1, and the object of each point, int32 [N]: as many
+    masks as an object needs that is seen by the same views. The piece of a split object needs as many as one that all
+    views see: else it is the ragged edge of a few masks. ``owner`` int32 [N]: the place of each point's piece, from 1;
+    the ``id`` of a piece is that of the object that it is of."""
+    parts, size = Counter(one.id for one in pieces), np.bincount(owner, minlength=len(pieces) + 1)
     shares = (np.bincount(owner[one.row], minlength=len(size)) / np.maximum(size, 1) for one in seen)
     seeing = sum((share >= 0.5 for share in shares), np.zeros(len(size), np.int64))[1:]
-    seeing[[pieces[source] > 1 for source in origin]] = len(seen)
-    kept = [place for place, masks in enumerate(members) if len(masks) >= CONSENSUS.least_masks(int(seeing[place]))]
-    number = np.zeros(len(members) + 1, np.int32)
+    seeing[[parts[one.id] > 1 for one in pieces]] = len(seen)
+    kept = [n for n, one in enumerate(pieces) if len(one.masks) >= CONSENSUS.least_masks(int(seeing[n]))]
+    number = np.zeros(len(pieces) + 1, np.int32)
     number[[place + 1 for place in kept]] = np.arange(1, len(kept) + 1)
-    return number[owner], [members[place] for place in kept], [origin[place] for place in kept]
+    return number[owner], [replace(pieces[place], id=new) for new, place in enumerate(kept, start=1)]

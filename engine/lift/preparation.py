@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances.matching import GlobalInstance
+from ..instances.records import SceneObject
 from ..job import EventWriter
 from ..model.structured import StructuredScene
 from ..presets.preset import Preset
@@ -40,7 +40,7 @@ class PreparedLift:
     targets: Sequence[ViewTargets]
     cloud: SemanticPointCloud
     instance_of_point: NDArray[np.int32]
-    instances: tuple[GlobalInstance, ...]
+    instances: tuple[SceneObject, ...]
     class_of_instance: Mapping[int, int] | None
     label_maps: Sequence[NDArray[np.int16]] | None
 

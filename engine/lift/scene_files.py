@@ -12,7 +12,7 @@ from safetensors.torch import save
 
 from ..corrections import CorrectedResult
 from ..errors import PlgsError
-from ..instances.matching import GlobalInstance
+from ..instances.records import SceneObject
 from ..instances.segments import mask_extents, outline_of
 from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
 from ..model.baking import bake
@@ -119,7 +119,7 @@ def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected:
     return ShownInstances(_with_numbers(names, lifted), class_of if one_class else None)
 
 
-def instance_names(instances: Sequence[GlobalInstance], classes: ClassTable) -> dict[int, str]:
+def instance_names(instances: Sequence[SceneObject], classes: ClassTable) -> dict[int, str]:
     """ "chair 1", "chair 2", ... in ascending order of id."""
     names: dict[int, str] = {}
     count: dict[int, int] = {}
@@ -142,11 +142,17 @@ def listed_instances(
         length, width, height = instance.box.size.tolist()
         segments = tuple(
             MatchedSegment(
-                **vars(item),
-                **vars(extents[item.frame][item.segment_id]),
-                outline=outline_of(masks[item.frame], item.segment_id),
+                mask.frame,
+                mask.segment.id,
+                mask.segment.class_id,
+                mask.segment.score,
+                mask.cost,
+                mask.agreement,
+                mask.pixels,
+                **vars(extents[mask.frame][mask.segment.id]),
+                outline=outline_of(masks[mask.frame], mask.segment.id),
             )
-            for item in instance.evidence
+            for mask in instance.masks
         )
         listed.append(
             Instance(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances.matching import GlobalInstance
+from ..instances.records import SceneObject
 from ..model.anchors import initial_anchors, seeded_features
 from ..model.decoders import Decoders, DecoderShape
 from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
@@ -23,7 +23,7 @@ FEATURES = 32
 """Entries of an anchor's feature (Scaffold-GS's number)."""
 
 
-def label_channels(class_ids: tuple[int, ...], instances: Sequence[GlobalInstance], preset: Preset) -> LabelChannels:
+def label_channels(class_ids: tuple[int, ...], instances: Sequence[SceneObject], preset: Preset) -> LabelChannels:
     """A channel for every class, a slot for every instance and one for "no object", and spare slots up to the preset's
     least number. Where nothing was matched, all slots but that for "no object" may be shown."""
     if preset.objects == "none":

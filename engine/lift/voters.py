@@ -17,34 +17,17 @@ it. Holes of their depth are not filled; whether that would help was not measure
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from ..instances.agreement import ViewPoints, view_points
 from ..job import EventWriter
 from ..presets.preset import Preset
-from ..scene import Frame, OnDemand, Size, StoredViews, View, read_ahead, size_within
+from ..scene import Frame, Size, StoredViews, View, read_ahead, size_within
 
 SMALLER = 2
 """Factor by which voters are narrower and lower than the frames trained on."""
-
-
-@dataclass(frozen=True, eq=False)
-class Voters:
-    """``views`` without colour; ``point_of_pixel``: the point of the cloud that each of their pixels shows, int32 [H,
-    W] a view (-1 = none)."""
-
-    views: Sequence[View]
-    point_of_pixel: Sequence[NDArray[np.int32]]
-
-    @property
-    def seen(self) -> Sequence[ViewPoints]:
-        """What each view says of the points it sees, made when asked for."""
-        return OnDemand(len(self.views), lambda number: view_points(self.views[number], self.point_of_pixel[number]))
 
 
 def read_voters(

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from engine.instances.agreement import Agreement, MasksInSpace, shown_classes, view_points
+from engine.instances.agreement import Agreement, MasksInSpace, ViewsOnCloud, shown_classes, view_points
 from engine.instances.consensus import (
     ConsensusOptions,
-    ObjectMasks,
+    FoundObjects,
     agreements,
     find_objects,
     join,
@@ -20,7 +20,8 @@ from engine.instances.consensus import (
     join_weight,
     with_masks_of,
 )
-from engine.instances.objects import object_instances
+from engine.instances.objects import placed_objects
+from engine.instances.records import ObjectMask
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
 
@@ -40,8 +41,8 @@ def strip(name: str, ids: np.ndarray, classes: dict[int, int], groups: Sequence[
     )
 
 
-def seen(view: View) -> np.ndarray:
-    return np.repeat(np.arange(POINTS, dtype=np.int32)[None], 3, 0)
+def seeing(views: Sequence[View]) -> ViewsOnCloud:
+    return ViewsOnCloud.of(views, [np.repeat(np.arange(POINTS, dtype=np.int32)[None], 3, 0)] * len(views))
 
 
 def good(name: str, left: int = CHAIR) -> View:
@@ -85,19 +86,19 @@ def blind(name: str) -> View:
     return strip(name, np.zeros(POINTS), {})
 
 
-def objects_in(views: Sequence[View], options: ConsensusOptions = OPTIONS) -> ObjectMasks:
-    return find_objects(views, seen, POINTS, options)[0]
+def objects_in(views: Sequence[View], options: ConsensusOptions = OPTIONS) -> FoundObjects:
+    return find_objects(seeing(views), POINTS, options)
 
 
-def owners(objects: ObjectMasks, *parts: slice) -> list[int]:
+def owners(objects: FoundObjects, *parts: slice) -> list[int]:
     """The one object that each part's points belong to."""
     found = [np.unique(objects.object_of_point[part]) for part in parts]
     assert [len(each) for each in found] == [1] * len(parts)
     return [int(each[0]) for each in found]
 
 
-def frames_of(objects: ObjectMasks, number: int) -> set[str]:
-    return {mask.frame for mask in objects.masks[number - 1]}
+def frames_of(objects: FoundObjects, number: int) -> set[str]:
+    return {mask.frame for mask in objects.objects[number - 1].masks}
 
 
 def test_merging_splitting_and_misnaming_views_are_outvoted() -> None:
@@ -115,7 +116,7 @@ def test_views_that_draw_two_chairs_as_one_abstain() -> None:
     assert len({left, right, back}) == 3
     assert frames_of(objects, left) == frames_of(objects, right) == set("abcdef")
     # The merging views do not judge what belongs together, so nobody is against.
-    assert {mask.agreement for mask in objects.masks[left - 1]} == {1.0}
+    assert {mask.agreement for mask in objects.objects[left - 1].masks} == {1.0}
     assert frames_of(objects, back) == set("abcdefghij")
 
 
@@ -125,7 +126,7 @@ def test_a_chair_that_some_views_take_for_wall_stays_a_chair() -> None:
     left, right, back = owners(objects, LEFT, RIGHT, BACK)
     assert len({left, right, back}) == 3
     assert frames_of(objects, left) == set("abcdef") and frames_of(objects, right) == set("abcdefghij")
-    assert all(mask.segment.class_id == CHAIR for mask in objects.masks[left - 1])
+    assert all(mask.segment.class_id == CHAIR for mask in objects.objects[left - 1].masks)
 
 
 @pytest.mark.parametrize("inventing", [1, 3])
@@ -135,7 +136,7 @@ def test_a_thing_that_few_views_see_in_a_wall_is_wall(inventing: int) -> None:
         views[3 * place] = invented("abcdefghij"[3 * place])
     objects = objects_in(views)
     left, right, back = owners(objects, LEFT, RIGHT, BACK)
-    assert len({left, right, back}) == len(objects.masks) == 3
+    assert len({left, right, back}) == len(objects.objects) == 3
     assert frames_of(objects, left) == set("abcdefghij")
 
 
@@ -143,7 +144,7 @@ def test_agreement_says_how_many_views_put_a_mask_to_its_object() -> None:
     # Of the six views d splits the left chair; b, which merges it with the right one, abstains.
     views = [good("a"), merged("b"), good("c"), split("d"), good("e"), good("f")]
     objects = objects_in(views)
-    left = objects.masks[owners(objects, LEFT)[0] - 1]
+    left = objects.objects[owners(objects, LEFT)[0] - 1].masks
     assert [(mask.frame, mask.agreement) for mask in left] == [(frame, 4 / 5) for frame in "acddef"]
     assert agreements(np.array([[9.0, 4.0], [4.0, 9.0]]), np.array([[9.0, 5.0], [5.0, 9.0]])) == [0.8, 0.8]
     assert agreements(np.ones((1, 1)), np.ones((1, 1))) == [None]
@@ -155,7 +156,7 @@ def test_a_view_that_missed_an_object_says_nothing_about_it() -> None:
     ids[:, LEFT] = 0
     missing = replace(missing, mask=PanopticMask(ids, missing.mask.segments[1:]))
     objects = objects_in([good("a"), missing, good("c"), good("d")])
-    assert len(objects.masks) == 3 and (objects.object_of_point[LEFT] > 0).all()
+    assert len(objects.objects) == 3 and (objects.object_of_point[LEFT] > 0).all()
 
 
 def test_what_may_be_several_objects_founds_none() -> None:
@@ -163,7 +164,7 @@ def test_what_may_be_several_objects_founds_none() -> None:
     ids[LEFT], ids[RIGHT] = 3, 3
     views = [strip(name, ids, {3: CHAIR, 7: WALL}, groups=[3]) for name in "abcd"]
     objects = objects_in(views)
-    assert len(objects.masks) == 1 and not objects.object_of_point[:20].any()
+    assert len(objects.objects) == 1 and not objects.object_of_point[:20].any()
     # Where other views tell the chairs apart, the group does not join them.
     objects = objects_in([*views, *(good(name) for name in "efgh")])
     left, right = owners(objects, LEFT, RIGHT)
@@ -173,24 +174,24 @@ def test_what_may_be_several_objects_founds_none() -> None:
 @pytest.mark.parametrize(("showing", "blinded", "is_found"), [(2, 0, True), (2, 1, True), (2, 2, False), (3, 2, True)])
 def test_what_few_views_see_needs_two_or_three_masks(showing: int, blinded: int, is_found: bool) -> None:
     views = [*(good(f"good {i}") for i in range(showing)), *(blind(f"blind {i}") for i in range(blinded))]
-    assert len(objects_in(views).masks) == (3 if is_found else 0)
+    assert len(objects_in(views).objects) == (3 if is_found else 0)
 
 
 @pytest.mark.parametrize(("showing", "is_found"), [(3, False), (4, True)])
 def test_what_many_views_see_needs_masks_in_a_share_of_them(showing: int, is_found: bool) -> None:
     views = [*(good(f"good {i}") for i in range(showing)), *(blind(f"blind {i}") for i in range(40 - showing))]
     objects = objects_in(views)
-    assert len(objects.masks) == (3 if is_found else 0) and bool(objects.object_of_point.any()) is is_found
+    assert len(objects.objects) == (3 if is_found else 0) and bool(objects.object_of_point.any()) is is_found
 
 
 def test_one_view_alone_founds_objects_only_when_asked_to() -> None:
-    assert objects_in([good("a")]).masks == ()
-    assert len(objects_in([good("a")], replace(OPTIONS, min_masks=1)).masks) == 3
+    assert not objects_in([good("a")]).objects
+    assert len(objects_in([good("a")], replace(OPTIONS, min_masks=1)).objects) == 3
 
 
 def test_views_without_masks_have_no_objects() -> None:
-    objects, summaries = find_objects([blind("a")], seen, POINTS, OPTIONS)
-    assert not objects.object_of_point.any() and len(summaries) == 1
+    objects = objects_in([blind("a")])
+    assert not objects.object_of_point.any() and not objects.objects
 
 
 def test_points_show_the_segment_of_most_of_their_inner_pixels() -> None:
@@ -237,10 +238,11 @@ def test_things_become_instances_with_boxes() -> None:
     xyz[:, 0] = np.arange(POINTS)
     owner = np.zeros(POINTS, np.int32)
     owner[LEFT], owner[RIGHT] = 1, 2
-    things = [(objects.masks[left - 1], CHAIR), (objects.masks[right - 1], SOFA)]
-    instances = object_instances(views, things, xyz, owner, 0.1)
+    kinds = ((left, CHAIR), (right, SOFA))
+    things = [replace(objects.objects[old - 1], id=new, class_id=c) for new, (old, c) in enumerate(kinds, start=1)]
+    instances = placed_objects(views, things, xyz, owner, 0.1)
     assert [(one.id, one.class_id, one.views) for one in instances] == [(1, CHAIR, 3), (2, SOFA, 3)]
-    assert instances[0].evidence[0].pixels == 30
+    assert instances[0].masks[0].pixels == 30
     assert instances[0].box.size[0] == pytest.approx(9.0)
 
 
@@ -280,7 +282,7 @@ def test_linked_parts_are_joined_as_all_masks_at_once_would_be(seed: int, has_tr
     judges = (random.random((masks, views)) < 0.6).astype(np.float32)
     judgement = Agreement(inside, judges, judges)
     tracks = random.integers(0, 12, masks).tolist() if has_tracks else [None] * masks
-    segments = [("view", Segment(1, CHAIR, True, track=track if track else None)) for track in tracks]
+    segments = [ObjectMask("view", Segment(1, CHAIR, True, track=track if track else None)) for track in tracks]
     space = MasksInSpace(segments, random.integers(0, views, masks), np.ones(masks, bool), None, None, None)
     rows = np.flatnonzero(random.random(masks) < 0.8)
     at_once = join(join_weight(space, judgement, rows, OPTIONS))
@@ -315,16 +317,15 @@ def test_masks_of_more_views_join_the_object_that_holds_them() -> None:
     half[5:15], half[RIGHT.stop - 5 : RIGHT.stop], half[:2] = 3, 4, 5
     more = [good("e", left=SOFA), strip("f", half, {3: CHAIR, 4: CHAIR, 5: CHAIR, 7: WALL}), merged("g"), blind("h")]
     more.append(strip("i", more[0].mask.ids[0], {3: CHAIR, 4: CHAIR, 7: WALL}, groups=[4]))
-    summaries = [view_points(view, seen(view)) for view in more]
-    joined = with_masks_of(objects, more, summaries, OPTIONS.rules)
+    joined = with_masks_of(objects, seeing(more), OPTIONS.rules)
     np.testing.assert_array_equal(joined.object_of_point, objects.object_of_point)
     left, right, back = (int(objects.object_of_point[part.start]) for part in (LEFT, RIGHT, BACK))
     assert len({left, right, back}) == 3 and 0 not in (left, right, back)
     found = {
-        number: [(mask.frame, mask.segment.id, mask.agreement) for mask in joined.masks[number - 1][4:]]
+        number: [(mask.frame, mask.segment.id, mask.agreement) for mask in joined.objects[number - 1].masks[4:]]
         for number in (left, right, back)
     }
     assert found[left] == [("e", 3, None), ("i", 3, None)]
     assert found[right] == [("e", 4, None), ("f", 4, None)]
     assert [frame for frame, *_ in found[back]] == ["e", "f", "g", "i"]
-    assert all(own == masks[:4] for own, masks in zip(objects.masks, joined.masks, strict=True))
+    assert all(own.masks == more.masks[:4] for own, more in zip(objects.objects, joined.objects, strict=True))

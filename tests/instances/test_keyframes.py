@@ -11,6 +11,7 @@ from scipy import sparse
 from engine.instances.agreement import MasksInSpace
 from engine.instances.consensus import ConsensusOptions, objects_of_masks
 from engine.instances.keyframes import SIGHTINGS, WORTH_IT, choose_keyframes
+from engine.instances.records import ObjectMask
 from engine.scene import Segment
 from tests.instances.two_chairs import CHAIR, WALL
 
@@ -35,10 +36,10 @@ def corridor(views: int, sight: int) -> MasksInSpace:
         seen.append(rows)
         for number in np.unique(thing[rows]).tolist():
             class_id = CHAIR if number % 2 else WALL
-            masks.append((f"{view:04d}", Segment(number + 1, class_id, class_id == CHAIR)))
+            masks.append(ObjectMask(f"{view:04d}", Segment(number + 1, class_id, class_id == CHAIR)))
             view_of_mask.append(view)
             held.append(rows[thing[rows] == number])
-    is_thing = np.array([segment.is_thing for _, segment in masks])
+    is_thing = np.array([mask.segment.is_thing for mask in masks])
     sight = rows_of_ones(seen, len(columns))
     return MasksInSpace(
         masks, np.array(view_of_mask), is_thing, rows_of_ones(held, len(columns)), sight, word=sight
@@ -74,7 +75,7 @@ def test_no_view_is_left_out_that_shows_much_that_others_do_not(seed: int, most_
     views, points = 25, 80
     seen = [np.flatnonzero(random.random(points) < random.choice([0.0, 0.05, 0.3])) for _ in range(views)]
     sight = rows_of_ones([rows.astype(np.int32) for rows in seen], points)
-    masks = [(str(view), Segment(1, WALL, False)) for view in range(views) for _ in range(2)]
+    masks = [ObjectMask(str(view), Segment(1, WALL, False)) for view in range(views) for _ in range(2)]
     view_of_mask = np.repeat(np.arange(views), 2)
     space = MasksInSpace(masks, view_of_mask, np.zeros(50, bool), sight[view_of_mask], sight, word=sight)
     chosen = choose_keyframes(space, most_masks)

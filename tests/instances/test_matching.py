@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from engine.instances.matching import (
-    Evidence,
     class_by_views,
     limit_instances,
     match_views,
@@ -14,6 +13,7 @@ from engine.instances.matching import (
     update_instances,
 )
 from engine.instances.oriented_box import OrientedBox
+from engine.instances.records import ObjectMask
 from engine.instances.segments import SegmentOptions, local_instances
 from engine.presets.preset import Matching
 from engine.scene import Camera, PanopticMask, Segment, View
@@ -43,7 +43,7 @@ def only(view: View, keep: int) -> View:
 
 def test_two_chairs_12_cm_apart_stay_two() -> None:
     found = match_views(orbit(CHAIRS), THINGS, SEGMENTS, Matching())
-    assert len(found) == 2 and [len(item.evidence) > 6 for item in found] == [True, True]
+    assert len(found) == 2 and [len(item.masks) > 6 for item in found] == [True, True]
     for item, (low, high) in zip(sorted(found, key=lambda i: i.box.centre[0]), CHAIRS, strict=True):
         np.testing.assert_allclose(item.box.centre, np.add(low, high) / 2, atol=0.06)
 
@@ -60,7 +60,7 @@ def test_one_chair_from_two_sides_becomes_one() -> None:
     assert pair_cost(first.box, second.box) < -0.1
     found = match_views(views, THINGS, SEGMENTS, Matching())
     assert len(found) == 1 and found[0].views == 2
-    assert found[0].evidence[0].cost is None and found[0].evidence[1].cost is not None
+    assert found[0].masks[0].cost is None and found[0].masks[1].cost is not None
 
 
 def test_a_split_segment_leaves_no_duplicate() -> None:
@@ -74,7 +74,7 @@ def test_a_split_segment_leaves_no_duplicate() -> None:
         views[at] = replace(views[at], mask=mask)
     found = match_views(views, THINGS, SEGMENTS, Matching())
     assert len(found) == 1
-    assert found[0].class_id == CHAIR and len(found[0].evidence) == 14 and found[0].views == 12
+    assert found[0].class_id == CHAIR and len(found[0].masks) == 14 and found[0].views == 12
 
 
 @pytest.mark.parametrize(("erosion", "true_size"), [(2 / 160, True), (0.0, False)])
@@ -110,23 +110,23 @@ def test_rules_differ_where_the_best_is_taken() -> None:
     view = view_of("a", around(0), [LEFT, ((0.5, 0.0, 0.0), (1.0, 0.5, 0.8))])
     known = match_views([view], THINGS, SEGMENTS, Matching())
     half = local_instances(view, THINGS, SEGMENTS)[0]
-    halves = [half, replace(half, segment=Segment(8, CHAIR, True))]
+    halves = [half, replace(half, masks=(ObjectMask(view.name, Segment(8, CHAIR, True), half.pixels),))]
     hybrid = update_instances(known, halves, 0.03, Matching(rule="hybrid"))
     literal = update_instances(known, halves, 0.03, Matching(rule="literal"))
     # The text forces the second half onto the far chair, its Hungarian partner.
-    assert [len(item.evidence) for item in hybrid] == [3, 1]
-    assert [len(item.evidence) for item in literal] == [2, 2]
+    assert [len(item.masks) for item in hybrid] == [3, 1]
+    assert [len(item.masks) for item in literal] == [2, 2]
 
 
 def test_near_views_count_more_but_do_not_outvote() -> None:
-    def seen(frame: str, class_id: int, pixels: int) -> Evidence:
-        return Evidence(frame, 1, class_id, 0.9, pixels, None)
+    def seen(frame: str, class_id: int, pixels: int, segment: int = 1) -> ObjectMask:
+        return ObjectMask(frame, Segment(segment, class_id, True, 0.9), pixels)
 
     near, far = seen("near", SOFA, 1600), [seen(f, CHAIR, 100) for f in "abcde"]
     assert class_by_views([near, *far[:3]]) == SOFA
     assert class_by_views([near, *far]) == CHAIR
     # Four pieces in one view have no more votes than one of their size.
-    pieces = [replace(near, segment_id=i, pixels=400) for i in range(4)]
+    pieces = [seen("near", SOFA, 400, i) for i in range(4)]
     assert class_by_views([*pieces, *far]) == CHAIR
     assert class_by_views([seen("a", SOFA, 50), seen("b", CHAIR, 50)]) == CHAIR
 
@@ -134,7 +134,7 @@ def test_near_views_count_more_but_do_not_outvote() -> None:
 def test_beyond_the_cap_the_largest_stay_and_are_renumbered() -> None:
     view = view_of("a", around(0), [LEFT])
     one = match_views([view], THINGS, SEGMENTS, Matching())[0]
-    items = [replace(one, id=i, evidence=(replace(one.evidence[0], pixels=p),)) for i, p in ((2, 50), (5, 10), (7, 90))]
+    items = [replace(one, id=i, masks=(replace(one.masks[0], pixels=p),)) for i, p in ((2, 50), (5, 10), (7, 90))]
     kept, of_point, dropped = limit_instances(items, np.array([0, 2, 5, 7], np.int32), 2)
     assert [(item.id, item.pixels) for item in kept] == [(1, 50), (2, 90)]
     assert of_point.tolist() == [0, 1, 0, 2] and dropped == 1

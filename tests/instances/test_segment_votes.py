@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.instances import segment_votes
+from engine.instances.agreement import ViewsOnCloud
 from engine.instances.panoptic_labels import UNKNOWN_LABEL, PanopticLabels
 from engine.instances.segment_votes import (
     VotedLabels,
@@ -85,7 +86,8 @@ def voted(views: list[View], members: set[str], rounds: int = ROUNDS) -> VotedLa
         (view.name, segment.id): 1 for view in views for segment in view.mask.segments
         if view.name in members and segment.is_thing
     }  # fmt: skip
-    return vote_panoptic_labels(views, [rows] * len(views), rows.size, LABELS, members_of, rounds, "root")
+    seeing = ViewsOnCloud.of(views, [rows] * len(views))
+    return vote_panoptic_labels(seeing, rows.size, LABELS, members_of, rounds, "root")
 
 
 def wrong(found: np.ndarray) -> int:
@@ -150,7 +152,7 @@ def test_a_point_has_votes_by_the_evidence(kind: EvidenceKind, near_votes: int) 
         replace(drawn(name), mask=PanopticMask(ids, (Segment(1, class_id, False),)))
         for name, class_id in (("near", CHAIR), *((f"far {i}", WALL) for i in range(5)))
     ]
-    found = vote_panoptic_labels(views, [near, *[far] * 5], 1, LABELS, {}, 0, kind)
+    found = vote_panoptic_labels(ViewsOnCloud.of(views, [near, *[far] * 5]), 1, LABELS, {}, 0, kind)
     assert found.label.tolist() == [CHAIR_LABEL if near_votes > 5 else WALL_LABEL]
     assert found.confidence == pytest.approx(max(near_votes, 5) / (near_votes + 5))
 

@@ -22,7 +22,7 @@ CHAIR_BOX = ((-0.3, -0.3, 0.0), (0.3, 0.3, 0.8))
 def test_only_big_enough_segments_of_the_asked_classes_enter() -> None:
     view = view_of("a", look((0, -3, 1.5), (0, 0, 0.4), (160, 120)), [CHAIR_BOX])
     found = local_instances(view, THINGS, SegmentOptions(0.05))
-    assert [item.segment.id for item in found] == [2]
+    assert [item.masks[0].segment.id for item in found] == [2]
     assert len(local_instances(view, frozenset({WALL}), SegmentOptions(0.05))) == 1
     assert not local_instances(view, THINGS, SegmentOptions(0.05, min_points=10**6))
 

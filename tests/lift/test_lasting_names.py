@@ -12,8 +12,7 @@ import pytest
 
 from engine.corrections import correct, making, read_corrected, read_edits, undo
 from engine.errors import PlgsError
-from engine.instances.matching import GlobalInstance
-from engine.instances.oriented_box import fit_box
+from engine.instances.records import SceneObject
 from engine.job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_manifest
 from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier, take_over_edits
 from engine.passes.exr import read_exr
@@ -26,9 +25,8 @@ FRAMES = 6
 CLASSES = ClassTable((Category(3, "cabinet", True, (1, 1, 1)), Category(5, "chair", True, (2, 2, 2))))
 
 
-def instance(number: int, class_id: int) -> GlobalInstance:
-    points = np.random.default_rng(number).uniform(size=(50, 3))
-    return GlobalInstance(number, points, fit_box(points, 0.05), (), class_id)
+def instance(number: int, class_id: int) -> SceneObject:
+    return SceneObject(number, (), class_id)
 
 
 def corner(number: int) -> np.ndarray:

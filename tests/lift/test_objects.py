@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.instances.agreement import ViewPoints
-from engine.instances.consensus import MemberMask
+from engine.instances.records import ObjectMask, SceneObject
 from engine.lift.objects import without_fragments
 from engine.scene import Segment
 
@@ -17,8 +17,9 @@ def views_of(points: int, count: int) -> list[ViewPoints]:
     return [ViewPoints(np.arange(points, dtype=np.int32), ones.astype(np.int32), ones, ones) for _ in range(count)]
 
 
-def masks(count: int) -> list[MemberMask]:
-    return [MemberMask(f"{number:04}", Segment(1, 5, True), None) for number in range(count)]
+def piece(source: int, count: int) -> SceneObject:
+    """A piece of the object ``source`` with that many masks."""
+    return SceneObject(source, tuple(ObjectMask(f"{number:04}", Segment(1, 5, True)) for number in range(count)))
 
 
 @pytest.mark.parametrize(
@@ -34,14 +35,15 @@ def test_fragments_of_a_few_masks_go(
     views: int, of_first: int, of_second: int, origin: list[int], owners: list[int]
 ) -> None:
     owner = np.array([1, 1, 2, 2], np.int32)
-    found, members, kept = without_fragments(owner, [masks(of_first), masks(of_second)], origin, views_of(4, views))
+    pieces = [piece(origin[0], of_first), piece(origin[1], of_second)]
+    found, kept = without_fragments(owner, pieces, views_of(4, views))
     assert found[[0, 2]].tolist() == owners
-    assert len(members) == len(kept) == max(owners)
+    assert [one.id for one in kept] == list(range(1, max(owners) + 1))
 
 
 def test_an_object_in_one_piece_needs_no_more_masks_than_the_views_that_see_it() -> None:
     owner = np.array([1, 1, 2, 2], np.int32)
     views = [*views_of(2, 6), *views_of(4, 2)]  # two views see the second object
-    found, _, _ = without_fragments(owner, [masks(6), masks(2)], [1, 2], views)
+    found, _ = without_fragments(owner, [piece(1, 6), piece(2, 2)], views)
     assert found.tolist() == owner.tolist()
-    assert without_fragments(owner, [masks(6), masks(2)], [1, 1], views)[0].tolist() == [1, 1, 0, 0]
+    assert without_fragments(owner, [piece(1, 6), piece(1, 2)], views)[0].tolist() == [1, 1, 0, 0]

@@ -9,9 +9,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from engine.instances.matching import GlobalInstance
-from engine.instances.oriented_box import fit_box
 from engine.instances.panoptic_labels import PanopticLabels
+from engine.instances.records import SceneObject
 from engine.job import last_run
 from engine.lift import preparation
 from engine.lift.preparation import PreparedLift, label_channels
@@ -20,7 +19,6 @@ from tests.tiny_scene import CABINET, CABINET_ID, CHAIR, CHAIR_ID, WALL_ID
 from tests.train.tiny_lift import TINY, prepared_for, views_of
 
 BOXES = {CHAIR_ID: CHAIR, CABINET_ID: CABINET}
-SOME_BOX = fit_box(np.random.default_rng(0).uniform(0, 1, (30, 3)), 0.1)
 
 
 @pytest.fixture(scope="module", params=["boxes", "agreement"])
@@ -111,7 +109,7 @@ def test_an_ordinary_flat_is_not_called_large(tmp_path: Path) -> None:
 
 def test_there_is_a_slot_for_no_object_however_many_objects_there_are() -> None:
     assert label_channels((1, 5), [], replace(TINY, instance_slots=3)).slot_ids == (NO_OBJECT, *[SPARE] * 3)
-    found = [GlobalInstance(number, np.zeros((1, 3)), SOME_BOX, (), CHAIR_ID) for number in (1, 2, 3)]
+    found = [SceneObject(number, (), CHAIR_ID) for number in (1, 2, 3)]
     channels = label_channels((1, 5), found, replace(TINY, instance_slots=2))
     assert channels.slot_ids == (1, 2, 3, NO_OBJECT) and channels.class_of_slot == (*[CHAIR_ID] * 3, 0)
     assert label_channels((1, 5), found, replace(TINY, one_class_an_object=False)).class_of_slot == ()

@@ -111,5 +111,5 @@ def test_they_outvote_the_frames_trained_on(scene: Scene, tmp_path: Path) -> Non
     assert (together.cloud.class_id[together.instance_of_point == chair.id] == CHAIR_ID).mean() > 0.99
     # What is listed of an object is of the frames trained on; so is all that is trained on.
     names = {view.name for view in views}
-    assert {item.frame for one in together.instances for item in one.evidence} == names
+    assert {mask.frame for one in together.instances for mask in one.masks} == names
     assert together.label_maps is not None and len(together.label_maps) == len(together.targets) == len(views)
