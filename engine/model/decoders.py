@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Protocol
 
 import torch
 from torch import nn
+from torch.nn import functional
 
 from .anchors import Anchors
 from .neural_gaussians import NeuralGaussians
@@ -54,6 +55,15 @@ def _mlp(inputs: int, outputs: int, generator: torch.Generator) -> nn.Sequential
     everywhere."""
     first, last = drawn_layer(inputs, HIDDEN, generator), drawn_layer(HIDDEN, outputs, generator)
     return nn.Sequential(first, nn.ReLU(), last)
+
+
+def run_side_by_side(given: torch.Tensor, *networks: nn.Sequential) -> list[torch.Tensor]:
+    """Each network's output [V, its outputs] for the same ``given`` [V, inputs]. One matrix product serves all first
+    layers: that is faster than a narrow one for each."""
+    first, last = [network.get_submodule("0") for network in networks], [network[2] for network in networks]
+    weight, bias = (torch.cat([layer.get_parameter(name) for layer in first]) for name in ("weight", "bias"))
+    hidden = functional.linear(given, weight, bias).relu_().split(HIDDEN, dim=1)
+    return [layer(inputs) for layer, inputs in zip(last, hidden, strict=True)]
 
 
 def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Linear:
@@ -159,14 +169,21 @@ class Decoders(nn.Module):
             parts.append(distance)
         return torch.cat(parts, dim=1)
 
+    def shape_outputs(self, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Outputs of the opacity [V, k], covariance [V, 7 k] and colour decoder [V, 3 k]. ``seen``: the output of
+        ``view_input``."""
+        opacity, covariance, colour = run_side_by_side(seen, self.opacity, self.covariance, self.colour)
+        return opacity, covariance, colour
+
     def label_outputs(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Outputs of the semantic [V, k, C] and the instance decoder [V, k, S]. ``seen``: the output of
         ``view_input``."""
         given = seen if self.shape.label_view_input else feature
         shape, count = self.shape, len(given)
+        semantic, instance = run_side_by_side(given, self.semantic, self.instance)
         return (
-            self.semantic(given).view(count, shape.gaussians_per_anchor, shape.classes),
-            self.instance(given).view(count, shape.gaussians_per_anchor, shape.instance_outputs),
+            semantic.view(count, shape.gaussians_per_anchor, shape.classes),
+            instance.view(count, shape.gaussians_per_anchor, shape.instance_outputs),
         )
 
     def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

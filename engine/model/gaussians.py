@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,9 @@ from ..machine.compiled import compiled
 from ..scene import Camera
 from .anchors import Anchors
 from .decoders import Decoders
-from .decoding.native import decode_natively
 from .neural_gaussians import NeuralGaussians
 from .torch_decoding import decode_in_torch
 
-VARIABLE = "PLGS_DECODER_KERNELS"
-"""Environment variable: ``vector`` (as when it is unset) or ``torch``."""
 NEAR = 0.2
 """Anchors closer to the image plane than this, in metres, are left out (Scaffold-GS's near plane)."""
 
@@ -96,22 +92,7 @@ def decode_rows(
     are rows of it and have no gradient, and there is no cluster loss.
     """
     own = decoders.own_decoding(anchors, visible, centre, channels, known_labels)
-    if own is not None:
-        return own
-    decode_with = decode_natively if _wants_kernels() and _kernels_fit(anchors.feature) else decode_in_torch
-    return decode_with(anchors, decoders, visible, centre, channels, known_labels)
-
-
-def _wants_kernels() -> bool:
-    """By ``PLGS_DECODER_KERNELS``. Raises ``ValueError`` when it holds anything unknown."""
-    wish = os.environ.get(VARIABLE, "")
-    if wish not in ("", "vector", "torch"):
-        raise ValueError(f"{VARIABLE} is {wish!r}; it must be vector or torch, or not be set")
-    return wish != "torch"
-
-
-def _kernels_fit(tensor: torch.Tensor) -> bool:
-    return tensor.dtype == torch.float32 and tensor.device.type == "cpu"
+    return decode_in_torch(anchors, decoders, visible, centre, channels, known_labels) if own is None else own
 
 
 def no_labels(anchors: Anchors) -> torch.Tensor:

@@ -1,7 +1,4 @@
-"""Decoding in torch: the readable counterpart of the kernels in ``decoding``, and the oracle of their tests.
-
-It serves where the kernels cannot run, on any device and in any precision.
-"""
+"""The decoding itself: a few small perceptrons in torch, on any device and in any precision."""
 
 from __future__ import annotations
 
@@ -28,11 +25,11 @@ def decode_in_torch(
     seen = decoders.view_input(feature, position, centre)
     k = anchors.gaussians_per_anchor
 
-    opacity = torch.tanh(decoders.opacity(seen))
+    opacity, covariance, colour = decoders.shape_outputs(seen)
+    opacity = torch.tanh(opacity)
     kept = (opacity.detach().reshape(-1) > 0).nonzero().squeeze(1)
     owner = kept // k
-    shape = take_rows(decoders.covariance(seen).view(-1, 7), kept)
-    colour = torch.sigmoid(take_rows(decoders.colour(seen).view(-1, 3), kept))
+    shape = take_rows(covariance.view(-1, 7), kept)
     owner_scale = take_rows(anchors.log_scale, visible).exp().index_select(0, owner)
     offset = take_rows(take_rows(anchors.offset, visible).view(-1, 3), kept)
     cluster = feature.new_zeros(())
@@ -49,7 +46,7 @@ def decode_in_torch(
         scales=owner_scale[:, 3:] * torch.sigmoid(shape[:, :3]),
         quats=shape[:, 3:],
         opacities=take_rows(opacity.reshape(-1), kept),
-        colours=colour,
+        colours=torch.sigmoid(take_rows(colour.view(-1, 3), kept)),
         labels=labels,
         visible=visible,
         all_opacities=opacity.detach(),

@@ -16,10 +16,8 @@ from torch import nn
 
 from engine.model.anchors import Anchors
 from engine.model.decoders import DECODERS, Decoders, DecoderShape, ShownLabels, drawn_layer
-from engine.model.neural_gaussians import NeuralGaussians
 from engine.model.scene_labels import CHUNK, shown_probabilities
 from engine.model.structured import LabelChannels
-from engine.model.torch_decoding import decode_in_torch
 
 TINY = 1e-8
 LARGEST_ENCODING = 256
@@ -76,19 +74,6 @@ class EncodedDecoders(Decoders):
         """As ``Decoders.learnt``; the classifier is learnt as fast as the encodings."""
         for name, parameters in super().learnt():
             yield "instance" if name == "classifier" else name, parameters
-
-    def own_decoding(
-        self,
-        anchors: Anchors,
-        visible: torch.Tensor,
-        centre: torch.Tensor,
-        channels: torch.Tensor | None,
-        known_labels: torch.Tensor | None,
-    ) -> NeuralGaussians | None:
-        """Encodings are drawn by torch, since the kernels draw probabilities alone."""
-        if known_labels is not None:
-            return None
-        return decode_in_torch(anchors, self, visible, centre, channels, known_labels)
 
     def own_labels(self, anchors: Anchors, channels: LabelChannels) -> EncodedLabels:
         """Class probabilities and encoding of every Gaussian."""
