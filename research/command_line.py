@@ -112,13 +112,12 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "raster: the rasteriser on a furnished room, by stage, beside the machine's own peak. "
+        "raster: the rasteriser on a furnished room, by stage. "
         "step: a training step of a lift of the sample, by part, and the drawing of what was lifted. "
-        "bake: a baked frame, by part, and its memory. "
         "long: lifts of long captures made of the sample, by stage, with their memory. "
         "farm: what a batch takes on 1, 2, 10 and 100 workers, of the times of its pieces."
     )
-    parser.add_argument("what", choices=("raster", "step", "bake", "long", "farm"))
+    parser.add_argument("what", choices=("raster", "step", "long", "farm"))
     parser.add_argument(
         "--frames", type=_enough_frames, nargs="+", default=[100, 300], metavar="N",
         help="long: frames of each capture (default: 100 300)",
@@ -220,7 +219,7 @@ def run_experiments(options: argparse.Namespace) -> int:
 
 def run_bench(options: argparse.Namespace) -> ExitCode:
     """Run one bench, print its figures and write them to a file. Raises PlgsError."""
-    from .bench import bake, farm, long, raster, step
+    from .bench import farm, long, raster, step
 
     if options.json is not None:
         _refuse_unwritable(options.json)
@@ -232,7 +231,7 @@ def run_bench(options: argparse.Namespace) -> ExitCode:
         times = farm.BatchTimes(lift_s, bake_s, options.pieces, score_s, overhead_s)
         figures = farm.bench_farm(times, options.scenes)
     else:
-        figures = {"raster": raster.bench_raster, "step": step.bench_step, "bake": bake.bench_bake}[options.what]()
+        figures = raster.bench_raster() if options.what == "raster" else step.bench_step()
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     return ExitCode.FINISHED
@@ -255,12 +254,12 @@ def _names(text: str) -> list[str]:
 def _seeds(text: str) -> list[int]:
     seeds = text.split(",")
     if not all(seed.isdecimal() for seed in seeds):
-        raise argparse.ArgumentTypeError(f"{text!r} are no whole numbers with commas between, such as 0,1,2")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list of whole numbers such as 0,1,2")
     return list(dict.fromkeys(map(int, seeds)))
 
 
 def _enough_frames(text: str) -> int:
     """For a long capture; for argparse, so it raises ArgumentTypeError."""
     if not re.fullmatch(r"[0-9]{1,7}", text) or int(text) < FEWEST_OF_A_CAPTURE:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of frames from {FEWEST_OF_A_CAPTURE} on")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of frames, at least {FEWEST_OF_A_CAPTURE}")
     return int(text)

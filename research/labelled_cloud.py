@@ -1,4 +1,4 @@
-"""What a view's word should count, measured on the labelled cloud: seconds a way, as nothing is trained.
+"""What a view's word should count, measured on the labelled cloud: it takes seconds, as nothing is trained.
 
 The points get their classes and objects as in a lift. Then the held-out frames read them with their own depth, which a
 lifted model is not given. So these figures are for comparing ways with each other.
@@ -59,7 +59,7 @@ def ways(shipped: ViewEvidence) -> Iterator[tuple[str, ViewEvidence]]:
 
 
 def evidence_table(scenes: Sequence[SceneToLift], preset: Preset) -> Iterator[str]:
-    """The lines of a Markdown table: a row a way, a column a scene, and the mean. Raises PlgsError."""
+    """The lines of a Markdown table: a row for each way, a column for each scene, and the mean. Raises PlgsError."""
     names = [name for name, _ in ways(preset.evidence)]
     columns = [list(scene_scores(scene, preset)) for scene in scenes]
     yield f"| | {' | '.join(markdown_cell(scene.name) for scene in scenes)} | mean |"

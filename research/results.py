@@ -106,7 +106,7 @@ def run_figures(events: Sequence[Event]) -> dict[str, float | None]:
 def lifting_seconds(events: Sequence[Event]) -> float | None:
     """How long a lift took, all its runs together; None when there was none.
 
-    From the beginning of a run until the held-out frames are drawn: drawing and scoring them is no part of a lift.
+    From the beginning of a run until the held-out frames are drawn: drawing and scoring them does not belong to a lift.
     """
     runs: list[list[Event]] = []
     for event in events:
@@ -171,7 +171,7 @@ def _from_json(entry: Mapping[str, Json]) -> Result:
 
 
 def _objects(value: Json) -> list[dict[str, Json]]:
-    """Raises TypeError when it is no list of objects."""
+    """Raises TypeError when it is not a list of objects."""
     entries = value if isinstance(value, list) else [value]
     objects = [entry for entry in entries if isinstance(entry, dict)]
     if not isinstance(value, list) or len(objects) != len(entries):

@@ -43,7 +43,7 @@ KEEP_EVERY_S = 20.0
 WAIT_S = 0.2
 """Seconds between two looks at views that other processes bake."""
 CAMERA_NOTE = "plgs/camera"
-"""Attribute in the header of a view that is no frame's: the fingerprint of its camera."""
+"""Attribute in the header of a view that does not belong to a frame: the fingerprint of its camera."""
 
 
 MODEL_NOTE = "plgs/model"
@@ -60,7 +60,7 @@ class BakeOptions:
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
-    """A view to bake. ``fingerprint`` is that of a camera that is no frame's, and empty for a frame."""
+    """A view to bake. ``fingerprint`` is that of a camera that does not belong to a frame, and empty for a frame."""
 
     name: str
     camera: Camera

@@ -63,8 +63,8 @@ class LivePreviews:
         self._due = ended + max(EVERY_S, (ended - began) * (1 - LARGEST_SHARE) / LARGEST_SHARE)
 
     def clear_away(self) -> None:
-        """Delete the picture, which is no part of the result. Raises PermissionError when it is read for more than 2
-        s."""
+        """Delete the picture, which does not belong to the result. Raises PermissionError when it is read for more
+        than 2 s."""
         for pause_s in (0.1, 0.4, 1.5):
             try:
                 return self.folder.live_preview_path.unlink(missing_ok=True)

@@ -207,8 +207,8 @@ class _Matches:
 def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matches:
     """Match segments of one class whose IoU exceeds 0.5 (at most one partner each follows from that).
 
-    With ``excuse_void``, pixels whose label on the other side is no kept class leave the union, and a segment that lies
-    on such pixels by more than half is no error. Without it, predicted void is an ordinary miss.
+    With ``excuse_void``, pixels whose label on the other side is not a kept class leave the union, and a segment that
+    lies on such pixels by more than half is not an error. Without it, predicted void is an ordinary miss.
     """
     predicted: Counter[Segment] = Counter()
     true: Counter[Segment] = Counter()

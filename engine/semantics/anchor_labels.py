@@ -12,7 +12,7 @@ from .point_cloud import SemanticPointCloud, majority_vote
 def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.float32]:
     """V = {[P / eps]} * eps: points [N, 3] and eps in metres to anchor positions float32 [M, 3], in lexical order.
 
-    [.] rounds half to even. Raises ValueError when eps is not positive.
+    [.] rounds half to even.
     """
     voxels, _ = _voxels(points, voxel_size)
     return (voxels * voxel_size).astype(np.float32)
@@ -38,8 +38,6 @@ def label_anchors(
 
 def _voxels(points: NDArray[np.floating], voxel_size: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Distinct voxels float64 [M, 3] in lexical order, and the voxel of each point int64 [N]."""
-    if voxel_size <= 0:
-        raise ValueError(f"the voxel size must be positive, got {voxel_size}")
     rounded = np.rint(np.asarray(points, np.float64).reshape(-1, 3) / voxel_size) + 0.0
     voxels, inverse = np.unique(rounded, axis=0, return_inverse=True)
     return voxels, inverse.reshape(-1)

@@ -44,8 +44,6 @@ def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArr
 
     ``spacing`` (metres) is enlarged until no more than ``cap`` cells are occupied.
     """
-    if spacing <= 0 or cap < 1:
-        raise ValueError(f"spacing and cap must be positive, got {spacing} and {cap}")
     cells = merged_points(batches(), spacing)
     while len(cells) > cap:
         # Surfaces fill space as the square of the spacing. The little more lets one or two rounds do.

@@ -40,12 +40,6 @@ class ConsistencyOptions:
     depth_tolerance_m: float = 0.05
     depth_tolerance_share: float = 0.02
 
-    def __post_init__(self) -> None:
-        if self.neighbours < 0 or not 0 < self.agreement <= 1:
-            raise ValueError(f"neighbours >= 0 and 0 < agreement <= 1 are needed: {self}")
-        if self.depth_tolerance_m < 0 or self.depth_tolerance_share < 0:
-            raise ValueError(f"depth tolerances cannot be negative: {self}")
-
 
 def neighbour_indices(index: int, count: int, neighbours: int) -> list[int]:
     """The views compared with view ``index`` of ``count``: the nearest in recording order, as evenly on both sides as

@@ -39,10 +39,6 @@ class CloudOptions:
     majority: float = 0.5
     evidence: EvidenceKind = "pixels"
 
-    def __post_init__(self) -> None:
-        if self.spacing <= 0 or self.cap < 1:
-            raise ValueError(f"spacing and cap must be positive: {self}")
-
 
 @dataclass(frozen=True, eq=False)
 class SemanticPointCloud:

@@ -18,8 +18,6 @@ class LabelledPoints:
     """The points xyz float [N, 3] (world metres) whose ``labels`` int32 [N] are not 0, ready for look-up."""
 
     def __init__(self, xyz: NDArray[np.floating], labels: NDArray[np.int32]) -> None:
-        if len(xyz) != len(labels):
-            raise ValueError(f"{len(xyz)} points but {len(labels)} labels")
         known = labels != 0
         self._index = CloudIndex(xyz[known])
         self._label = np.append(labels[known], 0).astype(np.int32)  # the last is that of row -1, no point

@@ -30,8 +30,6 @@ def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32]) -> NDAr
     ``rendered_class`` int32 [H, W]; 0 = nothing rendered, which does not vote. Ties go to the lower id. Regions of
     fewer than LEAST_AREA pixels keep the rendered class pixel by pixel; void regions stay 0.
     """
-    if rendered_class.shape != mask.ids.shape:
-        raise ValueError(f"the mask is {mask.ids.shape}, the rendered classes {rendered_class.shape}")
     region = regions(mask)
     count = int(region.max(initial=0)) + 1
     ids, column = np.unique(rendered_class, return_inverse=True)

@@ -1,4 +1,4 @@
-"""``python -m research bench raster``: milliseconds of each stage, beside what the machine could do."""
+"""``python -m research bench raster``: milliseconds of each stage."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import torch
 from engine.machine.threads import timed
 from engine.raster.interface import rasterize
 
-from .peak import fma_peak
 from .room import CHANNELS, Workload, room_workload
 
 CASES = ((10_000, 640, 480), (50_000, 640, 480), (200_000, 640, 480), (5_000, 160, 120))
@@ -37,8 +36,8 @@ def bench_raster(repeats: int = 9) -> dict[str, Any]:
     blended pair of Gaussian and pixel, over the time of the two blending stages. ``efficiency`` is how much of a
     thread's speed is left when all run: the least time with one thread over ``threads`` times the least with all.
     """
-    threads, peak = torch.get_num_threads(), fma_peak()
-    print(f"{processor_name()}, {threads} threads; multiply-add peak {peak:.0f} GFLOP/s a thread")
+    threads = torch.get_num_threads()
+    print(f"{processor_name()}, {threads} threads")
     print("Gaussians      size  channels  forward  backward   total  processor  GFLOP/s  efficiency  stages")
     rows = []
     for count, width, height in CASES:
@@ -56,7 +55,7 @@ def bench_raster(repeats: int = 9) -> dict[str, Any]:
                 f"{stages}",
                 flush=True,
             )
-    return {"cpu": processor_name(), "threads": threads, "peak_gflops": peak, "rows": rows}
+    return {"cpu": processor_name(), "threads": threads, "rows": rows}
 
 
 def measure(workload: Workload, channels: int, repeats: int, pairs: int) -> dict[str, Any]:

@@ -75,11 +75,11 @@ def refuse_unwritable(page: Path) -> None:
 
 
 def text_of(page: Path) -> str:
-    """The text of a page, none of one that is not there. Raises PlgsError for a file that is no text."""
+    """The text of a page, empty where there is no such file. Raises PlgsError for a file that is not text."""
     try:
         return page.read_text("utf-8") if page.exists() else ""
     except (OSError, UnicodeDecodeError) as error:
-        raise PlgsError("the report's page is no text", page, "Name a Markdown file, or a new one.") from error
+        raise PlgsError("the report's page is not a text file", page, "Name a Markdown file, or a new one.") from error
 
 
 def with_tables(page: str, tables: str) -> str:

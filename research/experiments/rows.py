@@ -76,7 +76,7 @@ class Rows:
         return self.named(row.same_as) if row.same_as else row
 
     def listed(self) -> Iterator[str]:
-        """A line a row, under the name of its table."""
+        """One line for each row, under the name of its table."""
         for table, heading in self.tables.items():
             yield f"{table}: {heading}"
             yield from (f"    {row.name}" for row in self.rows if row.table == table and not row.is_cited)
@@ -96,7 +96,7 @@ class Rows:
 
 
 def read_rows(path: Path = ROWS) -> Rows:
-    """Raises PlgsError when the file is no table of rows."""
+    """Raises PlgsError when the file is not a table of rows."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         rows = tuple(_rows(content))
@@ -106,7 +106,7 @@ def read_rows(path: Path = ROWS) -> Rows:
             if row.table not in found.tables or not all(other.is_lift for other in others):
                 raise KeyError(row.name)
     except (OSError, ValueError, KeyError, TypeError, StopIteration) as error:
-        raise PlgsError(f"holds no rows ({error!r})", path, _FIX) from error
+        raise PlgsError(f"is not a table of rows ({error!r})", path, _FIX) from error
     if len({row.slug for row in rows}) != len(rows):
         raise PlgsError("two rows have one name", path, _FIX)
     return found

@@ -63,10 +63,10 @@ def _matching(text: str) -> list[str]:
 def _scene(text: str) -> SceneToLift:
     match = _SCENE.fullmatch(text)
     if match is None:
-        raise PlgsError("is no scene", repr(text), "Give the scene's folder.")
+        raise PlgsError("is not a scene", repr(text), "Give the scene's folder.")
     up = match["up"] if match["up"] is not None else "auto"
     if up not in UP_OPTIONS:
         fix = f"Write SCENE:up= and one of {', '.join(UP_OPTIONS)}."
-        raise PlgsError(f"{up!r} is no axis that points up", text, fix)
+        raise PlgsError(f"{up!r} is not an axis that can point up", text, fix)
     folder = Path(match["folder"]).resolve()
     return SceneToLift(folder.name, folder, UP_OPTIONS[up])

@@ -69,9 +69,9 @@ class Tables:
     version: str = __version__
 
     def markdown(self) -> str:
-        """A section a scene, in it a table each, and one of the means over several scenes. Left out are rows that are
-        not measured yet, tables whose rows all stand in another one, and after the first scene the systems that are
-        cited."""
+        """A section for each scene, in it a table each, and one of the means over several scenes. Left out are rows
+        that are not measured yet, tables whose rows all stand in another one, and after the first scene the systems
+        that are cited."""
         scenes = list(dict.fromkeys(result.scene for result in self.results))
         lines = [text for k, scene in enumerate(scenes) for text in self._of_scene(scene, with_cited=k == 0)]
         return "\n".join([*lines, *(self._means(scenes) if len(scenes) > 1 else ())])

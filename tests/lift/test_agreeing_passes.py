@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
-from engine.lift import run_lift
+from engine.job import LiftFolder, LiftRequest
 from engine.passes.exr import read_exr
 from tests.passes.agreement import pairs_of
+from tests.train.tiny_lift import lift_into
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIR = 3
@@ -32,13 +32,7 @@ def lift(tmp_path_factory: pytest.TempPathFactory) -> LiftFolder:
         pixels[cv2.dilate((truth == CHAIR).astype(np.uint8), np.ones((5, 5))) > 0] = 0
         cv2.imwrite(str(mask), pixels)
     request = LiftRequest(scene=scene, options={"steps": 200, "size": [160, 120]}, bake="all")
-    lift = LiftFolder.create(folder / "lift", request)
-    events = EventWriter(lift.events_path)
-    try:
-        run_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
-    finally:
-        events.close()
-    return lift
+    return lift_into(folder / "lift", request)
 
 
 @pytest.mark.slow

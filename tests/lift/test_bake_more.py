@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
-import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
@@ -33,7 +32,7 @@ from engine.job import (
     read_manifest,
     verify,
 )
-from engine.lift import bake_frames, bake_more, run_lift
+from engine.lift import bake_frames, bake_more
 from engine.lift.bake_more import frames_named
 from engine.lift.baking import FrameBaker
 from engine.passes.exr import further_layers, read_exr
@@ -42,7 +41,7 @@ from engine.scene_of_lift import scene_of_lift
 from tests.lift.test_lift import files_of
 from tests.passes.read_ply import read_ply
 from tests.tiny_scene import tiny_pose, write_tiny_scene
-from tests.train.tiny_lift import TINY
+from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 
 @pytest.fixture(scope="module")
@@ -50,18 +49,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Lif
     """The same lift with its held-out frame baked, and with all."""
     root = tmp_path_factory.mktemp("bake")
     scene = write_tiny_scene(root / "scene", frames=6, noise=0.1)
-    preview = PRESETS["preview"]
-    PRESETS["preview"] = TINY
-    folders = {bake: LiftFolder.create(root / bake, LiftRequest(scene=scene, bake=bake)) for bake in ("test", "all")}  # type: ignore[arg-type]
-    try:
-        for folder in folders.values():
-            events = EventWriter(folder.events_path)
-            run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
-            events.close()
-        yield folders
-    finally:
-        PRESETS["preview"] = preview
-        torch.use_deterministic_algorithms(False)
+    with presets_as(preview=TINY):
+        yield {bake: lift_into(root / bake, LiftRequest(scene=scene, bake=bake)) for bake in ("test", "all")}  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -262,10 +251,7 @@ def test_objects_without_names_have_the_same_numbers_later(
     monkeypatch.setitem(PRESETS, "preview", TINY)
     options = {"objects": "none", "linear_assignment": True, "labels": "decoders", "one_class_an_object": False}
     request = LiftRequest(scene=finished["test"].request.scene, bake="test", options=options)
-    lift = LiftFolder.create(tmp_path / "lift", request)
-    events = EventWriter(lift.events_path)
-    run_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
-    events.close()
+    lift = lift_into(tmp_path / "lift", request)
     bake(lift, "0002")
     first, later = (matte_names_of(lift.passes_path / f"{frame}.exr") for frame in ("0004", "0002"))
     assert first == later and all(name.startswith("object ") for name in later)

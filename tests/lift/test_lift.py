@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
-import torch
 from safetensors.torch import safe_open
 
 from engine.errors import Cancelled
@@ -21,10 +20,10 @@ from engine.lift import frame_sets, run_lift
 from engine.lift import run as lift_run
 from engine.lift.run import STAGES
 from engine.model.structured import from_tensors
-from engine.presets.preset import PRESETS
+from engine.result_files import Anchors, SemanticPoints, read_arrays
 from engine.scene import open_scene
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
-from tests.train.tiny_lift import TINY
+from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 FRAMES = 10
 HELD_OUT = ["0004"]
@@ -39,9 +38,7 @@ class Lifts:
     done: LiftFolder
 
     def lift(self, name: str, scene: Path | None = None, **request: object) -> LiftFolder:
-        folder = LiftFolder.create(self.root / name, LiftRequest(scene=scene or self.scene, **request))  # type: ignore[arg-type]
-        run(folder)
-        return folder
+        return lift_into(self.root / name, LiftRequest(scene=scene or self.scene, **request))  # type: ignore[arg-type]
 
 
 def run(folder: LiftFolder, *, resume: bool = False) -> None:
@@ -56,15 +53,8 @@ def run(folder: LiftFolder, *, resume: bool = False) -> None:
 def lifts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lifts]:
     root = tmp_path_factory.mktemp("lifts")
     scene = write_tiny_scene(root / "scene", frames=FRAMES, noise=0.1)
-    done = LiftFolder.create(root / "done", LiftRequest(scene=scene))
-    preview = PRESETS["preview"]
-    PRESETS["preview"] = TINY
-    try:
-        run(done)
-        yield Lifts(root, scene, done)
-    finally:
-        PRESETS["preview"] = preview
-        torch.use_deterministic_algorithms(False)
+    with presets_as(preview=TINY):
+        yield Lifts(root, scene, lift_into(root / "done", LiftRequest(scene=scene)))
 
 
 def files_of(folder: LiftFolder) -> dict[str, str]:
@@ -91,31 +81,12 @@ def test_the_manifest_says_how_it_came_about(lifts: Lifts) -> None:
 
 
 def test_points_and_anchors(lifts: Lifts) -> None:
-    result = lifts.done.result_path
-    with np.load(result / "semantic_points.npz") as points:
-        count = len(points["xyz"])
-        kinds = {name: (points[name].dtype.str, points[name].shape) for name in points.files}
-        assert set(np.unique(points["instance_id"])) == {0, 1, 2}
-        assert ((points["confidence"] >= 0) & (points["confidence"] <= 1)).all()
-    assert kinds == {
-        "xyz": ("<f4", (count, 3)),
-        "rgb": ("|u1", (count, 3)),
-        "class_id": ("<i4", (count,)),
-        "instance_id": ("<i4", (count,)),
-        "confidence": ("<f4", (count,)),
-    }
-    with np.load(result / "anchors.npz") as anchors:
-        count = len(anchors["xyz"])
-        kinds = {name: (anchors[name].dtype.str, anchors[name].shape) for name in anchors.files}
-        assert set(np.unique(anchors["level"])) <= {0, 1, 2, 3}
-    assert kinds == {
-        "xyz": ("<f4", (count, 3)),
-        "class_id": ("<i4", (count,)),
-        "instance_id": ("<i4", (count,)),
-        "opacity": ("<f4", (count,)),
-        "level": ("<i4", (count,)),
-        "rgb": ("|u1", (count, 3)),
-    }
+    """``read_arrays`` checks names, types and shapes."""
+    points = read_arrays(lifts.done.result_path / "semantic_points.npz", SemanticPoints)
+    assert set(np.unique(points.instance_id)) == {0, 1, 2}
+    assert ((points.confidence >= 0) & (points.confidence <= 1)).all()
+    anchors = read_arrays(lifts.done.result_path / "anchors.npz", Anchors)
+    assert set(np.unique(anchors.level)) <= {0, 1, 2, 3}
 
 
 def test_instances(lifts: Lifts) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import torch
 
 from engine.errors import Cancelled
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
@@ -16,12 +15,11 @@ from engine.job.cameras import PreviewCamera, write_preview_request
 from engine.lift import live_previews, run_lift
 from engine.lift.live_previews import LivePreviews
 from engine.lift.scene_files import ShownInstances
-from engine.presets.preset import PRESETS
 from engine.scene import Scene, open_scene
 from engine.train.trainer import Trainer
 from tests.lift.test_lift import files_of
 from tests.tiny_scene import write_tiny_scene
-from tests.train.tiny_lift import TINY, trainer_of, views_of
+from tests.train.tiny_lift import TINY, presets_as, trainer_of, views_of
 
 FROM_ABOVE = PreviewCamera(
     ((1.0, 0.0, 0.0, 2.0), (0.0, -1.0, 0.0, 1.5), (0.0, 0.0, -1.0, 2.4), (0.0, 0.0, 0.0, 1.0)),
@@ -33,13 +31,8 @@ FROM_ABOVE = PreviewCamera(
 
 @pytest.fixture(scope="module")
 def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    preview = PRESETS["preview"]
-    PRESETS["preview"] = TINY
-    try:
+    with presets_as(preview=TINY):
         yield write_tiny_scene(tmp_path_factory.mktemp("live") / "scene", frames=6, noise=0.1)
-    finally:
-        PRESETS["preview"] = preview
-        torch.use_deterministic_algorithms(False)
 
 
 def lift(folder: LiftFolder, *, resume: bool = False) -> None:

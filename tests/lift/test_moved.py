@@ -9,18 +9,16 @@ from pathlib import Path
 
 import cv2
 import pytest
-import torch
 
 from engine.command_line.main import main
 from engine.errors import PlgsError
 from engine.export.run import export
-from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, StopSignal
-from engine.lift import run_lift
+from engine.job import ExitCode, LiftFolder, LiftRequest
 from engine.presets.preset import PRESETS
 from engine.result_files import read_instances
 from engine.scene_of_lift import relink, scene_of_lift
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
-from tests.train.tiny_lift import TINY
+from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 
 @pytest.fixture(scope="module")
@@ -28,14 +26,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A folder with "room" and "lift", a lift of it. Only for reading."""
     root = tmp_path_factory.mktemp("made")
     scene = write_tiny_scene(root / "room", frames=6, noise=0.1)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PRESETS, "preview", TINY)
-        folder = LiftFolder.create(root / "lift", LiftRequest(scene=scene, bake="none"))
-        events = EventWriter(folder.events_path)
-        run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
-        events.close()
+    with presets_as(preview=TINY):
+        lift_into(root / "lift", LiftRequest(scene=scene, bake="none"))
         yield root
-    torch.use_deterministic_algorithms(False)
 
 
 @pytest.fixture

@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
-from engine.lift import run_lift
+from engine.job import LiftRequest
 from engine.metrics.report import Report
 from engine.scene import open_scene
 from research.baselines.voxel_vote import VOXEL_VOTE, add_voxel_vote
 from tests.tiny_scene import CABINET, CABINET_ID, CATEGORIES, CHAIR, CHAIR_ID, TinyView, tiny_intrinsics, trace_view
+from tests.train.tiny_lift import lift_into
 
 SIZE = (160, 120)
 SINK_ID, SINK = 7, np.array([[2.45, 1.5], [2.8, 1.78]])
@@ -112,12 +112,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[str
     folder = tmp_path_factory.mktemp("near_and_far")
     scene = write_near_and_far(folder / "scene")
     options = {"steps": 120, "steps_a_view": 0.0, "size": [160, 120]}
-    lift = LiftFolder.create(folder / "lift", LiftRequest(scene=scene, options=options, bake="none"))
-    events = EventWriter(lift.events_path)
-    try:
-        run_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
-    finally:
-        events.close()
+    lift = lift_into(folder / "lift", LiftRequest(scene=scene, options=options, bake="none"))
     found = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
     report = Report(open_scene(scene).classes)
     add_voxel_vote(report, open_scene(scene))

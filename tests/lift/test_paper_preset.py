@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
-from engine.lift import run_lift
+from engine.job import LiftFolder, LiftRequest
 from engine.lift.scene_files import read_model
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
+from tests.train.tiny_lift import lift_into
 
 STEPS = 12
 
@@ -19,13 +19,7 @@ def lift(tmp_path_factory: pytest.TempPathFactory) -> LiftFolder:
     folder = tmp_path_factory.mktemp("paper")
     scene = write_tiny_scene(folder / "scene", frames=8)
     request = LiftRequest(scene=scene, preset="paper", options={"steps": STEPS}, bake="test")
-    lift = LiftFolder.create(folder / "lift", request)
-    events = EventWriter(lift.events_path)
-    try:
-        run_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
-    finally:
-        events.close()
-    return lift
+    return lift_into(folder / "lift", request)
 
 
 def test_algorithm_1_finds_the_rooms_objects(lift: LiftFolder) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
-from engine.lift import run_lift
+from engine.job import LiftRequest
+from tests.train.tiny_lift import lift_into
 
 ROOT = Path(__file__).resolve().parents[2]
 STEPS, SIZE = 200, [160, 120]
@@ -29,12 +29,7 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[str
     made = [sys.executable, "sample/hand_held.py", "sample/room", str(scene), "--seed", "0"]
     subprocess.run(made, cwd=ROOT, check=True, capture_output=True, timeout=900)
     request = LiftRequest(scene=scene, options={"steps": STEPS, "size": SIZE}, bake="none")
-    lift = LiftFolder.create(folder / "lift", request)
-    events = EventWriter(lift.events_path)
-    try:
-        run_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
-    finally:
-        events.close()
+    lift = lift_into(folder / "lift", request)
     tables = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
     return {table["name"]: table for table in tables if table["mode"] == "strict"}
 

@@ -33,7 +33,7 @@ def test_runs_as_a_module(root: Path) -> None:
 
 def test_wrong_arguments(capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of("experiments", "--seeds", "0,one") == 2
-    assert "'0,one' are no whole numbers with commas between, such as 0,1,2" in capsys.readouterr().err
+    assert "'0,one' is not a list of whole numbers such as 0,1,2" in capsys.readouterr().err
     for text in ("-5", "0", "many"):
         assert code_of("bench", "long", "--frames", text) == 2
         *_, told = capsys.readouterr().err.strip().splitlines()

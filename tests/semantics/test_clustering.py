@@ -35,11 +35,6 @@ def test_lloyd_steps_do_not_raise_the_quantisation_error() -> None:
     assert error(moved) < error(centres)
 
 
-def test_a_spacing_of_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="spacing"):
-        seed_centres(batches, 0.0, 10)
-
-
 def test_cells_are_floors_and_far_points_are_refused() -> None:
     keys = cell_keys(np.array([[0.0, 0.0, 0.0], [0.099, 0.0, 0.0], [-0.001, 0.0, 0.0]]), 0.1)
     assert keys[0] == keys[1] != keys[2]

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from engine.semantics.consistency import (
     ConsistencyOptions,
@@ -65,8 +64,3 @@ def test_far_apart_views_are_sparse() -> None:
     assert view_overlap(near[0], near[0], options) == 1.0
     assert not views_are_sparse(near, options)
     assert views_are_sparse([wall_view(str(i), 2.5 * i) for i in range(4)], options)
-
-
-def test_options_out_of_range_are_refused() -> None:
-    with pytest.raises(ValueError, match="agreement"):
-        ConsistencyOptions(agreement=0.0)

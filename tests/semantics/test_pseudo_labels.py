@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from engine.scene import PanopticMask, Segment
 from engine.semantics.pseudo_labels import LEAST_AREA, pseudo_labels, regions
@@ -49,8 +48,3 @@ def test_small_regions_keep_what_is_rendered() -> None:
         mask = PanopticMask(np.full((1, width), 1, np.int32), (Segment(1, WALL, False),))
         rendered = np.where(np.arange(width) > 4, 7, 3).astype(np.int32)[None]
         np.testing.assert_array_equal(pseudo_labels(mask, rendered), rendered if is_small else 7)
-
-
-def test_sizes_must_fit() -> None:
-    with pytest.raises(ValueError, match="mask"):
-        pseudo_labels(two_chairs(), np.zeros((3, 3), np.int32))

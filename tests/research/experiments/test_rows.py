@@ -31,7 +31,7 @@ def test_no_two_rows_are_one_lift() -> None:
     assert len(set(map(repr, lifts))) == len(lifts), "the later one is same_as the other"
 
 
-def test_methods_are_measured() -> None:
+def test_every_method_of_a_row_is_measured() -> None:
     from research.baselines.voxel_vote import VOXEL_VOTE
     from research.baselines.without_a_lift import WITHOUT_A_LIFT
 
@@ -50,7 +50,7 @@ def test_the_papers_ablations_are_there() -> None:
         assert getattr(mine, name) == getattr(paper, name), name
 
 
-def test_rows_and_tables_by_name() -> None:
+def test_rows_and_tables_are_found_by_name() -> None:
     assert [row.name for row in ROWS.chosen(["parts"])] == ["all of it", "without depth", "other masks"]
     assert [row.name for row in ROWS.chosen(["Ours", "without depth"])] == ["ours", "without depth"]
     assert ROWS.chosen([]) == ROWS.rows
@@ -64,13 +64,13 @@ def test_rows_and_tables_by_name() -> None:
     [
         ("", "tables"),
         ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "b"', "x"),
-        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nsame_as = "y"', "no rows"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nsame_as = "y"', "not a table of rows"),
         ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nway = "y"', "ways"),
         ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\n[[row]]\nname = "X"\ntable = "a"', "one name"),
         ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nset = { neighbors = 3 }', "Did you mean neighbours"),
     ],
 )
-def test_rows_that_are_none(content: str, told: str, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_table_of_rows_is_refused(content: str, told: str, tmp_path: Path) -> None:
     path = tmp_path / "rows.toml"
     path.write_text(content)
     with pytest.raises(PlgsError, match=told):

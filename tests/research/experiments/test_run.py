@@ -217,7 +217,7 @@ def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behav
     with pytest.raises(PlgsError, match="weights.depth"):
         run(replace(experiment, sets=("weights.dept=0",)))
     (file := tmp_path / "file").write_bytes(b"\xff")
-    for page, told in ((tmp_path, "no text"), (file, "no text"), (file / "page.md", "cannot be written")):
+    for page, told in ((tmp_path, "text file"), (file, "text file"), (file / "page.md", "cannot be written")):
         with pytest.raises(PlgsError, match=told):
             run(replace(experiment, only=(), page=page))
     assert not experiment.folder.exists()

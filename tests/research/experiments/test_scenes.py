@@ -42,15 +42,15 @@ def test_names_of_their_own() -> None:
 @pytest.mark.parametrize(
     ("texts", "names", "told"),
     [
-        (["room:up=x"], None, "'x' is no axis"),
-        (["room:up="], None, "'' is no axis"),
+        (["room:up=x"], None, "'x' is not an axis"),
+        (["room:up="], None, "'' is not an axis"),
         (["one/room", "two/Room"], None, "two scenes are called Room"),
         (["one", "two"], ["a"], "1 names for 2 scenes"),
         (["one"], ["a/b"], "'a/b' cannot be"),
         (["one"], [".."], "'..' cannot be"),
         (["one"], ["a|b"], "'a|b' cannot be"),
         (["/"], None, "'' cannot be"),
-        ([""], None, "is no scene"),
+        ([""], None, "is not a scene"),
     ],
 )
 def test_what_is_refused(texts: list[str], names: list[str] | None, told: str) -> None:
