@@ -1,4 +1,4 @@
-"""The matrix product of the rasteriser's labels and of the decoders.
+"""The matrix product of the rasteriser's labels.
 
 It takes a block of a few rows and sixteen columns at a time, whose sums stay in registers.
 """

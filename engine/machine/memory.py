@@ -14,9 +14,7 @@ import threading
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import DTypeLike, NDArray
-from torch import Tensor
 
 ALIGNMENT = 64
 KEPT_CALLS = 150
@@ -100,11 +98,6 @@ def _new_block(size: int) -> _Block:
     block = _Block(size)
     _blocks.setdefault(size, []).append(block)
     return block
-
-
-def empty_tensor(shape: tuple[int, ...]) -> Tensor:
-    """As ``torch.empty`` in float32, out of the same blocks."""
-    return torch.from_numpy(empty(shape, np.float32))
 
 
 def _rounded(size: int) -> int:

@@ -9,7 +9,7 @@ from numba import types
 from numba.core import cgutils
 
 from .intrinsics import intrinsic
-from .vectors import FLOAT, INT, INTS_IR, LANES_IR, WIDTH, call, constant, lanes
+from .vectors import FLOAT, INTS_IR, WIDTH, call, constant, lanes
 
 
 @intrinsic
@@ -119,17 +119,3 @@ def deinterleave2(typing_context: Any, a: Any, b: Any) -> Any:
         return context.make_tuple(builder, signature.return_type, vectors)
 
     return types.UniTuple(lanes, 2)(lanes, lanes), emit
-
-
-@intrinsic
-def horizontal_sum(typing_context: Any, a: Any) -> Any:
-    """The sum of the lanes, halves first: always in the same order."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        value, nothing = arguments[0], ir.Constant(LANES_IR, ir.Undefined)
-        for half in (8, 4, 2, 1):
-            order = ir.Constant(INTS_IR, [(lane + half) % WIDTH for lane in range(WIDTH)])
-            value = builder.fadd(value, builder.shuffle_vector(value, nothing, order))
-        return builder.extract_element(value, INT(0))
-
-    return types.float32(lanes), emit

@@ -317,8 +317,8 @@ def trailing_zeros(typing_context: Any, bits: Any) -> Any:
 
 
 def has_avx512() -> bool:
-    """Whether kernels may use AVX-512: thirty-two registers of sixteen floats, and instructions for an exponential.
-    They may not where Numba is told to compile for a processor without it."""
+    """Whether kernels may use AVX-512's thirty-two registers of sixteen floats. They may not where Numba is told to
+    compile for a processor without it."""
     features = machine_target()[2].split(",")
     return "+avx512f" in features and "+avx512dq" in features
 

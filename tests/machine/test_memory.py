@@ -7,6 +7,7 @@ import signal
 
 import numpy as np
 import pytest
+import torch
 
 from engine.machine import memory
 from tests.machine.held_bytes import held_bytes
@@ -60,9 +61,9 @@ def test_a_scene_that_shrinks_a_little_finds_its_blocks_again() -> None:
 
 
 def test_a_tensor_holds_its_memory() -> None:
-    tensor = memory.empty_tensor((5, 13))
+    tensor = torch.from_numpy(memory.empty((5, 13), np.float32))
     tensor.fill_(1.0)
-    others = [memory.empty_tensor((5, 13)) for _ in range(3)]
+    others = [torch.from_numpy(memory.empty((5, 13), np.float32)) for _ in range(3)]
     assert tensor.data_ptr() not in {other.data_ptr() for other in others}
     assert tensor.shape == (5, 13) and tensor.data_ptr() % memory.ALIGNMENT == 0
 

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from engine.machine.vector_functions import exp2, exp2_x4, reciprocal
+from engine.machine.vector_functions import exp2, exp2_x4
 from engine.machine.vector_shuffles import (
     deinterleave2,
     deinterleave3,
@@ -97,11 +97,3 @@ def test_what_is_far_too_small_counts_as_the_least_power() -> None:
 
     found = apply(power, np.repeat(np.float32([-1e30, -64.0]), WIDTH), 2)
     assert np.allclose(found, 2.0**-64, rtol=1e-6)
-
-
-def test_reciprocals() -> None:
-    def invert(values: Any, out: Any) -> None:
-        store(out, 0, reciprocal(load(values, 0)))
-
-    values = np.linspace(0.01, 1.0, WIDTH).astype(np.float32)
-    assert np.allclose(apply(invert, values, 1)[0], 1.0 / values.astype(np.float64), rtol=3e-7, atol=0.0)

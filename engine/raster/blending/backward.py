@@ -18,7 +18,7 @@ import numpy as np
 
 from ...machine.compiled import Array, device_function, inlined, parallel_kernel
 from ...machine.intrinsics import fetch_add
-from ...machine.vector_functions import exp2_x4, reciprocal
+from ...machine.vector_functions import exp2_x4
 from ...machine.vector_shuffles import horizontal_sums
 from ...machine.vectors import (
     broadcast,
@@ -105,7 +105,7 @@ def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
 @inlined
 def keep_alpha(patch: int, raw: Any, scratch: Array) -> None:
     store(scratch, RAW_ALPHAS + patch * TILE, raw)
-    store(scratch, OVERS + patch * TILE, reciprocal(broadcast(ONE) - minimum(raw, broadcast(ALPHA_CAP))))
+    store(scratch, OVERS + patch * TILE, broadcast(ONE) / (broadcast(ONE) - minimum(raw, broadcast(ALPHA_CAP))))
 
 
 @device_function
