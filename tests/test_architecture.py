@@ -30,7 +30,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "job": {"errors", "gates", "json_file", "records", "presets", "scene_source"},
     "result_files": {"errors", "gates", "json_file", "scene", "job"},
     "scene_of_lift": {"errors", "json_file", "scene", "job", "result_files"},
-    "corrections": {"errors", "gates", "json_file", "scene", "job", "result_files", "scene_of_lift"},
+    "corrections": {"errors", "json_file", "records", "scene", "job", "result_files", "scene_of_lift"},
     "machine": set(),
     "raster": {"machine"},
     "semantics": {"presets", "scene", "machine"},
