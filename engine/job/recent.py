@@ -8,15 +8,18 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from ..errors import PlgsError
-from ..records import read_record, record_text
+from ..json_file import read_object, take_list
+from ..records import record_of, record_text, refuse_other_format
 from .atomic import write_atomically
 from .environment import notes_folder
 from .folder import LiftFolder, LiftState
 from .lock import FileLock
 
 MOST = 50
+_FIX = "Delete it."
 _LATEST = 1 << 40
 """Unix seconds beyond any clock. A later time was not written by us."""
 
@@ -81,9 +84,20 @@ def _entries(list_path: Path, is_to_be_replaced: bool = False) -> list[tuple[str
     the disk cannot read a list that ``is_to_be_replaced``, which would lose it.
     """
     try:
-        listed = read_record(_List, list_path, "Delete it.").lifts
+        content = read_object(list_path, _FIX)
+        refuse_other_format(content, list_path)
+        listed = take_list(content, "lifts", "the list", list_path)
     except PlgsError as error:
         if is_to_be_replaced and isinstance(error.__cause__, OSError) and list_path.exists():
             raise
         return []
-    return [(each.path, each.touched) for each in listed]
+    return [found for entry in listed if (found := _entry(entry, list_path)) is not None]
+
+
+def _entry(entry: Any, list_path: Path) -> tuple[str, float] | None:
+    """One damaged entry costs no other lift its place in the list."""
+    try:
+        found = record_of(_Entry, entry if isinstance(entry, dict) else {}, list_path, _FIX, "lifts")
+    except PlgsError:
+        return None
+    return found.path, found.touched

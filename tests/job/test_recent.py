@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -59,6 +60,16 @@ def test_a_broken_list_is_begun_anew(tmp_path: Path, content: str) -> None:
     assert recent_lifts(tmp_path) == []
     folder = new_lift(tmp_path)
     remember_lift(folder.path, tmp_path)
+    assert [lift.folder for lift in recent_lifts(tmp_path)] == [folder]
+
+
+def test_a_damaged_entry_costs_no_other_lift_its_place(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    remember_lift(folder.path, tmp_path)
+    path = tmp_path / "recent_lifts.json"
+    content = json.loads(path.read_text())
+    content["lifts"] += [1, {"path": 2, "touched": 3}, {"path": "/", "touched": 1, "size": 4}]
+    path.write_text(json.dumps(content))
     assert [lift.folder for lift in recent_lifts(tmp_path)] == [folder]
 
 
