@@ -211,6 +211,8 @@ def target_of(found: Import) -> str:
 
 
 EXTENSION = ("plgs_blender", "operators", "ui", "__init__.py")
+MOST_LINES_OF_THE_CORE = 16_000
+"""Lines of the engine that Blender imports, at most."""
 
 
 def test_no_bpy_under_engine() -> None:
@@ -315,6 +317,32 @@ def test_the_extension_needs_nothing_but_blender_numpy_and_the_standard_library(
         if not i.is_relative and first(i.module) not in allowed
     ]  # fmt: skip
     assert wrong == []
+
+
+def test_blender_imports_no_more_of_the_engine_than_today() -> None:
+    """What Blender imports may use the standard library and NumPy alone. The goal is 8000 lines, without readers of
+    foreign formats. This limit may only be lowered.
+    """
+    core = _core_of_the_extension()
+    allowed = {target.removeprefix("engine.") for target in EXTENSION_MAY_IMPORT["plgs_blender"]}
+    allowed |= {"", "gates", "json_file", "records"}
+    assert sorted({part_of_engine(dotted(path)) for path in core} - allowed) == []
+    assert sum(len(path.read_text(encoding="utf-8").splitlines()) for path in core) <= MOST_LINES_OF_THE_CORE
+
+
+def _core_of_the_extension() -> set[Path]:
+    """The files of the engine that the extension and run_plgs.py import, directly or through other files."""
+    found: set[Path] = set()
+    waiting = modules_under(*EXTENSION, "run_plgs.py")
+    while waiting:
+        for each in imports_of(waiting.pop()):
+            names = each.module.removeprefix("plgs.").split(".")
+            folders = [ROOT.joinpath(*names[:depth]) for depth in range(1, len(names) + 1)]
+            files = [file for folder in folders for file in (folder.with_suffix(".py"), folder / "__init__.py")]
+            new = {file for file in files if names[0] == "engine" and file.is_file()} - found
+            found |= new
+            waiting += sorted(new)
+    return found
 
 
 def test_the_page_on_the_architecture_names_what_is_there() -> None:
