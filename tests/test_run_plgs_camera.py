@@ -120,7 +120,7 @@ def test_what_cannot_be_baked_is_told_in_a_line(lift: LiftFolder, blend: Path, r
         (["--blend", cut], ("cut.blend", "--blend")),
         (["--blend", text], ("is no Blender file", "notes.blend", "--blend")),
         (["--blend", tmp_path / "gone.blend"], ("is not there", "gone.blend", "--blend")),
-        (["--steps", "5", "--seed", "2"], ("--steps, --seed", "SCENE")),
+        (["--steps", "5", "--seed", "2"], ("leave out --seed, --steps,", "SCENE")),
         (["--range", "3-1"], ("'3-1'", "ends before it begins")),
         (["--range", "-3-5"], ("'-3-5'", "from 0 on")),
         (["--range", "1"], ("'1'", "1-250")),
