@@ -30,7 +30,7 @@ class AsksEngine(StartsTask):
 
 
 class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
-    """Download what the engine needs into an environment of its own, about 1.3 GB. What was begun is gone on with"""
+    """Download what the engine needs into an environment of its own, about 1.8 GB. What was begun is gone on with"""
 
     bl_idname, bl_label = "plgs.set_up_engine", "Set up engine"
 

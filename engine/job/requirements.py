@@ -10,9 +10,7 @@ from pathlib import Path
 from ..errors import PlgsError
 
 _FILES = ("torch.txt", "engine.txt")
-_SAMPLE_ONLY = {"open3d", "open3d-cpu"}
-"""Packages that the programs of the samples need. No engine does, and they take half a gigabyte."""
-_MODULES = {"opencv-contrib-python-headless": "cv2"}
+_MODULES = {"open3d-cpu": "open3d", "opencv-contrib-python-headless": "cv2"}
 _MARKER = re.compile(r'(sys_platform|python_version) (==|!=|<|>=) "([^"]+)"')
 
 Version = tuple[int, int]
@@ -47,7 +45,7 @@ def needed_packages(root: Path, version: Version, platform: str = sys.platform) 
         needed |= _pins(root / "requirements" / name, version, platform)
     constraints = constraints_path(root, version)
     numpy = _pins(constraints, version, platform).get("numpy") if constraints.exists() else None
-    return {name: pin for name, pin in needed.items() if name not in _SAMPLE_ONLY} | {"numpy": numpy}
+    return needed | {"numpy": numpy}
 
 
 def digest(root: Path, version: Version) -> str:

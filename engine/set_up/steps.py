@@ -39,9 +39,9 @@ _ANSWER_S = 10.0
 _POLL_S = 0.05
 _MEASURE_S = 1.0
 _GIGABYTE = 10**9
-NEEDED_BYTES = {"cpu": 4 * _GIGABYTE, "cuda": 14 * _GIGABYTE}
+NEEDED_BYTES = {"cpu": 5 * _GIGABYTE, "cuda": 15 * _GIGABYTE}
 """Free bytes on the disk for the environment, for what is unpacked meanwhile and for pip's own cache, rounded up."""
-_INSTALLED_BYTES = {"cpu": 1.3 * _GIGABYTE, "cuda": 6.5 * _GIGABYTE}
+_INSTALLED_BYTES = {"cpu": 1.8 * _GIGABYTE, "cuda": 7.0 * _GIGABYTE}
 """Bytes that the installed packages take on the disk."""
 _INSTALLED, _COMPILED = 0.8, 0.98
 """Parts of the whole that are done when the packages are installed, and when the kernels are compiled."""

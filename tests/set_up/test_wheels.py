@@ -23,8 +23,8 @@ def pinned(path: Path, platform: str) -> list[str]:
     """The packages of a file of hashes that are installed on a system."""
     found = []
     for name, version, marker in _PIN.findall(path.read_text()):
-        only_on = re.match(r"sys_platform == '(\w+)'", marker)
-        if only_on is None or only_on[1] == platform:
+        condition = re.match(r"sys_platform (==|!=) '(\w+)'", marker)
+        if condition is None or (condition[2] == platform) is (condition[1] == "=="):
             found.append(f"{name}=={version}")
     return found
 
@@ -36,7 +36,7 @@ def test_windows_and_macos_have_every_wheel(root: Path, tmp_path: Path, system: 
     """pip chooses as it would there, from the package index; it downloads what describes the packages only."""
     assert version in pinned_versions(root)
     files = [hashes_path(root, version), *(addition_hashes_path(root, name) for name in ADDED)]
-    wanted = [pin for path in files for pin in pinned(path, SYSTEMS[system])]
+    wanted = {pin for path in files for pin in pinned(path, SYSTEMS[system])}
     torch = f"torch=={needed_packages(root, version, SYSTEMS[system])['torch']}"
     report = tmp_path / "report.json"
     command = [
