@@ -79,29 +79,28 @@ def folder_of(root: bpy.types.Collection) -> Path:
 
 def edit(root: bpy.types.Collection, make: Make) -> Edit:
     """Make an edit of a placed lift, and show it. Raises PlgsError, OSError."""
-    made = correct(folder_of(root), make)
-    show_edit(root, made.uid)
+    made, result = correct(folder_of(root), make)
+    show_edit(root, made.uid, result)
     return made
 
 
-def show_edit(root: bpy.types.Collection, uid: str) -> None:
+def show_edit(root: bpy.types.Collection, uid: str, result: CorrectedResult) -> None:
     """Show an edit that was made from this Blender, whose undo takes it back. Raises PlgsError."""
     _mine.setdefault(str(folder_of(root)), set()).add(uid)
-    show_corrections(root)
+    show_corrections(root, result)
 
 
 def undo_last(root: bpy.types.Collection) -> Edit:
     """Undo the last edit in the file, whoever made it and whenever, and show that. Raises PlgsError, OSError."""
-    undone = undo(folder_of(root))
-    show_corrections(root)
+    undone, result = undo(folder_of(root))
+    show_corrections(root, result)
     return undone
 
 
-def show_corrections(root: bpy.types.Collection) -> CorrectedResult:
+def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> None:
     """Bring points, anchors, boxes and lists of a placed lift in line with its corrections; what the user moved or
     renamed stays. Raises PlgsError."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
-    result = read_corrected(folder_of(root))
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = [ob for key, ob in objects_by_key(root).items() if key.startswith("frame:") and ob.type == "CAMERA"]
     grid = SurfaceGrid.of(result.points.xyz)
@@ -124,7 +123,6 @@ def show_corrections(root: bpy.types.Collection) -> CorrectedResult:
     remember(root, result.edits)
     if text_of(root, PROPOSALS):
         _keep_proposals(root, result)
-    return result
 
 
 def propose(root: bpy.types.Collection) -> Proposals:

@@ -148,16 +148,17 @@ def correct_by_truth(
     """Make at most ``most`` edits of a finished lift; ``after_each`` is called with what all of them say, at
     first with nothing. Returns what each says. Raises PlgsError, OSError."""
     folder = LiftFolder.open(lift)
-    truth = true_labels(open_asked(folder.request), read_corrected(folder.path).points.xyz)
+    corrected = read_corrected(folder.path)
+    truth = true_labels(open_asked(folder.request), corrected.points.xyz)
     said: list[str] = []
     left_alone = set[str]()
     after_each(said)
     while len(said) < most:
-        left = [each for each in mistakes(folder, read_corrected(folder.path), truth) if each.said not in left_alone]
+        left = [each for each in mistakes(folder, corrected, truth) if each.said not in left_alone]
         if not left:
             break
         try:
-            correct(folder.path, left[0].make)
+            _, corrected = correct(folder.path, left[0].make)
         except PlgsError:  # what the views do not show apart stays together
             left_alone.add(left[0].said)
         else:
@@ -169,7 +170,8 @@ def correct_by_truth(
 def before_and_after(lift: Path) -> tuple[float, float]:
     """Strict PQ of the lift as the engine made it, and as it is corrected, on the held-out frames."""
     folder = LiftFolder.open(lift)
-    tables: list[Mapping[str, Any]] = [read_metrics(folder), score_corrected(folder, lambda _done, _steps: None)]
+    corrected = score_corrected(folder, read_corrected(lift), lambda _done, _steps: None)
+    tables: list[Mapping[str, Any]] = [read_metrics(folder), corrected]
     before, after = (_strict_pq(metrics) for metrics in tables)
     return before, after
 

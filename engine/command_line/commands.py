@@ -129,9 +129,9 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
 
 def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) -> dict[str, object] | None:
     """The figures of a lift that was corrected: its held-out frames are rendered anew. None where it was not."""
-    from ..corrections import read_corrected, read_edits
+    from ..corrections import CORRECTIONS, read_corrected
 
-    if not read_edits(lift.path):
+    if not (lift.path / CORRECTIONS).exists():
         return None
     corrected = read_corrected(lift.path)
     for line in corrected.warnings:
@@ -141,7 +141,7 @@ def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) 
     from ..lift.baking import score_corrected
 
     events.stage("evaluate", 1, 1, "Evaluating the corrected lift")
-    return score_corrected(lift, _progress("evaluate", events, stop))
+    return score_corrected(lift, corrected, _progress("evaluate", events, stop))
 
 
 def inspect(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:

@@ -73,8 +73,10 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         answer = {"looked_at": found.looked_at, "all": found.all, "open": [asdict(one) for one in found.open]}
         events.answer(answer, "\n".join([*lines, found.progress]))
         return
-    edit = undo(folder.path) if options.edit == "undo" else correct(folder.path, partial(_edit, options, folder))
-    corrected = read_corrected(folder.path)
+    if options.edit == "undo":
+        edit, corrected = undo(folder.path)
+    else:
+        edit, corrected = correct(folder.path, partial(_edit, options, folder))
     for line in corrected.warnings:
         events.warning(line)
     answer = {"uid": edit.uid, "kind": edit.kind, "undone": edit.undone, "made": [one.id for one in edit.made]}

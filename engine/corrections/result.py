@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -103,63 +103,81 @@ class CorrectedResult:
 def read_corrected(lift: Path) -> CorrectedResult:
     """The result of the finished lift in this folder, with its corrections. Raises PlgsError when either cannot be
     read."""
-    return _corrected(lift, read_edits(lift))[0]
+    return _Result.read(lift).corrected(read_edits(lift))
 
 
-def _corrected(lift: Path, edits: tuple[Edit, ...]) -> tuple[CorrectedResult, Replay]:
-    result = lift / "result"
-    classes, made = read_instances(result / INSTANCES)
-    points = read_arrays(result / SEMANTIC_POINTS, SemanticPoints)
-    state = Replay.of(classes, made, points)
-    before = state.label.copy()
-    state.apply_all(edits)
-    instances = tuple(state.objects[number] for number in sorted(state.objects))
-    shown = [edit.uid for edit in edits if not edit.undone and edit.kind != "accept" and edit.uid not in state.told]
-    fingerprint = sha256("\n".join(shown).encode()).hexdigest()[:32] if shown else ""
-    corrected = CorrectedResult(
-        lift,
-        classes,
-        instances,
-        points,
-        made,
-        edits,
-        state.relabelling,
-        frozenset(state.accepted),
-        state.told,
-        fingerprint,
-    )
-    if corrected.changes_labels:
-        class_id, instance_id = corrected.ids_of(before, state.label, points.class_id)
-        corrected = replace(corrected, points=replace(points, class_id=class_id, instance_id=instance_id))
-    return corrected, state
+@dataclass(frozen=True, eq=False)
+class _Result:
+    """A result as the engine made it."""
+
+    lift: Path
+    classes: ClassTable
+    made: tuple[Instance, ...]
+    points: SemanticPoints
+
+    @classmethod
+    def read(cls, lift: Path) -> _Result:
+        """Raises PlgsError."""
+        classes, made = read_instances(lift / "result" / INSTANCES)
+        return cls(lift, classes, made, read_arrays(lift / "result" / SEMANTIC_POINTS, SemanticPoints))
+
+    def replay(self, edits: Sequence[Edit]) -> Replay:
+        state = Replay.of(self.classes, self.made, self.points)
+        state.apply_all(edits)
+        return state
+
+    def corrected(self, edits: Sequence[Edit], state: Replay | None = None) -> CorrectedResult:
+        """The result after the edits. ``state`` is their replay, where it was made already."""
+        state = state or self.replay(edits)
+        shown = [edit.uid for edit in edits if not edit.undone and edit.kind != "accept" and edit.uid not in state.told]
+        fingerprint = sha256("\n".join(shown).encode()).hexdigest()[:32] if shown else ""
+        corrected = CorrectedResult(
+            self.lift,
+            self.classes,
+            tuple(state.objects[number] for number in sorted(state.objects)),
+            self.points,
+            self.made,
+            tuple(edits),
+            state.relabelling,
+            frozenset(state.accepted),
+            state.told,
+            fingerprint,
+        )
+        if not corrected.changes_labels:
+            return corrected
+        before = labels_of(self.points.class_id, self.points.instance_id)
+        class_id, instance_id = corrected.ids_of(before, state.label, self.points.class_id)
+        return replace(corrected, points=replace(self.points, class_id=class_id, instance_id=instance_id))
 
 
 Make = Callable[[Replay, int], Edit]
 """Makes an edit of the state, and of the first id that no object ever had."""
 
 
-def correct(lift: Path, make: Make) -> Edit:
-    """Add an edit to those of the lift in this folder, and return it. Raises PlgsError, OSError: then nothing is
-    changed."""
+def correct(lift: Path, make: Make) -> tuple[Edit, CorrectedResult]:
+    """Add an edit to those of the lift in this folder. Returns it and the result with it, for which the edits are
+    replayed once. Raises PlgsError, OSError: then nothing is changed."""
     with editing(lift) as edits:
-        corrected, state = _corrected(lift, tuple(edits))
-        free = max([*(one.id for one in corrected.made), *(edit.largest_id for edit in edits)], default=0) + 1
+        result = _Result.read(lift)
+        state = result.replay(edits)
+        free = max([*(one.id for one in result.made), *(edit.largest_id for edit in edits)], default=0) + 1
         edit = make(state, free)
         reason = state.apply(edit)
         if reason:
             raise PlgsError(reason, lift / CORRECTIONS, "Choose what is there.")
         edits.append(edit)
-        return edit
+    return edit, result.corrected(edits, state)
 
 
-def undo(lift: Path) -> Edit:
-    """Undo the last edit that is not undone, whoever made it. Raises PlgsError when there is none, OSError."""
+def undo(lift: Path) -> tuple[Edit, CorrectedResult]:
+    """Undo the last edit that is not undone, whoever made it. Returns it and the result without it. Raises PlgsError
+    when there is none, OSError."""
     with editing(lift) as edits:
-        for place in reversed(range(len(edits))):
-            if not edits[place].undone:
-                edits[place] = replace(edits[place], undone=True)
-                return edits[place]
-    raise PlgsError("there is no edit to undo", lift / CORRECTIONS, "")
+        last = max((place for place, edit in enumerate(edits) if not edit.undone), default=-1)
+        if last < 0:
+            raise PlgsError("there is no edit to undo", lift / CORRECTIONS, "")
+        edits[last] = replace(edits[last], undone=True)
+    return edits[last], _Result.read(lift).corrected(edits)
 
 
 def set_undone(lift: Path, undone: dict[str, bool]) -> None:

@@ -62,7 +62,7 @@ class FinishedLift:
 
     @cached_property
     def _baker(self) -> FrameBaker:
-        return read_baker(self.folder, self.classes)
+        return read_baker(self.folder, self.classes, self.corrected)
 
     @cached_property
     def shots(self) -> list[WantedView]:

@@ -126,10 +126,11 @@ def _bake(
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
         scene = scene_of_lift(folder)
-        notes = {CORRECTIONS_NOTE: read_corrected(folder.path).fingerprint}
+        corrected = read_corrected(folder.path)
+        notes = {CORRECTIONS_NOTE: corrected.fingerprint}
         place = _Result(folder, locks, options) if options.output is None else _OwnFolder(folder, options)
         wanted = [view for view in views_in(scene) if not place.has(view, notes)]
-        baker = read_baker(folder, scene.classes)
+        baker = read_baker(folder, scene.classes, corrected)
     with stages.stage("bake") as progress:
         left = wanted
         try:
@@ -139,7 +140,7 @@ def _bake(
                     with locks.claim(place.claim_of(view)) as is_ours:
                         if not is_ours:
                             others.append(view)
-                        elif not place.has(view, {CORRECTIONS_NOTE: baker.corrections}):
+                        elif not place.has(view, notes):
                             place.write(view, baker, events)
                     progress(len(wanted) - len(left) + number - len(others), len(wanted))
                 place.keep()

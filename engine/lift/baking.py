@@ -11,7 +11,7 @@ from statistics import median
 import numpy as np
 import torch
 
-from ..corrections import read_corrected
+from ..corrections import CorrectedResult
 from ..job import EventWriter, LiftFolder, write_atomically
 from ..job.system import peak_bytes
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
@@ -81,9 +81,8 @@ class FrameBaker:
         events.preview(semantic)
 
 
-def read_baker(folder: LiftFolder, classes: ClassTable) -> FrameBaker:
+def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResult) -> FrameBaker:
     """The baker of a finished lift as it is corrected. Raises PlgsError when its files cannot be read, OSError."""
-    corrected = read_corrected(folder.path)
     lifted = corrected_scene(read_model(folder), corrected)
     shown = read_shown_instances(folder, lifted, corrected)
     return FrameBaker(classes, lifted, shown, corrected.fingerprint)
@@ -148,11 +147,13 @@ def bake_and_evaluate(
         events.metric("run", {"fps": fps, "peak_bytes": peak_bytes()})
 
 
-def score_corrected(folder: LiftFolder, progress: Callable[[int, int], object]) -> dict[str, object]:
+def score_corrected(
+    folder: LiftFolder, corrected: CorrectedResult, progress: Callable[[int, int], object]
+) -> dict[str, object]:
     """The figures of a finished lift as it is corrected, in the form of metrics.json. Raises PlgsError, OSError."""
     torch.use_deterministic_algorithms(True)
     scene = open_asked(folder.request)
-    baker, report = read_baker(folder, scene.classes), Report(scene.classes)
+    baker, report = read_baker(folder, scene.classes, corrected), Report(scene.classes)
     for done, frame in enumerate(scene.test_frames, start=1):
         report.add(LIFTED, frame, predicted(baker.render(frame.camera).layers))
         progress(done, len(scene.test_frames))

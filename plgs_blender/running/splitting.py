@@ -32,9 +32,11 @@ class SplitByViews(Task):
     def done(self, scene: Any) -> None:
         if not self.has_finished or self.answer is None:
             return
-        for root in {root for each in bpy.data.scenes for root in lifts_in(each)}:
-            if is_same_place(text_of(root, FOLDER), self._lift):
-                corrections.show_edit(root, str(self.answer["uid"]))
+        every = {root for each in bpy.data.scenes for root in lifts_in(each)}
+        shown = [root for root in every if is_same_place(text_of(root, FOLDER), self._lift)]
+        result = corrections.read_corrected(self._lift)
+        for root in shown:
+            corrections.show_edit(root, str(self.answer["uid"]), result)
         self.undo_step = "Split by Views"
 
 

@@ -81,7 +81,7 @@ def test_a_name_and_a_class(lift: Path) -> None:
 
 
 def test_two_chairs_in_one_box_fall_apart(lift: Path) -> None:
-    edit = correct(lift, split_chairs)
+    edit, _ = correct(lift, split_chairs)
     found = objects(lift)
     assert edit.made[0].id == 4 and found[4].name == "chair 2" and found[4].points == found[CHAIRS].points
     assert sorted(round(found[one].centre[0], 2) for one in (CHAIRS, 4)) == [0.2, 1.2]
@@ -91,6 +91,18 @@ def test_two_chairs_in_one_box_fall_apart(lift: Path) -> None:
     for one in (CHAIRS, 4):  # an anchor follows the nearest point
         assert np.ptp(anchors.xyz[anchors.instance_id == one], axis=0)[0] < 0.5
     assert found[DESK] == result.made[1]  # an untouched box never moves
+
+
+def test_an_action_replays_the_edits_once(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    replays = list[int]()
+    apply_all = Replay.apply_all
+    monkeypatch.setattr(Replay, "apply_all", lambda state, edits: (replays.append(1), apply_all(state, edits))[1])
+    _, corrected = correct(lift, split_chairs)
+    assert len(replays) == 1
+    read = read_corrected(lift)
+    assert corrected.instances == read.instances and counts(corrected) == counts(read)
+    _, undone = undo(lift)
+    assert len(replays) == 3 and not undone.fingerprint
 
 
 def test_together_again_is_one_object_with_all_points(lift: Path) -> None:
@@ -128,7 +140,7 @@ def test_stuff_takes_the_points_of_an_object(lift: Path) -> None:
 def test_points_get_an_object_or_a_class(lift: Path) -> None:
     at = read_corrected(lift).points.xyz
     right = (at[:, 0] > 0.9) & (at[:, 0] < 1.5) & (at[:, 2] > 0.05)
-    edit = correct(lift, lambda state, free: m.assign(state, right, 0, class_id=SOFA, name="armchair", new_id=free))
+    edit, _ = correct(lift, lambda state, free: m.assign(state, right, 0, class_id=SOFA, name="armchair", new_id=free))
     assert objects(lift)[edit.made[0].id].points == right.sum()
     correct(lift, lambda state, _: m.assign(state, right, DESK))
     assert edit.made[0].id not in objects(lift)  # none of its points is left
@@ -153,8 +165,8 @@ def test_undo_after_all_was_read_again(lift: Path) -> None:
     correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
     first = read_corrected(lift).fingerprint
     correct(lift, merge(DESK, CRUMB))
-    assert undo(lift).kind == "merge" and read_corrected(lift).fingerprint == first
-    assert undo(lift).kind == "rename" and objects(lift)[DESK].name == "table 1"
+    assert undo(lift)[0].kind == "merge" and read_corrected(lift).fingerprint == first
+    assert undo(lift)[0].kind == "rename" and objects(lift)[DESK].name == "table 1"
     assert [edit.undone for edit in read_edits(lift)] == [True, True]  # kept, and told as undone
     with pytest.raises(PlgsError, match="no edit to undo"):
         undo(lift)
