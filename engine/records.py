@@ -51,7 +51,7 @@ def read_record(kind: type[Record], path: Path, fix: str, version: int = 1, **ap
     return record_of(kind, content, path, fix, **apart)
 
 
-def refuse_other_format(content: dict[str, Any], path: Path, version: int = 1) -> None:
+def refuse_other_format(content: dict[str, Any], path: Path | str, version: int = 1) -> None:
     """Take the number of the format out of a file's content. Raises PlgsError for another one than ``version``."""
     found = content.pop("format", None)
     if found != version or isinstance(found, bool):

@@ -9,8 +9,7 @@ from ..plgs_blender.engine_environment import usable_python, why_no_engine
 from ..plgs_blender.mask_classes import OWN_TABLE, TABLE_ITEMS, fill_classes, write_classes
 from ..plgs_blender.running.adding import why_lacking
 from ..plgs_blender.running.looking import look_at_scene
-from ..plgs_blender.running.masks import MaskMaking, make_masks
-from ..plgs_blender.running.poses import PoseMaking, make_poses
+from ..plgs_blender.running.preparation import MaskMaking, PoseMaking, make_masks, make_poses
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task

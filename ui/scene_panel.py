@@ -11,8 +11,7 @@ from ..plgs_blender.frames import PHOTO, SHOWN
 from ..plgs_blender.owned import LIFT
 from ..plgs_blender.running.diagnosis import Diagnosis, diagnosis_of
 from ..plgs_blender.running.importing import FrameMaking
-from ..plgs_blender.running.masks import MaskMaking
-from ..plgs_blender.running.poses import PoseMaking
+from ..plgs_blender.running.preparation import MaskMaking, PoseMaking
 from ..plgs_blender.running.survey import SceneLook, Survey, possibilities, survey_of
 from ..plgs_blender.scene_formats import AUTOMATIC, label_of
 from ..plgs_blender.settings import chosen_scene

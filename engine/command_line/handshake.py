@@ -24,7 +24,7 @@ def answer(root: Path = ROOT) -> EngineAnswer:
     packages, cuda = {name: _version(name) for name in wanted}, _cuda_of_torch()
     missing = [name for name, version in packages.items() if version is None]
     return EngineAnswer(
-        version=__version__,
+        engine=__version__,
         python=".".join(map(str, sys.version_info[:3])),
         executable=Path(sys.executable),
         packages=packages,

@@ -15,7 +15,7 @@ from ..job.options import readable
 from ..job.task import TaskPlace
 from ..job.terminal import stdout_for_events
 from .parser import make_parser
-from .runner import Task, run_task
+from .runner import Command, run_task
 
 READER_GONE = 141
 """The shell's exit status of a command whose reader has ended, such as ``head``."""
@@ -53,6 +53,6 @@ def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
 
 def _run_task(options: argparse.Namespace) -> int:
     place = None if options.events is None else TaskPlace.at(options.events)
-    task = Task(options.command, partial(options.run, options), when_stopped=options.when_stopped)
+    command = Command(options.command, partial(options.run, options), when_stopped=options.when_stopped)
     pipe = sys.stdin.fileno() if options.stay_with_parent else None
-    return run_task(task, place, as_json=options.json, parent_pipe=pipe, echo=options.echo)
+    return run_task(command, place, as_json=options.json, parent_pipe=pipe, echo=options.echo)

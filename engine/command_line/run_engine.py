@@ -12,12 +12,12 @@ from ..job import EventWriter, LiftFolder, LiftState, StopSignal, verify_lifted
 from ..job.recent import remember_lift
 from ..job.task import BAKE, LIFT, TaskPlace
 from .log_output import output_to
-from .runner import Task, Work, run_at, run_task
+from .runner import Command, Work, run_at, run_task
 
 log = logging.getLogger("plgs.engine")
 
 
-class Lift(Protocol):
+class LiftWork(Protocol):
     """The work itself: it ends by writing the manifest, or by raising."""
 
     def __call__(self, folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None: ...
@@ -28,7 +28,7 @@ def run_engine(
     *,
     resume: bool = False,
     parent_pipe: int | None = None,
-    lift: Lift | None = None,
+    lift: LiftWork | None = None,
     echo: int | None = None,
 ) -> ExitCode:
     """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is run in place of `run_lift`. ``echo``:
@@ -57,7 +57,7 @@ def run_engine(
             def work(events: EventWriter, stop: StopSignal) -> None:
                 _run_lift(folder, lift)(folder, events, stop, resume=resume)
 
-            task = Task(
+            command = Command(
                 LIFT,
                 lambda events, stop: _do_in(folder, events, stop, work),
                 resumed=resume and folder.checkpoints.exists,
@@ -65,7 +65,7 @@ def run_engine(
                 again="resume",
                 with_less_memory="Resume after closing other programs, or lift anew with a smaller --size.",
             )
-            return run_at(task, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
+            return run_at(command, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
 
 
 def _is_done(folder: LiftFolder) -> bool:
@@ -102,7 +102,7 @@ def run_bake(
         if frames is not None:
             bake_frames(folder, frames, events, stop, options)
 
-    task = Task(
+    command = Command(
         BAKE,
         lambda events, stop: _do_in(folder, events, stop, work),
         when_stopped=f"The result is whole, with what was baked so far: {folder.path}",
@@ -112,7 +112,7 @@ def run_bake(
     folder.refuse_foreign()
     if place is not None:
         _refuse_unfinished(folder)
-        return _bake_beside(folder, task, place, parent_pipe, echo)
+        return _bake_beside(folder, command, place, parent_pipe, echo)
     try:
         lock = folder.lock().__enter__()
     except PlgsError as error:
@@ -122,7 +122,7 @@ def run_bake(
             raise
         (folder.path / "bake").mkdir(exist_ok=True)
         beside = TaskPlace.temporary(folder.path / "bake")
-        code = _bake_beside(folder, task, beside, None, echo)
+        code = _bake_beside(folder, command, beside, None, echo)
         if code is ExitCode.FINISHED:
             beside.discard()
         return code
@@ -130,15 +130,15 @@ def run_bake(
         _refuse_unfinished(folder)
         with output_to(folder.log_path) as terminal:
             folder.prepare_bake()
-            return run_at(task, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
+            return run_at(command, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
     finally:
         lock.__exit__(None, None, None)
 
 
 def _bake_beside(
-    folder: LiftFolder, task: Task, place: TaskPlace, parent_pipe: int | None, echo: int | None
+    folder: LiftFolder, command: Command, place: TaskPlace, parent_pipe: int | None, echo: int | None
 ) -> ExitCode:
-    return run_task(task, place, parent_pipe=parent_pipe, also_stops=(folder.place.cancel,), echo=echo)
+    return run_task(command, place, parent_pipe=parent_pipe, also_stops=(folder.place.cancel,), echo=echo)
 
 
 def _do_in(folder: LiftFolder, events: EventWriter, stop: StopSignal, work: Work) -> None:
@@ -167,7 +167,7 @@ def _refuse_unfinished(folder: LiftFolder) -> None:
     verify_lifted(folder.result_path)
 
 
-def _run_lift(folder: LiftFolder, lift: Lift | None) -> Lift:
+def _run_lift(folder: LiftFolder, lift: LiftWork | None) -> LiftWork:
     """``lift``, or the real one, loaded late: it brings torch, and by now the watchdog can stop even a slow import."""
     if folder.request.blocks and not folder.request.block:
         from ..building.run import run_building

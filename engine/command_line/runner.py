@@ -29,7 +29,7 @@ _NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator
 
 
 @dataclass(frozen=True)
-class Task:
+class Command:
     """What a command does: its ``kind``, its ``work``, and the messages for one that did not get to its end."""
 
     kind: str
@@ -40,25 +40,25 @@ class Task:
     with_less_memory: str = "Try again after closing other programs."
 
 
-def run_in_terminal(task: Task, *, as_json: bool = False, parent_pipe: int | None = None) -> ExitCode:
+def run_in_terminal(command: Command, *, as_json: bool = False, parent_pipe: int | None = None) -> ExitCode:
     """Do it with progress on standard error and the answer on standard output, and return how it ended."""
     events, stop = ShownEvents(sys.stderr, as_json=as_json), StopSignal()
     try:
         with Interrupts() as interrupts, Watchdog(stop, events, parent_pipe=parent_pipe):
-            code = _do(task, events, stop, sys.stderr, None)
+            code = _do(command, events, stop, sys.stderr, None)
             if interrupts.pending is not None:  # native code may have made another error of it
                 raise Interrupted(interrupts.pending)
             return code
     except Interrupted as error:
         events.close()
-        print(f"Stopped. {task.when_stopped}".strip(), file=sys.stderr)
+        print(f"Stopped. {command.when_stopped}".strip(), file=sys.stderr)
         return ExitCode(error.exit_code)
     finally:
         events.close()
 
 
 def run_at(
-    task: Task,
+    command: Command,
     place: TaskPlace,
     terminal: TextIO,
     *,
@@ -72,10 +72,10 @@ def run_at(
     """
     events = EventWriter(place.events, echo)
     try:
-        events.hello(task=task.kind, threads=_threads(), resumed=task.resumed)
+        events.hello(task=command.kind, threads=_threads(), resumed=command.resumed)
         stop = StopSignal(place.cancel, *also_stops)
         with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
-            code = _do(task, events, stop, terminal, place)
+            code = _do(command, events, stop, terminal, place)
         with suppress(OSError):  # a full disk; the result and the exit code say it as well
             if code is ExitCode.FINISHED:
                 events.done("finished")
@@ -87,7 +87,7 @@ def run_at(
 
 
 def run_task(
-    task: Task,
+    command: Command,
     place: TaskPlace | None,
     *,
     as_json: bool = False,
@@ -98,24 +98,24 @@ def run_task(
     """Do it in the terminal or, where a place is given, there. Raises PlgsError when another process uses the place."""
     if place is not None:
         with lock_on(place.events), output_to(place.log) as terminal:
-            return run_at(task, place, terminal, parent_pipe=parent_pipe, also_stops=also_stops, echo=echo)
+            return run_at(command, place, terminal, parent_pipe=parent_pipe, also_stops=also_stops, echo=echo)
     if echo is None:
-        return run_in_terminal(task, as_json=as_json, parent_pipe=parent_pipe)
+        return run_in_terminal(command, as_json=as_json, parent_pipe=parent_pipe)
     own = TaskPlace.temporary()
     try:
-        return run_at(task, own, sys.stderr, parent_pipe=parent_pipe, echo=echo)
+        return run_at(command, own, sys.stderr, parent_pipe=parent_pipe, echo=echo)
     finally:
         own.discard()
 
 
-def _do(task: Task, events: EventWriter, stop: StopSignal, terminal: TextIO, place: TaskPlace | None) -> ExitCode:
+def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextIO, place: TaskPlace | None) -> ExitCode:
     """Do the work. What it raises becomes an event, a line for people, and an exit code."""
     try:
         stop.check()
-        task.work(events, stop)
+        command.work(events, stop)
         return ExitCode.FINISHED
     except Cancelled as error:
-        print(f"Stopped: {error}. {task.when_stopped}".strip(), file=terminal)
+        print(f"Stopped: {error}. {command.when_stopped}".strip(), file=terminal)
         return stop.exit_code
     except BrokenPipeError:
         raise
@@ -124,7 +124,7 @@ def _do(task: Task, events: EventWriter, stop: StopSignal, terminal: TextIO, pla
         if place is not None and "\n" in str(error.__cause__ or "").strip():
             traceback.print_exc()  # into the log: the line is a short form of it
     except Exception as error:  # the process's outermost frame: the traceback is kept, the user gets a line
-        failure = _failure(error, task, place)
+        failure = _failure(error, command, place)
         if place is not None or failure.code is ErrorCode.INTERNAL:
             traceback.print_exc()
     try:
@@ -135,22 +135,22 @@ def _do(task: Task, events: EventWriter, stop: StopSignal, terminal: TextIO, pla
     return failure.exit_code
 
 
-def _failure(error: Exception, task: Task, place: TaskPlace | None) -> PlgsError:
+def _failure(error: Exception, command: Command, place: TaskPlace | None) -> PlgsError:
     """The message for an error that is not a PlgsError."""
     where = Path(sys.executable) if place is None else place.log
     if isinstance(error, ModuleNotFoundError):
-        fix = f"Set the environment up anew with 'make set-up', then {task.again}."
+        fix = f"Set the environment up anew with 'make set-up', then {command.again}."
         return PlgsError(str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
     if isinstance(error, MemoryError) or _is_of_lacking_memory(error):
-        return PlgsError("memory ran out", where.parent, task.with_less_memory, code=ErrorCode.INTERNAL)
+        return PlgsError("memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
     if _is_of_a_full_disk(error):
         return PlgsError(
-            "the disk is full", where.parent, f"Make room there, then {task.again}.", code=ErrorCode.DISK_FULL
+            "the disk is full", where.parent, f"Make room there, then {command.again}.", code=ErrorCode.DISK_FULL
         )
     if isinstance(error, OSError) and error.filename is not None:
-        return PlgsError(f"this cannot be used ({error.strerror})", error.filename, f"See to it, then {task.again}.")
+        return PlgsError(f"this cannot be used ({error.strerror})", error.filename, f"See to it, then {command.again}.")
     what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
-    fix = f"The log has the details. When the cause is gone, {task.again}."
+    fix = f"The log has the details. When the cause is gone, {command.again}."
     return PlgsError(what, where, fix, code=ErrorCode.INTERNAL)
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..errors import PlgsError
 from ..json_file import to_line
+from ..records import record_of, refuse_other_format, to_json
 from .capabilities import CAPABILITIES
 
 VERSION = __version__
@@ -24,12 +26,13 @@ TOO_OLD = "the engine needs Python 3.11 or newer"
 class EngineAnswer:
     """An engine that answered. It works when nothing is missing.
 
-    ``packages``: name and version of what it needs, None when missing, "unknown" when it is there without saying which.
-    ``wanted``: the pinned version, None where nothing is pinned for this Python. ``cuda``: the CUDA version that torch
-    was built for, None for a CPU build or without torch. ``capabilities``: what each of `CAPABILITIES` lacks.
+    ``engine`` is its version. ``packages``: name and version of what it needs, None when missing, "unknown" when it is
+    there without saying which. ``wanted``: the pinned version, None where nothing is pinned for this Python. ``cuda``:
+    the CUDA version that torch was built for, None for a CPU build or without torch. ``capabilities``: what each of
+    `CAPABILITIES` lacks.
     """
 
-    version: str
+    engine: str
     python: str
     executable: Path
     packages: Mapping[str, str | None]
@@ -59,53 +62,29 @@ class EngineAnswer:
         return f"{self.executable} -m pip install {' '.join(pins)}" if pins else ""
 
     def to_json(self) -> dict[str, object]:
-        """The answer as the engine gives it."""
-        return {
-            "format": FORMAT,
-            "engine": self.version,
-            "python": self.python,
-            "executable": self.executable,
-            "packages": self.packages,
-            "wanted": self.wanted,
-            "cpus": self.cpus,
-            "cuda": self.cuda,
-            "capabilities": {name: list(lacking) for name, lacking in self.capabilities.items()},
-            "missing": list(self.missing),
-            "others": list(self.others),
-            "fix": self.fix,
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> EngineAnswer | None:
-        """The answer that `to_json` gave; None when it is none, or one of another format."""
-        try:
-            if data["format"] != FORMAT:
-                return None
-            return cls(
-                version=str(data["engine"]),
-                python=str(data["python"]),
-                executable=Path(data["executable"]),
-                packages=_versions(data["packages"]),
-                wanted=_versions(data["wanted"]),
-                cpus=int(data["cpus"]),
-                cuda=None if data["cuda"] is None else str(data["cuda"]),
-                capabilities={name: tuple(map(str, data["capabilities"][name])) for name in CAPABILITIES},
-            )
-        except (ValueError, TypeError, KeyError, AttributeError):
-            return None
+        """The answer as the engine gives it. What people read in it besides is worked out from the rest."""
+        told = {"missing": list(self.missing), "others": list(self.others), "fix": self.fix}
+        return {"format": FORMAT, **to_json(self), **told}
 
     def to_line(self) -> bytes:
         return to_line(self.to_json())
 
     @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> EngineAnswer | None:
+        """The answer that `to_json` gave; None when it is something else, or an answer of another format."""
+        known = {each.name for each in fields(cls)}
+        try:
+            refuse_other_format(dict(data), "", FORMAT)
+            answer = record_of(cls, {name: value for name, value in data.items() if name in known}, "", "")
+        except PlgsError:
+            return None
+        return answer if set(CAPABILITIES) <= set(answer.capabilities) else None
+
+    @classmethod
     def from_line(cls, line: str) -> EngineAnswer | None:
-        """The answer in a line that was printed; None when it is none, or one of another format."""
+        """The answer in a line that was printed; None when it is something else, or an answer of another format."""
         try:
             data = json.loads(line)
         except ValueError:
             return None
-        return cls.from_json(data)
-
-
-def _versions(data: Mapping[str, object]) -> dict[str, str | None]:
-    return {str(name): None if version is None else str(version) for name, version in data.items()}
+        return cls.from_json(data) if isinstance(data, dict) else None

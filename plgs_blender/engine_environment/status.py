@@ -62,8 +62,8 @@ def of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> EngineS
     if engine is None:
         message = f"{choice.python} answers, but not as a Python with this engine does"
         return failed(choice, message, "Choose another Python.")
-    if engine.version != VERSION:
-        message = f"engine {engine.version} does not belong to this PLGS, which is {VERSION}"
+    if engine.engine != VERSION:
+        message = f"engine {engine.engine} does not belong to this PLGS, which is {VERSION}"
         return failed(choice, message, "Restart Blender: PLGS was updated while it ran.")
     if engine.missing:
         message = f"{choice.python} ({choice.origin}) lacks {', '.join(engine.missing)}"
@@ -99,4 +99,4 @@ def _describe(answer: EngineAnswer) -> str:
     build = f"CUDA {answer.cuda}" if answer.cuda else "CPU"
     torch = (answer.packages["torch"] or "").partition("+")[0]
     cores = "1 core" if answer.cpus == 1 else f"{answer.cpus} cores"
-    return f"Engine {answer.version}, Python {answer.python}, torch {torch} ({build}), {cores}"
+    return f"Engine {answer.engine}, Python {answer.python}, torch {torch} ({build}), {cores}"

@@ -24,7 +24,7 @@ def test_the_engine_says_what_it_is(root: Path) -> None:
     )
     found = EngineAnswer.from_line(said.stdout)
     assert found is not None and said.stdout.count("\n") == 1 and said.stderr == ""
-    assert found.version == __version__ and found.python == sys.version.split()[0] and found.cpus >= 1
+    assert found.engine == __version__ and found.python == sys.version.split()[0] and found.cpus >= 1
     assert found.packages["numpy"] and found.wanted["torch"]
     assert bool(found.fix) is bool(found.missing)
 

@@ -11,7 +11,7 @@ import pytest
 
 from engine.command_line.log_output import output_to
 from engine.command_line.main import main
-from engine.command_line.runner import Task, run_at
+from engine.command_line.runner import Command, run_at
 from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, ExitCode, StopSignal, last_run
 from engine.job.follower import TaskFollower
@@ -67,7 +67,7 @@ def test_an_error_of_several_lines_is_one_and_the_log_has_the_rest(tmp_path: Pat
             raise PlgsError(f"the model cannot be read ({error})", "model.pt", "Lift anew.") from error
 
     with FileLock(place.events), output_to(place.log):
-        assert run_at(Task("lift", work), place, terminal) is ExitCode.BAD_INPUT
+        assert run_at(Command("lift", work), place, terminal) is ExitCode.BAD_INPUT
     assert terminal.getvalue().count("\n") == 1 and "the model cannot be read" in terminal.getvalue()
     assert "\tsize mismatch for two" in place.log.read_text() and "Traceback" in place.log.read_text()
 

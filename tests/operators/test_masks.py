@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from plgs.plgs_blender.running.masks import MaskMaking
+from plgs.plgs_blender.running.preparation import MaskMaking
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
 

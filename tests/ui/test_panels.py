@@ -27,8 +27,7 @@ from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.running import adding, lifts, survey
 from plgs.plgs_blender.running.exports import Export
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder
-from plgs.plgs_blender.running.masks import MaskMaking
-from plgs.plgs_blender.running.poses import PoseMaking
+from plgs.plgs_blender.running.preparation import MaskMaking, PoseMaking
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
 from plgs.plgs_blender.tasks.registry import Task
