@@ -38,22 +38,14 @@ OUTLINE_PART = 0.1
 """Share of a mask's largest part below which a part has no outline."""
 
 
-@dataclass(frozen=True)
-class MaskExtent:
-    """Where a segment lies in its picture: its ``share`` of the picture's pixels, and the ``rectangle`` around it
-    (left, top, right, bottom) as shares of the picture's width and height."""
-
-    share: float
-    rectangle: tuple[float, float, float, float]
-
-
-def mask_extents(mask: PanopticMask) -> dict[int, MaskExtent]:
-    """The extent of each segment of a mask that has pixels, by segment id."""
+def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, tuple[float, float, float, float]]]:
+    """Where each segment that has pixels lies in its picture, by segment id: its share of the picture's pixels, and
+    the rectangle around it (left, top, right, bottom) as shares of the picture's width and height."""
     height, width = mask.ids.shape
     present, number, count = np.unique(mask.ids, return_inverse=True, return_counts=True)
     places = find_objects(number.reshape(mask.ids.shape) + 1)
     return {
-        int(segment): MaskExtent(
+        int(segment): (
             float(pixels) / mask.ids.size,
             (across.start / width, down.start / height, across.stop / width, down.stop / height),
         )

@@ -149,7 +149,7 @@ def keep_names(
     kinds = prepared.class_of_instance
     renamed = replace(
         prepared,
-        instances=tuple(replace(one, id=id_of[one.id]) for one in prepared.instances),
+        instances=[replace(one, id=id_of[one.id]) for one in prepared.instances],
         instance_of_point=table[points],
         class_of_instance=None if kinds is None else {id_of[one]: kind for one, kind in kinds.items()},
     )

@@ -51,9 +51,9 @@ class ViewsToMatch:
 @dataclass(frozen=True, eq=False)
 class Matching:
     """The ``cloud`` with its final classes, the ``instances`` with ids 1.., the instance of each point int32 [N] (0 =
-    none), and how many more instances were ``dropped``. ``label_maps`` are those of ``PreparedLift``.
-    ``point_of_pixel``: the point of the cloud that each pixel of the views shows, int32 [H, W] (-1 = none), where it
-    was looked up."""
+    none), and how many more instances were ``dropped``. ``label_maps``: the panoptic label of each view's pixels, int16
+    [H, W] (-1 = unknown), where segments and points voted on them. ``point_of_pixel``: the point of the cloud that each
+    pixel of the views shows, int32 [H, W] (-1 = none), where it was looked up."""
 
     cloud: SemanticPointCloud
     instances: list[SceneObject]
@@ -80,30 +80,51 @@ def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgr
 def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
     """Ours: objects that the views agree on, the class that they vote for each, and the labels that segments and points
     vote for every pixel."""
-    cloud, scratch, kinds = given.cloud, given.scratch, preset.evidence
-    training, voting = on_cloud(given.views, cloud, scratch).looked_at(progress), on_cloud(given.others, cloud, scratch)
+    cloud, kinds = given.cloud, preset.evidence
+    training = on_cloud(given.views, cloud, given.scratch).looked_at(progress)
+    voting = on_cloud(given.others, cloud, given.scratch)
     everyone = training.and_also(voting)
 
     found = find_objects(training, len(cloud), replace(CONSENSUS, evidence=kinds.masks))
     found = with_masks_of(found, voting, CONSENSUS.rules)
     things = thing_objects(found, everyone, cloud, given.classes, kinds.objects)
 
-    labels = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in things))
-    rounds = preset.segment_voting.rounds
-    voted = vote_panoptic_labels(everyone, len(cloud), labels, object_of_mask(things), rounds, kinds.segments)
-    object_of_point = labels.objects(voted.label)
+    cloud, object_of_point = voted_points(everyone, cloud, things, preset)
     owner, things = pieces_in_space(things, object_of_point, training, cloud)
+    # What lost its object was the ragged edge of a few masks. Their class says nothing about it either.
+    is_fragment = (object_of_point > 0) & (owner == 0)
+    cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
 
-    fragment = (object_of_point > 0) & (owner == 0)
-    class_id = np.where(fragment, VOID, labels.classes(voted.label)).astype(np.int32)
-    cloud = replace(cloud, class_id=class_id, confidence=voted.confidence)
     placed = placed_objects(training.views, things, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
+    maps = stored(maps_of_points(training, cloud, instances, instance_of_point), given.scratch)
+    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel)
 
-    final = PanopticLabels(cloud.class_ids, tuple(one.class_id for one in instances))
-    of_point = final.of_points(class_id, instance_of_point)
-    maps = view_labels(training.views, training.point_of_pixel, of_point, len(final))
-    return Matching(cloud, instances, instance_of_point, dropped, stored(maps, scratch), training.point_of_pixel)
+
+def voted_points(
+    seeing: ViewsOnCloud, cloud: SemanticPointCloud, things: Sequence[SceneObject], preset: Preset
+) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
+    """The cloud with the classes that segments and points vote for, and the one of ``things`` that they vote for at
+    each point, int32 [N] (0 = none)."""
+    labels = labels_of(cloud, things)
+    rounds, kind = preset.segment_voting.rounds, preset.evidence.segments
+    voted = vote_panoptic_labels(seeing, len(cloud), labels, object_of_mask(things), rounds, kind)
+    classed = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
+    return classed, labels.objects(voted.label)
+
+
+def maps_of_points(
+    seeing: ViewsOnCloud, cloud: SemanticPointCloud, instances: Sequence[SceneObject], owner: NDArray[np.int32]
+) -> OnDemand[NDArray[np.int16]]:
+    """The labels of each view's pixels, int16 [H, W], by the class of each point and the instance that owns it, int32
+    [N] (0 = none)."""
+    labels = labels_of(cloud, instances)
+    return view_labels(seeing.views, seeing.point_of_pixel, labels.of_points(cloud.class_id, owner), len(labels))
+
+
+def labels_of(cloud: SemanticPointCloud, objects: Sequence[SceneObject]) -> PanopticLabels:
+    """The labels of a cloud's classes, and of these objects."""
+    return PanopticLabels(cloud.class_ids, tuple(one.class_id for one in objects))
 
 
 def on_cloud(views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None) -> ViewsOnCloud:

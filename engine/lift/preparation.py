@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..instances.records import SceneObject
 from ..job import EventWriter
 from ..model.structured import StructuredScene
 from ..presets.preset import Preset
@@ -22,27 +20,22 @@ from ..semantics.consistency import ConsistencyOptions, consistency_masks, views
 from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud
 from ..train.progress import StageProgress, StageReporter
 from ..train.targets import ViewTargets
-from .objects import MATCHINGS, ViewsToMatch
+from .objects import MATCHINGS, Matching, ViewsToMatch
 from .starting_scene import label_channels, starting_anchors, starting_scene
 from .targets_of_views import targets_of
 
 log = logging.getLogger("plgs.lift")
 
 
-@dataclass(frozen=True, eq=False)
-class PreparedLift:
-    """What training starts from. ``cloud`` with ``instance_of_point`` int32 [N] (0 = none) and ``instances`` also go
-    into the result. ``class_of_instance``: instance id to the class that all of it is shown with, or None when every
-    pixel decides for itself. ``label_maps``: the panoptic label of each view's pixels, int16 [H, W] (-1 = unknown),
-    where segments and points voted on them; otherwise None."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PreparedLift(Matching):
+    """What training starts from: a matching, which also goes into the result, with the scene that is trained and its
+    targets. ``class_of_instance``: instance id to the class that all of it is shown with, or None when every pixel
+    decides for itself."""
 
     scene: StructuredScene
     targets: Sequence[ViewTargets]
-    cloud: SemanticPointCloud
-    instance_of_point: NDArray[np.int32]
-    instances: tuple[SceneObject, ...]
     class_of_instance: Mapping[int, int] | None
-    label_maps: Sequence[NDArray[np.int16]] | None
 
 
 def prepare(
@@ -76,15 +69,8 @@ def prepare(
     scene = starting_scene(start, channels, viewpoints, preset, seed)
     targets = targets_of(views, placed, matching, channels, classes, preset, scratch)
     class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
-    return PreparedLift(
-        scene,
-        targets,
-        matching.cloud,
-        matching.instance_of_point,
-        tuple(matching.instances),
-        class_of_instance,
-        matching.label_maps,
-    )
+    matching = replace(matching, point_of_pixel=None)  # these files are large, and nothing reads them any more
+    return PreparedLift(**vars(matching), scene=scene, targets=targets, class_of_instance=class_of_instance)
 
 
 def semantic_cloud(

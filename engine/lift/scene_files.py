@@ -149,8 +149,8 @@ def listed_instances(
                 mask.cost,
                 mask.agreement,
                 mask.pixels,
-                **vars(extents[mask.frame][mask.segment.id]),
-                outline=outline_of(masks[mask.frame], mask.segment.id),
+                *extents[mask.frame][mask.segment.id],
+                outline_of(masks[mask.frame], mask.segment.id),
             )
             for mask in instance.masks
         )

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..instances.masks import restrict_to_things
-from ..instances.panoptic_labels import PanopticLabels
 from ..model.structured import LabelChannels
 from ..presets.preset import Preset
 from ..scene import ClassTable, OnDemand, View, stored
 from ..semantics.projection import LabelledPoints
 from ..train.photos import exposure_gains, sharpness_weights
 from ..train.targets import ViewTargets, view_targets
-from .objects import Matching, point_of_pixels
+from .objects import Matching, labels_of, point_of_pixels
 
 
 def targets_of(
@@ -72,7 +71,7 @@ Masks = tuple[NDArray[np.int32], NDArray[np.int32]]
 def _voted_masks(matching: Matching) -> Callable[[int], Masks]:
     assert matching.label_maps is not None
     maps = matching.label_maps
-    labels = PanopticLabels(matching.cloud.class_ids, tuple(one.class_id for one in matching.instances))
+    labels = labels_of(matching.cloud, matching.instances)
 
     def decide(number: int) -> Masks:
         voted = maps[number]

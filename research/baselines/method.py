@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from engine.instances.panoptic_labels import PanopticLabels
 from engine.instances.records import object_of_mask
 from engine.instances.segment_votes import member_labels
 from engine.job import EventWriter, LiftFolder, StopSignal
+from engine.lift.objects import labels_of
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import run_lift
 from engine.lift.starting_scene import starting_anchors, starting_scene
@@ -120,7 +120,7 @@ def baseline_scene(
 
 def with_labels_of_masks(prepared: PreparedLift, views: Sequence[View], scratch: Path | None) -> PreparedLift:
     """Label maps straight from the input masks with their objects, and targets of these."""
-    labels = PanopticLabels(prepared.cloud.class_ids, tuple(one.class_id for one in prepared.instances))
+    labels = labels_of(prepared.cloud, prepared.instances)
     object_of = object_of_mask(prepared.instances)
     maps = stored((member_labels(view, labels, object_of) for view in views), scratch)
     channels, targets = prepared.scene.channels, prepared.targets

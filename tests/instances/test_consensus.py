@@ -120,24 +120,24 @@ def test_views_that_draw_two_chairs_as_one_abstain() -> None:
     assert frames_of(objects, back) == set("abcdefghij")
 
 
-def test_a_chair_that_some_views_take_for_wall_stays_a_chair() -> None:
-    views = [*(good(name) for name in "abcdef"), *(swallowed(name) for name in "ghij")]
-    objects = objects_in(views)
-    left, right, back = owners(objects, LEFT, RIGHT, BACK)
-    assert len({left, right, back}) == 3
-    assert frames_of(objects, left) == set("abcdef") and frames_of(objects, right) == set("abcdefghij")
-    assert all(mask.segment.class_id == CHAIR for mask in objects.objects[left - 1].masks)
+SWALLOWED = [*(good(name) for name in "abcdef"), *(swallowed(name) for name in "ghij")]
 
 
-@pytest.mark.parametrize("inventing", [1, 3])
-def test_a_thing_that_few_views_see_in_a_wall_is_wall(inventing: int) -> None:
-    views = [good(name) for name in "abcdefghij"]
-    for place in range(inventing):
-        views[3 * place] = invented("abcdefghij"[3 * place])
+def inventing(*names: str) -> list[View]:
+    return [invented(name) if name in names else good(name) for name in "abcdefghij"]
+
+
+@pytest.mark.parametrize(
+    ("views", "showing_left"),
+    [(SWALLOWED, "abcdef"), (inventing("a"), "abcdefghij"), (inventing(*"adg"), "abcdefghij")],
+    ids=["some draw a chair as wall", "one sees a chair in the wall", "three see a chair in the wall"],
+)
+def test_neither_wall_swallows_a_chair_nor_few_views_invent_one(views: list[View], showing_left: str) -> None:
     objects = objects_in(views)
     left, right, back = owners(objects, LEFT, RIGHT, BACK)
     assert len({left, right, back}) == len(objects.objects) == 3
-    assert frames_of(objects, left) == set("abcdefghij")
+    assert frames_of(objects, left) == set(showing_left) and frames_of(objects, right) == set("abcdefghij")
+    assert all(mask.segment.class_id == CHAIR for mask in objects.objects[left - 1].masks)
 
 
 def test_agreement_says_how_many_views_put_a_mask_to_its_object() -> None:
@@ -171,27 +171,20 @@ def test_what_may_be_several_objects_founds_none() -> None:
     assert left != right and frames_of(objects, left) == set("efgh")
 
 
-@pytest.mark.parametrize(("showing", "blinded", "is_found"), [(2, 0, True), (2, 1, True), (2, 2, False), (3, 2, True)])
-def test_what_few_views_see_needs_two_or_three_masks(showing: int, blinded: int, is_found: bool) -> None:
+@pytest.mark.parametrize(
+    ("showing", "blinded", "least", "is_found"),
+    [
+        (2, 0, 3, True), (2, 1, 3, True), (2, 2, 3, False), (3, 2, 3, True),  # few views see it: two or three masks
+        (3, 37, 3, False), (4, 36, 3, True),  # many do: masks in a share of them
+        (1, 0, 3, False), (1, 0, 1, True), (0, 1, 3, False),
+    ],
+)  # fmt: skip
+def test_an_object_needs_masks_in_enough_of_the_views_that_see_it(
+    showing: int, blinded: int, least: int, is_found: bool
+) -> None:
     views = [*(good(f"good {i}") for i in range(showing)), *(blind(f"blind {i}") for i in range(blinded))]
-    assert len(objects_in(views).objects) == (3 if is_found else 0)
-
-
-@pytest.mark.parametrize(("showing", "is_found"), [(3, False), (4, True)])
-def test_what_many_views_see_needs_masks_in_a_share_of_them(showing: int, is_found: bool) -> None:
-    views = [*(good(f"good {i}") for i in range(showing)), *(blind(f"blind {i}") for i in range(40 - showing))]
-    objects = objects_in(views)
+    objects = objects_in(views, replace(OPTIONS, min_masks=least))
     assert len(objects.objects) == (3 if is_found else 0) and bool(objects.object_of_point.any()) is is_found
-
-
-def test_one_view_alone_founds_objects_only_when_asked_to() -> None:
-    assert not objects_in([good("a")]).objects
-    assert len(objects_in([good("a")], replace(OPTIONS, min_masks=1)).objects) == 3
-
-
-def test_views_without_masks_have_no_objects() -> None:
-    objects = objects_in([blind("a")])
-    assert not objects.object_of_point.any() and not objects.objects
 
 
 def test_points_show_the_segment_of_most_of_their_inner_pixels() -> None:

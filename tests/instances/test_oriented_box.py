@@ -36,13 +36,8 @@ def test_the_intersection_agrees_with_monte_carlo(first: OrientedBox, second: Or
     points = local @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + first.centre
     share = inside(second, points).mean()
     expected = share * first.volume
-    assert intersection_volume(first, second) == pytest.approx(expected, abs=0.02 * first.volume)
-
-
-@settings(max_examples=60, deadline=None)
-@given(boxes, boxes)
-def test_the_intersection_is_symmetric_and_at_most_the_smaller_box(first: OrientedBox, second: OrientedBox) -> None:
     volume = intersection_volume(first, second)
+    assert volume == pytest.approx(expected, abs=0.02 * first.volume)
     assert volume == pytest.approx(intersection_volume(second, first), abs=1e-9)
     assert -1e-12 <= volume <= min(first.volume, second.volume) + 1e-9
     assert intersection_volume(first, first) == pytest.approx(first.volume)

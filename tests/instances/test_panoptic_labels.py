@@ -31,30 +31,6 @@ def test_points_come_back_as_they_were() -> None:
     np.testing.assert_array_equal(LABELS.objects(labels), number)
 
 
-def test_a_class_without_objects_keeps_its_points() -> None:
-    plain = PanopticLabels(CLASS_IDS, ())
-    assert len(plain) == 4 and plain.class_column.tolist() == [0, 1, 2, 3]
-    label, share = decide_labels(np.eye(4) * 3, plain, 0.1)
-    assert label.tolist() == [0, 1, 2, 3] and share.tolist() == [1, 1, 1, 1]
-
-
-def test_class_first_then_its_best_object() -> None:
-    votes = np.array(
-        [
-            # wall, floor, chair, sofa, sofa 1, chair 2, sofa 3
-            [5, 0, 0, 0, 4, 0, 4],  # no label has more than the wall, but sofas together do
-            [5, 0, 0, 0, 4, 0, 0],
-            [0, 0, 9, 0, 0, 1, 0],  # an object of no more than a tenth of the class is not there
-            [0, 0, 8, 0, 0, 1, 0],
-            [0, 0, 0, 0, 0, 0, 0],
-        ],
-        np.float32,
-    )
-    label, share = decide_labels(votes, LABELS, 0.1)
-    assert label.tolist() == [4, 0, 2, 5, UNKNOWN_LABEL]
-    np.testing.assert_allclose(share, [8 / 13, 5 / 9, 1, 1, 0], rtol=1e-6)
-
-
 def plainly(row: np.ndarray, labels: PanopticLabels, least_share: float) -> tuple[int, float]:
     """``decide_labels`` of one row, word for word."""
     if not row.any():

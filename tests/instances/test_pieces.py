@@ -60,20 +60,21 @@ def regrouped(
     return blocks[:, 0].tolist(), origin
 
 
-def test_a_piece_that_no_view_joins_to_the_rest_is_an_object_of_its_own() -> None:
-    views = [only(FIRST), only(SECOND)] * 3
-    assert regrouped(two_blocks(FAR), [1, 1], [CHAIR], views) == ([1, 2], [1, 1])
+VOID = view((0, slice(0, 2 * SIZE)), points=2 * SIZE)
 
 
-def test_pieces_that_the_views_tell_apart_are_two_objects() -> None:
-    views = [apart()] * 4 + [together()]
-    assert regrouped(two_blocks(FAR), [1, 1], [CHAIR], views) == ([1, 2], [1, 1])
-
-
-def test_pieces_that_views_join_stay_one_object() -> None:
-    """A table's legs: not connected as far as points go."""
-    views = [together(), together(), apart()]
-    assert regrouped(two_blocks(FAR), [1, 1], [CHAIR], views) == ([1, 1], [1])
+@pytest.mark.parametrize(
+    ("views", "is_one"),
+    [
+        ([only(FIRST), only(SECOND)] * 3, False),
+        ([apart()] * 4 + [together()], False),
+        ([together()] * 2 + [apart()], True),
+    ],
+    ids=["no view joins them", "most views tell them apart", "the legs of a table"],
+)
+def test_an_object_is_cut_where_no_view_or_few_join_its_pieces(views: list[ViewPoints], is_one: bool) -> None:
+    expected = ([1, 1], [1]) if is_one else ([1, 2], [1, 1])
+    assert regrouped(two_blocks(FAR), [1, 1], [CHAIR], views) == expected
 
 
 def test_a_piece_in_between_holds_two_others_together() -> None:
@@ -85,28 +86,23 @@ def test_a_piece_in_between_holds_two_others_together() -> None:
     assert regrouped(xyz, [1, 1, 1], [CHAIR], [left, left]) == ([1, 1, 2], [1, 1])
 
 
-def test_what_was_seen_from_both_ends_of_a_room_becomes_one_object() -> None:
-    views = [only(FIRST)] * 5 + [only(SECOND)] * 5 + [together()] * 2
-    assert regrouped(two_blocks(NEAR), [1, 2], [SOFA, SOFA], views) == ([1, 1], [1])
-
-
 @pytest.mark.parametrize(
-    ("x", "classes", "views"),
+    ("x", "classes", "views", "is_one"),
     [
-        (NEAR, [SOFA, SOFA], [together(), apart(), apart()]),
-        (NEAR, [SOFA, SOFA], [together(), only(FIRST), only(SECOND)]),
-        (NEAR, [SOFA, CHAIR], [together()] * 4),
-        (FAR, [SOFA, SOFA], [together()] * 4),
+        (NEAR, [SOFA, SOFA], [only(FIRST)] * 5 + [only(SECOND)] * 5 + [together()] * 2, True),
+        (NEAR, [SOFA, SOFA], [together()] * 2 + [VOID] * 9, True),
+        (NEAR, [SOFA, SOFA], [together(), apart(), apart()], False),
+        (NEAR, [SOFA, SOFA], [together(), only(FIRST), only(SECOND)], False),
+        (NEAR, [SOFA, CHAIR], [together()] * 4, False),
+        (FAR, [SOFA, SOFA], [together()] * 4, False),
     ],
-    ids=["most views tell them apart", "one view is not enough", "two classes", "they do not touch"],
+    ids=["seen from both ends", "void does not judge", "told apart", "one view", "two classes", "do not touch"],
 )
-def test_two_objects_stay_two(x: float, classes: list[int], views: list[ViewPoints]) -> None:
-    assert regrouped(two_blocks(x), [1, 2], classes, views) == ([1, 2], [1, 2])
-
-
-def test_a_view_that_shows_void_there_does_not_judge() -> None:
-    void = view((0, slice(0, 2 * SIZE)), points=2 * SIZE)
-    assert regrouped(two_blocks(NEAR), [1, 2], [SOFA, SOFA], [together()] * 2 + [void] * 9) == ([1, 1], [1])
+def test_two_objects_are_joined_by_most_views_alone(
+    x: float, classes: list[int], views: list[ViewPoints], is_one: bool
+) -> None:
+    expected = ([1, 1], [1]) if is_one else ([1, 2], [1, 2])
+    assert regrouped(two_blocks(x), [1, 2], classes, views) == expected
 
 
 def test_fragments_vanish() -> None:

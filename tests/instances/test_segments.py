@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from engine.instances.segments import (
-    MaskExtent,
     SegmentOptions,
     edge_distance,
     local_instances,
@@ -68,7 +67,7 @@ def test_extents_tell_where_masks_lie_in_the_picture() -> None:
     ids = np.zeros((10, 20), np.int32)
     ids[2:4, 5:10], ids[9, 0], ids[0, 19] = 7, 900_000, 900_000
     assert mask_extents(PanopticMask(ids, ())) == {
-        7: MaskExtent(10 / 200, (0.25, 0.2, 0.5, 0.4)),
-        900_000: MaskExtent(2 / 200, (0.0, 0.0, 1.0, 1.0)),
+        7: (10 / 200, (0.25, 0.2, 0.5, 0.4)),
+        900_000: (2 / 200, (0.0, 0.0, 1.0, 1.0)),
     }
     assert mask_extents(PanopticMask(np.zeros((4, 4), np.int32), ())) == {}

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from engine.instances.panoptic_labels import PanopticLabels
 from engine.instances.records import SceneObject
 from engine.job import last_run
 from engine.lift import preparation
+from engine.lift.objects import labels_of
 from engine.lift.preparation import PreparedLift, label_channels
 from engine.model.structured import NO_OBJECT, SPARE
 from tests.tiny_scene import CABINET, CABINET_ID, CHAIR, CHAIR_ID, WALL_ID
@@ -118,7 +118,7 @@ def test_there_is_a_slot_for_no_object_however_many_objects_there_are() -> None:
 def test_every_segment_is_given_its_class_and_object(tmp_path: Path) -> None:
     views, classes = views_of(tmp_path / "scene")
     prepared = prepared_for(views, classes, TINY, tmp_path)
-    labels = PanopticLabels(prepared.cloud.class_ids, tuple(one.class_id for one in prepared.instances))
+    labels = labels_of(prepared.cloud, prepared.instances)
     assert prepared.label_maps is not None
     for view, label_map in zip(views, prepared.label_maps, strict=True):
         true = view.mask.class_map()
