@@ -25,13 +25,14 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import PlgsError
 from ..gates import create_plain
-from ..json_file import Json, read_object, read_value
+from ..json_file import read_object, read_value
+from ..records import record_of, to_json
 from .atomic import PART
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -42,8 +43,8 @@ LONGEST_NAME = 100
 """Characters of a camera's name, at most."""
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
-"""Names that are no files on Windows."""
-_KEYS = {"name", "width", "height", "K", "fx", "fy", "cx", "cy", "camera_to_world", "clip"}
+"""Names that Windows does not give to files."""
+_SIDE = {"least": 1, "most": LARGEST_SIDE}
 _FIX = "Correct the file; `python -m engine bake --help` says what it holds."
 _PREVIEW_FIX = "Choose another camera for the preview."
 
@@ -54,8 +55,8 @@ class PreviewCamera:
 
     camera_to_world: Matrix
     K: Matrix
-    width: int
-    height: int
+    width: int = field(metadata=_SIDE)
+    height: int = field(metadata=_SIDE)
 
     @property
     def fingerprint(self) -> str:
@@ -84,18 +85,15 @@ class BakeCamera:
 
 
 def read_cameras(path: Path) -> tuple[BakeCamera, ...]:
-    """The cameras of a file, in its order. Raises PlgsError, with the number of the camera, for what is none."""
+    """The cameras of a file, in its order. Raises PlgsError, which names the camera, for one that cannot be."""
     listed = read_value(path, _FIX)
     if not isinstance(listed, list) or not listed:
-        raise PlgsError("holds no list of cameras", path, _FIX)
+        raise PlgsError("does not hold a list of cameras", path, _FIX)
     cameras = []
     for number, each in enumerate(listed, start=1):
-        try:
-            cameras.append(_camera(each))
-        except KeyError as error:
-            raise PlgsError(f"camera {number} has no {error.args[0]!r}", path, _FIX) from error
-        except (ValueError, OverflowError) as error:
-            raise PlgsError(f"camera {number}: {error}", path, _FIX) from error
+        if not isinstance(each, dict):
+            raise PlgsError(f"camera {number} is not a JSON object", path, _FIX)
+        cameras.append(record_of(_Entry, each, path, _FIX, f"camera {number}").camera)
     refuse_equal_names([camera.name for camera in cameras], path)
     return tuple(cameras)
 
@@ -129,7 +127,7 @@ def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = 
 
 def write_preview_request(path: Path, wanted: PreviewRequest) -> None:
     """Replace preview.json. It takes a moment only, since a power cut may lose it. Raises OSError."""
-    content = {"frame": wanted} if isinstance(wanted, str) else _pinhole(wanted)
+    content = {"frame": wanted} if isinstance(wanted, str) else to_json(wanted)
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")  # two Blenders may watch one lift
     with create_plain(part) as file:
         file.write((json.dumps(content) + "\n").encode())
@@ -137,24 +135,25 @@ def write_preview_request(path: Path, wanted: PreviewRequest) -> None:
 
 
 def read_preview_request(path: Path) -> PreviewRequest | None:
-    """What preview.json asks for; None when there is none. Raises PlgsError when it is no camera."""
+    """What preview.json asks for; None when there is none. Raises PlgsError when it is not a camera."""
     if not path.exists():
         return None
     content = read_object(path, _PREVIEW_FIX)
-    frame = content.get("frame")
+    frame = content.pop("frame", None)
     if isinstance(frame, str):
         return frame
     try:
-        return camera_from(content)
-    except (KeyError, ValueError, OverflowError) as error:
-        raise PlgsError(f"is no camera ({error})", path, _PREVIEW_FIX) from error
+        return _drawable(record_of(PreviewCamera, content, path, _PREVIEW_FIX))
+    except ValueError as error:
+        raise PlgsError(f"is not a camera ({error})", path, _PREVIEW_FIX) from error
 
 
-def camera_from(content: Mapping[str, Json]) -> PreviewCamera:
-    """From the keys that the module's docstring names. Raises KeyError, ValueError or OverflowError when something is
-    missing, or cannot be drawn."""
-    pose, lens = _matrix(content["camera_to_world"], 4), _matrix(content["K"], 3)
-    width, height = _side(content["width"]), _side(content["height"])
+def _drawable(camera: PreviewCamera) -> PreviewCamera:
+    """The camera. Raises ValueError when it cannot be drawn."""
+    pose, lens = camera.camera_to_world, camera.K
+    for matrix, size in ((pose, 4), (lens, 3)):
+        if [len(row) for row in matrix] != [size] * size:
+            raise ValueError(f"a matrix does not have {size} rows of {size} numbers")
     rows = [row[:3] for row in pose[:3]]
     for i, one in enumerate(rows):
         for j, other in enumerate(rows):
@@ -164,77 +163,52 @@ def camera_from(content: Mapping[str, Json]) -> PreviewCamera:
         raise ValueError("the last row is not that of a camera")
     if lens[0][0] <= 0 or lens[1][1] <= 0 or lens[0][1] or lens[1][0]:
         raise ValueError("K has no focal length, or skew")
-    return PreviewCamera(pose, lens, width, height)
-
-
-def _matrix(value: Json, size: int) -> Matrix:
-    if not isinstance(value, list) or len(value) != size:
-        raise ValueError(f"a matrix does not have {size} rows")
-    rows = [row for row in value if isinstance(row, list) and len(row) == size]
-    if len(rows) != size:
-        raise ValueError(f"a row does not have {size} numbers")
-    return tuple(tuple(map(_number, row)) for row in rows)
-
-
-def _number(value: Json) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{value!r} is no number")
-    return float(value)
-
-
-def _side(value: Json) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= LARGEST_SIDE:
-        raise ValueError(f"{value!r} is no number of pixels from 1 to {LARGEST_SIDE}")
-    return value
+    return camera
 
 
 def _entry(camera: BakeCamera) -> dict[str, object]:
     clip = {} if math.isinf(camera.far) else {"clip": [camera.near, camera.far]}
-    return {"name": camera.name, **_pinhole(camera.pinhole), **clip}
+    return {"name": camera.name, **to_json(camera.pinhole), **clip}
 
 
-def _pinhole(camera: PreviewCamera) -> dict[str, object]:
-    return {
-        "width": int(camera.width),
-        "height": int(camera.height),
-        "K": [[float(value) for value in row] for row in camera.K],
-        "camera_to_world": [[float(value) for value in row] for row in camera.camera_to_world],
-    }
+@dataclass(frozen=True)
+class _Entry:
+    """A camera as a file of cameras has it."""
 
+    name: str
+    width: int = field(metadata=_SIDE)
+    height: int = field(metadata=_SIDE)
+    camera_to_world: Matrix
+    K: Matrix | None = None
+    fx: float | None = None
+    fy: float | None = None
+    cx: float | None = None
+    cy: float | None = None
+    clip: tuple[float, float] | None = None
 
-def _camera(value: Json) -> BakeCamera:
-    """Raises KeyError, ValueError or OverflowError."""
-    if not isinstance(value, dict):
-        raise ValueError("is no JSON object")
-    unknown = sorted(set(value) - _KEYS)
-    if unknown:
-        raise ValueError(f"{unknown[0]!r} is not known")
-    near, far = _clip(value.get("clip"))
-    return BakeCamera(_name(value["name"]), camera_from({**value, "K": _intrinsics(value)}), near, far)
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.name) <= LONGEST_NAME:
+            raise ValueError(f"the name has to be a text of 1 to {LONGEST_NAME} characters")
+        if safe_name(self.name) != self.name:
+            raise ValueError(f"{self.name!r} cannot be the name of a file on every system")
+        near, far = self.camera.near, self.camera.far
+        if not 0 <= near < far:
+            raise ValueError("clip has to be [near, far] in metres, near at least 0 and less than far")
 
+    @property
+    def camera(self) -> BakeCamera:
+        """Raises ValueError for a camera that cannot be drawn."""
+        pinhole = _drawable(PreviewCamera(self.camera_to_world, self._lens(), self.width, self.height))
+        return BakeCamera(self.name, pinhole, *(self.clip or ()))
 
-def _intrinsics(value: Mapping[str, Json]) -> Json:
-    if "K" in value:
-        if {"fx", "fy", "cx", "cy"} & set(value):
-            raise ValueError("has K as well as fx, fy, cx, cy")
-        return value["K"]
-    return [[value["fx"], 0.0, value["cx"]], [0.0, value["fy"], value["cy"]], [0.0, 0.0, 1.0]]
-
-
-def _name(value: Json) -> str:
-    if not isinstance(value, str) or not value or len(value) > LONGEST_NAME:
-        raise ValueError(f"the name has to be a text of 1 to {LONGEST_NAME} characters")
-    if _FORBIDDEN.search(value) or _RESERVED.fullmatch(value) or value[0] in ". " or value[-1] in ". ":
-        raise ValueError(f"{value!r} cannot be the name of a file on every system")
-    return value
-
-
-def _clip(value: Json) -> tuple[float, float]:
-    if value is None:
-        return 0.0, math.inf
-    if not isinstance(value, list) or len(value) != 2:
-        raise ValueError("clip has to be [near, far]")
-    numbers = [float(each) for each in value if isinstance(each, int | float) and not isinstance(each, bool)]
-    if len(numbers) != 2 or not 0 <= numbers[0] < numbers[1]:
-        raise ValueError("clip has to be [near, far] in metres, near at least 0 and less than far")
-    return numbers[0], numbers[1]
+    def _lens(self) -> Matrix:
+        given = {"fx": self.fx, "fy": self.fy, "cx": self.cx, "cy": self.cy}
+        known = {name: value for name, value in given.items() if value is not None}
+        if self.K is not None:
+            if known:
+                raise ValueError("has K as well as fx, fy, cx, cy")
+            return self.K
+        for name in given:
+            if name not in known:
+                raise ValueError(f"has no '{name}'")
+        return (known["fx"], 0.0, known["cx"]), (0.0, known["fy"], known["cy"]), (0.0, 0.0, 1.0)
