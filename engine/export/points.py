@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,6 @@ from .source import FinishedLift
 
 NEIGHBOURS = 30
 """Nearest points that a normal is fitted to."""
-_AT_ONCE = 100_000
-"""Points whose normals are fitted at once."""
 
 
 def export_points(lift: FinishedLift, output: Path) -> None:
@@ -52,24 +49,13 @@ def export_clouds(lift: FinishedLift, output: Path) -> None:
 
 def point_normals(xyz: NDArray[np.float32], centres: NDArray[np.float64]) -> NDArray[np.float32]:
     """Unit normals of points [N, 3] from their neighbours, towards the nearest camera centre [F, 3], float32 [N, 3]."""
+    from open3d.geometry import KDTreeSearchParamKNN, PointCloud
+    from open3d.utility import Vector3dVector
     from scipy.spatial import KDTree
 
-    tree = KDTree(xyz)
-    parts = [_flattest(xyz, tree.query(some, min(NEIGHBOURS, len(xyz)))[1]) for some in _in_parts(xyz)]
-    normals = np.concatenate([np.empty((0, 3)), *parts])
+    cloud = PointCloud(Vector3dVector(xyz.astype(np.float64)))
+    cloud.estimate_normals(KDTreeSearchParamKNN(NEIGHBOURS), fast_normal_computation=False)
+    normals = np.asarray(cloud.normals).reshape(-1, 3)
     _, nearest = KDTree(centres).query(xyz)
     away = ((centres[nearest] - xyz) * normals).sum(axis=1) < 0
     return np.where(away[:, None], -normals, normals).astype(np.float32)
-
-
-def _in_parts(xyz: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
-    """The points, so many at once that their neighbours take little memory."""
-    return (xyz[start : start + _AT_ONCE] for start in range(0, len(xyz), _AT_ONCE))
-
-
-def _flattest(xyz: NDArray[np.float32], neighbours: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The direction [M, 3] in which the neighbours [M, K] of each point spread the least."""
-    near = xyz[neighbours.reshape(len(neighbours), -1)].astype(np.float64)
-    near -= near.mean(axis=1, keepdims=True)
-    directions: NDArray[np.float64] = np.linalg.eigh(near.transpose(0, 2, 1) @ near)[1]
-    return directions[:, :, 0]  # eigenvalues ascend
