@@ -152,7 +152,7 @@ def read_arrays(path: Path, kind: type[Arrays]) -> Arrays:
         if array.shape != rows + tail or array.dtype != dtype:
             raise PlgsError(f"cannot be read ({name} is {array.dtype} {list(array.shape)})", path, MAKE_ANEW)
     if not (np.abs(arrays["xyz"]) <= _FARTHEST).all():  # false for NaN, too
-        raise PlgsError("holds positions that are no numbers, or absurdly far away", path, MAKE_ANEW)
+        raise PlgsError("holds positions that are not numbers, or are absurdly far away", path, MAKE_ANEW)
     return kind(**arrays)
 
 
@@ -226,14 +226,14 @@ def _segment(entry: dict[str, Any]) -> MatchedSegment:
 
 def _outline(value: Any) -> str:
     if not isinstance(value, str) or (value and not _OUTLINE.fullmatch(value)):
-        raise ValueError(f"{value!r} is no outline")
+        raise ValueError(f"{value!r} is not an outline")
     return value
 
 
 def _colour(value: Any) -> tuple[int, int, int]:
     red, green, blue = (_whole(part) for part in value)
     if max(red, green, blue) > 255:
-        raise ValueError(f"{value!r} is no colour")
+        raise ValueError(f"{value!r} is not a colour")
     return red, green, blue
 
 
@@ -248,13 +248,13 @@ def _id(value: Any, least: int = 0) -> int:
     """Palettes and lists have a place for each id up to the largest."""
     number = _whole(value)
     if not least <= number <= LARGEST_ID:
-        raise ValueError(f"{value!r} is no id from {least} to {LARGEST_ID}")
+        raise ValueError(f"{value!r} is not an id from {least} to {LARGEST_ID}")
     return number
 
 
 def _text(value: Any) -> str:
     text = str(value)
-    text.encode()  # half of a surrogate pair is no text; UnicodeEncodeError is a ValueError
+    text.encode()  # half of a surrogate pair is not text; UnicodeEncodeError is a ValueError
     return one_line(text)
 
 
