@@ -24,6 +24,7 @@ from .frame_choice import choose_frames, photo_detail
 from .on_demand import OnDemand, StoredArrays, StoredViews, chained, stored
 from .opening import open_asked, open_scene, open_scene_to_lift, require_liftable
 from .pixels import distinct_ids
+from .posed import PosedFrame, PosedScene
 from .report import ClassReport, SceneReport, describe
 from .view import View, load_view, read_ahead, size_within
 
@@ -42,6 +43,8 @@ __all__ = [
     "NamedClass",
     "OnDemand",
     "PanopticMask",
+    "PosedFrame",
+    "PosedScene",
     "Scene",
     "SceneFormat",
     "SceneReport",
