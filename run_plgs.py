@@ -58,12 +58,12 @@ load_package()
 # ruff: noqa: E402 - what follows is found only now
 from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
-from plgs.engine.job import FURTHER_LAYERS, LiftFolder, LiftRequest, read_manifest
+from plgs.engine.job import FURTHER_LAYERS, LiftFolder, read_manifest
 from plgs.engine.job.lock import lock_on
 from plgs.engine.job.options import add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
 from plgs.engine.job.report import made_files, metrics_text, read_metrics
-from plgs.engine.job.session import lift_in_terminal
+from plgs.engine.job.session import ask_engine, lift_in_terminal
 from plgs.engine.job.terminal import Interrupted, Interrupts, stdout_for_events
 
 
@@ -187,10 +187,9 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     blend = blend_path(options)
     refuse_no_blend(options.blend)
     if options.scene is None:
-        return bake_camera(finished_lift(options.output, options.relink), blend, options, interrupts)
-    from plgs.engine.scene_of_lift import is_done  # brings numpy
-
-    lift, code = lift_in_terminal(options, interrupts, check_scene_folder, is_done)
+        lift = finished_lift(options.output, options.relink, interrupts)
+        return bake_camera(lift, blend, options, interrupts)
+    lift, code = lift_in_terminal(options, interrupts)
     if code != ExitCode.FINISHED:
         return code
     if options.save is not None or not blend.exists() or blend.stat().st_mtime < lift.manifest_path.stat().st_mtime:
@@ -202,15 +201,13 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     return code
 
 
-def finished_lift(folder: Path, scene: Path | None) -> LiftFolder:
+def finished_lift(folder: Path, scene: Path | None, interrupts: Interrupts) -> LiftFolder:
     """The lift in a folder, with its scene in another place where ``scene`` names one. Raises PlgsError."""
     lift = LiftFolder.open(folder)
     read_manifest(lift.result_path)
-    if scene is None:
-        return lift
-    from plgs.engine.scene_of_lift import relink
-
-    return relink(lift, scene)
+    if scene is not None:
+        ask_engine(engine_python(), interrupts, "find-scene", lift.path, scene)
+    return LiftFolder.open(folder)
 
 
 def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:
@@ -225,13 +222,6 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
     if code != ExitCode.FINISHED:
         return code
     return build_blend(lift, blend) if options.blend is None else code
-
-
-def check_scene_folder(request: LiftRequest) -> None:
-    """The quick look, before any folder is made. Raises PlgsError."""
-    from plgs.engine.scene import open_scene_to_lift
-
-    open_scene_to_lift(request)
 
 
 def blend_path(options: argparse.Namespace) -> Path:

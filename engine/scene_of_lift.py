@@ -1,4 +1,4 @@
-"""The scene of a lift: where its request says, else, when it was moved, its cameras as scene.json keeps them."""
+"""The scene of a lift with its pixels: where its request says, else, when it was moved, its cameras alone."""
 
 from __future__ import annotations
 
@@ -13,15 +13,9 @@ import numpy as np
 
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, LiftState, write_atomically
-from .json_file import read_object, take_objects, to_text
-from .result_files import INSTANCES, read_instances
-from .scene import Camera, Frame, Scene, open_asked
+from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
+from .scene import Camera, Frame, PosedFrame, Scene, open_asked
 
-KNOWN_SCENE = "scene.json"
-"""File of a lift folder: the frames of its scene with their cameras."""
-FORMAT = 1
-_FIX = "Delete this file; a lift needs it only where its scene is not."
-_FIND = "Name where the scene now is: Find Scene, or --scene."
 _ALIKE = 1e-4
 """Metres, pixels and entries of rotations by which the cameras of the same frames may differ."""
 
@@ -32,20 +26,27 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
 
     Raises PlgsError for a scene that is there and cannot be read, or is gone and not known.
     """
-    if os.path.exists(folder.request.scene) or not (folder.path / KNOWN_SCENE).is_file():
+    if os.path.exists(folder.request.scene) or not has_known(folder.path):
         return open_asked(folder.request)
-    gone = folder.request.scene
-    frames = tuple(replace(frame, colour_path=gone / frame.colour_path) for frame in known_frames(folder))
-    classes, _ = read_instances(folder.result_path / INSTANCES)
-    return Scene(gone, frames, classes, warnings=(f"the scene is not at {gone}: no photos. {_FIND}",))
+    known, gone = known_scene(folder), _gone(folder.request.scene)
+    frames = tuple(
+        Frame(each.name, each.camera, each.held_out, each.colour_path, None, gone, gone, gone, file_shows_colour=False)
+        for each in known.frames
+    )
+    return Scene(known.folder, frames, known.classes, known.warnings)
 
 
 def remember_scene(folder: LiftFolder, scene: Scene) -> None:
     """Write the cameras of a lift's scene, and what its masks are known by, beside its request. Raises PlgsError for
     a mask that cannot be read, OSError."""
-    frames = [_content(frame, scene.folder) for frame in scene.frames]
-    content = {"format": FORMAT, "masks": digest_of_masks(scene), "frames": frames}
-    write_atomically(folder.path / KNOWN_SCENE, to_text(content))
+    write_known(folder, scene, digest_of_masks(scene))
+
+
+def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
+    """Write scene.json anew where an earlier version wrote it without what Blender needs, or not at all."""
+    known = read_known(folder)
+    if os.path.exists(scene.folder) and (known is None or not known.layout):
+        write_known(folder, scene, "" if known is None else known.masks)
 
 
 def is_done(folder: LiftFolder) -> bool:
@@ -59,10 +60,10 @@ def is_done(folder: LiftFolder) -> bool:
 def have_masks_changed(folder: LiftFolder, scene: Scene | None = None) -> bool:
     """Whether masks of a lift's ``scene``, opened where it is not given, are others than when the lift was last run.
     False where that is not known, or the scene is gone. Raises PlgsError."""
-    if not (folder.path / KNOWN_SCENE).is_file() or not os.path.exists(folder.request.scene):
+    known = read_known(folder)
+    if known is None or not known.masks or not os.path.exists(folder.request.scene):
         return False
-    known = _known_content(folder).get("masks")
-    return bool(known) and known != digest_of_masks(scene or open_asked(folder.request))
+    return known.masks != digest_of_masks(scene or open_asked(folder.request))
 
 
 def digest_of_masks(scene: Scene) -> str:
@@ -88,69 +89,28 @@ def relink(folder: LiftFolder, place: Path) -> LiftFolder:
     masks, depth = (_moved(path, request.scene, place) for path in (request.masks, request.depth))
     found = replace(request, scene=place, masks=masks, depth=depth)
     scene = open_asked(found)
-    if (folder.path / KNOWN_SCENE).is_file():
-        refuse_others(known_frames(folder), scene)
+    known = read_known(folder)
+    if known is not None:
+        refuse_others(known.posed_frames(place), scene)
     write_atomically(folder.path / "request.json", found.to_json(folder.path))
     return LiftFolder.open(folder.path)
 
 
-def refuse_others(known: Sequence[Frame], scene: Scene) -> None:
+def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
     """Raise PlgsError where a scene has other frames than those that are known."""
     there = {frame.name: frame for frame in scene.frames}
     for frame in known:
         if frame.name not in there:
-            raise PlgsError(f"is another scene: it has no frame {frame.name}", scene.folder, _FIND)
+            raise PlgsError(f"is another scene: it has no frame {frame.name}", scene.folder, FIND_SCENE)
         if not _is_same(frame.camera, there[frame.name].camera):
-            raise PlgsError(f"is another scene: the camera of frame {frame.name} differs", scene.folder, _FIND)
-
-
-def known_frames(folder: LiftFolder) -> list[Frame]:
-    """The frames of scene.json; paths of pictures are relative to the scene. Raises PlgsError for a damaged file."""
-    path, content = folder.path / KNOWN_SCENE, _known_content(folder)
-    try:
-        return [_frame(entry, folder.request.scene) for entry in take_objects(content, "frames", "the scene", path)]
-    except (KeyError, TypeError, ValueError) as error:
-        raise PlgsError(f"a frame cannot be read ({error})", path, _FIX) from error
-
-
-def _known_content(folder: LiftFolder) -> dict[str, Any]:
-    path = folder.path / KNOWN_SCENE
-    content = read_object(path, _FIX)
-    if content.get("format") != FORMAT:
-        what = f"has format {content.get('format')!r}, this version reads {FORMAT}"
-        raise PlgsError(what, path, "Use the version of PLGS that wrote it.")
-    return content
-
-
-def _content(frame: Frame, scene: Path) -> dict[str, object]:
-    camera, colour = frame.camera, frame.colour_path
-    return {
-        "name": frame.name,
-        "held_out": frame.held_out,
-        "size": list(camera.size),
-        "lens": [camera.fx, camera.fy, camera.cx, camera.cy],
-        "camera_to_world": camera.camera_to_world.tolist(),
-        "colour": colour.relative_to(scene).as_posix() if colour.is_relative_to(scene) else str(colour),
-    }
-
-
-def _frame(entry: dict[str, Any], scene: Path) -> Frame:
-    """Raises KeyError, TypeError, ValueError."""
-    width, height = map(int, entry["size"])
-    fx, fy, cx, cy = map(float, entry["lens"])
-    pose = np.array(entry["camera_to_world"], np.float64).reshape(4, 4)
-    if not np.isfinite([fx, fy, cx, cy, *pose.ravel()]).all() or min(width, height) < 1:
-        raise ValueError("no camera")
-    name, colour = str(entry["name"]), Path(str(entry["colour"]))
-    camera, gone = Camera(width, height, fx, fy, cx, cy, pose), _gone(scene)
-    return Frame(name, camera, bool(entry["held_out"]), colour, None, gone, gone, gone, file_shows_colour=False)
+            raise PlgsError(f"is another scene: the camera of frame {frame.name} differs", scene.folder, FIND_SCENE)
 
 
 def _gone(scene: Path) -> Callable[[Any], NoReturn]:
     """A reader of pixels that are not there."""
 
     def read(size: Any = None) -> NoReturn:
-        raise PlgsError("the scene is not there, and this needs its pictures", scene, _FIND, option="--scene")
+        raise PlgsError("the scene is not there, and this needs its pictures", scene, FIND_SCENE, option="--scene")
 
     return read
 

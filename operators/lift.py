@@ -62,24 +62,31 @@ class PLGS_OT_resume_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
         return lifting.resume_lift(context.scene.plgs, self.lift_folder)
 
 
-class PLGS_OT_find_scene(OnLiftFolder, bpy.types.Operator):
+class PLGS_OT_find_scene(OnLiftFolder, StartsTask, bpy.types.Operator):
     """Tell a lift where its scene now is, after it was moved. The frames there are compared with those of the lift"""
 
     bl_idname, bl_label, bl_options = "plgs.find_scene", "Find Scene", {"UNDO"}
+    was_invoked = False
 
     filepath: StringProperty(  # type: ignore[valid-type]
         name="Scene", subtype="FILE_PATH", options={"SKIP_SAVE"}, description="The scene's folder, or its one file"
     )
 
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return why_no_engine()
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.was_invoked = True
         context.window_manager.fileselect_add(self)
         return RUNNING
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        found = lifting.find_scene(context.scene, absolute(self.filepath), self.lift_folder)
-        self.report({"INFO"}, f"The lift reads {one_line(found.folder.request.scene)}")
-        return FINISHED
+        return self.run(context, waits=not self.was_invoked)
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        return lifting.find_scene(context.scene, absolute(self.filepath), self.lift_folder)
 
 
 class PLGS_OT_watch_lift(OnLiftFolder, StartsTask, bpy.types.Operator):

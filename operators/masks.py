@@ -6,14 +6,14 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 
 from ..plgs_blender.engine_environment import usable_python, why_no_engine
-from ..plgs_blender.mask_classes import OWN_TABLE, TABLE_ITEMS, fill_classes, write_classes
+from ..plgs_blender.mask_classes import OWN_TABLE, TABLE_ITEMS
 from ..plgs_blender.running.adding import why_lacking
-from ..plgs_blender.running.looking import look_at_scene
+from ..plgs_blender.running.classes import read_classes, write_classes
 from ..plgs_blender.running.preparation import MaskMaking, PoseMaking, make_masks, make_poses
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
-from .base import FINISHED, CancelsTask, Explained, StartsTask, panel_of, reporting
+from .base import CancelsTask, StartsTask, panel_of
 
 
 class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
@@ -74,7 +74,7 @@ class PLGS_OT_cancel_masks(CancelsTask, bpy.types.Operator):
     cancelled_kind = MaskMaking
 
 
-class PLGS_OT_read_classes(Explained, bpy.types.Operator):
+class PLGS_OT_read_classes(StartsTask, bpy.types.Operator):
     """List the classes of the scene's masks, to name and merge them"""
 
     bl_idname, bl_label, bl_options = "plgs.read_classes", "Read Classes", {"UNDO"}
@@ -86,31 +86,27 @@ class PLGS_OT_read_classes(Explained, bpy.types.Operator):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return None if context.scene.plgs.scene_folder else "Choose the scene's folder first"
+        if not context.scene.plgs.scene_folder:
+            return "Choose the scene's folder first"
+        return why_no_engine()
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        fill_classes(context.scene.plgs_masks, chosen_scene(context.scene.plgs), self.table)
-        return FINISHED
+    def begin(self, context: bpy.types.Context) -> Task:
+        return read_classes(context.scene, self.table)
 
 
-class PLGS_OT_write_classes(Explained, bpy.types.Operator):
+class PLGS_OT_write_classes(StartsTask, bpy.types.Operator):
     """Write the list into classes.toml beside the masks, where every later lift reads it"""
 
     bl_idname, bl_label = "plgs.write_classes", "Write Classes"
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        is_read = context.scene.plgs.scene_folder and len(context.scene.plgs_masks.classes)
-        return None if is_read else "Read the classes first"
+        if not context.scene.plgs.scene_folder or not len(context.scene.plgs_masks.classes):
+            return "Read the classes first"
+        return why_no_engine()
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        chosen = chosen_scene(context.scene.plgs)
-        path = write_classes(context.scene.plgs_masks, chosen)
-        look_at_scene(chosen)
-        self.report({"INFO"}, f"PLGS: {path}")
-        return FINISHED
+    def begin(self, context: bpy.types.Context) -> Task:
+        return write_classes(context.scene)
 
 
 CLASSES = (

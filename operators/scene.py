@@ -16,7 +16,7 @@ from ..plgs_blender.paths import absolute
 from ..plgs_blender.running.importing import FrameMaking, begin_import, imported, show_picture, what_is_missing
 from ..plgs_blender.running.lifting import why_no_scene
 from ..plgs_blender.running.looking import look_at_scene
-from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES, chosen_format
+from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES
 from ..plgs_blender.settings import SceneOptions, chosen_scene, option_names
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
@@ -132,7 +132,7 @@ class PLGS_OT_browse_scene(ImportsScene, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         settings = context.scene.plgs
-        place = scene_at(Path(absolute(self.filepath)), chosen_format(self.format))
+        place = scene_at(Path(absolute(self.filepath)))
         _forget_other_scene(settings)
         self.into_settings(settings)
         settings.scene_folder = str(place)

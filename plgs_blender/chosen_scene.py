@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..engine.errors import PlgsError
-from ..engine.scene import Scene, UpAxis, open_asked
-from ..engine.scene_source import SceneSource
+from ..engine.scene.plain_folders import NAME, open_plain_folders, recognises
+from ..engine.scene.posed import PosedScene
+from ..engine.scene_source import SceneSource, UpAxis
 from .paths import absolute
 from .scene_formats import AUTOMATIC, chosen_format
 
@@ -39,13 +40,17 @@ class ChosenScene(SceneSource):
             "classes": self.classes or "",
         }
 
-    def open(self) -> Scene:
-        """Open it, headers only. Raises PlgsError."""
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is in plain folders, whose cameras and pictures Blender reads by itself. Looks at the disk."""
+        return self.scene_format in (None, NAME) and recognises(self.scene)
+
+    def open_plain(self) -> PosedScene:
+        """The cameras and pictures of plain folders; of pictures only the headers are read. Raises PlgsError."""
         try:
-            return open_asked(self)
-        except ImportError as error:
-            fix = "Set the engine up, which can, and import again."
-            raise PlgsError("Blender's Python alone cannot look into this video", self.scene, fix) from error
+            return open_plain_folders(self)
+        except (OSError, ValueError) as error:  # ValueError: a path that this system cannot even look at
+            raise PlgsError(f"cannot be looked at ({error})", self.scene, "Choose other folders.") from error
 
     def arguments(self) -> list[str | Path]:
         """The arguments that name it to the engine's commands."""
@@ -57,6 +62,7 @@ class ChosenScene(SceneSource):
         return arguments
 
 
-def lacks_package(error: PlgsError) -> bool:
-    """Whether Blender's Python could not read a scene that an engine's Python may."""
-    return isinstance(error.__cause__, ImportError)
+def needs_engine(chosen: ChosenScene) -> PlgsError:
+    """The error of a scene that Blender cannot read by itself."""
+    what = "Blender alone reads the folders color, pose and intrinsic, and this is another layout"
+    return PlgsError(what, chosen.scene, "Set the engine up, which reads it.")

@@ -37,9 +37,9 @@ from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
 from ..engine.job.report import entropy_of_frames, read_metrics
+from ..engine.known_scene import known_scene
 from ..engine.result_files import INSTANCES, read_instances
 from ..engine.scene import ClassTable
-from ..engine.scene_of_lift import scene_of_lift
 from .boxes import INSTANCE, place_boxes
 from .clouds import place_anchors, place_semantic_points
 from .errors import EXPECTED
@@ -175,7 +175,7 @@ def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
     """The frame of the highest entropy of those not visited, how many are visited then, and of how many. After the last
     it begins anew. Raises PlgsError."""
     folder = LiftFolder.open(folder_of(root))
-    frames = scene_of_lift(folder).frames
+    frames = known_scene(folder).frames
     drawn = entropy_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
     points = entropy_of_views(read_corrected(folder.path).points, [frame.camera for frame in frames])
     # Frames that were not drawn when the lift was scored come last, by the points that they see.

@@ -10,7 +10,8 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ..engine.scene import Camera, Frame
+from ..engine.scene import Camera
+from ..engine.scene.posed import PosedFrame
 from .cameras import SENSOR_WIDTH, Lens, camera_from, lens_of, object_matrix
 from .compat import add_keys
 from .owned import OwnedDataBlocks
@@ -56,7 +57,7 @@ def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
 def place_frames(
     owned: OwnedDataBlocks,
     parent: bpy.types.Collection,
-    frames: Sequence[Frame],
+    frames: Sequence[PosedFrame],
     made: Mapping[str, Path] | None = None,
 ) -> list[bpy.types.Object]:
     """One camera a frame in `parent`, with the frame's photo before its view and what is known as properties. `made`
@@ -100,7 +101,7 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
 
 
 def place_camera_path(
-    owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[Frame], start: int
+    owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[PosedFrame], start: int
 ) -> bpy.types.Object:
     """A camera with one key for each frame, from `start` on the timeline: an animation that other programs can read.
 
@@ -135,7 +136,7 @@ def _continuous(turns: NDArray[np.float64]) -> NDArray[np.float64]:
     return turns * np.concatenate([[1.0], np.cumprod(signs)])[:, None]
 
 
-def picture_of(frame: Frame, made: Mapping[str, Path] | None = None) -> Path | None:
+def picture_of(frame: PosedFrame, made: Mapping[str, Path] | None = None) -> Path | None:
     """The image file that shows what the frame's camera saw; None while there is none. `made` is as in `place_frames`.
     """
     return frame.colour_path if frame.file_shows_colour else (made or {}).get(frame.name)

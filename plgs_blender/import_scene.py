@@ -9,16 +9,15 @@ import numpy as np
 from mathutils import Matrix, Quaternion
 from numpy.typing import NDArray
 
-from ..engine.errors import PlgsError
-from ..engine.job.made_frames import MadeFrames
-from ..engine.scene import Scene
+from ..engine.scene.made_frames import MadeFrames
+from ..engine.scene.posed import PosedScene
 from .cameras import object_matrix, overview_camera
-from .chosen_scene import ChosenScene, lacks_package
+from .chosen_scene import ChosenScene
 from .frames import picture_of, place_camera_path, place_frames, show_photo
 from .inspecting.looks import places
 from .inspecting.lookup import objects_by_key
 from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
-from .made_pictures import cloud_of, made_before, photos, read_cloud, scene_of
+from .made_pictures import cloud_of, photos, read_cloud
 from .owned import LIFT, OwnedDataBlocks
 from .squares import place_points
 from .timeline import mark_timeline
@@ -36,16 +35,17 @@ _INNER = (0.2, 99.8)
 """Percentiles of a cloud's places between which the room is."""
 
 
-def place_scene(place: ChosenScene, scene: bpy.types.Scene, *, cloud: bool = True) -> bpy.types.Collection:
-    """Put a scene's frames into Blender's scene: one camera a frame, with its picture and timeline marker, a camera
-    that moves along them, the points of the reconstruction, and what an engine made of the scene before. With ``cloud``
-    a cloud is wanted too, where the scene has depth. Returns the collection, whose property MISSING says what is left
-    to an engine.
+def place_scene(
+    place: ChosenScene, opened: PosedScene, made: MadeFrames | None, scene: bpy.types.Scene, *, cloud: bool = True
+) -> bpy.types.Collection:
+    """Put the frames of a scene that is ``opened`` into Blender's scene: one camera for each frame, with its picture
+    and timeline marker, a camera that moves along them, the points of the reconstruction, and what an engine ``made``
+    of the scene before. With ``cloud`` a cloud is wanted too, where the scene has depth. Returns the collection, whose
+    property MISSING says what is left to an engine.
 
     A lift of the same frames later fills the same collection. A lift that is there already keeps all else. Raises
     PlgsError before anything is changed.
     """
-    opened, made = _open(place)
     scene = scene_to_fill(scene)
     root = root_collection(place.scene, None, scene)
     root[PLACE] = place.as_texts()
@@ -82,20 +82,6 @@ def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternio
     return overview.to_quaternion(), corners
 
 
-def _open(place: ChosenScene) -> tuple[Scene, MadeFrames | None]:
-    """The scene, or what an engine made of it where Blender's Python cannot read it; and what an engine made before.
-    Raises PlgsError.
-    """
-    try:
-        opened = place.open()
-    except PlgsError as error:
-        made = made_before(place.resolved) if lacks_package(error) else None
-        if made is None or not made.is_complete:
-            raise
-        return scene_of(made), made
-    return opened, made_before(place.resolved)
-
-
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
     """Add what an engine made since the import: photos before the cameras, and the cloud. The 3D views that nobody has
     moved since the import then look at all of it. Raises PlgsError."""
@@ -117,19 +103,19 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
 
 
 def _place_clouds(
-    owned: OwnedDataBlocks, root: bpy.types.Collection, opened: Scene, made: MadeFrames | None, cloud: bool
+    owned: OwnedDataBlocks, root: bpy.types.Collection, opened: PosedScene, made: MadeFrames | None, cloud: bool
 ) -> list[str]:
     """Place the points of the reconstruction and the cloud, as far as there are some. Returns what is left to an
     engine.
     """
     eyes = np.array([frame.camera.centre for frame in opened.frames])
     if opened.points is not None and len(opened.points):
-        points = opened.points.xyz.astype(np.float32), opened.points.rgb
+        points = np.asarray(opened.points.xyz, np.float32), opened.points.rgb
         place_points(owned, child_collection(root, _CLOUDS), _SPARSE, "Sparse points", points, eyes)
     if not cloud:
         return []
     path = cloud_of(made, opened.frames)
     if path is None:
-        return ["cloud"] if any(frame.read_depth is not None for frame in opened.frames) else []
+        return ["cloud"] if any(frame.depth_path is not None for frame in opened.frames) else []
     place_points(owned, child_collection(root, _CLOUDS), _CLOUD, "Coloured cloud", read_cloud(path), eyes)
     return []

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.job.environment import notes_folder
-from ..engine.job.made_frames import MadeFrame, MadeFrames, is_newer, made_of
-from ..engine.scene import Camera, ClassTable, Frame, Scene, Size
+from ..engine.scene import ClassTable
 from ..engine.scene.array_file import read_npz
+from ..engine.scene.made_frames import MadeFrames, is_newer, made_of
+from ..engine.scene.posed import PosedFrame, PosedScene, SparsePoints
 from ..engine.scene_source import SceneSource
 
 _MOST_BESIDE = 9
@@ -42,7 +43,7 @@ def made_before(source: SceneSource) -> MadeFrames | None:
     return made_of(frames_folder(source), source)
 
 
-def photos(made: MadeFrames | None, frames: Iterable[Frame] = ()) -> dict[str, Path]:
+def photos(made: MadeFrames | None, frames: Iterable[PosedFrame] = ()) -> dict[str, Path]:
     """The pictures that were made, by frame name. Pictures that are gone, and those older than the source of their
     frame in ``frames``, are left out.
     """
@@ -52,7 +53,7 @@ def photos(made: MadeFrames | None, frames: Iterable[Frame] = ()) -> dict[str, P
     return {name: path for name, path in found.items() if name not in sources or is_newer(path, sources[name])}
 
 
-def cloud_of(made: MadeFrames | None, frames: Iterable[Frame]) -> Path | None:
+def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | None:
     """The cloud that was made; None where there is none, or where the depth of ``frames`` is newer."""
     if made is None or made.cloud is None or not made.cloud.is_file():
         return None
@@ -60,30 +61,12 @@ def cloud_of(made: MadeFrames | None, frames: Iterable[Frame]) -> Path | None:
     return made.cloud if all(is_newer(made.cloud, source) for source in sources) else None
 
 
-def scene_of(made: MadeFrames) -> Scene:
-    """The frames of a scene that Blender cannot open, from what an engine made of it: cameras and pictures."""
-    frames = tuple(_frame(name, each, made.folder) for name, each in made.frames.items())
-    return Scene(made.source.scene, frames, ClassTable(()))
-
-
-def _frame(name: str, made: MadeFrame, folder: Path) -> Frame:
-    width, height, fx, fy, cx, cy = made.lens
-    pose = np.array(made.pose).reshape(4, 4)
-    return Frame(
-        name=name,
-        camera=Camera(int(width), int(height), fx, fy, cx, cy, pose),
-        held_out=made.held_out,
-        colour_path=made.picture or made.colour or folder,
-        depth_path=None,
-        read_colour=_refuse,
-        read_depth=None,
-        read_mask=None,
-        file_shows_colour=made.picture is not None,
-    )
-
-
-def _refuse(size: Size | None) -> NDArray[np.uint8]:
-    raise PlgsError("Blender cannot read this scene's pixels", "the scene", "Let the engine make its pictures.")
+def scene_of(made: MadeFrames) -> PosedScene:
+    """The frames of a scene as an engine read them: cameras, pictures, and the points of the reconstruction."""
+    folder = made.source.scene
+    points = None if made.points is None or not made.points.is_file() else SparsePoints(*read_cloud(made.points))
+    scene = made.scene
+    return PosedScene(folder, scene.posed_frames(folder), ClassTable(()), scene.warnings, scene.layout, points)
 
 
 def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -95,7 +78,7 @@ def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         raise PlgsError(error.what, path, fix) from error
     xyz, rgb = stored["xyz"], stored["rgb"]
     if xyz.dtype != np.float32 or rgb.dtype != np.uint8 or xyz.shape != rgb.shape or xyz.shape[1:] != (3,):
-        raise PlgsError("is no coloured cloud", path, fix)
+        raise PlgsError("is not a coloured cloud", path, fix)
     return xyz, rgb
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Mapping
+from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
 
 from ..engine.errors import PlgsError
-from ..engine.job import write_atomically
-from ..engine.scene import TABLES, NamedClass, class_list_path, class_list_text, list_classes
-from .chosen_scene import ChosenScene
+from ..engine.scene.format_names import TABLES
 from .paths import absolute
 
 OWN_TABLE = "OWN"
@@ -44,41 +43,28 @@ class PLGS_PG_masks(bpy.types.PropertyGroup):
     )
 
 
-def fill_classes(masks: PLGS_PG_masks, place: ChosenScene, table: str = OWN_TABLE) -> None:
-    """Read the classes of the scene's masks into the rows. Raises PlgsError."""
-    listed = list_classes(place.scene, place.masks, place.scene_format, table=None if table == OWN_TABLE else table)
+def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:
+    """Put the answer of the engine's command ``classes`` into the rows. Raises ValueError, TypeError, KeyError."""
     masks.classes.clear()
-    masks.path, masks.active = str(listed.path), 0
-    masks.void = " ".join(map(str, sorted(listed.void)))
-    for each in listed.rows:
+    masks.path, masks.active = str(listed["path"]), 0
+    masks.void = " ".join(str(int(number)) for number in listed.get("void", ()))
+    for each in listed["rows"]:
         row = masks.classes.add()
-        row.name, row.label, row.is_thing = each.name, each.label, each.is_thing
-        row.into = "" if each.into == each.name else each.into
+        row.name, row.label, row.is_thing = str(each["name"]), int(each["label"]), bool(each["is_thing"])
+        row.into = "" if each["into"] == each["name"] else str(each["into"])
 
 
-def write_classes(masks: PLGS_PG_masks, place: ChosenScene) -> Path:
-    """Write the rows into the classes.toml beside the masks of ``place``. Raises PlgsError, OSError.
-
-    A .blend may come from somebody else and name any file, so the place of the list is worked out anew.
-    """
-    if not len(masks.classes):
-        raise PlgsError("there are no classes to write", "Classes", "Read them from the masks first.")
-    rows = [NamedClass(row.label, row.name, row.into or row.name, row.is_thing) for row in masks.classes]
-    if not all(row.name.isprintable() and row.name and row.into.isprintable() for row in rows):
-        raise PlgsError("a class has no name", "Classes", "Give each a name of one line.")
-    path = class_list_path(place.scene, place.masks)
-    if absolute(masks.path) != path:
-        raise PlgsError("the list is of another scene", path, "Read the classes again.")
-    write_atomically(path, class_list_text(rows, _void(masks)))
-    return path
-
-
-def _void(masks: PLGS_PG_masks) -> frozenset[int]:
-    """The numbers that mean nothing. Raises PlgsError."""
+def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
+    """The rows as the engine's command ``classes --write`` takes them. Raises PlgsError."""
+    rows = [
+        {"label": row.label, "name": row.name, "into": row.into or row.name, "is_thing": row.is_thing}
+        for row in masks.classes
+    ]
     try:
-        return frozenset(map(int, masks.void.split()))
+        void = [int(word) for word in masks.void.split()]
     except ValueError as error:
         raise PlgsError("the numbers of void cannot be read", masks.void, "Read the classes again.") from error
+    return {"path": str(absolute(masks.path)), "rows": rows, "void": void}
 
 
 CLASSES = (PLGS_PG_mask_class, PLGS_PG_masks)

@@ -11,6 +11,7 @@ from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder, ListedFile, check_sizes
 from ..engine.job.manifest import MAKE_ANEW, verify_files
 from ..engine.job.report import not_shown, read_metrics
+from ..engine.known_scene import known_scene
 from ..engine.result_files import (
     ANCHORS,
     INSTANCES,
@@ -19,8 +20,7 @@ from ..engine.result_files import (
     Instance,
     SemanticPoints,
 )
-from ..engine.scene import ClassTable, Scene
-from ..engine.scene_of_lift import scene_of_lift
+from ..engine.scene import ClassTable, PosedScene
 
 _READ = (SEMANTIC_POINTS, ANCHORS, INSTANCES)
 _MOST_HASHED = 1 << 26
@@ -34,7 +34,7 @@ class LiftResult:
     and the lift does not, in words, and the frame that shows it best."""
 
     folder: Path
-    scene: Scene
+    scene: PosedScene
     classes: ClassTable
     instances: tuple[Instance, ...]
     points: SemanticPoints
@@ -51,16 +51,13 @@ class LiftResult:
 
 
 def read_result(folder: Path) -> LiftResult:
-    """Read the result of a finished lift and open its scene (headers only). Where the scene is no longer, its frames
-    have their cameras and no pictures.
-
-    Raises PlgsError when the folder is no lift, is not finished, or was damaged, and when the scene it was lifted from
-    is no longer whole.
+    """Read the result of a finished lift, and the cameras of its frames. Raises PlgsError when the folder is not a
+    lift, is not finished, or was damaged.
     """
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     listed = {str(file.path): file for file in check_sizes(lift.result_path).files}
-    scene = scene_of_lift(lift)
+    scene = known_scene(lift)
     exrs = _listed_passes(lift, listed)
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
     corrected = read_corrected(lift.path)

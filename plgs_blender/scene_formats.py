@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from ..engine.scene import FORMATS
-from ..engine.scene.mask_formats import MASK_FORMATS
+from ..engine.scene.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 
 AUTOMATIC = "auto"
 """What the user chooses to leave the format to the scene's looks."""
 
 FORMAT_ITEMS = [
     (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
-    *((each.name, each.label, each.looks_for) for each in FORMATS),
+    *SCENE_FORMAT_NAMES,
 ]
 """For an EnumProperty."""
 MASK_FORMAT_ITEMS = [
     (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
-    *((each.name, each.name, each.looks_for) for each in MASK_FORMATS),
+    *MASK_FORMAT_NAMES,
 ]
 """For an EnumProperty, too."""
 
@@ -25,7 +24,7 @@ FILE_SUFFIXES = (".json", ".txt", ".jsonl", ".sens", ".r3d", ".log", ".bin", ".c
 
 def label_of(name: str) -> str:
     """What people call a format."""
-    return next((each.label for each in FORMATS if each.name == name), name)
+    return next((each.label for each in SCENE_FORMAT_NAMES if each.name == name), name)
 
 
 def chosen_format(choice: str) -> str | None:

@@ -16,6 +16,7 @@ from ..job import EventWriter, ExitCode, LiftFolder, StopSignal, verify
 from ..job.options import given_lift_options, source_of
 from ..job.task import TaskPlace
 from ..json_file import Json
+from ..records import to_json
 
 
 def lift(options: argparse.Namespace) -> int:
@@ -43,12 +44,10 @@ def _lift_in_terminal(options: argparse.Namespace) -> int:
     from ..job.report import made_files, metrics_text, read_metrics
     from ..job.session import lift_in_terminal
     from ..job.terminal import Interrupted, Interrupts
-    from ..scene import open_scene_to_lift
-    from ..scene_of_lift import is_done
 
     try:
         with Interrupts() as interrupts:
-            lift, code = lift_in_terminal(options, interrupts, open_scene_to_lift, is_done)
+            lift, code = lift_in_terminal(options, interrupts)
     except Interrupted as error:
         print(f"Stopped. Give the same command with --resume to go on: {options.output}", file=sys.stderr)
         return error.exit_code
@@ -148,6 +147,24 @@ def inspect(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     from .inspect_scene import inspect_scene
 
     inspect_scene(source_of(options), events, stop, preset=options.preset, findings=options.output, fix=options.fix)
+
+
+def classes(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from ..scene.class_listing import list_classes, write_class_list
+
+    source = source_of(options)
+    if options.write is not None:
+        path = write_class_list(source, options.write)
+        events.answer({"path": path}, f"Written: {path}")
+        return
+    listed = list_classes(source, options.table)
+    lines = (f"{row.label:>6}  {row.name}{'' if row.into == row.name else f' -> {row.into}'}" for row in listed.rows)
+    events.answer(to_json(listed), "\n".join([*lines, str(listed.path)]))
+
+
+def find_scene(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    scene = _opened(options.lift, options.scene).request.scene
+    events.answer({"scene": scene}, f"The lift reads {scene}")
 
 
 def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:

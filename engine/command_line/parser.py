@@ -43,6 +43,8 @@ def make_parser() -> argparse.ArgumentParser:
     _add_export(known.add_parser("export", help="write a finished lift in a form that other programs read"))
     _add_evaluate(known.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(known.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
+    _add_classes(known.add_parser("classes", help="list the classes of a scene's masks, or write the edited list"))
+    _add_find_scene(known.add_parser("find-scene", help="tell a lift where its scene now is, after it was moved"))
     _add_frames(known.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
     _add_poses(known.add_parser("poses", help="find the poses of photos or of a film's pictures, with COLMAP"))
     _add_segment(known.add_parser("segment", help="make masks for a scene that has none"))
@@ -192,6 +194,25 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", nargs="+", metavar="FRAME", help="only these frames; the cloud is of all")
     add_scene_options(parser)
     _make_task(parser, commands.frames, "What is made already is kept: the same command goes on.")
+
+
+def _add_classes(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "The classes in the files of the masks and in a classes.toml beside them. --write takes an edited list in the "
+        "form of --json, and writes classes.toml, which every later lift reads."
+    )
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
+    parser.add_argument("--table", metavar="NAME", help="begin anew with the classes of a public table")
+    parser.add_argument("--write", type=Path, metavar="FILE.json", help="write the list in this file")
+    add_scene_options(parser)
+    _make_task(parser, commands.classes)
+
+
+def _add_find_scene(parser: argparse.ArgumentParser) -> None:
+    parser.description = "The frames there are compared with those of the lift. Other scenes are refused."
+    parser.add_argument("lift", type=Path, metavar="LIFT", help="the lift's folder")
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
+    _make_task(parser, commands.find_scene)
 
 
 def _add_poses(parser: argparse.ArgumentParser) -> None:

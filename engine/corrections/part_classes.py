@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import LiftFolder
-from ..scene_of_lift import KNOWN_SCENE, known_frames
+from ..known_scene import read_known
 from .replay import INNER, Replay
 
 FITS = 0.5
@@ -21,9 +21,11 @@ def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.inte
 
     Raises PlgsError for a damaged list of the lift's frames.
     """
-    if number not in state.objects or not (lift / KNOWN_SCENE).is_file():
+    folder = LiftFolder.open(lift)
+    known = read_known(folder)
+    if number not in state.objects or known is None:
         return {}
-    cameras = {frame.name: frame.camera for frame in known_frames(LiftFolder.open(lift))}
+    cameras = {frame.name: frame.camera for frame in known.posed_frames(folder.request.scene)}
     xyz, numbers = state.points_of(number), np.unique(part).tolist()
     votes: dict[int, dict[int, float]] = {}
     for segment in state.objects[number].segments:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..job import write_atomically
-from ..job.made_frames import MadeFrame, MadeFrames, is_newer, made_of
 from ..scene import Frame, Scene
 from ..scene.frame_colours import depth_colours, mask_colours
+from ..scene.made_frames import MadeFrame, MadeFrames, is_newer, made_of
+from ..scene.stored import stored_scene
 from ..scene_source import SceneSource
 from .cloud import CloudBuilder
 
@@ -35,18 +36,22 @@ def make_frames(
     names: Collection[str] | None = None,
     progress: Progress | None = None,
 ) -> MadeFrames:
-    """Write ``kinds`` of files of the frames ``names`` (None: all) into ``folder``, and frames.json last.
+    """Write ``kinds`` of files of the frames ``names`` (None: all) into ``folder``.
 
-    A picture is written if no image file shows it as it is. Depth and masks that the scene lacks are left out. Files of
-    an earlier run on the same scene are kept, unless their source is newer. Raises PlgsError when the folder holds
-    something else, a frame is not there, or the scene has none of ``kinds``; and when a file of the scene is bad. Bad
-    depth for the cloud is reported after the pictures are written.
+    frames.json is written first with all cameras, so that a reader need not wait for pictures, and last with what was
+    made. A picture is written if no image file shows it as it is. Depth and masks that the scene lacks are left out.
+    Files of an earlier run on the same scene are kept, unless their source is newer. Raises PlgsError when the folder
+    holds something else, a frame is not there, or the scene has none of ``kinds``; and when a file of the scene is bad.
+    Bad depth for the cloud is reported after the pictures are written.
     """
-    made = made_of(folder, source) or MadeFrames(folder, source)
+    made = made_of(folder, source)
     chosen = _chosen(scene, names)
     _refuse_nothing(scene, chosen, kinds)
     known = {frame.name for frame in scene.frames}
-    done = {name: each for name, each in made.frames.items() if name in known}
+    done = {} if made is None else {name: each for name, each in made.frames.items() if name in known}
+    cloud = None if made is None else made.cloud
+    made = MadeFrames(folder, source, stored_scene(scene, scene.frames), done, cloud, _points(scene, folder))
+    made.write()
     in_cloud = _cloud_frames(scene.frames) if "cloud" in kinds else {}
     builder, problem = CloudBuilder(), None
     todo = [frame for frame in scene.frames if frame.name in chosen or frame.name in in_cloud]
@@ -62,7 +67,7 @@ def make_frames(
             progress(position + 1, len(todo))
     is_new = in_cloud and problem is None
     cloud = _write_cloud(builder, folder / "cloud.npz") if is_new else made.cloud
-    result = replace(made, frames=done, cloud=cloud, total=len(scene.frames))
+    result = replace(made, frames=done, cloud=cloud)
     result.write()
     if problem is not None:
         raise problem
@@ -94,15 +99,7 @@ def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str
 
 
 def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made: MadeFrame) -> MadeFrame:
-    """One frame's camera and pictures, including those of an earlier run."""
-    camera = frame.camera
-    made = replace(
-        made,
-        lens=(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy),
-        pose=tuple(camera.camera_to_world.ravel().tolist()),
-        held_out=frame.held_out,
-        picture=frame.colour_path.resolve() if frame.file_shows_colour else None,
-    )
+    """One frame's pictures, including those of an earlier run."""
     if "colour" in kinds and not frame.file_shows_colour:
         path = folder / "color" / f"{frame.name}.jpg"
         if not is_newer(path, frame.colour_path):
@@ -144,7 +141,19 @@ def _add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
 
 def _write_cloud(builder: CloudBuilder, path: Path) -> Path:
     cloud = builder.cloud()
-    write_atomically(path, lambda part: np.savez(part, xyz=cloud.xyz, rgb=cloud.rgb))
+    return _write_points(path, cloud.xyz, cloud.rgb)
+
+
+def _points(scene: Scene, folder: Path) -> Path | None:
+    """The file of the points of the reconstruction; None where there are none."""
+    if scene.points is None or not len(scene.points):
+        return None
+    return _write_points(folder / "points.npz", scene.points.xyz.astype(np.float32), scene.points.rgb)
+
+
+def _write_points(path: Path, xyz: NDArray[np.float32], rgb: NDArray[np.uint8]) -> Path:
+    """``xyz`` [N, 3] metres, ``rgb`` [N, 3] sRGB."""
+    write_atomically(path, lambda part: np.savez(part, xyz=xyz, rgb=rgb))
     return path
 
 

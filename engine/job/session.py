@@ -5,17 +5,17 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from ..errors import ExitCode, PlgsError
+from ..json_file import Json
 from .events import at_work
 from .folder import BLOCKS, LiftFolder, LiftState
 from .follower import TaskFollower
 from .lease import may_have_crashed
 from .options import request_from, resumable
 from .process import engine_call, engine_command, engine_python
-from .request import LiftRequest
 from .task import LIFT, TaskPlace, TaskState
 from .terminal import Interrupts, LiveLine, follow
 
@@ -31,18 +31,14 @@ def show_error(error: PlgsError) -> None:
 def lift_in_terminal(
     options: argparse.Namespace,
     interrupts: Interrupts,
-    check: Callable[[LiftRequest], object],
-    is_done: Callable[[LiftFolder], bool],
     on_error: Callable[[PlgsError], object] = show_error,
 ) -> tuple[LiftFolder, ExitCode]:
     """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask, showing it on stderr, with
     its events on the descriptor ``echo`` where the options have one. ``on_error`` is told why the engine failed.
 
-    ``check`` looks at the scene before any folder is made, and raises when it is bad. ``is_done`` says of a folder at
-    rest whether nothing is left to lift (`engine.scene_of_lift`). A folder that was made
-    here and came to nothing is removed, so that the corrected command works. Where the options have a
-    ``program``, that one does the lift (see `engine_call`). Raises PlgsError; Interrupted on Ctrl-C, when the engine
-    has ended.
+    The engine looks at the scene, and says of a finished lift whether anything is left to do. A folder that was made
+    here and came to nothing is removed, so that the corrected command works. Where the options have a ``program``, that
+    one does the lift (see `engine_call`). Raises PlgsError; Interrupted on Ctrl-C, when the engine has ended.
     """
     python = engine_python()
     if options.poses is not None:
@@ -50,17 +46,14 @@ def lift_in_terminal(
     lift = resumable(options)
     is_new = lift is None
     if lift is None:
-        request = request_from(options)
-        check(request)
         try:
-            lift = LiftFolder.create(options.output, request)
+            lift = LiftFolder.create(options.output, request_from(options))
         except PlgsError:
             lift, is_new = resumable(options), False  # the same command may have been given twice at once
             if lift is None:
                 raise
-    elif _state_when_left_alone(lift) is LiftState.FINISHED and is_done(lift):
-        print(f"This lift is finished already: {lift.path}", file=sys.stderr)
-        return lift, ExitCode.FINISHED
+    else:
+        _state_when_left_alone(lift)
     lift.refuse_read_only()
     try:
         program = getattr(options, "program", "engine")
@@ -76,12 +69,18 @@ def _posed(photos: Path, python: Path, interrupts: Interrupts) -> Path:
     """The scene of photos or a film, whose poses an engine finds where an earlier one has not. Raises PlgsError;
     Interrupted.
     """
+    return Path(str(ask_engine(python, interrupts, "poses", photos)["folder"]))
+
+
+def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:
+    """Run the engine's command ``kind`` to its end, showing it on stderr, and return its answer. Raises PlgsError;
+    Interrupted."""
     with interrupts.deferred():
-        follower = TaskFollower.start([*engine_call(python), "poses", photos], TaskPlace.temporary(), kind="poses")
+        follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskPlace.temporary(), kind=kind)
         follow(follower, interrupts, LiveLine(sys.stderr))
     if follower.error is not None or follower.answer is None:
-        raise follower.error or PlgsError("no poses were found", photos, "Give the same command again.")
-    return Path(str(follower.answer["folder"]))
+        raise follower.error or PlgsError("the engine gave no answer", kind, "Give the same command again.")
+    return follower.answer
 
 
 def _state_when_left_alone(lift: LiftFolder) -> LiftState:

@@ -32,7 +32,7 @@ from ..job.cameras import refuse_equal_names
 from ..model.rendering import ClipRange
 from ..passes.exr import further_layers, read_note, write_exr
 from ..scene import Camera, Frame, Scene
-from ..scene_of_lift import scene_of_lift
+from ..scene_of_lift import complete_known_scene, scene_of_lift
 from ..train.progress import StageReporter
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, read_baker
 from .scene_files import MODEL
@@ -129,6 +129,8 @@ def _bake(
         corrected = read_corrected(folder.path)
         notes = {CORRECTIONS_NOTE: corrected.fingerprint}
         place = _Result(folder, locks, options) if options.output is None else _OwnFolder(folder, options)
+        if options.output is None:
+            complete_known_scene(folder, scene)
         wanted = [view for view in views_in(scene) if not place.has(view, notes)]
         baker = read_baker(folder, scene.classes, corrected)
     with stages.stage("bake") as progress:

@@ -137,5 +137,5 @@ def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int
         raise PlgsError("there are no photos here, and this is no film", place, "Name a folder of photos, or an .mp4.")
     for each in FORMATS:
         if each.recognises(place):
-            raise PlgsError(f"this scene has poses already ({each.label})", place, "Lift it as it is.")
+            raise PlgsError(f"this scene has poses already ({each.name})", place, "Lift it as it is.")
     return place, photos

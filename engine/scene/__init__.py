@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..scene_source import UpAxis
 from .camera import Camera
 from .checks import check_scene
-from .class_listing import ClassList, class_list_path, class_list_text, list_classes
+from .class_listing import ClassList, list_classes
 from .class_map import NamedClass
 from .class_tables import TABLES, is_thing_by_name, nearest_tables
 from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
@@ -57,8 +57,6 @@ __all__ = [
     "View",
     "chained",
     "check_scene",
-    "class_list_path",
-    "class_list_text",
     "choose_frames",
     "describe",
     "photo_detail",

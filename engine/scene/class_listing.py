@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ..errors import PlgsError
+from ..job.atomic import write_atomically
+from ..json_file import read_object
+from ..records import record_of
+from ..scene_source import SceneSource
 from .class_choice import FILE_NAME, class_choice_text, find_class_choice
 from .class_map import NamedClass, choice_of, named_classes
-from .class_tables import known_table
+from .class_tables import TABLES, known_table
 from .masks import mask_place, no_masks, open_mask_source
-from .opening import open_scene
+from .opening import open_asked
+
+_AGAIN = "Read the classes again."
 
 
 @dataclass(frozen=True)
@@ -23,27 +29,44 @@ class ClassList:
 
     path: Path
     rows: tuple[NamedClass, ...]
-    void: frozenset[int] = frozenset()
+    void: tuple[int, ...] = ()
 
 
-def list_classes(
-    folder: Path, masks: Path | None = None, scene_format: str | None = None, table: str | None = None
-) -> ClassList:
+def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
     """The classes in the masks' files and in a classes.toml beside them. Opens the scene; raises PlgsError.
 
     ``table`` starts anew with the classes of a table (see ``TABLES``), for masks whose files have none.
     """
-    scene = open_scene(folder, masks, "z", scene_format, classes=table)
-    place = _place_of_masks(folder, masks)
-    path = class_list_path(folder, masks)
-    beside = path.parent
+    path = class_list_path(source.scene, source.masks)
+    scene = open_asked(replace(source, up="z", classes=table))
+    if table is not None and table not in TABLES:
+        raise PlgsError("no public table is called that", table, f"Choose one of {', '.join(TABLES)}.")
     if table is not None:
         return ClassList(path, tuple(named_classes(known_table(table).labels, None)))
-    choice = find_class_choice(None, beside)
-    labels = open_mask_source(place, [frame.name for frame in scene.frames]).labels or ()
-    void = frozenset[int]() if choice is None else choice.void
+    choice = find_class_choice(None, path.parent)
+    names = [frame.name for frame in scene.frames]
+    labels = open_mask_source(_place_of_masks(source.scene, source.masks), names, source.mask_format).labels or ()
+    void = () if choice is None else tuple(sorted(choice.void))
     has_any = labels or (choice is not None and (choice.rows or choice.labels))
     return ClassList(path, tuple(named_classes(labels, choice)) if has_any else (), void)
+
+
+def write_class_list(source: SceneSource, edited: Path) -> Path:
+    """Write the classes.toml beside a scene's masks from a ClassList that was edited, in a JSON file. Returns its path.
+
+    Raises PlgsError for a list of another scene, and for a class without a name.
+    """
+    content: dict[str, Any] = read_object(edited, _AGAIN)
+    listed, path = record_of(ClassList, content, edited, _AGAIN), class_list_path(source.scene, source.masks)
+    if not listed.rows:
+        raise PlgsError("there are no classes to write", "Classes", "Read them from the masks first.")
+    if not all(row.name.isprintable() and row.name and row.into.isprintable() for row in listed.rows):
+        raise PlgsError("a class has no name", "Classes", "Give each a name of one line.")
+    if listed.path.absolute() != path.absolute():
+        raise PlgsError("the list is of another scene", path, _AGAIN)
+    rows = [replace(row, into=row.into or row.name) for row in listed.rows]
+    write_atomically(path, class_choice_text(choice_of(rows, frozenset(listed.void))))
+    return path
 
 
 def class_list_path(folder: Path, masks: Path | None = None) -> Path:
@@ -65,8 +88,3 @@ def _place_of_masks(folder: Path, masks: Path | None) -> Path:
     if place is None:
         raise no_masks(folder)
     return place
-
-
-def class_list_text(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) -> str:
-    """The text of a classes.toml with the edited list."""
-    return class_choice_text(choice_of(rows, void))

@@ -13,13 +13,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..scene_source import SceneSource, UpAxis
 from .camera import Camera
 from .estimated_depth import with_estimated_depth
-from .formats import Capture, Shot, find_format
+from .formats import Shot, find_format
 from .formats.lens import UNDISTORTED, undistorted
 from .frame import Frame, Scene, Size
 from .ground_truth import open_ground_truth
@@ -27,13 +26,13 @@ from .layout import listed, same_shape, shown_size
 from .limits import check_camera, depth_check
 from .masks import MaskSet, find_masks, no_masks
 from .pixels import ColourReader, decode
+from .plain_folders import lost_frames_warning
 from .splits import find_split
-from .up_axis import to_z_up, turned, up_axis_warning, upright_rotation
+from .up_axis import turned, upright_turn
 
 _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
 _READABLE = "Check that it exists, and its permissions."
-_UNKNOWN_UP = "the format does not say which way is up: the world is turned so that the cameras stand upright"
 
 
 def open_scene(
@@ -67,13 +66,13 @@ def open_asked(source: SceneSource) -> Scene:
     split = capture.split or find_split(beside, [shot.name for shot in capture.shots], capture.lost)
     chosen, held_out = {*split.train, *split.test}, frozenset(split.test)
     shots = [shot for shot in capture.shots if shot.name in chosen]
-    turn, turn_warnings = _turn_upright(capture, source.up)
+    poses = [shot.camera.camera_to_world for shot in capture.shots]
+    turn, turn_warnings = upright_turn(poses, source.up, capture.up, is_known=capture.up_is_known)
     cameras = {shot.name: shot.camera.at(turned(shot.camera.camera_to_world, turn)) for shot in shots}
     sizes = {shot.name: shot.camera.size for shot in shots}
     mask_set = find_masks(beside, masks, list(sizes), source.mask_format, source.classes)
     _check_mask_shapes(mask_set, sizes)
     truth, truth_warnings = open_ground_truth(beside, sizes, mask_set.classes) if mask_set.readers else ({}, [])
-    lost = f"{len(capture.lost)} frames without a pose are left out: {listed(capture.lost)}"
     points = None if capture.points is None else capture.points.turned(turn)
     frames = tuple(
         replace(
@@ -91,7 +90,7 @@ def open_asked(source: SceneSource) -> Scene:
         frames=frames,
         classes=mask_set.classes,
         warnings=(
-            *([lost] if capture.lost else []),
+            *lost_frames_warning(capture.lost),
             *split.warnings,
             *turn_warnings,
             *_lens_warnings(cameras),
@@ -137,20 +136,6 @@ def _frame(shot: Shot, camera: Camera, held_out: bool) -> Frame:
         read_mask=None,
         file_shows_colour=shot.read_colour is None and not bend.bends,
     )
-
-
-def _turn_upright(capture: Capture, up: UpAxis) -> tuple[NDArray[np.float64], list[str]]:
-    """The rotation, float64 [3, 3], from the capture's world into one with z up, and warnings."""
-    poses = [shot.camera.camera_to_world for shot in capture.shots]
-    axis: UpAxis | None = "z" if up == "+z" else capture.up if up == "z" else up
-    if axis is None:
-        turn = upright_rotation(poses)
-        return turn, [] if np.array_equal(turn, np.eye(3)) else [_UNKNOWN_UP]
-    turn = to_z_up(axis)
-    if capture.up_is_known and axis == capture.up:
-        return turn, []
-    tilted = up_axis_warning([turned(pose, turn) for pose in poses], axis)
-    return turn, [tilted] if tilted else []
 
 
 def _check_mask_shapes(masks: MaskSet, sizes: Mapping[str, Size]) -> None:

@@ -20,11 +20,11 @@ Size = tuple[int, int]
 class SparsePoints:
     """The points of the reconstruction that a scene's poses come from.
 
-    ``xyz`` is float64 [N, 3] in the world of the poses, ``rgb`` uint8 [N, 3] sRGB. ``seen_by`` maps a frame's name to
+    ``xyz`` is floats [N, 3] in the world of the poses, ``rgb`` uint8 [N, 3] sRGB. ``seen_by`` maps a frame's name to
     the indices int64 [K] of the points that were found in its picture. It is empty in formats without tracks.
     """
 
-    xyz: NDArray[np.float64]
+    xyz: NDArray[np.floating]
     rgb: NDArray[np.uint8]
     seen_by: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
 

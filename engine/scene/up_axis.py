@@ -14,11 +14,31 @@ _TO_Z_UP = {
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
+_UNKNOWN_UP = "the format does not say which way is up: the world is turned so that the cameras stand upright"
 _CLEARLY_UP = 0.6
 _NEARLY_UPRIGHT = 0.99
 """Cosine of 8 degrees: z that is this close to the cameras' up was meant to be up."""
 _SPREAD = 0.3
 """Second over first singular value of the cameras' right axes. Below it all cameras look the same way."""
+
+
+def upright_turn(
+    poses: Sequence[NDArray[np.float64]], asked: UpAxis, own: UpAxis | None, *, is_known: bool
+) -> tuple[NDArray[np.float64], list[str]]:
+    """The rotation, float64 [3, 3], from a capture's world into one with z up, and warnings.
+
+    ``poses`` are its cameras, float64 [4, 4] camera-to-world each. ``own`` is the axis that its format says points up,
+    None if it says nothing; ``is_known`` means that it was measured.
+    """
+    axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
+    if axis is None:
+        turn = upright_rotation(poses)
+        return turn, [] if np.array_equal(turn, np.eye(3)) else [_UNKNOWN_UP]
+    turn = to_z_up(axis)
+    if is_known and axis == own:
+        return turn, []
+    tilted = up_axis_warning([turned(pose, turn) for pose in poses], axis)
+    return turn, [tilted] if tilted else []
 
 
 def to_z_up(up: UpAxis) -> NDArray[np.float64]:

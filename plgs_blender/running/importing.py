@@ -6,24 +6,30 @@ camera do no harm. Where these are gone, nothing is shown.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
 
 from ...engine.errors import ErrorCode, PlgsError
+from ...engine.job import LiftFolder
 from ...engine.job.follower import TaskFollower
-from ...engine.job.made_frames import made_of
+from ...engine.known_scene import known_scene
+from ...engine.scene.made_frames import MadeFrames, made_of
+from ...engine.scene.posed import PosedScene
 from .. import engine_environment
-from ..chosen_scene import ChosenScene, lacks_package
+from ..chosen_scene import ChosenScene, needs_engine
 from ..engine_environment import why_no_engine
-from ..frame_pictures import KIND_OF, place_of_root, root_of, show_here, show_made, why_no_picture
+from ..frame_pictures import KIND_OF, place_of_root, root_of, show_made, why_no_picture
+from ..frames import PHOTO, picture_of, show_photo
 from ..import_scene import MISSING, add_made, look_at_imported, place_scene
 from ..inspecting.lookup import objects_by_key
-from ..lift_collection import SCENE, is_same_place, lifts_in
-from ..made_pictures import frames_folder, made_before
-from ..owned import LIFT
+from ..lift_collection import FOLDER, SCENE, is_same_place, lifts_in
+from ..made_pictures import frames_folder, made_before, photos, scene_of
+from ..owned import LIFT, OwnedDataBlocks, text_of
+from ..paths import absolute
 from ..settings import chosen_scene
 from ..startup_file import taking_over
 from ..tasks import registry, timer
@@ -59,18 +65,30 @@ class FrameMaking(Task):
         self.order = order
         self._folder = folder
 
+    def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
+        """Place the cameras as soon as the engine has read them, while it makes pictures."""
+        if self.order.lift or not self.is_running or not self.progress.step:
+            return False
+        return self._place_cameras()
+
+    def _place_cameras(self) -> bool:
+        """Whether they are placed now. Raises PlgsError."""
+        made, target = made_of(self._folder, self.order.chosen.resolved), bpy.data.scenes.get(self.order.scene)
+        if made is None or target is None:
+            return False
+        root = _place(self.order.chosen, scene_of(made), made, target, "cloud" in self.order.kinds)
+        self.order = replace(self.order, lift=root[LIFT])
+        return True
+
     def done(self, scene: Any) -> None:
         is_of_bad_input = self.error is not None and self.error.code is ErrorCode.BAD_INPUT
         if not self.has_finished and not is_of_bad_input:  # of bad depth the pictures are made all the same
             return
         self.undo_step = "PLGS Frames"
+        if not self._folder.is_dir() or (not self.order.lift and not self._place_cameras()):
+            return
         made, order = made_of(self._folder, self.order.chosen.resolved), self.order
         if made is None:
-            return
-        if not order.lift:
-            target = bpy.data.scenes.get(order.scene)
-            if target is not None:
-                _place(order.chosen, target, "cloud" in order.kinds)
             return
         for each in bpy.data.scenes:
             for root in (root for root in lifts_in(each) if root[LIFT] == order.lift):
@@ -96,18 +114,20 @@ def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
     return timer.begin(FrameMaking(order, folder, start_engine("frames", python, *command)))
 
 
-def _place(chosen: ChosenScene, scene: bpy.types.Scene, cloud: bool) -> bpy.types.Collection:
+def _place(
+    chosen: ChosenScene, opened: PosedScene, made: MadeFrames | None, scene: bpy.types.Scene, cloud: bool
+) -> bpy.types.Collection:
     """Place the scene. In an untouched startup file the views then look at it. Raises PlgsError."""
     with taking_over(scene) as is_untouched:
-        root = place_scene(chosen, scene, cloud=cloud)
+        root = place_scene(chosen, opened, made, scene, cloud=cloud)
     if is_untouched:
         look_at_imported(root, scene)
     return root
 
 
 def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking | None:
-    """Import the scene that the panel is set to, and let an engine begin with what is missing, where there is one. What
-    Blender's Python cannot even open is imported as a whole when the engine is done.
+    """Import the scene that the panel is set to. Plain folders are placed at once, and an engine, where there is one,
+    begins with what is missing. An engine reads all other layouts: their cameras come when it has.
 
     Returns the engine's task, None where none was started. Raises PlgsError, OSError.
     """
@@ -118,13 +138,15 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking |
     if not registry.running(FrameMaking):
         registry.forget(FrameMaking.kind)
         python = engine_environment.engine_python()
-    try:
-        root = _place(chosen, scene, cloud)
-    except PlgsError as error:
-        if python is None or not lacks_package(error):
-            raise
+    is_plain = chosen.is_plain
+    if not is_plain and python is not None:
         kinds = ("colour", "cloud") if cloud else ("colour",)
         return make_frames(FrameOrder(chosen, "", kinds, scene=scene.name), python)
+    made = made_before(chosen.resolved)
+    if not is_plain and made is None:
+        raise needs_engine(chosen)
+    opened = scene_of(made) if made is not None and not is_plain else chosen.open_plain()
+    root = _place(chosen, opened, made, scene, cloud)
     if root[MISSING] and python is not None:
         return make_frames(FrameOrder(chosen, root[LIFT], tuple(root[MISSING].split())), python)
     return None
@@ -150,21 +172,37 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str) -> FrameMaking | None:
     """
     reason = why_no_picture(scene)
     if reason is not None:
-        raise PlgsError("the active camera is no frame's", scene.name, f"{reason}.")
+        raise PlgsError("the active camera is not a frame's", scene.name, f"{reason}.")
     ob = scene.camera
     root = root_of(scene, ob)
     chosen = place_of_root(root)
     made = made_before(chosen.resolved)
     drawn = None if made is None else made.frames.get(ob["frame"])
-    python = engine_environment.engine_python()
-    try:
-        if show_here(scene, ob, shown_kind, drawn):
-            return None
-    except PlgsError as error:  # also where Blender's Python lacks a package: an engine may have it
-        if python is None or error.where == ob["frame"]:  # the frame itself has no depth or no mask
-            raise
-    if python is None and drawn is not None:
+    picture = _picture_file(root, ob["frame"], chosen, made) if shown_kind == PHOTO else None
+    if picture is not None:
+        show_photo(ob, OwnedDataBlocks(root[LIFT], scene), picture)
+        return None
+    if drawn is not None and engine_environment.engine_python() is None:
         show_made(scene, ob, shown_kind, drawn)
         return None
     order = FrameOrder(chosen, root[LIFT], (KIND_OF[shown_kind],), ob["frame"], shown_kind)
-    return make_frames(order, python or engine_environment.usable_python())
+    return make_frames(order, engine_environment.usable_python())
+
+
+def _picture_file(
+    root: bpy.types.Collection, name: str, chosen: ChosenScene, made: MadeFrames | None
+) -> Path | None:
+    """The image file that shows a frame of an import or a lift; None where an engine has to make it. Raises
+    PlgsError."""
+    if text_of(root, FOLDER):
+        opened = known_scene(LiftFolder.open(absolute(root[FOLDER])))
+    elif chosen.is_plain:
+        opened = chosen.open_plain()
+    elif made is not None:
+        opened = scene_of(made)
+    else:
+        return None
+    frame = next((each for each in opened.frames if each.name == name), None)
+    if frame is None:
+        raise PlgsError("is not a frame of the scene any more", name, "Import the scene again.")
+    return picture_of(frame, photos(made, [frame]))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 
 from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job import LiftFolder, read_manifest
-from ...engine.scene import open_scene_to_lift
-from ...engine.scene_of_lift import relink
+from ...engine.job.follower import TaskFollower
 from .. import engine_environment
 from ..clouds import cloud_folder
 from ..engine_environment import why_no_engine
@@ -24,7 +24,8 @@ from ..owned import text_of
 from ..paths import absolute, free_folder
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, chosen_scene, request_of, why_no_options
 from ..shots import ShotReader, shot_of, write_view
-from ..tasks import timer
+from ..tasks import registry, timer
+from ..tasks.registry import Task, start_engine
 from . import exports, lifts
 from .lifts import Lift
 from .survey import survey_of, why_not_liftable
@@ -78,9 +79,6 @@ def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, name
         raise PlgsError("no scene is chosen", "Scene", "Choose a folder with color, depth, pose and intrinsic.")
     python = engine_environment.usable_python()
     request = replace(request_of(settings), names_from=absolute(names_from) if names_from else earlier_lift(settings))
-    known = survey_of(chosen_scene(settings))
-    if known is None or known.error is not None or why_not_liftable(known) is not None:
-        open_scene_to_lift(request)  # otherwise a look has shown that it can be lifted, and a button answers at once
     folder = chosen_lift(settings)
     if folder is None or (not in_that_folder and (folder / "request.json").exists()):
         folder = free_folder(request.scene, "lift")
@@ -109,16 +107,35 @@ def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
     return followed
 
 
-def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> Lift:
-    """Tell the lift in `folder`, or in that of the settings, where its scene now is, and show it with its photos where
-    it is shown. Raises PlgsError, also for another scene.
+class SceneFinding(Task):
+    """An engine compares the frames of a place with those of a lift, which then reads them from there."""
+
+    kind, label, undo_step = "find_scene", "Comparing the frames", "Find Scene"
+
+    def __init__(self, lift: LiftFolder, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self._lift = lift
+        self.message = ""
+
+    def done(self, scene: Any) -> None:
+        if self.answer is None:
+            return
+        self.message = f"The lift reads {self.answer.get('scene')}"
+        lift = LiftFolder.open(self._lift.path)
+        lifts.attach(lift.path)
+        adopt(scene.plgs, lift.request, lift.path)
+        if any(is_same_place(text_of(root, FOLDER), lift.path) for root in lifts_in(scene)):
+            lifts.show_lift(scene, lift)
+
+
+def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFinding:
+    """Let an engine tell the lift in `folder`, or in that of the settings, where its scene now is. Where the lift is
+    shown, it is then shown with its photos. Raises PlgsError, also for another scene.
     """
-    lift = relink(lift_at(scene.plgs, folder), place)
-    followed = lifts.attach(lift.path)
-    adopt(scene.plgs, lift.request, lift.path)
-    if any(is_same_place(text_of(root, FOLDER), lift.path) for root in lifts_in(scene)):
-        lifts.show_lift(scene, lift)
-    return followed
+    registry.refuse_second(SceneFinding)
+    lift = lift_at(scene.plgs, folder)
+    follower = start_engine("find-scene", engine_environment.usable_python(), lift.path, place)
+    return timer.begin(SceneFinding(lift, follower))
 
 
 def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:

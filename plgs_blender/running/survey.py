@@ -1,11 +1,12 @@
 """What is in the scene that the panel is set to, and what can be done with it.
 
-An engine looks into the pixels meanwhile; where there is none, the headers tell. The panel draws from here and reads
-nothing while it draws.
+An engine looks into the pixels meanwhile; where there is none, the headers of plain folders tell. The panel draws from
+here and reads nothing while it draws.
 """
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,8 +15,9 @@ from typing import Any, NamedTuple
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
-from ...engine.scene import Scene, Size
-from ..chosen_scene import ChosenScene
+from ...engine.scene.posed import PosedScene, Size
+from ..chosen_scene import ChosenScene, needs_engine
+from ..engine_environment import engine_python
 from ..inspecting.text_boxes import Colour
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
@@ -32,7 +34,7 @@ class Survey:
     holds the sizes of the colour images with how many have each, the commonest first. ``depth_range`` is the
     nearest, middle and farthest depth in metres, None where no engine has looked into the pixels. ``picture_files``
     counts the frames whose picture is an image file that Blender can show as it is. While an engine looks
-    (``is_looking``), nothing else is known.
+    (``is_looking``), nothing else is known. ``has_masks`` is None where no engine has looked for them.
     """
 
     chosen: ChosenScene
@@ -46,7 +48,7 @@ class Survey:
     is_looking: bool = False
     format: str = ""
     has_depth: bool = False
-    has_masks: bool = False
+    has_masks: bool | None = False
     sparse_points: int = 0
     picture_files: int = 0
 
@@ -79,7 +81,7 @@ def survey_of(chosen: ChosenScene) -> Survey | None:
 
 
 def look(chosen: ChosenScene, python: Path | None) -> Survey:
-    """Let an engine look at the scene if there is a ``python`` for one; else read its headers now, 1 ms a frame.
+    """Let an engine look at the scene if there is a ``python`` for one; else read plain folders now, 1 ms per frame.
 
     Never raises for a bad scene: the survey says what is wrong.
     """
@@ -88,13 +90,21 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
     _latest = Survey(chosen)
     if python is None or not _begin_look(chosen, python):
         try:
-            _latest = _from_headers(chosen, chosen.open())
+            _latest = _look_alone(chosen)
         except PlgsError as error:
             _latest = Survey(chosen, error=error)
-        except (OSError, ValueError) as error:  # a path that this system cannot even look at
-            refusal = PlgsError(f"the scene cannot be looked at ({error})", chosen.scene, "Choose other folders.")
-            _latest = Survey(chosen, error=refusal)
-    return _latest
+    return _latest or Survey(chosen)
+
+
+def _look_alone(chosen: ChosenScene) -> Survey | None:
+    """What Blender sees by itself; None where only an engine can look, and there is one. Raises PlgsError."""
+    if not os.path.exists(chosen.scene):
+        raise PlgsError("there is no such folder", chosen.scene, "Choose the folder of a scene.")
+    if chosen.is_plain:
+        return _of_plain(chosen, chosen.open_plain())
+    if engine_python() is None:
+        raise needs_engine(chosen)
+    return None
 
 
 def _begin_look(chosen: ChosenScene, python: Path) -> bool:
@@ -108,20 +118,18 @@ def _begin_look(chosen: ChosenScene, python: Path) -> bool:
     return True
 
 
-def _from_headers(chosen: ChosenScene, scene: Scene) -> Survey:
-    sizes = Counter(frame.size for frame in scene.frames).most_common()
+def _of_plain(chosen: ChosenScene, scene: PosedScene) -> Survey:
+    held_out = sum(frame.held_out for frame in scene.frames)
     return Survey(
         chosen,
-        train_frames=len(scene.train_frames),
-        test_frames=len(scene.test_frames),
-        sizes=tuple(sizes),
-        classes=tuple((each.name, _colour(each.colour)) for each in scene.classes.categories),
+        train_frames=len(scene.frames) - held_out,
+        test_frames=held_out,
+        sizes=tuple(Counter(frame.size for frame in scene.frames).most_common()),
         warnings=scene.warnings,
         format=scene.format,
-        has_depth=scene.has_depth,
-        has_masks=scene.has_masks,
-        sparse_points=0 if scene.points is None else len(scene.points),
-        picture_files=sum(frame.file_shows_colour for frame in scene.frames),
+        has_depth=all(frame.depth_path is not None for frame in scene.frames),
+        has_masks=None,
+        picture_files=len(scene.frames),
     )
 
 
@@ -214,7 +222,9 @@ def _cloud(survey: Survey, has_engine: bool) -> Possibility:
 
 
 def _lift(survey: Survey) -> Possibility:
-    lacks = [what for what, has in (("depth", survey.has_depth), ("masks", survey.has_masks)) if not has]
+    lacks = [what for what, has in (("depth", survey.has_depth), ("masks", survey.has_masks)) if has is False]
+    if not lacks and survey.has_masks is None:
+        return Possibility("Lift", True, "an engine looks for the masks when it begins")
     if not lacks:
         return Possibility("Lift", True, "depth and masks are there")
     verb = "are" if "masks" in lacks else "is"

@@ -16,7 +16,6 @@ from engine.job.session import lift_in_terminal
 from engine.job.terminal import Interrupts
 from engine.scene import open_scene_to_lift
 from engine.scene.layout import listed
-from engine.scene_of_lift import is_done
 
 from ..baselines.without_a_lift import scores_without_a_lift
 from ..results import Result, read_result, read_results
@@ -78,7 +77,7 @@ def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result
     if task.depth_of is not None:
         make_depth_maps(task.depth_of, task.options.depth)
     errors: list[PlgsError] = []
-    lift, code = lift_in_terminal(task.options, interrupts, open_scene_to_lift, is_done, errors.append)
+    lift, code = lift_in_terminal(task.options, interrupts, errors.append)
     if code is ExitCode.CANCELLED:
         raise Cancelled
     if errors:

@@ -15,8 +15,8 @@ from functools import cache
 from pathlib import Path
 
 from ..classes import VOID, ClassLabel
+from ..format_names import TABLES as TABLES
 
-TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "scannet200", "replica", "reduced")
 REDUCED = "reduced"
 
 

@@ -1,6 +1,7 @@
 """The formats of scenes: one reader each, which recognises its files by their names and reads posed pictures.
 
-A new format is a module with a ``SceneFormat`` in this folder and its entry in ``FORMATS``. The panel's list follows.
+A new format is a module with a ``SceneFormat`` in this folder, its entry in ``FORMATS``, and its name in
+``format_names.py``, from where the panel has its list.
 """
 
 from __future__ import annotations

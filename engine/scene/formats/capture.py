@@ -64,14 +64,12 @@ class Capture:
 
 @dataclass(frozen=True)
 class SceneFormat:
-    """A format of scenes: the ``name`` that options use, the ``label`` in the panel, and the files it looks for.
+    """A format of scenes by its ``name``, one of `SCENE_FORMAT_NAMES`.
 
     ``recognises`` says whether a folder or file has it; nothing is decoded for that. ``read`` raises PlgsError.
     """
 
     name: str
-    label: str
-    looks_for: str
     recognises: Callable[[Path], bool]
     read: Callable[[Path], Capture]
 

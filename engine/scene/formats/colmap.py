@@ -153,4 +153,4 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     return np.where(is_broken, np.float32(0.0), only_depth(values))
 
 
-FORMAT = SceneFormat("colmap", "COLMAP", _LOOKS_FOR, _recognises, _read)
+FORMAT = SceneFormat("colmap", _recognises, _read)

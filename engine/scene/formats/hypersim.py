@@ -134,6 +134,4 @@ def _read_table(path: Path) -> list[dict[str, str]]:
         raise PlgsError("this is no table", path, _FIX) from error
 
 
-FORMAT = SceneFormat(
-    "hypersim", "Hypersim", "_detail/metadata_scene.csv and images/scene_cam_00_geometry_hdf5", _recognises, _read
-)
+FORMAT = SceneFormat("hypersim", _recognises, _read)

@@ -201,4 +201,4 @@ def _points(content: dict[str, Any], path: Path) -> SparsePoints | None:
     return read_ply_points(ply) if ply.is_file() else None
 
 
-FORMAT = SceneFormat("nerfstudio", "transforms.json (nerfstudio)", _FILE, _recognises, _read)
+FORMAT = SceneFormat("nerfstudio", _recognises, _read)

@@ -136,5 +136,4 @@ def _lens(entry: dict[str, Any], path: Path) -> Camera:
     return pinhole(width, height, K[0], K[4], K[6] + 0.5, K[7] + 0.5, path=path, fix=_LENS_FIX)
 
 
-_LOOKS_FOR = "a .log trajectory (or trajectory.json) with the folders depth and color, image or rgb"
-FORMAT = SceneFormat("open3d", "Open3D trajectory", _LOOKS_FOR, _recognises, _read)
+FORMAT = SceneFormat("open3d", _recognises, _read)

@@ -59,4 +59,4 @@ def _shot(name: str, image: Path, path: Path, depth: Path | None, level: Path | 
     return Shot(name, lens.at(from_opengl(pose)), image, depth_map)
 
 
-FORMAT = SceneFormat("polycam", "Polycam", "keyframes/cameras and keyframes/images", _recognises, _read)
+FORMAT = SceneFormat("polycam", _recognises, _read)

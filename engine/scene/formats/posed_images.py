@@ -47,6 +47,4 @@ def _shot(folder: Path, picture: Path) -> Shot | None:
     return Shot(picture.stem, lens.at(pose), picture, png_depth(depth, lens) if depth.is_file() else None)
 
 
-FORMAT = SceneFormat(
-    "posed-images", "ScanNet posed_images", "intrinsic.txt with 00000.jpg and 00000.txt", _recognises, _read
-)
+FORMAT = SceneFormat("posed-images", _recognises, _read)

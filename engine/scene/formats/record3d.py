@@ -291,4 +291,4 @@ def _length(data: bytes, place: int, kind: bytes, claimed: int) -> int:
     return (third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
 
 
-FORMAT = SceneFormat("record3d", "Record3D .r3d", "a .r3d file, or metadata with the folder rgbd", _recognises, _read)
+FORMAT = SceneFormat("record3d", _recognises, _read)

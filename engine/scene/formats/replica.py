@@ -100,7 +100,5 @@ def _capture(
     return Capture(found, "z")
 
 
-NICE_SLAM = SceneFormat("replica", "Replica (NICE-SLAM)", "traj.txt with results/frame000000.jpg", _recognises, _read)
-VMAP = SceneFormat(
-    "vmap", "Replica (vMAP)", "traj_w_c.txt with the folders rgb and depth", _recognises_vmap, _read_vmap
-)
+NICE_SLAM = SceneFormat("replica", _recognises, _read)
+VMAP = SceneFormat("vmap", _recognises_vmap, _read_vmap)

@@ -215,4 +215,4 @@ def _lz4_length(data: bytes, i: int, length: int) -> tuple[int, int]:
     return length, i
 
 
-FORMAT = SceneFormat("scannetpp", "ScanNet++ iPhone", "iphone/pose_intrinsic_imu.json", _recognises, _read)
+FORMAT = SceneFormat("scannetpp", _recognises, _read)

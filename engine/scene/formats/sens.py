@@ -168,4 +168,4 @@ def _read_depth(block: _Block, header: _Header) -> NDArray[np.float32]:
     return np.frombuffer(data, "<u2").reshape(height, width) * np.float32(header.unit)
 
 
-FORMAT = SceneFormat("sens", "ScanNet .sens", "a .sens file", _recognises, _read)
+FORMAT = SceneFormat("sens", _recognises, _read)

@@ -111,8 +111,5 @@ def _kinect(focal_length: float) -> Camera:
     return Camera(640, 480, focal_length, focal_length, 320.5, 240.5, np.eye(4))
 
 
-_LOOKS_FOR = "frame-000000.pose.txt and .color.png, in the folder or in seq-01"
-SEVEN_SCENES = SceneFormat("7scenes", "7-Scenes", _LOOKS_FOR, _recognises, _read)
-TSDF_FUSION = SceneFormat(
-    "tsdf-fusion", "tsdf-fusion, 3DMatch", f"{_LOOKS_FOR}, with camera-intrinsics.txt", _recognises_tsdf, _read_tsdf
-)
+SEVEN_SCENES = SceneFormat("7scenes", _recognises, _read)
+TSDF_FUSION = SceneFormat("tsdf-fusion", _recognises_tsdf, _read_tsdf)

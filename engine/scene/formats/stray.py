@@ -84,4 +84,4 @@ def _read_odometry(path: Path) -> list[dict[str, float]]:
     return found
 
 
-FORMAT = SceneFormat("stray", "Stray Scanner", "odometry.csv, camera_matrix.csv and rgb.mp4", _recognises, _read)
+FORMAT = SceneFormat("stray", _recognises, _read)

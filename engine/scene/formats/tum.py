@@ -210,11 +210,5 @@ def _shot(name: str, colour: Path, depth: Path | None, lens: _Lens, pose: NDArra
     return Shot(name, camera, colour, depth_map, distortion=Distortion("brown", lens.bent))
 
 
-TUM = SceneFormat("tum", "TUM RGB-D", "groundtruth.txt with the folder rgb", _recognises, _read)
-ICL = SceneFormat(
-    "icl",
-    "ICL-NUIM",
-    "*.gt.freiburg, or groundtruth.txt with whole numbers as time stamps, with the folder rgb",
-    _recognises_icl,
-    _read_icl,
-)
+TUM = SceneFormat("tum", _recognises, _read)
+ICL = SceneFormat("icl", _recognises_icl, _read_icl)

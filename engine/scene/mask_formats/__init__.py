@@ -1,7 +1,7 @@
 """The formats of masks: one reader each, which recognises its files and reads segments.
 
-A new format is a module with a ``MaskFormat`` in this folder and its entry in ``MASK_FORMATS``. The panel's list
-follows.
+A new format is a module with a ``MaskFormat`` in this folder, its entry in ``MASK_FORMATS``, and its name in
+``format_names.py``, from where the panel has its list.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import PlgsError
+from ..format_names import MASK_FORMAT_NAMES
 from ..layout import listed, shown
 from . import (
     class_arrays,
@@ -65,7 +66,7 @@ def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
         raise PlgsError(f"these masks look like {names}", place, fix, option="--mask-format")
     if not found:
         _refuse_pickles(place)
-        wanted = "; ".join(f"{each.name}: {each.looks_for}" for each in MASK_FORMATS)
+        wanted = "; ".join(f"{each.name}: {each.looks_for}" for each in MASK_FORMAT_NAMES)
         raise PlgsError("there are no masks of a known format", place, f"Looked for {wanted}.")
     return found[0]
 

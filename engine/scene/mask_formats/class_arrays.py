@@ -111,5 +111,4 @@ def _size(shape: tuple[int, ...], kind: str, path: Path) -> Size:
     raise PlgsError(f"an array of the shape {list(shape)} is no mask", path, _FIX)
 
 
-_LOOKS_FOR = "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"
-FORMAT = MaskFormat("arrays", _LOOKS_FOR, _recognises, _read)
+FORMAT = MaskFormat("arrays", _recognises, _read)

@@ -198,4 +198,4 @@ def take_score(info: dict[str, Any], context: str, table: Path) -> float:
     return float(score)
 
 
-FORMAT = MaskFormat("coco", "panoptic.json and the PNGs in panoptic", _recognises, _read, in_scene=True, own_names=True)
+FORMAT = MaskFormat("coco", _recognises, _read, in_scene=True, own_names=True)

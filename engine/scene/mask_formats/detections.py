@@ -150,5 +150,4 @@ def _segments(found: Sequence[Detection], label_of: Mapping[str, int]) -> tuple[
     return tuple(FoundSegment(n, label_of[one.word], one.score) for n, one in enumerate(found, start=1))
 
 
-_LOOKS_FOR = "<frame>.npz with masks, classes and scores, or <frame>/<k>_<class>_<score>.png"
-FORMAT = MaskFormat("detections", _LOOKS_FOR, _recognises, _read)
+FORMAT = MaskFormat("detections", _recognises, _read)

@@ -181,5 +181,5 @@ def _covering(path: Path, header: ExrHeader, matte: Matte) -> NDArray[np.int64]:
     return np.where(covered >= _COVERED, np.ascontiguousarray(bits).view(np.uint32).astype(np.int64), 0)
 
 
-CRYPTOMATTE = MaskFormat("cryptomatte", "<frame>.exr with Cryptomatte", _recognises_cryptomatte, _read_cryptomattes)
-OBJECT_INDEX = MaskFormat("object-index", "<frame>.exr with the channel IndexOB", _recognises_index, _read_indices)
+CRYPTOMATTE = MaskFormat("cryptomatte", _recognises_cryptomatte, _read_cryptomattes)
+OBJECT_INDEX = MaskFormat("object-index", _recognises_index, _read_indices)

@@ -75,5 +75,4 @@ def _objects(path: Path) -> dict[int, str]:
     return found
 
 
-_LOOKS_FOR = "mask_data/mask_<frame>.npy and json_data/mask_<frame>.json"
-FORMAT = MaskFormat("grounded-sam2", _LOOKS_FOR, _recognises, _read, own_names=True)
+FORMAT = MaskFormat("grounded-sam2", _recognises, _read, own_names=True)

@@ -78,7 +78,5 @@ def _read_pair(classes: Path, instances: Path | None) -> FoundMask:
     return segments_of_pairs(labels, objects)
 
 
-PAIRS_FORMAT = MaskFormat("pairs", _LOOKS_FOR, _recognises_pairs, _read_pairs, own_names=True)
-PALETTE = MaskFormat(
-    "palette", "<frame>.png with a palette, or grey, whose values are classes", _recognises_palette, _read_palette
-)
+PAIRS_FORMAT = MaskFormat("pairs", _recognises_pairs, _read_pairs, own_names=True)
+PALETTE = MaskFormat("palette", _recognises_palette, _read_palette)

@@ -51,6 +51,4 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     )
 
 
-FORMAT = MaskFormat(
-    "panoptic-lifting", "m2f_semantics and m2f_instance", _recognises, _read, in_scene=True, own_names=True
-)
+FORMAT = MaskFormat("panoptic-lifting", _recognises, _read, in_scene=True, own_names=True)

@@ -74,4 +74,4 @@ def _of_objects(files: Mapping[int, Path]) -> StoredMask:
     return StoredMask(paths[0], size, partial(painted_files, paths, segments, size, _FIX))
 
 
-FORMAT = MaskFormat("sam2", "<frame>.png with a palette, or <object number>/<frame>.png", _recognises, _read)
+FORMAT = MaskFormat("sam2", _recognises, _read)

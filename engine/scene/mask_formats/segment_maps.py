@@ -180,9 +180,5 @@ def _labels_of_config(config: Path, fused: set[int]) -> tuple[ClassLabel, ...]:
     return tuple(labels[key] for key in sorted(labels))
 
 
-TRANSFORMERS = MaskFormat(
-    "transformers", "<frame>.json with label_id and <frame>.npy or .png", _recognises_transformers, _read_transformers
-)
-DETECTRON2 = MaskFormat(
-    "detectron2", "<frame>.json with category_id and <frame>.npy or .png", _recognises_detectron2, _read_detectron2
-)
+TRANSFORMERS = MaskFormat("transformers", _recognises_transformers, _read_transformers)
+DETECTRON2 = MaskFormat("detectron2", _recognises_detectron2, _read_detectron2)

@@ -71,7 +71,7 @@ class MaskSource:
 
 @dataclass(frozen=True)
 class MaskFormat:
-    """A format of masks: the ``name`` that options use, and the files it looks for.
+    """A format of masks by its ``name``, one of `MASK_FORMAT_NAMES`.
 
     ``recognises`` says whether a folder or file has it, by names, headers and first keys; no picture is decoded.
     ``read`` gets the frames' names and raises PlgsError. ``in_scene``: a scene's own folder is searched as well.
@@ -79,7 +79,6 @@ class MaskFormat:
     """
 
     name: str
-    looks_for: str
     recognises: Callable[[Path], bool]
     read: Callable[[Path, Sequence[str]], MaskSource]
     in_scene: bool = False

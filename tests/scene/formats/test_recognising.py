@@ -8,15 +8,20 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.scene import FORMATS, open_scene
+from engine.scene.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
+from engine.scene.mask_formats import MASK_FORMATS
+from engine.scene.plain_folders import NAME
 from tests.scene.formats import test_colmap, test_nerfstudio
 from tests.scene.formats.room import check_colours
 from tests.scene.refusing import refuses
 
 
 def test_each_format_has_a_name_of_its_own_and_says_what_it_looks_for() -> None:
-    names = [each.name for each in FORMATS]
-    assert len({*names}) == len(names) == 17 and names[0] == "scannet"
-    assert all(each.looks_for for each in FORMATS)
+    for formats, told in ((FORMATS, SCENE_FORMAT_NAMES), (MASK_FORMATS, MASK_FORMAT_NAMES)):
+        names = [each.name for each in formats]
+        assert len({*names}) == len(names) and names == [each.name for each in told]
+        assert all(each.label and each.looks_for for each in told)
+    assert FORMATS[0].name == NAME and len(FORMATS) == 17
 
 
 def test_two_formats_in_one_folder_have_to_be_told_apart(tmp_path: Path) -> None:

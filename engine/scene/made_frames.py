@@ -1,6 +1,7 @@
 """frames.json: the files that an engine makes of a scene's frames for programs that cannot read the frames themselves.
 
-Blender's Python has no OpenCV. It takes from here what lies in a video or an archive, and what has to be undistorted.
+Blender's Python has no OpenCV. It takes from here the cameras of all layouts but plain folders, and pictures that lie
+in a video or an archive, or have to be undistorted.
 """
 
 from __future__ import annotations
@@ -10,11 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import PlgsError
+from ..job.atomic import write_atomically
 from ..records import read_record, record_text
 from ..scene_source import SceneSource
-from .atomic import write_atomically
+from .stored import StoredScene
 
 FILE = "frames.json"
+VERSION = 2
+"""Of frames.json. Version 1 had no cameras of frames without a picture."""
 _FIX = "Delete the folder: it is made anew."
 _INSIDE = {"inside": True}
 
@@ -22,18 +26,9 @@ _INSIDE = {"inside": True}
 @dataclass(frozen=True)
 class MadeFrame:
     """One frame's pictures, None where it has none: its ``colour`` undistorted, its ``depth`` and ``masks`` drawn in
-    colours.
-
-    ``depth_range`` is the nearest and the farthest depth in metres that the drawing distinguishes. ``lens`` is width,
-    height, fx, fy, cx, cy in pixels (centres at +0.5); ``pose`` is camera-to-world, 16 numbers row by row, OpenCV axes,
-    metres. Both are for scenes that Blender cannot open. ``picture`` is the scene's own image file that shows what
-    ``colour`` would, None when there is no such file.
+    colours. ``depth_range`` is the nearest and the farthest depth in metres that the drawing distinguishes.
     """
 
-    lens: tuple[float, ...] = ()
-    pose: tuple[float, ...] = ()
-    held_out: bool = False
-    picture: Path | None = None
     colour: Path | None = field(default=None, metadata=_INSIDE)
     depth: Path | None = field(default=None, metadata=_INSIDE)
     depth_range: tuple[float, float] | None = None
@@ -42,33 +37,26 @@ class MadeFrame:
 
 @dataclass(frozen=True)
 class MadeFrames:
-    """What lies in ``folder``: pictures by frame name, and the ``cloud`` (.npz with xyz float32 [N, 3] metres and rgb
-    uint8 [N, 3]), None where it was not asked for. ``total`` counts the scene's frames.
+    """What lies in ``folder``: the cameras of all frames of the ``scene``, and the pictures by frame name. ``cloud`` is
+    made of depth, ``points`` are those of the reconstruction behind the poses: .npz files with xyz float32 [N, 3]
+    metres and rgb uint8 [N, 3], None where there are none.
     """
 
     folder: Path = field(metadata={"apart": True})
     source: SceneSource
+    scene: StoredScene
     frames: Mapping[str, MadeFrame] = field(default_factory=dict)
     cloud: Path | None = field(default=None, metadata=_INSIDE)
-    total: int = 0
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether every frame of the scene is named."""
-        return 0 < self.total <= len(self.frames)
+    points: Path | None = field(default=None, metadata=_INSIDE)
 
     def write(self) -> None:
         """Put frames.json into the folder. Raises OSError."""
-        write_atomically(self.folder / FILE, record_text(self, self.folder))
+        write_atomically(self.folder / FILE, record_text(self, self.folder, VERSION))
 
     @classmethod
     def read(cls, folder: Path) -> MadeFrames:
         """Read the frames.json of a folder. Raises PlgsError when it is missing, of another version, or damaged."""
-        made = read_record(cls, folder / FILE, _FIX, folder=folder)
-        for name, frame in made.frames.items():
-            if len(frame.lens) != 6 or len(frame.pose) != 16:
-                raise PlgsError(f"frame {name!r} has no camera", folder / FILE, _FIX)
-        return made
+        return read_record(cls, folder / FILE, _FIX, VERSION, folder=folder)
 
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:

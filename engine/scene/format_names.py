@@ -1,0 +1,67 @@
+"""The names of formats of scenes and masks and of public class tables, as options, messages and Blender show them.
+
+``formats/`` and ``mask_formats/`` have a reader for each; a test sees to it that these tables name them all.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class FormatName(NamedTuple):
+    """The ``name`` that options use, the ``label`` for people, and the files that the format's reader looks for."""
+
+    name: str
+    label: str
+    looks_for: str
+
+
+SCENE_FORMAT_NAMES = (
+    FormatName("scannet", "ScanNet folders", "the folders color, pose and intrinsic"),
+    FormatName("nerfstudio", "transforms.json (nerfstudio)", "transforms.json"),
+    FormatName("colmap", "COLMAP", "cameras and images, .bin or .txt, in sparse/0, sparse, model or colmap/sparse/0"),
+    FormatName("tum", "TUM RGB-D", "groundtruth.txt with the folder rgb"),
+    FormatName(
+        "icl", "ICL-NUIM",
+        "*.gt.freiburg, or groundtruth.txt with whole numbers as time stamps, with the folder rgb",
+    ),  # fmt: skip
+    FormatName("7scenes", "7-Scenes", "frame-000000.pose.txt and .color.png, in the folder or in seq-01"),
+    FormatName(
+        "tsdf-fusion", "tsdf-fusion, 3DMatch",
+        "frame-000000.pose.txt and .color.png, in the folder or in seq-01, with camera-intrinsics.txt",
+    ),  # fmt: skip
+    FormatName("replica", "Replica (NICE-SLAM)", "traj.txt with results/frame000000.jpg"),
+    FormatName("vmap", "Replica (vMAP)", "traj_w_c.txt with the folders rgb and depth"),
+    FormatName("posed-images", "ScanNet posed_images", "intrinsic.txt with 00000.jpg and 00000.txt"),
+    FormatName("sens", "ScanNet .sens", "a .sens file"),
+    FormatName("polycam", "Polycam", "keyframes/cameras and keyframes/images"),
+    FormatName("record3d", "Record3D .r3d", "a .r3d file, or metadata with the folder rgbd"),
+    FormatName("stray", "Stray Scanner", "odometry.csv, camera_matrix.csv and rgb.mp4"),
+    FormatName("scannetpp", "ScanNet++ iPhone", "iphone/pose_intrinsic_imu.json"),
+    FormatName("hypersim", "Hypersim", "_detail/metadata_scene.csv and images/scene_cam_00_geometry_hdf5"),
+    FormatName(
+        "open3d", "Open3D trajectory",
+        "a .log trajectory (or trajectory.json) with the folders depth and color, image or rgb",
+    ),  # fmt: skip
+)
+
+MASK_FORMAT_NAMES = (
+    FormatName("coco", "coco", "panoptic.json and the PNGs in panoptic"),
+    FormatName("panoptic-lifting", "panoptic-lifting", "m2f_semantics and m2f_instance"),
+    FormatName("grounded-sam2", "grounded-sam2", "mask_data/mask_<frame>.npy and json_data/mask_<frame>.json"),
+    FormatName("pairs", "pairs", "folders semantic and instance (or class, label-filt, semantic_class and theirs)"),
+    FormatName("transformers", "transformers", "<frame>.json with label_id and <frame>.npy or .png"),
+    FormatName("detectron2", "detectron2", "<frame>.json with category_id and <frame>.npy or .png"),
+    FormatName("sam2", "sam2", "<frame>.png with a palette, or <object number>/<frame>.png"),
+    FormatName("palette", "palette", "<frame>.png with a palette, or grey, whose values are classes"),
+    FormatName(
+        "detections", "detections",
+        "<frame>.npz with masks, classes and scores, or <frame>/<k>_<class>_<score>.png",
+    ),  # fmt: skip
+    FormatName("cryptomatte", "cryptomatte", "<frame>.exr with Cryptomatte"),
+    FormatName("object-index", "object-index", "<frame>.exr with the channel IndexOB"),
+    FormatName("arrays", "arrays", "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"),
+)
+
+TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "scannet200", "replica", "reduced")
+"""The public tables of classes."""

@@ -1,0 +1,110 @@
+"""Plain folders: the layout whose cameras and pictures Blender reads by itself, without an engine.
+
+The folders are ``color/ depth/ pose/ intrinsic/``, as ScanNet exports them; ``formats/folders.py`` describes them. Here
+are the poses, the lenses and the split; the engine's reader adds depth and masks.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import PlgsError
+from ..scene_source import SceneSource
+from .camera import Camera
+from .classes import ClassTable
+from .image_header import read_image_header
+from .layout import files_by_stem, listed, require_all, same_shape, shown_size
+from .limits import check_camera
+from .matrices import read_intrinsics, read_pose
+from .posed import PosedFrame, PosedScene, Size
+from .splits import Split, find_split
+from .up_axis import turned, upright_turn
+
+NAME = "scannet"
+"""The name of this format."""
+FOLDERS_FIX = "A scene has the folders color, depth, pose and intrinsic."
+
+
+@dataclass(frozen=True, eq=False)
+class PlainFolders:
+    """What the folders hold: a camera and a picture for each frame of the ``split``, in recording order, by name.
+    ``lost`` are the frames without a pose, ``names`` all frames in recording order."""
+
+    names: tuple[str, ...]
+    cameras: Mapping[str, Camera]
+    pictures: Mapping[str, Path]
+    lost: tuple[str, ...]
+    split: Split
+
+
+def recognises(place: Path) -> bool:
+    """Two of the folders are enough, so that a forgotten one is named."""
+    return sum((place / name).is_dir() for name in ("color", "pose", "intrinsic")) >= 2
+
+
+def read_folders(folder: Path) -> PlainFolders:
+    """Read poses and lenses, and of pictures their headers. Raises PlgsError."""
+    pictures = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, FOLDERS_FIX)
+    pose_files = files_by_stem(folder / "pose", {".txt"}, FOLDERS_FIX)
+    fix = "Add pose/<name>.txt, or take their colour images away."
+    require_all(list(pictures), pose_files, "pose", folder / "pose", fix)
+    poses = {name: read_pose(pose_files[name]) for name in pictures}
+    lost = tuple(name for name, pose in poses.items() if pose is None)
+    if len(lost) == len(poses):
+        raise PlgsError("every pose holds inf (lost tracking)", folder / "pose", "Give frames whose pose is known.")
+    split = find_split(folder, [name for name in pictures if name not in lost], lost)
+    chosen = {*split.train, *split.test}
+    sizes = {name: read_image_header(path).size for name, path in pictures.items() if name in chosen}
+    lenses = _read_lenses(folder / "intrinsic", sizes)
+    cameras = {name: lenses[name].at(pose) for name, pose in poses.items() if pose is not None and name in chosen}
+    return PlainFolders(tuple(pictures), cameras, {name: pictures[name] for name in cameras}, lost, split)
+
+
+def open_plain_folders(source: SceneSource) -> PosedScene:
+    """The posed frames of a scene in plain folders, with z up. Raises PlgsError."""
+    folder = source.scene
+    found = read_folders(folder)
+    for name, camera in found.cameras.items():
+        check_camera(name, camera, found.pictures[name])
+    poses = [camera.camera_to_world for camera in found.cameras.values()]
+    turn, warnings = upright_turn(poses, source.up, "z", is_known=False)
+    depths = files_by_stem(folder / "depth", {".png"}, FOLDERS_FIX) if (folder / "depth").is_dir() else {}
+    frames = tuple(
+        PosedFrame(
+            name, camera.at(turned(camera.camera_to_world, turn)), name in found.split.test, found.pictures[name],
+            depths.get(name),
+        )
+        for name, camera in found.cameras.items()
+    )  # fmt: skip
+    lost = lost_frames_warning(found.lost)
+    return PosedScene(folder, frames, ClassTable(()), (*lost, *found.split.warnings, *warnings), NAME)
+
+
+def lost_frames_warning(lost: tuple[str, ...] | list[str]) -> tuple[str, ...]:
+    """A warning that frames without a pose are left out; none where all have one."""
+    return (f"{len(lost)} frames without a pose are left out: {listed(lost)}",) if lost else ()
+
+
+def _read_lenses(folder: Path, sizes: Mapping[str, Size]) -> dict[str, Camera]:
+    """Each frame's intrinsics at its colour image's size, as a camera at the origin."""
+    if not folder.is_dir():
+        raise PlgsError("a folder is missing", folder, FOLDERS_FIX)
+    shared_path = folder / "intrinsic_color.txt"
+    base = Counter(sizes.values()).most_common(1)[0][0]
+    shared = read_intrinsics(shared_path, base) if shared_path.is_file() else None
+    lenses: dict[str, Camera] = {}
+    for name, size in sizes.items():
+        own_path = folder / f"{name}.txt"
+        if own_path.is_file():
+            lenses[name] = read_intrinsics(own_path, size)
+        elif shared is None:
+            raise PlgsError("the intrinsics are missing", shared_path, "Write the colour camera's 4x4 matrix there.")
+        elif not same_shape(size, base):
+            what = f"frame {name} is {shown_size(size)}, which is not the shape of {shown_size(base)}"
+            raise PlgsError(what, shared_path, f"Give the frame intrinsics of its own, intrinsic/{name}.txt.")
+        else:
+            lenses[name] = shared.resized(*size)
+    return lenses
