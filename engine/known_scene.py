@@ -10,7 +10,7 @@ from .job import LiftFolder, write_atomically
 from .records import read_record, record_text
 from .result_files import INSTANCES, read_instances
 from .scene.posed import PosedScene
-from .scene.stored import StoredScene, stored_scene
+from .scene.scene_record import StoredScene, stored_scene
 
 KNOWN_SCENE = "scene.json"
 """File of a lift folder: the frames of its scene with their cameras."""

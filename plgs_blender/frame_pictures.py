@@ -6,6 +6,7 @@ Blender's Python decodes neither depth nor masks: an engine draws them as image 
 from __future__ import annotations
 
 from dataclasses import fields
+from pathlib import Path
 
 import bpy
 
@@ -50,10 +51,20 @@ def place_of_root(root: bpy.types.Collection) -> ChosenScene:
     return ChosenScene.of(root[SCENE], **root.get(PLACE, {}))
 
 
+def has_picture(made: MadeFrame, what: str) -> bool:
+    """Whether an engine made the photo, depth or masks of a frame, and the file is still there."""
+    path = _file_of(made, what)
+    return path is not None and path.is_file()
+
+
+def _file_of(made: MadeFrame, what: str) -> Path | None:
+    return {PHOTO: made.colour, DEPTH: made.depth, MASKS: made.masks}[what]
+
+
 def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: MadeFrame) -> None:
     """Show what an engine made of the camera's frame. Raises PlgsError when it made none."""
-    path = {PHOTO: made.colour, DEPTH: made.depth, MASKS: made.masks}[what]
-    if path is None or not path.is_file():
+    path = _file_of(made, what)
+    if path is None or not has_picture(made, what):
         raise PlgsError(f"has no {KIND_OF[what]}", ob["frame"], "Import the scene again.")
     owned = OwnedDataBlocks(root_of(scene, ob)[LIFT], scene)
     if what == PHOTO:

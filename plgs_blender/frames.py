@@ -139,7 +139,8 @@ def _continuous(turns: NDArray[np.float64]) -> NDArray[np.float64]:
 def picture_of(frame: PosedFrame, made: Mapping[str, Path] | None = None) -> Path | None:
     """The image file that shows what the frame's camera saw; None while there is none. `made` is as in `place_frames`.
     """
-    return frame.colour_path if frame.file_shows_colour else (made or {}).get(frame.name)
+    shows_itself = frame.file_shows_colour and frame.colour_path.is_file()
+    return frame.colour_path if shows_itself else (made or {}).get(frame.name)
 
 
 def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path) -> None:

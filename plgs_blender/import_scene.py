@@ -17,7 +17,7 @@ from .frames import picture_of, place_camera_path, place_frames, show_photo
 from .inspecting.looks import places
 from .inspecting.lookup import objects_by_key
 from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
-from .made_pictures import cloud_of, photos, read_cloud
+from .made_pictures import cloud_of, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
 from .squares import place_points
 from .timeline import mark_timeline
@@ -36,16 +36,18 @@ _INNER = (0.2, 99.8)
 
 
 def place_scene(
-    place: ChosenScene, opened: PosedScene, made: MadeFrames | None, scene: bpy.types.Scene, *, cloud: bool = True
+    place: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None = None, *, cloud: bool = True
 ) -> bpy.types.Collection:
-    """Put the frames of a scene that is ``opened`` into Blender's scene: one camera for each frame, with its picture
-    and timeline marker, a camera that moves along them, the points of the reconstruction, and what an engine ``made``
-    of the scene before. With ``cloud`` a cloud is wanted too, where the scene has depth. Returns the collection, whose
-    property MISSING says what is left to an engine.
+    """Put the frames of a scene into Blender's scene: one camera for each frame, with its picture and timeline marker,
+    a camera that moves along them, the points of the reconstruction, and what an engine ``made`` of the scene before.
+    Blender reads plain folders itself; of other layouts the engine has made the list of cameras. With ``cloud`` a cloud
+    is wanted too, where the scene has depth. Returns the collection, whose property MISSING says what is left to an
+    engine.
 
     A lift of the same frames later fills the same collection. A lift that is there already keeps all else. Raises
     PlgsError before anything is changed.
     """
+    opened = scene_of(made) if made is not None and not place.is_plain else place.open_plain()
     scene = scene_to_fill(scene)
     root = root_collection(place.scene, None, scene)
     root[PLACE] = place.as_texts()

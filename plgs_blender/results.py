@@ -57,10 +57,9 @@ def read_result(folder: Path) -> LiftResult:
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     listed = {str(file.path): file for file in check_sizes(lift.result_path).files}
-    scene = known_scene(lift)
     exrs = _listed_passes(lift, listed)
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
-    corrected = read_corrected(lift.path)
+    scene, corrected = known_scene(lift), read_corrected(lift.path)
     by_name = {path.stem: path for path in exrs}
     passes = {frame.name: by_name[frame.name] for frame in scene.frames if frame.name in by_name}
     return LiftResult(

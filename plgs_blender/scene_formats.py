@@ -9,12 +9,12 @@ AUTOMATIC = "auto"
 
 FORMAT_ITEMS = [
     (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
-    *SCENE_FORMAT_NAMES,
+    *map(tuple, SCENE_FORMAT_NAMES),
 ]
 """For an EnumProperty."""
 MASK_FORMAT_ITEMS = [
     (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
-    *MASK_FORMAT_NAMES,
+    *map(tuple, MASK_FORMAT_NAMES),
 ]
 """For an EnumProperty, too."""
 

@@ -15,7 +15,7 @@ from ..job import write_atomically
 from ..scene import Frame, Scene
 from ..scene.frame_colours import depth_colours, mask_colours
 from ..scene.made_frames import MadeFrame, MadeFrames, is_newer, made_of
-from ..scene.stored import stored_scene
+from ..scene.scene_record import stored_scene
 from ..scene_source import SceneSource
 from .cloud import CloudBuilder
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from ..errors import PlgsError, is_silence
+from ..errors import ExitCode, PlgsError, is_silence
 from ..gates import create_plain
 from .atomic import PART, flush_to_disk, remove_parts
 from .checkpoint import CheckpointStore
@@ -220,6 +220,17 @@ class LiftFolder:
             return
         self.cancel_path.unlink(missing_ok=True)
         remove_parts(self.path)
+
+    def came_to_nothing(self) -> bool:
+        """Whether no engine got as far as a checkpoint: it never started, or refused the input."""
+        if not self.path.is_dir():  # somebody deleted it during the lift, as the error says
+            return False
+        if self.is_running or self.checkpoints.exists or (self.path / BLOCKS).exists():
+            return False
+        state = self.state_at_rest()
+        return state is LiftState.NOT_STARTED or (
+            state is LiftState.FAILED and self.last_exit_code() == ExitCode.BAD_INPUT
+        )
 
     def discard(self) -> None:
         """Delete a lift that never got going, so that the same command can be given again.

@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import ExitCode, PlgsError
 from ..json_file import Json
 from .events import at_work
-from .folder import BLOCKS, LiftFolder, LiftState
+from .folder import LiftFolder, LiftState
 from .follower import TaskFollower
 from .lease import may_have_crashed
 from .options import request_from, resumable
@@ -60,7 +60,7 @@ def lift_in_terminal(
         command = engine_command(python, lift.path, resume=not is_new, program=program)
         code = _run(lift, interrupts, command, getattr(options, "echo", None), on_error)
     finally:
-        if is_new and _came_to_nothing(lift):
+        if is_new and lift.came_to_nothing():
             lift.discard()
     return lift, code
 
@@ -116,13 +116,3 @@ def _run(
     elif follower.state is TaskState.CANCELLED:
         print(f"Cancelled. Give the same command with --resume to go on: {lift.path}", file=sys.stderr)
     return follower.exit_code
-
-
-def _came_to_nothing(lift: LiftFolder) -> bool:
-    """No engine got as far as a checkpoint: it never started, or refused the input."""
-    if not lift.path.is_dir():  # somebody deleted it during the lift, as the error says
-        return False
-    if lift.is_running or lift.checkpoints.exists or (lift.path / BLOCKS).exists():
-        return False
-    state = lift.state_at_rest()
-    return state is LiftState.NOT_STARTED or (state is LiftState.FAILED and lift.last_exit_code() == ExitCode.BAD_INPUT)

@@ -13,7 +13,7 @@ from ..records import record_of
 from ..scene_source import SceneSource
 from .class_choice import FILE_NAME, class_choice_text, find_class_choice
 from .class_map import NamedClass, choice_of, named_classes
-from .class_tables import TABLES, known_table
+from .class_tables import known_table
 from .masks import mask_place, no_masks, open_mask_source
 from .opening import open_asked
 
@@ -39,8 +39,6 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
     """
     path = class_list_path(source.scene, source.masks)
     scene = open_asked(replace(source, up="z", classes=table))
-    if table is not None and table not in TABLES:
-        raise PlgsError("no public table is called that", table, f"Choose one of {', '.join(TABLES)}.")
     if table is not None:
         return ClassList(path, tuple(named_classes(known_table(table).labels, None)))
     choice = find_class_choice(None, path.parent)

@@ -14,7 +14,7 @@ from ..errors import PlgsError
 from ..job.atomic import write_atomically
 from ..records import read_record, record_text
 from ..scene_source import SceneSource
-from .stored import StoredScene
+from .scene_record import StoredScene
 
 FILE = "frames.json"
 VERSION = 2

@@ -18,11 +18,10 @@ from ...engine.job import LiftFolder
 from ...engine.job.follower import TaskFollower
 from ...engine.known_scene import known_scene
 from ...engine.scene.made_frames import MadeFrames, made_of
-from ...engine.scene.posed import PosedScene
 from .. import engine_environment
 from ..chosen_scene import ChosenScene, needs_engine
 from ..engine_environment import why_no_engine
-from ..frame_pictures import KIND_OF, place_of_root, root_of, show_made, why_no_picture
+from ..frame_pictures import KIND_OF, has_picture, place_of_root, root_of, show_made, why_no_picture
 from ..frames import PHOTO, picture_of, show_photo
 from ..import_scene import MISSING, add_made, look_at_imported, place_scene
 from ..inspecting.lookup import objects_by_key
@@ -76,7 +75,7 @@ class FrameMaking(Task):
         made, target = made_of(self._folder, self.order.chosen.resolved), bpy.data.scenes.get(self.order.scene)
         if made is None or target is None:
             return False
-        root = _place(self.order.chosen, scene_of(made), made, target, "cloud" in self.order.kinds)
+        root = _place(self.order.chosen, target, made, "cloud" in self.order.kinds)
         self.order = replace(self.order, lift=root[LIFT])
         return True
 
@@ -115,11 +114,11 @@ def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
 
 
 def _place(
-    chosen: ChosenScene, opened: PosedScene, made: MadeFrames | None, scene: bpy.types.Scene, cloud: bool
+    chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None, cloud: bool
 ) -> bpy.types.Collection:
     """Place the scene. In an untouched startup file the views then look at it. Raises PlgsError."""
     with taking_over(scene) as is_untouched:
-        root = place_scene(chosen, opened, made, scene, cloud=cloud)
+        root = place_scene(chosen, scene, made, cloud=cloud)
     if is_untouched:
         look_at_imported(root, scene)
     return root
@@ -145,8 +144,7 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking |
     made = made_before(chosen.resolved)
     if not is_plain and made is None:
         raise needs_engine(chosen)
-    opened = scene_of(made) if made is not None and not is_plain else chosen.open_plain()
-    root = _place(chosen, opened, made, scene, cloud)
+    root = _place(chosen, scene, made, cloud)
     if root[MISSING] and python is not None:
         return make_frames(FrameOrder(chosen, root[LIFT], tuple(root[MISSING].split())), python)
     return None
@@ -182,7 +180,7 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str) -> FrameMaking | None:
     if picture is not None:
         show_photo(ob, OwnedDataBlocks(root[LIFT], scene), picture)
         return None
-    if drawn is not None and engine_environment.engine_python() is None:
+    if drawn is not None and engine_environment.engine_python() is None and has_picture(drawn, shown_kind):
         show_made(scene, ob, shown_kind, drawn)
         return None
     order = FrameOrder(chosen, root[LIFT], (KIND_OF[shown_kind],), ob["frame"], shown_kind)

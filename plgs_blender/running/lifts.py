@@ -36,13 +36,13 @@ class Lift(Task):
 
     kind, cancel_operator = "lift", "plgs.cancel_lift"
 
-    def __init__(self, follower: TaskFollower, lift_state: LiftState = LiftState.RUNNING) -> None:
+    def __init__(self, follower: TaskFollower, lift_state: LiftState = LiftState.RUNNING, is_new: bool = False) -> None:
         super().__init__(follower)
         assert follower.lift is not None
         self.folder: LiftFolder = follower.lift
         self.lift_folder = follower.lift.path
         self.label = f"Lifting {follower.lift.path.name}"
-        self.lift_state = lift_state
+        self.lift_state, self._is_new = lift_state, is_new
         self._pictures_seen = 0
         self.scene_is_there = os.path.exists(follower.lift.request.scene)
 
@@ -84,6 +84,8 @@ class Lift(Task):
             self.lift_state = self.folder.state_at_a_glance()
         except (PlgsError, OSError):  # its disk is gone, or the folder was deleted
             self.lift_state = LiftState.INTERRUPTED
+        if self._is_new and self.error is not None and self.folder.came_to_nothing():
+            self.folder.discard()  # so that the lift can be started anew once the scene is mended
         refresh_recent()
         if not self.has_finished:
             return
@@ -160,7 +162,7 @@ def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running:
     _refuse_running(lift)
     command = engine_command(python, lift.path, resume=resume)
     started = TaskFollower.start(command, lift.place, kind=LIFT, lift=lift, stays_with_parent=not keep_running)
-    return _follow(Lift(started))
+    return _follow(Lift(started, is_new=not resume))
 
 
 def bake(

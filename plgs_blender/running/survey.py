@@ -98,8 +98,9 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
 
 def _look_alone(chosen: ChosenScene) -> Survey | None:
     """What Blender sees by itself; None where only an engine can look, and there is one. Raises PlgsError."""
-    if not os.path.exists(chosen.scene):
-        raise PlgsError("there is no such folder", chosen.scene, "Choose the folder of a scene.")
+    for path in (chosen.scene, chosen.masks, chosen.depth):
+        if path is not None and not os.path.exists(path):
+            raise PlgsError("there is no such file or folder", path, "Choose another one.")
     if chosen.is_plain:
         return _of_plain(chosen, chosen.open_plain())
     if engine_python() is None:

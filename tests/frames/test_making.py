@@ -14,8 +14,8 @@ import pytest
 from engine.errors import PlgsError
 from engine.frames import make_frames
 from engine.frames.cloud import CloudBuilder
-from engine.job.made_frames import MadeFrames
 from engine.scene import Camera, open_scene
+from engine.scene.made_frames import MadeFrames
 from engine.scene_source import SceneSource
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_nerfstudio import write_scene
@@ -116,6 +116,7 @@ def test_what_the_scene_has_nothing_of_is_refused(kinds: list[str], told: str, t
     assert not (tmp_path / "out").exists()
     made = make_frames(bare, SceneSource(room), tmp_path / "out", ["colour", *kinds])
     assert made.cloud is None and all(each.masks is None for each in made.frames.values())
+    assert [each.name for each in made.scene.posed_frames(room)] == [each.name for each in scene.frames]
 
 
 def test_bad_depth_costs_the_cloud_alone(archive: Path, tmp_path: Path) -> None:

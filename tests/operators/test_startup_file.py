@@ -7,7 +7,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.job.made_frames import MadeFrames
+from plgs.engine.scene.made_frames import MadeFrames
+from plgs.engine.scene.scene_record import StoredScene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import add_made
 
@@ -123,7 +124,7 @@ def test_views_that_nobody_moved_look_at_a_cloud_that_comes_later(room: Path, tm
     view = views_3d()[0]
     before = view.view_distance, view.view_location.copy()
     root = bpy.data.collections["PLGS tiny room"]
-    made = MadeFrames(tmp_path, ChosenScene(room).resolved, {}, tmp_path / "cloud.npz")
+    made = MadeFrames(tmp_path, ChosenScene(room).resolved, StoredScene(()), {}, tmp_path / "cloud.npz")
     for size in (30.0, 60.0):
         xyz = np.random.default_rng(0).uniform(-size, size, (2000, 3)).astype(np.float32)
         np.savez(tmp_path / "cloud.npz", xyz=xyz, rgb=np.full(xyz.shape, 200, np.uint8))

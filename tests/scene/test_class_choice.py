@@ -9,10 +9,14 @@ from pathlib import Path
 import pytest
 
 from engine.errors import PlgsError
-from engine.scene import class_list_text, list_classes, open_scene
+from engine.json_file import to_text
+from engine.records import to_json
+from engine.scene import list_classes, open_scene
 from engine.scene.class_choice import ClassChoice, ClassRow, class_choice_text, read_class_choice
+from engine.scene.class_listing import write_class_list
 from engine.scene.class_map import choice_of, class_map, named_classes
 from engine.scene.class_tables import TABLES, known_table, reduced_by_name
+from engine.scene_source import SceneSource
 from tests.scene.mask_formats.test_label_images import write_pairs
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
@@ -153,21 +157,32 @@ def test_a_table_that_is_nowhere_is_told() -> None:
 
 def test_the_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:
     folder = scene_with(tmp_path, "void = [9]\n")
-    listed = list_classes(folder)
-    assert listed.path == folder / "classes.toml" and listed.void == {9}
+    source, edited = SceneSource(folder), tmp_path / "edited.json"
+    listed = list_classes(source)
+    assert listed.path == folder / "classes.toml" and listed.void == (9,)
     assert [row.name for row in listed.rows] == ["wall", "floor", "cabinet", "chair", "ceiling"]
-    rows = [replace(row, into="furniture") if row.name in ("cabinet", "chair") else row for row in listed.rows]
-    listed.path.write_text(class_list_text(rows, listed.void))
+    rows = tuple(replace(row, into="furniture") if row.name in ("cabinet", "chair") else row for row in listed.rows)
+    edited.write_text(to_text(to_json(replace(listed, rows=rows))))
+    assert write_class_list(source, edited) == listed.path
     assert [each.name for each in open_scene(folder).classes.categories] == ["wall", "floor", "furniture", "ceiling"]
-    again = list_classes(folder)
-    assert list(again.rows) == rows and again.void == {9}
+    again = list_classes(source)
+    assert again.rows == rows and again.void == (9,)
+    wrongs = ({"path": "elsewhere"}, "another scene"), ({"rows": []}, "no classes"), ({"void": 1}, "'void'")
+    for wrong, told in wrongs:
+        edited.write_text(json.dumps({**json.loads(to_text(to_json(listed))), **wrong}))
+        with pytest.raises(PlgsError, match=told):
+            write_class_list(source, edited)
 
 
 def test_a_table_can_be_named_where_the_files_tell_nothing(tmp_path: Path) -> None:
     write_pairs(tmp_path, ("semantic", "instance"))
+    source, edited = SceneSource(tmp_path), tmp_path / "edited.json"
     with pytest.raises(PlgsError, match="do not say what their classes are"):
-        list_classes(tmp_path)
-    listed = list_classes(tmp_path, table="nyu40")
+        list_classes(source)
+    with pytest.raises(PlgsError, match="no such table of classes: nyu41"):
+        list_classes(source, "nyu41")
+    listed = list_classes(source, "nyu40")
     assert listed.path == tmp_path / "masks" / "classes.toml" and len(listed.rows) == 40
-    listed.path.write_text(class_list_text(listed.rows))
+    edited.write_text(to_text(to_json(listed)))
+    write_class_list(source, edited)
     assert len(open_scene(tmp_path).classes) == 40

@@ -11,7 +11,8 @@ import plgs
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder, LiftRequest
-from plgs.engine.job.made_frames import MadeFrames
+from plgs.engine.scene.made_frames import MadeFrames
+from plgs.engine.scene.scene_record import StoredScene
 from plgs.plgs_blender.errors import field_of_option, with_field_names
 from plgs.plgs_blender.running import lifting
 from plgs.plgs_blender.settings import (
@@ -125,6 +126,6 @@ def test_masks_are_read_alike_by_the_survey_and_the_lift(tmp_path: Path) -> None
     assert (place.mask_format, place.classes) == (asked.mask_format, asked.classes) == ("coco", table)
     told = [str(each) for each in place.arguments()]
     assert told[-4:] == ["--mask-format", "coco", "--classes", table]
-    made = MadeFrames(tmp_path, place.resolved)
+    made = MadeFrames(tmp_path, place.resolved, StoredScene(()))
     made.write()
     assert MadeFrames.read(tmp_path).source == place.resolved
