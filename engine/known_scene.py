@@ -7,10 +7,10 @@ from pathlib import Path
 
 from .errors import PlgsError
 from .job import LiftFolder, write_atomically
+from .posed.frames import PosedScene
+from .posed.scene_record import StoredScene, stored_scene
 from .records import read_record, record_text
 from .result_files import INSTANCES, read_instances
-from .scene.posed import PosedScene
-from .scene.scene_record import StoredScene, stored_scene
 
 KNOWN_SCENE = "scene.json"
 """File of a lift folder: the frames of its scene with their cameras."""

@@ -23,9 +23,9 @@ from .gates import one_line
 from .job import write_atomically
 from .job.manifest import MAKE_ANEW
 from .json_file import read_object
-from .scene import Category, ClassTable
-from .scene.array_file import read_npz
-from .scene.classes import LARGEST_ID
+from .posed import Category, ClassTable
+from .posed.array_file import read_npz
+from .posed.classes import LARGEST_ID
 
 INSTANCES, SEMANTIC_POINTS, ANCHORS = "instances.json", "semantic_points.npz", "anchors.npz"
 

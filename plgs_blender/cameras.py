@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.scene.camera import Camera
+from ..engine.posed.camera import Camera
 
 SENSOR_WIDTH = 36.0
 """Millimetres. Any width gives the same picture; with this one `lens` is a full-frame focal length."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..engine.errors import PlgsError
-from ..engine.scene.plain_folders import NAME, open_plain_folders, recognises
-from ..engine.scene.posed import PosedScene
+from ..engine.posed.frames import PosedScene
+from ..engine.posed.plain_folders import NAME, open_plain_folders, recognises
 from ..engine.scene_source import SceneSource, UpAxis
 from .paths import absolute
 from .scene_formats import AUTOMATIC, chosen_format

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.corrections import entropy_of
+from ..engine.posed import VOID, ClassTable
 from ..engine.result_files import Anchors, SemanticPoints, read_arrays
-from ..engine.scene import VOID, ClassTable
 from .compat import new_point_cloud
 from .lift_collection import child_collection
 from .materials import UNKNOWN, linear_rgba, object_colour, point_material

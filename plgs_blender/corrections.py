@@ -38,8 +38,8 @@ from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
 from ..engine.job.report import entropy_of_frames, read_metrics
 from ..engine.known_scene import known_scene
+from ..engine.posed import ClassTable
 from ..engine.result_files import INSTANCES, read_instances
-from ..engine.scene import ClassTable
 from .boxes import INSTANCE, place_boxes
 from .clouds import place_anchors, place_semantic_points
 from .errors import EXPECTED

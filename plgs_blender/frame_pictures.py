@@ -12,7 +12,7 @@ import bpy
 
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
-from ..engine.scene.made_frames import MadeFrame
+from ..engine.posed.made_frames import MadeFrame
 from .chosen_scene import ChosenScene
 from .frames import PHOTO, SHOWN, put_before, show_photo
 from .lift_collection import FOLDER, PLACE, SCENE, lifts_in

@@ -10,8 +10,8 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ..engine.scene import Camera
-from ..engine.scene.posed import PosedFrame
+from ..engine.posed import Camera
+from ..engine.posed.frames import PosedFrame
 from .cameras import SENSOR_WIDTH, Lens, camera_from, lens_of, object_matrix
 from .compat import add_keys
 from .owned import OwnedDataBlocks

@@ -9,8 +9,8 @@ import numpy as np
 from mathutils import Matrix, Quaternion
 from numpy.typing import NDArray
 
-from ..engine.scene.made_frames import MadeFrames
-from ..engine.scene.posed import PosedScene
+from ..engine.posed.frames import PosedScene
+from ..engine.posed.made_frames import MadeFrames
 from .cameras import object_matrix, overview_camera
 from .chosen_scene import ChosenScene
 from .frames import picture_of, place_camera_path, place_frames, show_photo

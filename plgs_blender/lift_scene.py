@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from ..engine.scene import Camera
-from ..engine.scene.splat_file import read_gaussians
+from ..engine.posed import Camera
+from ..engine.posed.splat_file import read_gaussians
 from .boxes import place_boxes
 from .cameras import overview_camera
 from .clouds import place_anchors, place_depth_clouds, place_semantic_points

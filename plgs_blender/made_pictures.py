@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.job.environment import notes_folder
-from ..engine.scene import ClassTable
-from ..engine.scene.array_file import read_npz
-from ..engine.scene.made_frames import MadeFrames, is_newer, made_of
-from ..engine.scene.posed import PosedFrame, PosedScene, SparsePoints
+from ..engine.posed import ClassTable
+from ..engine.posed.array_file import read_npz
+from ..engine.posed.frames import PosedFrame, PosedScene, SparsePoints
+from ..engine.posed.made_frames import MadeFrames, is_newer, made_of
 from ..engine.scene_source import SceneSource
 
 _MOST_BESIDE = 9

@@ -9,7 +9,7 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
 
 from ..engine.errors import PlgsError
-from ..engine.scene.format_names import TABLES
+from ..engine.posed.format_names import TABLES
 from .paths import absolute
 
 OWN_TABLE = "OWN"

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import bpy
 
 from ..engine.errors import PlgsError
-from ..engine.scene.classes import matte_names
+from ..engine.posed.classes import matte_names
 from . import compat
 from .inspecting.lookup import class_row_of, row_of
 from .owned import KEY, LIFT, key_of

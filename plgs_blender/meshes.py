@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..engine.scene.labelled_surface import LabelledSurface, read_surface
+from ..engine.posed.labelled_surface import LabelledSurface, read_surface
 from .lift_collection import child_collection
 from .materials import linear_rgba, object_colour, surface_material
 from .owned import OwnedDataBlocks

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from ..engine.errors import PlgsError
 from ..engine.job.cameras import LARGEST_SIDE, safe_name
 from ..engine.job.manifest import MAKE_ANEW
-from ..engine.scene.classes import matte_names
-from ..engine.scene.exr_file import one_pixel_of, read_exr_header
+from ..engine.posed.classes import matte_names
+from ..engine.posed.exr_header import one_pixel_of, read_exr_header
 from . import compat
 from .lift_collection import lifts_in
 from .materials import linear_rgba

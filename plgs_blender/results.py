@@ -12,6 +12,7 @@ from ..engine.job import LiftFolder, ListedFile, check_sizes
 from ..engine.job.manifest import MAKE_ANEW, verify_files
 from ..engine.job.report import not_shown, read_metrics
 from ..engine.known_scene import known_scene
+from ..engine.posed import ClassTable, PosedScene
 from ..engine.result_files import (
     ANCHORS,
     INSTANCES,
@@ -20,7 +21,6 @@ from ..engine.result_files import (
     Instance,
     SemanticPoints,
 )
-from ..engine.scene import ClassTable, PosedScene
 
 _READ = (SEMANTIC_POINTS, ANCHORS, INSTANCES)
 _MOST_HASHED = 1 << 26

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..engine.scene.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
+from ..engine.posed.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 
 AUTOMATIC = "auto"
 """What the user chooses to leave the format to the scene's looks."""

@@ -23,7 +23,7 @@ from ..engine.job.follower import start_bake
 from ..engine.job.process import engine_python
 from ..engine.job.task import TaskState
 from ..engine.job.terminal import Interrupts, LiveLine, follow
-from ..engine.scene import Camera
+from ..engine.posed import Camera
 from .frames import seen_by
 from .lift_scene import open_blend
 

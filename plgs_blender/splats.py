@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from ..engine.scene.splat_file import read_gaussians
+from ..engine.posed.splat_file import read_gaussians
 from .lift_collection import FOLDER, Placed, child_collection
 from .materials import splat_material
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag, text_of

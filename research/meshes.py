@@ -13,8 +13,8 @@ from engine.export.mending import open_edges
 from engine.export.mesh import MOST_INSTANCES, fused, mended
 from engine.export.source import FinishedLift
 from engine.job import LiftFolder, verify_lifted
+from engine.posed.labelled_surface import LEAST_TRIANGLES, triangles_by_label
 from engine.result_files import Instance
-from engine.scene.labelled_surface import LEAST_TRIANGLES, triangles_by_label
 
 FAR = 1.5
 """Times the diagonal of its object's box that a mesh's own may have."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..posed import ClassTable, distinct_colour
 from ..result_files import Instance, SemanticPoints
-from ..scene import ClassTable, distinct_colour
 from .edits import KINDS, MOVES, PER_METRE, Edit, MovedPoints, ObjectMark
 from .nearest import nearest
 from .relabelling import Labels, Relabelling, Step, labels_of, step_of

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..posed import ClassTable
 from ..result_files import (
     ANCHORS,
     INSTANCES,
@@ -21,7 +22,6 @@ from ..result_files import (
     read_arrays,
     read_instances,
 )
-from ..scene import ClassTable
 from .edits import CORRECTIONS, Edit
 from .file import editing, read_edits
 from .relabelling import Relabelling, labels_of

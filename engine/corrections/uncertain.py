@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..posed import Camera
 from ..result_files import SemanticPoints
-from ..scene import Camera
 
 _CELLS = 48
 """Cells across the picture: in each the nearest point hides what lies behind it."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene.layout import listed
+from ..posed.layout import listed
 from .findings import Finding
 from .looks import Floats, Photo, values_at
 from .pictures import side_by_side

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..posed.layout import listed
 from ..scene import VOID
-from ..scene.layout import listed
 from ..scene.pixels import resize_nearest
 from .findings import Finding
 from .looks import Floats, values_at

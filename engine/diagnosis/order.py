@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..posed.layout import listed
 from ..scene import Frame, Scene
-from ..scene.layout import listed
 from .findings import Finding
 from .looks import Floats
 from .pictures import scatter, side_by_side

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene.layout import listed
+from ..posed.layout import listed
 from .findings import Finding
 from .looks import Floats
 from .pictures import scatter, side_by_side

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene.up_axis import shortest_rotation
+from ..posed.up_axis import shortest_rotation
 from .findings import Finding
 from .looks import Floats
 from .pictures import level_surfaces

@@ -8,7 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..scene.labelled_surface import triangles_by_label
+from ..posed.labelled_surface import triangles_by_label
 from .fusion import Ints, Surface
 
 HAND = 0.1

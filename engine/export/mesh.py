@@ -18,9 +18,9 @@ from ..job import write_atomically
 from ..passes.layers import PanopticLayers, linear
 from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
+from ..posed.classes import matte_names
+from ..posed.labelled_surface import LEAST_TRIANGLES, triangles_by_label
 from ..scene import Camera, ClassTable, Frame
-from ..scene.classes import matte_names
-from ..scene.labelled_surface import LEAST_TRIANGLES, triangles_by_label
 from .fusion import SmallView, Surface, fuse
 from .glb import glb_bytes
 from .mending import close_holes, without_crumbs

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..job import write_atomically
+from ..posed.made_frames import MadeFrame, MadeFrames, is_newer, made_of
+from ..posed.scene_record import stored_scene
 from ..scene import Frame, Scene
 from ..scene.frame_colours import depth_colours, mask_colours
-from ..scene.made_frames import MadeFrame, MadeFrames, is_newer, made_of
-from ..scene.scene_record import stored_scene
 from ..scene_source import SceneSource
 from .cloud import CloudBuilder
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from ..scene.classes import LARGEST_ID
+from ..posed.classes import LARGEST_ID
 from .decoders import DECODERS, Decoders
 
 MOST_ANCHORS = 20_000_000

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..posed.classes import matte_names
 from ..scene import VOID, ClassTable
-from ..scene.classes import matte_names
 from .ranking import RANKS
 
 CRYPTO_INSTANCE, CRYPTO_CLASS = "CryptoInstance", "CryptoClass"

@@ -17,7 +17,7 @@ from ..gates import refuse_special
 from ..job import FURTHER_LAYERS, write_atomically
 from ..job.main_memory import main_memory
 from ..machine.threads import worker_count
-from ..scene.exr_file import read_exr_header
+from ..posed.exr_header import read_exr_header
 from . import cryptomatte
 from .baked_view import BakedView
 from .layers import PanopticLayers

@@ -15,10 +15,10 @@ from typing import Any
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal
 from ..json_file import Json, read_object, to_line
+from ..posed.layout import files_if_any
 from ..scene.formats import FORMATS
 from ..scene.formats.colmap_model import MADE_BY, read_model
 from ..scene.formats.photos import LEAST, SUFFIXES, is_film, photos_in
-from ..scene.layout import files_if_any
 from .film import write_pictures
 from .mapping import colmap, map_photos
 from .scale import metres_per_length

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from ..posed import VOID, Camera, Category, ClassTable, PosedFrame, PosedScene, distinct_colour, size_within
+from ..posed.classes import ClassLabel
 from ..scene_source import UpAxis
-from .camera import Camera
 from .checks import check_scene
 from .class_listing import ClassList, list_classes
 from .class_map import NamedClass
 from .class_tables import TABLES, is_thing_by_name, nearest_tables
-from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
 from .evidence import (
     are_near,
     evidence,
@@ -24,9 +24,8 @@ from .frame_choice import choose_frames, photo_detail
 from .on_demand import OnDemand, StoredArrays, StoredViews, chained, stored
 from .opening import open_asked, open_scene, open_scene_to_lift, require_liftable
 from .pixels import distinct_ids
-from .posed import PosedFrame, PosedScene
 from .report import ClassReport, SceneReport, describe
-from .view import View, load_view, read_ahead, size_within
+from .view import View, load_view, read_ahead
 
 __all__ = [
     "FORMATS",

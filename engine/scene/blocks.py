@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..posed import size_within
 from .frame import Frame, Scene
-from .view import read_ahead, size_within
+from .view import read_ahead
 
 SEEN_WITHIN = (40, 40)
 """Pixels (width, height) of the box within which depth is read to find out what a frame sees."""

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from .classes import VOID
+from ..posed.classes import VOID
+from ..posed.image_header import check_image_file
+from ..posed.layout import listed
 from .frame import Frame, PanopticMask, Scene, Size
 from .ground_truth import GroundTruthReader
-from .image_header import check_image_file
-from .layout import listed
 from .opening import require_liftable
 from .overlap import Thumbnail, measure_overlap
 from .pixels import distinct_ids, resize_nearest

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import PlgsError
+from ..posed.classes import LARGEST_CLASS_ID, ClassLabel
+from ..posed.layout import read_file, shown
 from .class_tables import REDUCED, TABLES, known_table
-from .classes import LARGEST_CLASS_ID, ClassLabel
-from .layout import read_file, shown
 
 FILE_NAME = "classes.toml"
 _KEYS = {"table", "to", "void", "class"}

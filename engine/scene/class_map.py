@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import PlgsError
+from ..posed.classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
+from ..posed.layout import listed
 from .class_choice import FILE_NAME, ClassChoice, ClassRow
 from .class_tables import REDUCED, known_table, reduced_by_name
-from .classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
-from .layout import listed
 
 OBJECT = ClassLabel(0, "object", is_thing=True)
 

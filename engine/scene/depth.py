@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from .array_file import read_npy
-from .camera import Camera
+from ..posed.array_file import read_npy
+from ..posed.camera import Camera
+from ..posed.image_header import read_image_header
+from ..posed.layout import files_by_stem, require_all, same_shape, shown_size
+from ..posed.matrices import read_intrinsics
 from .frame import Size
-from .image_header import read_image_header
-from .layout import files_by_stem, require_all, same_shape, shown_size
-from .matrices import read_intrinsics
 from .pixels import Alignment, decode, decode_single_channel, resize_aligned
 
 MILLIMETRES = 0.001

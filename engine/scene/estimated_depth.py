@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..posed.image_header import read_image_header
+from ..posed.layout import files_by_stem, listed, require_all
+from ..posed.limits import depth_check
 from .depth import DepthMap, in_metres, read_depth_array
 from .frame import Frame, SparsePoints
-from .image_header import read_image_header
-from .layout import files_by_stem, listed, require_all
-from .limits import depth_check
 from .pixels import decode
 
 LEAST_POINTS = 12

@@ -14,8 +14,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..posed.camera import Camera
 from ..presets.preset import EvidenceKind
-from .camera import Camera
 from .view import View
 
 _POWERS: dict[EvidenceKind, tuple[float, float]] = {

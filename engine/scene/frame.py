@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from .posed import PosedFrame, PosedScene, Size, SparsePoints
+from ..posed.frames import PosedFrame, PosedScene, Size, SparsePoints
 
 __all__ = [
     "Frame", "GroundTruth", "PanopticMask", "Scene", "Segment", "Size", "SparsePoints",

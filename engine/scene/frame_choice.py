@@ -14,8 +14,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..posed import size_within
 from .frame import Frame, Scene
-from .view import read_ahead, size_within
+from .view import read_ahead
 
 STEP_METRES, STEP_DEGREES = 0.8, 15.0
 """A step of this length changes a view as much as a turn by this angle."""

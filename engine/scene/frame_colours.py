@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .classes import VOID, ClassTable
+from ..posed.classes import VOID, ClassTable
 from .frame import PanopticMask
 
 _GRADIENT = np.array(

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..posed.classes import VOID, ClassTable
+from ..posed.image_header import check_image_file
+from ..posed.layout import files_by_stem, natural_order, same_shape, shown_size
 from .class_choice import ClassChoice, find_class_choice
 from .class_map import class_map
 from .class_tables import REDUCED, TABLES, known_table, reduced_by_name
-from .classes import VOID, ClassTable
 from .frame import GroundTruth, Size
-from .image_header import check_image_file
 from .label_image import check_label_header
-from .layout import files_by_stem, natural_order, same_shape, shown_size
 from .mask_formats.source import IGNORED
 from .pixels import decode_single_channel, distinct_ids, resize_nearest
 

@@ -12,13 +12,13 @@ import numpy as np
 
 from ..errors import PlgsError
 from ..json_file import read_json_object, take_flag, take_objects, take_text, take_whole_number
+from ..posed.classes import VOID, Category, ClassTable, distinct_colour
+from ..posed.layout import files_by_stem, require_all
 from .class_map import class_map
 from .class_tables import REDUCED, known_table
-from .classes import VOID, Category, ClassTable, distinct_colour
 from .frame import GroundTruth, PanopticMask
 from .ground_truth import classes_by_name, in_classes, read_label_pair
 from .label_image import check_label_header
-from .layout import files_by_stem, require_all
 from .mask_formats import label_pairs
 from .masks import open_masks
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from .array_file import array_headers, read_array
+from ..posed.array_file import array_headers, read_array
+from ..posed.image_header import ImageHeader, check_image_file, read_image_header
+from ..posed.limits import LARGEST_PIXELS
 from .frame import Size
-from .image_header import ImageHeader, check_image_file, read_image_header
 from .pixels import decode_bytes
 
 SUFFIXES = {".png", ".npy", ".npz"}
-LARGEST_PIXELS = 2**27
 _LARGEST_ID = 2**24
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ErrorCode, PlgsError
+from ..posed.classes import VOID, ClassTable
+from ..posed.layout import listed
 from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
-from .classes import VOID, ClassTable
 from .frame import PanopticMask, Segment, Size
-from .layout import listed
 from .mask_formats import MASK_FORMATS, FoundSegment, MaskSource, StoredMask, find_mask_format
 from .pixels import resize_nearest
 

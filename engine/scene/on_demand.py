@@ -10,7 +10,7 @@ from typing import Any, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera
+from ..posed.camera import Camera
 from .frame import PanopticMask, Segment
 from .view import View
 

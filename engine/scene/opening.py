@@ -15,20 +15,20 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import PlgsError
+from ..posed.camera import Camera
+from ..posed.layout import listed, same_shape, shown_size
+from ..posed.limits import check_camera, depth_check
+from ..posed.plain_folders import lost_frames_warning
+from ..posed.splits import find_split
+from ..posed.up_axis import turned, upright_turn
 from ..scene_source import SceneSource, UpAxis
-from .camera import Camera
 from .estimated_depth import with_estimated_depth
 from .formats import Shot, find_format
 from .formats.lens import UNDISTORTED, undistorted
 from .frame import Frame, Scene, Size
 from .ground_truth import open_ground_truth
-from .layout import listed, same_shape, shown_size
-from .limits import check_camera, depth_check
 from .masks import MaskSet, find_masks, no_masks
 from .pixels import ColourReader, decode
-from .plain_folders import lost_frames_warning
-from .splits import find_split
-from .up_axis import turned, upright_turn
 
 _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera
+from ..posed.camera import Camera
 
 _TOLERANCE = 0.1
 """Metres, or 5 % of the depth if that is more: thumbnails of slanted surfaces are coarse."""

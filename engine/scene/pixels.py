@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..posed.image_header import check_image_bytes, check_image_file
 from .frame import Size
-from .image_header import check_image_bytes, check_image_file
 
 Decoder = Callable[[Path, bool], NDArray[Any]]
 """Does what ``decode`` does, for an image file that is whole."""

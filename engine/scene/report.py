@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..posed.classes import VOID
 from .checks import DepthFacts, survey_scene
-from .classes import VOID
 from .frame import Scene, Size
 
 

@@ -11,8 +11,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..posed.camera import Camera
 from .borders import border_mask
-from .camera import Camera
 from .frame import Frame, PanopticMask, Size
 from .pixels import resize_colour, resize_nearest
 
@@ -54,13 +54,6 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
         border=resize_nearest(border, (width, height)) if border.any() else None,
         mask_scale=frame.size[0] / width,
     )
-
-
-def size_within(size: Size, box: Size) -> Size:
-    """``size`` (width, height) brought into ``box`` with its aspect kept; never enlarged."""
-    width, height = size
-    scale = min(1.0, box[0] / width, box[1] / height)
-    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterator[Read]:

@@ -25,8 +25,8 @@ from bpy.props import (
 )
 
 from ...engine.corrections import CorrectedResult
+from ...engine.posed import VOID, ClassTable
 from ...engine.result_files import Instance, MatchedSegment
-from ...engine.scene import VOID, ClassTable
 from ..materials import UNKNOWN
 from ..registration import register_modules, unregister_modules
 from ..results import LiftResult

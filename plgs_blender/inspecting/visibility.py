@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.scene import VOID
+from ...engine.posed import VOID
 from .. import compat
 from ..materials import object_colour
 from ..owned import LIFT, key_of, tag

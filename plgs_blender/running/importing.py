@@ -17,7 +17,7 @@ from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job import LiftFolder
 from ...engine.job.follower import TaskFollower
 from ...engine.known_scene import known_scene
-from ...engine.scene.made_frames import MadeFrames, made_of
+from ...engine.posed.made_frames import MadeFrames, made_of
 from .. import engine_environment
 from ..chosen_scene import ChosenScene, needs_engine
 from ..engine_environment import why_no_engine

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...engine.job import LiftFolder
 from ...engine.job.cameras import PreviewCamera, write_preview_request
-from ...engine.scene import size_within
+from ...engine.posed import size_within
 from ..frames import camera_seen
 from ..owned import tag
 from ..paths import absolute

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
-from ...engine.scene.posed import PosedScene, Size
+from ...engine.posed.frames import PosedScene, Size
 from ..chosen_scene import ChosenScene, needs_engine
 from ..engine_environment import engine_python
 from ..inspecting.text_boxes import Colour

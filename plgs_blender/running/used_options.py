@@ -8,9 +8,9 @@ import bpy
 from bpy.props import IntProperty, PointerProperty
 
 from ...engine.errors import PlgsError
+from ...engine.posed import size_within
 from ...engine.presets.options import with_options
 from ...engine.presets.preset import PRESETS
-from ...engine.scene.view import size_within
 from ..settings import PLGS_PG_settings, asked_of_preset, chosen_scene
 from .survey import survey_of
 

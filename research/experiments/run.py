@@ -14,8 +14,8 @@ from engine.job import ExitCode, LiftFolder, refuse_used
 from engine.job.options import request_from
 from engine.job.session import lift_in_terminal
 from engine.job.terminal import Interrupts
+from engine.posed.layout import listed
 from engine.scene import open_scene_to_lift
-from engine.scene.layout import listed
 
 from ..baselines.without_a_lift import scores_without_a_lift
 from ..results import Result, read_result, read_results

@@ -14,8 +14,8 @@ import pytest
 from engine.errors import PlgsError
 from engine.frames import make_frames
 from engine.frames.cloud import CloudBuilder
+from engine.posed.made_frames import MadeFrames
 from engine.scene import Camera, open_scene
-from engine.scene.made_frames import MadeFrames
 from engine.scene_source import SceneSource
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_nerfstudio import write_scene

@@ -7,8 +7,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.scene.made_frames import MadeFrames
-from plgs.engine.scene.scene_record import StoredScene
+from plgs.engine.posed.made_frames import MadeFrames
+from plgs.engine.posed.scene_record import StoredScene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import add_made
 

@@ -11,8 +11,8 @@ import OpenEXR
 
 from engine.passes.cryptomatte import CRYPTO_INSTANCE, name_float
 from engine.passes.ranking import RANKS
+from engine.posed.classes import matte_names
 from engine.result_files import INSTANCES, read_instances
-from engine.scene.classes import matte_names
 
 LEAST_PIXELS = 300
 

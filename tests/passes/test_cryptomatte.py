@@ -13,7 +13,7 @@ from engine.passes import cryptomatte
 from engine.passes.baked_view import ShownInstances, bake_view
 from engine.passes.deciding import STEPS
 from engine.passes.ranking import RANKS
-from engine.scene.classes import matte_names
+from engine.posed.classes import matte_names
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, WALL, made_rendering
 
 LAYERS = ("CryptoInstance", "CryptoClass")

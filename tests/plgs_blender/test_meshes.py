@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from plgs.engine.errors import PlgsError
-from plgs.engine.scene.labelled_surface import read_surface
+from plgs.engine.posed.labelled_surface import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.meshes import mesh_folder

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.passes.ply import columns_of, write_ply_table
-from plgs.engine.scene.splat_file import read_gaussians
+from plgs.engine.posed.splat_file import read_gaussians
 from plgs.plgs_blender import lift_scene, splats
 from plgs.plgs_blender.inspecting.lists import registered
 from tiny_lift import mend_manifest, write_tiny_lift

@@ -15,10 +15,10 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.json_file import read_json_object
+from engine.posed.array_file import parse_npy, read_npy, read_npz
+from engine.posed.image_header import MOST_PIXELS, check_image_bytes, read_image_header
 from engine.scene import check_scene, open_scene
-from engine.scene.array_file import parse_npy, read_npy, read_npz
 from engine.scene.formats.video import Video
-from engine.scene.image_header import MOST_PIXELS, check_image_bytes, read_image_header
 from engine.scene.pixels import decode_bytes
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene

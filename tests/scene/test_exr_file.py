@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from engine.scene.exr_file import one_pixel_of, read_channels, read_exr_header
+from engine.posed.exr_header import one_pixel_of, read_exr_header
+from engine.scene.exr_file import read_channels
 
 
 def test_one_pixel_has_all_channels_and_texts(tmp_path: Path) -> None:

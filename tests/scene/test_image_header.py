@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from engine.errors import PlgsError
-from engine.scene.image_header import check_image_file, read_image_header
+from engine.posed.image_header import check_image_file, read_image_header
 
 same_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
 

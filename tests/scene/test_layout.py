@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from engine.errors import PlgsError
-from engine.scene.layout import file_inside, files_by_stem, listed, natural_order, same_shape
+from engine.posed.layout import file_inside, files_by_stem, listed, natural_order, same_shape
 
 
 def test_frames_come_in_natural_order() -> None:

@@ -11,16 +11,16 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.job.main_memory import MainMemory
+from engine.posed.camera import Camera
+from engine.posed.classes import Category, ClassLabel
+from engine.posed.layout import read_file
+from engine.posed.limits import check_camera, depth_check
 from engine.scene import counts, open_scene
-from engine.scene.camera import Camera
-from engine.scene.classes import Category, ClassLabel
 from engine.scene.formats.colmap_model import _binary_points, _text_points
 from engine.scene.formats.lens import Distortion, undistorted
 from engine.scene.formats.ply_points import read_ply_points
 from engine.scene.formats.scannetpp import _find_blocks
 from engine.scene.formats.video import mp4_size
-from engine.scene.layout import read_file
-from engine.scene.limits import check_camera, depth_check
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 

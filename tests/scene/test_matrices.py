@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from engine.errors import PlgsError
+from engine.posed.matrices import read_intrinsics, read_matrix, read_pose
+from engine.posed.up_axis import to_z_up, turned, up_axis_warning
 from engine.scene import UpAxis
-from engine.scene.matrices import read_intrinsics, read_matrix, read_pose
-from engine.scene.up_axis import to_z_up, turned, up_axis_warning
 from tests.tiny_scene import tiny_pose
 
 

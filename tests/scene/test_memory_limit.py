@@ -19,9 +19,10 @@ import cv2
 from engine.errors import PlgsError
 from engine.json_file import read_value
 from engine.job.events import last_events
-from engine.scene.array_file import read_npz, read_npy
+from engine.posed.array_file import read_npz, read_npy
 from engine.json_file import read_json_object
-from engine.scene.exr_file import read_channels, read_exr_header
+from engine.posed.exr_header import read_exr_header
+from engine.scene.exr_file import read_channels
 from engine.scene.pixels import decode, decode_single_channel
 
 cv2.setNumThreads(1)

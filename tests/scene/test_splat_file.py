@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from engine.errors import PlgsError
 from engine.passes.ply import columns_of, write_ply_table
-from engine.scene.splat_file import read_gaussians
+from engine.posed.splat_file import read_gaussians
 from tests.fuzzing import damaged, examples
 
 COUNT = 6

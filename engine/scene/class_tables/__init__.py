@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from ..classes import VOID, ClassLabel
-from ..format_names import TABLES as TABLES
+from ...posed.classes import VOID, ClassLabel
+from ...posed.format_names import TABLES as TABLES
 
 REDUCED = "reduced"
 

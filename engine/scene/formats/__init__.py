@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ...errors import ErrorCode, PlgsError
-from ..layout import shown
+from ...posed.layout import shown
 from . import (
     colmap,
     folders,

@@ -10,11 +10,11 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
+from ...posed.camera import Camera
+from ...posed.splits import Split
 from ...scene_source import UpAxis
-from ..camera import Camera
 from ..depth import DepthMap
 from ..frame import SparsePoints
-from ..splits import Split
 from .lens import STRAIGHT, Distortion
 
 _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...json_file import read_object
-from ..camera import Camera
+from ...posed.camera import Camera
+from ...posed.layout import file_inside, files_if_any, listed, natural_order, read_file
 from ..depth import DepthMap, npy_depth, only_depth, png_depth
 from ..frame import SparsePoints
-from ..layout import file_inside, files_if_any, listed, natural_order, read_file
 from .capture import Capture, SceneFormat, Shot, frame_names
 from .colmap_model import MADE_BY, ColmapCamera, ColmapImage, ColmapModel, has_model, read_model
 from .lens import STRAIGHT, Distortion, fitted, pinhole

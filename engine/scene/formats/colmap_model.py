@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ..counts import check_count
+from ...posed.counts import check_count
+from ...posed.layout import read_file, read_text
 from ..frame import SparsePoints
-from ..layout import read_file, read_text
 
 _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8),

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ...posed.plain_folders import NAME, read_folders, recognises
 from ..depth import open_depth
-from ..plain_folders import NAME, read_folders, recognises
 from .capture import Capture, SceneFormat, Shot
 
 

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...posed.image_header import read_image_header
 from ..depth import DepthMap
-from ..image_header import read_image_header
 from ..pixels import decode
 from .capture import Capture, SceneFormat, Shot
 from .hypersim_pixels import Projection, planar_depth, read_hdf5, size_of_hdf5, straightened, tone_mapped

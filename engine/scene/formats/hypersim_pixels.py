@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError, lacks_part
-from ..camera import Camera
+from ...posed.camera import Camera
 
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 _STRAIGHT = 1e-6

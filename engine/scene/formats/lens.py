@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ..camera import Camera
-from ..image_header import read_image_header
-from ..layout import same_shape, shown_size
+from ...posed.camera import Camera
+from ...posed.image_header import read_image_header
+from ...posed.layout import same_shape, shown_size
 
 _LEAST_SEEN = 0.1
 """Share of an undistorted picture that the distorted one shows, at least. Wide fisheyes show all of it."""

@@ -21,14 +21,14 @@ import numpy as np
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_number, take_objects, take_text
+from ...posed.camera import Camera
+from ...posed.image_header import read_image_header
+from ...posed.layout import file_inside, natural_order
+from ...posed.matrices import take_matrix
+from ...posed.splits import Split
 from ...scene_source import UpAxis
-from ..camera import Camera
 from ..depth import MILLIMETRES, DepthMap, npy_depth, png_depth
 from ..frame import Size, SparsePoints
-from ..image_header import read_image_header
-from ..layout import file_inside, natural_order
-from ..matrices import take_matrix
-from ..splits import Split
 from .capture import Capture, SceneFormat, Shot, frame_names
 from .lens import STRAIGHT, Distortion, fitted, pinhole
 from .ply_points import read_ply_points

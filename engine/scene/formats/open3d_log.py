@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_number, take_objects
-from ..camera import Camera
+from ...posed.camera import Camera
+from ...posed.layout import files_by_stem
+from ...posed.matrices import take_numbers
 from ..depth import png_depth
-from ..layout import files_by_stem
-from ..matrices import take_numbers
 from .capture import Capture, SceneFormat, Shot
 from .lens import fitted, pinhole
 from .poses import finite_pose

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ..counts import check_count
+from ...posed.counts import check_count
+from ...posed.layout import read_file
 from ..frame import SparsePoints
-from ..layout import read_file
 
 _MOST_BYTES = 1 << 30
 _MOST_IN_TEXT = 1_000_000

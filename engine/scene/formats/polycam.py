@@ -14,8 +14,8 @@ import numpy as np
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_number
+from ...posed.layout import files_by_stem, files_if_any, require_all
 from ..depth import png_depth, trusted
-from ..layout import files_by_stem, files_if_any, require_all
 from .capture import Capture, SceneFormat, Shot
 from .lens import fitted, pinhole
 from .poses import finite_pose, from_opengl

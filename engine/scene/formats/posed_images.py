@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ...posed.image_header import read_image_header
+from ...posed.layout import natural_order
+from ...posed.matrices import read_intrinsics, read_pose
 from ..depth import png_depth
-from ..image_header import read_image_header
-from ..layout import natural_order
-from ..matrices import read_intrinsics, read_pose
 from .capture import Capture, SceneFormat, Shot
 
 _INTRINSICS = "intrinsic.txt"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ..matrices import rigid
+from ...posed.matrices import rigid
 
 _FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 

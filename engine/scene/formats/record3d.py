@@ -27,15 +27,16 @@ from numpy.typing import NDArray
 from ...errors import PlgsError, lacks_part
 from ...gates import refuse_special
 from ...json_file import parse_json_object, read_json_object, take_list, take_number
+from ...posed.camera import Camera
+from ...posed.exr_header import read_exr_header
+from ...posed.layout import files_by_stem, read_file
+from ...posed.matrices import take_matrix, take_numbers
+from ...posed.up_axis import upright_rotation
 from ...scene_source import UpAxis
-from ..camera import Camera
 from ..depth import DepthMap, drop_untrusted, only_depth
-from ..exr_file import read_channels, read_exr_header
+from ..exr_file import read_channels
 from ..frame import Size
-from ..layout import files_by_stem, read_file
-from ..matrices import take_matrix, take_numbers
 from ..pixels import decode_bytes
-from ..up_axis import upright_rotation
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
 from .poses import from_opengl, quaternion_pose

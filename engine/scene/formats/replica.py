@@ -17,10 +17,10 @@ import numpy as np
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_number
-from ..camera import Camera
+from ...posed.camera import Camera
+from ...posed.image_header import read_image_header
+from ...posed.layout import files_by_stem
 from ..depth import MILLIMETRES, png_depth
-from ..image_header import read_image_header
-from ..layout import files_by_stem
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
 from .poses import finite_pose

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...json_file import LARGEST_TABLE
-from ..layout import read_text
+from ...posed.layout import read_text
 
 
 @dataclass(frozen=True)

@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...gates import open_plain
 from ...json_file import read_json_object
-from ..camera import Camera
-from ..counts import check_most
+from ...posed.camera import Camera
+from ...posed.counts import check_most
+from ...posed.image_header import read_image_header
+from ...posed.layout import files_if_any, natural_order
+from ...posed.matrices import take_matrix
 from ..depth import DepthMap, only_depth, png_depth
-from ..image_header import read_image_header
-from ..layout import files_if_any, natural_order
-from ..matrices import take_matrix
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
 from .poses import finite_pose

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...gates import open_plain
-from ..camera import Camera
+from ...posed.camera import Camera
 from ..depth import DepthMap, fitting_alignment
 from ..pixels import Alignment, decode_bytes
 from .capture import Capture, SceneFormat, Shot

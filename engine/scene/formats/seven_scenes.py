@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import PlgsError
-from ..camera import Camera
+from ...posed.camera import Camera
+from ...posed.image_header import read_image_header
+from ...posed.layout import natural_order
+from ...posed.matrices import read_intrinsics, read_pose
 from ..depth import png_depth, registered
-from ..image_header import read_image_header
-from ..layout import natural_order
-from ..matrices import read_intrinsics, read_pose
 from .capture import Capture, SceneFormat, Shot
 from .poses import inverse
 

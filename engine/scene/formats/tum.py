@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...posed.image_header import read_image_header
+from ...posed.layout import file_inside, files_by_stem, listed
 from ...scene_source import UpAxis
 from ..depth import png_depth
 from ..frame import Size
-from ..image_header import read_image_header
-from ..layout import file_inside, files_by_stem, listed
 from .capture import Capture, SceneFormat, Shot, frame_names
 from .lens import Distortion, pinhole
 from .poses import finite_pose, quaternion_pose

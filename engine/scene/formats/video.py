@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...gates import open_plain
-from ..counts import check_most
+from ...posed.counts import check_most
 from ..frame import Size
 
 _BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")

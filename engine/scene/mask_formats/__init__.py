@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import PlgsError
-from ..format_names import MASK_FORMAT_NAMES
-from ..layout import listed, shown
+from ...posed.format_names import MASK_FORMAT_NAMES
+from ...posed.layout import listed, shown
 from . import (
     class_arrays,
     coco,

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ..array_file import array_headers, read_array
+from ...posed.array_file import array_headers, read_array
+from ...posed.layout import files_of_frames
 from ..frame import Size
 from ..label_image import whole_numbers
-from ..layout import files_of_frames
 from .source import (
     IGNORED,
     FoundMask,

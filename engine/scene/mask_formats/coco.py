@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_flag, take_list, take_objects, take_text, take_whole_number, wrong_type
-from ..classes import LARGEST_CLASS_ID, ClassLabel
-from ..image_header import read_image_header
-from ..label_image import LARGEST_PIXELS
-from ..layout import file_inside, listed, require_all
+from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
+from ...posed.image_header import read_image_header
+from ...posed.layout import file_inside, listed, require_all
+from ...posed.limits import LARGEST_PIXELS
 from ..pixels import decode, distinct_ids
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 

@@ -16,10 +16,10 @@ from functools import partial
 from pathlib import Path
 
 from ...errors import PlgsError
-from ..array_file import array_headers, read_array
-from ..classes import LARGEST_CLASS_ID, ClassLabel
+from ...posed.array_file import array_headers, read_array
+from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
+from ...posed.layout import files_of_frames, natural_order, require_all
 from ..label_image import label_header
-from ..layout import files_of_frames, natural_order, require_all
 from .source import (
     FoundMask,
     FoundSegment,

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...gates import read_plain
-from ..exr_file import ExrHeader, read_channels, read_exr_header
-from ..layout import file_inside, files_of_frames, shown
+from ...posed.exr_header import ExrHeader, read_exr_header
+from ...posed.layout import file_inside, files_of_frames, shown
+from ..exr_file import read_channels
 from .source import (
     IGNORED,
     FoundMask,

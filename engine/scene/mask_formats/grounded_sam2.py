@@ -15,8 +15,8 @@ import numpy as np
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_text, take_whole_number, wrong_type
+from ...posed.layout import files_by_stem, listed, require_all
 from ..label_image import label_map_size, read_label_map
-from ..layout import files_by_stem, listed, require_all
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels
 
 _FIX = "Name the folder that Grounded-SAM-2 wrote, with mask_data and json_data."

@@ -11,8 +11,8 @@ from functools import partial
 from pathlib import Path
 
 from ...errors import PlgsError
+from ...posed.layout import files_of_frames, shown_size
 from ..label_image import SUFFIXES, label_map_size, read_label_map
-from ..layout import files_of_frames, shown_size
 from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
 
 PAIRS = (

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...errors import PlgsError
+from ...posed.layout import files_of_frames
 from ..class_tables import REDUCED, known_table
 from ..label_image import check_label_header
-from ..layout import files_of_frames
 from .label_pairs import label_pairs
 from .source import MaskFormat, MaskSource
 

@@ -11,8 +11,8 @@ from functools import partial
 from pathlib import Path
 
 from ...gates import open_plain
+from ...posed.layout import files_by_stem, files_of_frames, require_all
 from ..label_image import label_header, read_indices
-from ..layout import files_by_stem, files_of_frames, require_all
 from .source import (
     FoundMask,
     FoundSegment,

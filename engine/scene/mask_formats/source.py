@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...posed.classes import ClassLabel
+from ...posed.layout import shown, shown_size
 from ..class_tables import is_thing_by_name
-from ..classes import ClassLabel
 from ..frame import Size
 from ..label_image import read_indices
-from ..layout import shown, shown_size
 
 IGNORED = frozenset({0, 255, 65535})
 """Labels that mean nothing in most label images, unless their table has them."""

@@ -11,8 +11,8 @@ import plgs
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder, LiftRequest
-from plgs.engine.scene.made_frames import MadeFrames
-from plgs.engine.scene.scene_record import StoredScene
+from plgs.engine.posed.made_frames import MadeFrames
+from plgs.engine.posed.scene_record import StoredScene
 from plgs.plgs_blender.errors import field_of_option, with_field_names
 from plgs.plgs_blender.running import lifting
 from plgs.plgs_blender.settings import (

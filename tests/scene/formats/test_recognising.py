@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from engine.errors import PlgsError
+from engine.posed.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
+from engine.posed.plain_folders import NAME
 from engine.scene import FORMATS, open_scene
-from engine.scene.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 from engine.scene.mask_formats import MASK_FORMATS
-from engine.scene.plain_folders import NAME
 from tests.scene.formats import test_colmap, test_nerfstudio
 from tests.scene.formats.room import check_colours
 from tests.scene.refusing import refuses

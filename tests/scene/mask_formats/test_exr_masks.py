@@ -11,8 +11,9 @@ import OpenEXR
 import pytest
 
 from engine.errors import PlgsError
+from engine.posed.exr_header import ExrHeader, read_exr_header
 from engine.scene import open_scene
-from engine.scene.exr_file import ExrHeader, placed, read_exr_header
+from engine.scene.exr_file import placed
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, tracks, write_frames
 from tests.scene.refusing import refuses
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from engine.errors import PlgsError
+from engine.posed.array_file import array_headers
 from engine.scene import open_scene
-from engine.scene.array_file import array_headers
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
 from tests.scene.mask_formats.test_tracks import palette_png
 from tests.scene.refusing import refuses

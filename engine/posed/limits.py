@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from .camera import Camera
-from .frame import Size
+from .frames import Size
 from .layout import shown, shown_size
 
+LARGEST_PIXELS = 2**27
 _SMALLEST_SIDE = 4
 _LONGEST_SHAPE = 20
 """The longer side of a picture by the shorter one."""

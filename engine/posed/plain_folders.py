@@ -15,11 +15,11 @@ from ..errors import PlgsError
 from ..scene_source import SceneSource
 from .camera import Camera
 from .classes import ClassTable
+from .frames import PosedFrame, PosedScene, Size
 from .image_header import read_image_header
 from .layout import files_by_stem, listed, require_all, same_shape, shown_size
 from .limits import check_camera
 from .matrices import read_intrinsics, read_pose
-from .posed import PosedFrame, PosedScene, Size
 from .splits import Split, find_split
 from .up_axis import turned, upright_turn
 

@@ -15,7 +15,7 @@ from typing import BinaryIO, Literal
 
 from ..errors import PlgsError
 from ..gates import open_plain, read_plain
-from .frame import Size
+from .frames import Size
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB\x60\x82"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..json_file import take_list, wrong_type
 from .camera import Camera
-from .frame import Size
+from .frames import Size
 from .layout import read_text
 
 _MOST_BYTES = 1 << 20

@@ -9,7 +9,7 @@ from pathlib import Path, PureWindowsPath
 from ..errors import PlgsError
 from ..gates import read_plain
 from .counts import check_memory
-from .frame import Size
+from .frames import Size
 
 _SAME_SHAPE = 0.02
 """Relative difference of two aspect ratios that still counts as one: ScanNet has 1296x968 beside 640x480 (0.4 %)."""

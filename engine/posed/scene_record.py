@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from .camera import Camera
-from .posed import PosedFrame, PosedScene
+from .frames import PosedFrame, PosedScene
 
 Row = tuple[float, float, float, float]
 

@@ -1,0 +1,20 @@
+"""Where were the pictures taken? Cameras, classes, posed frames and plain folders; numpy alone, for Blender's sake."""
+
+from __future__ import annotations
+
+from .camera import Camera
+from .classes import VOID, Category, ClassTable, distinct_colour
+from .frames import PosedFrame, PosedScene, Size, SparsePoints, size_within
+
+__all__ = [
+    "VOID",
+    "Camera",
+    "Category",
+    "ClassTable",
+    "PosedFrame",
+    "PosedScene",
+    "Size",
+    "SparsePoints",
+    "distinct_colour",
+    "size_within",
+]
