@@ -44,7 +44,7 @@ def lift_in_terminal(
     if options.poses is not None:
         options.scene = _posed(options.scene, python, interrupts)
     lift = resumable(options)
-    is_new = lift is None
+    is_new, finished_at = lift is None, None
     if lift is None:
         try:
             lift = LiftFolder.create(options.output, request_from(options))
@@ -52,8 +52,8 @@ def lift_in_terminal(
             lift, is_new = resumable(options), False  # the same command may have been given twice at once
             if lift is None:
                 raise
-    else:
-        _state_when_left_alone(lift)
+    elif _state_when_left_alone(lift) is LiftState.FINISHED:
+        finished_at = lift.manifest_path.stat().st_mtime_ns
     lift.refuse_read_only()
     try:
         program = getattr(options, "program", "engine")
@@ -62,6 +62,8 @@ def lift_in_terminal(
     finally:
         if is_new and lift.came_to_nothing():
             lift.discard()
+    if code is ExitCode.FINISHED and finished_at == lift.manifest_path.stat().st_mtime_ns:
+        print(f"This lift is finished already: {lift.path}", file=sys.stderr)
     return lift, code
 
 

@@ -11,11 +11,12 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.job.main_memory import MainMemory
+from engine.posed import counts
 from engine.posed.camera import Camera
 from engine.posed.classes import Category, ClassLabel
 from engine.posed.layout import read_file
 from engine.posed.limits import check_camera, depth_check
-from engine.scene import counts, open_scene
+from engine.scene import open_scene
 from engine.scene.formats.colmap_model import _binary_points, _text_points
 from engine.scene.formats.lens import Distortion, undistorted
 from engine.scene.formats.ply_points import read_ply_points
