@@ -66,9 +66,29 @@ def fuse(views: Sequence[SmallView]) -> Surface:
     # views leave steps: one round of smoothing brings the vertices nearer to the true surface.
     mesh = grid.extract_triangle_mesh(LEAST_VIEWS - 0.5).to_legacy().filter_smooth_simple(1).normalize_normals()
     xyz, normal, rgb = (np.asarray(each) for each in (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors))
-    return Surface(
-        xyz.astype(np.float32),
-        np.rint(255 * rgb.clip(0, 1)).astype(np.uint8),
-        normal.astype(np.float32),
-        np.asarray(mesh.triangles).astype(np.int64),
+    return _in_order(
+        Surface(
+            xyz.astype(np.float32),
+            np.rint(255 * rgb.clip(0, 1)).astype(np.uint8),
+            normal.astype(np.float32),
+            np.asarray(mesh.triangles).astype(np.int64),
+        )
     )
+
+
+def _in_order(surface: Surface) -> Surface:
+    """The same surface with vertices and triangles sorted, as Open3D's threads leave them in another order each time.
+    Vertices at one place, which it leaves where blocks of voxels meet, become one."""
+    order = np.lexsort(np.concatenate([surface.normal, surface.xyz], axis=1).T)
+    xyz = surface.xyz[order]
+    is_first = np.ones(len(xyz), bool)
+    is_first[1:] = (xyz[1:] != xyz[:-1]).any(axis=1)
+    number = np.empty_like(order)
+    number[order] = np.cumsum(is_first) - 1
+    triangles = number[surface.triangles]
+    triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
+    first = triangles.argmin(axis=1)[:, None]
+    triangles = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)  # turned, so that normals stay
+    triangles = triangles[np.lexsort(triangles.T[::-1])]
+    kept = order[is_first]
+    return Surface(surface.xyz[kept], surface.rgb[kept], surface.normal[kept], triangles)

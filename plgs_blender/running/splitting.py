@@ -34,6 +34,8 @@ class SplitByViews(Task):
             return
         every = {root for each in bpy.data.scenes for root in lifts_in(each)}
         shown = [root for root in every if is_same_place(text_of(root, FOLDER), self._lift)]
+        if not shown:
+            return
         result = corrections.read_corrected(self._lift)
         for root in shown:
             corrections.show_edit(root, str(self.answer["uid"]), result)

@@ -49,6 +49,12 @@ def test_a_ball_is_round_closed_and_turned_outwards() -> None:
     assert (surface.rgb == COLOUR).all()
 
 
+def test_the_same_views_give_the_same_bytes() -> None:
+    one, other = (fuse([view_of_ball(number) for number in range(6)] * 2) for _ in range(2))
+    assert (one.xyz.tobytes(), one.triangles.tobytes()) == (other.xyz.tobytes(), other.triangles.tobytes())
+    assert len(np.unique(one.xyz, axis=0)) == len(one.xyz)
+
+
 def test_a_surface_needs_two_views() -> None:
     assert len(fuse([view_of_ball(0)]).triangles) == 0
     assert len(fuse([]).triangles) == 0
