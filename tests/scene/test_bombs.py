@@ -93,7 +93,7 @@ def test_a_playlist_is_no_video(tmp_path: Path, text: bytes, monkeypatch: pytest
 
     monkeypatch.setattr(cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
     (tmp_path / "rgb.mp4").write_bytes(text)
-    with pytest.raises(PlgsError, match="no MP4, MOV, Matroska or AVI"):
+    with pytest.raises(PlgsError, match="not an MP4, MOV, Matroska or AVI"):
         Video(tmp_path / "rgb.mp4").frame(0)
 
 

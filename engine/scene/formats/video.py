@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...gates import open_plain
-from ...posed.counts import check_most
 from ..frame import Size
 
 _BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
 """An MP4 or MOV begins with one of these."""
 _MATROSKA = b"\x1a\x45\xdf\xa3"
-_MOST_BOXES = 1 << 17
-"""Boxes of one level. Films that are written in parts have two for each part, of some seconds."""
 _FIX = "Copy or record it again, or take its pictures out with another tool."
 
 
@@ -52,18 +48,22 @@ class Video:
         return partial(self.frame, number)
 
     def size(self) -> Size:
-        """(width, height) of its pictures. One is decoded if the header does not tell. Raises PlgsError."""
-        size = mp4_size(self.path)
-        if size is None:
-            height, width, _ = self.frame(0).shape
-            size = width, height
-        return size
+        """(width, height) of its pictures, as its header says. Raises PlgsError."""
+        import cv2
+
+        with self._lock:
+            self._go_to(0)
+            width, height = (
+                int(self._capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+            )
+        if width < 1 or height < 1:
+            raise PlgsError("the video does not say how large its pictures are", self.path, _FIX)
+        return width, height
 
     def count(self) -> int:
         """How many pictures it has, as its header says. Raises PlgsError when it cannot be opened, or says none."""
         import cv2
 
-        self.size()
         with self._lock:
             self._go_to(0)
             count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
@@ -98,43 +98,4 @@ def _refuse_other_files(path: Path) -> None:
         raise PlgsError(f"the video cannot be read ({error.strerror})", path, _FIX) from error
     is_avi = start[:4] == b"RIFF" and start[8:] == b"AVI "
     if start[4:8] not in _BOXES and not start.startswith(_MATROSKA) and not is_avi:
-        raise PlgsError("this is no MP4, MOV, Matroska or AVI video", path, _FIX)
-
-
-def mp4_size(path: Path) -> Size | None:
-    """The size of an MP4's pictures from its headers; None for other videos and for unusual headers."""
-    with open_plain(path) as file:
-        end = file.seek(0, 2)
-        if not any(_boxes(file, b"ftyp", 0, min(end, 64))):
-            return None
-        tracks = (each for movie in _boxes(file, b"moov", 0, end) for each in _boxes(file, b"trak", *movie))
-        for begin, stop in (head for track in tracks for head in _boxes(file, b"tkhd", *track)):
-            if stop - begin >= 84:
-                file.seek(stop - 8)  # 16.16 fixed point at the end of a track's header; 0 for sound
-                sides = file.read(8)
-                width, height = (side >> 16 for side in struct.unpack(">II", sides)) if len(sides) == 8 else (0, 0)
-                if width and height:
-                    return width, height
-    return None
-
-
-def _boxes(file: BinaryIO, wanted: bytes, start: int, stop: int) -> Iterator[tuple[int, int]]:
-    """Where the content of each box of the kind ``wanted`` starts and ends, between two places of an MP4."""
-    number = 0
-    while start + 8 <= stop:
-        number += 1
-        check_most(number, "parts", file.name, _FIX, _MOST_BOXES)
-        file.seek(start)
-        head = file.read(16)
-        if len(head) < 8:
-            return
-        length, kind, begin = int.from_bytes(head[:4], "big"), head[4:8], start + 8
-        if length == 1 and len(head) == 16:
-            length, begin = int.from_bytes(head[8:], "big"), start + 16
-        elif length == 0:
-            length = stop - start
-        if length < begin - start:
-            return
-        if kind == wanted:
-            yield begin, start + length
-        start += length
+        raise PlgsError("this is not an MP4, MOV, Matroska or AVI video", path, _FIX)

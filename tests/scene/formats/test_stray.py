@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from engine.errors import PlgsError
 from engine.scene import open_scene
-from engine.scene.formats.video import mp4_size
+from engine.scene.formats.video import Video
 from tests.scene.formats.room import Lens, View, check_on_room, look, quaternion, views, y_up
 from tests.scene.formats.writing import in_steps, write_grey
 from tests.scene.refusing import refuses
@@ -85,9 +86,10 @@ def test_a_phone_held_upright_still_has_y_up(tmp_path: Path) -> None:
 
 def test_the_size_comes_from_the_header(tmp_path: Path) -> None:
     write_stray(tmp_path)
-    assert mp4_size(tmp_path / "rgb.mp4") == (LENS.width, LENS.height)
+    assert Video(tmp_path / "rgb.mp4").size() == (LENS.width, LENS.height)
     (tmp_path / "other.mkv").write_bytes(b"\x1a\x45\xdf\xa3" * 20)
-    assert mp4_size(tmp_path / "other.mkv") is None
+    with pytest.raises(PlgsError, match="cannot be opened"):
+        Video(tmp_path / "other.mkv").size()
 
 
 def test_bad_files_get_a_line(tmp_path: Path) -> None:
