@@ -6,9 +6,7 @@ lies at (i + 0.5) / n of the way across. Labels and depth take the source pixel 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,11 +17,6 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..posed.image_header import check_image_bytes, check_image_file
 from .frame import Size
-
-Decoder = Callable[[Path, bool], NDArray[Any]]
-"""Does what ``decode`` does, for an image file that is whole."""
-
-_decoder: ContextVar[Decoder | None] = ContextVar("decoder", default=None)
 
 
 @dataclass(frozen=True)
@@ -39,23 +32,12 @@ class Alignment:
     y_shift: float = 0.0
 
 
-@contextmanager
-def decoding_with(decoder: Decoder) -> Iterator[None]:
-    """Let ``decode`` read files through ``decoder``: Blender's Python has no OpenCV, and images of its own."""
-    before = _decoder.set(decoder)
-    try:
-        yield
-    finally:
-        _decoder.reset(before)
-
-
 def decode(path: Path, as_colour: bool) -> NDArray[Any]:
     """Decode an image as uint8 [H, W, 3] RGB, or as it is stored (RGB order), uint8 or uint16 [H, W] or [H, W, C].
 
     Orientation tags are ignored, as intrinsics refer to the stored pixels. Raises PlgsError when the file is damaged.
     """
-    data, decoder = check_image_file(path), _decoder.get()
-    return decode_bytes(data, path, as_colour) if decoder is None else decoder(path, as_colour)
+    return decode_bytes(check_image_file(path), path, as_colour)
 
 
 def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:

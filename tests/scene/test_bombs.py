@@ -88,7 +88,7 @@ PLAYLISTS = [b"#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/x.ts\n", b"ffconcat versi
 
 
 @pytest.mark.parametrize("text", PLAYLISTS)
-def test_a_playlist_is_no_video(tmp_path: Path, text: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_playlist_is_not_a_video(tmp_path: Path, text: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     import cv2
 
     monkeypatch.setattr(cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))

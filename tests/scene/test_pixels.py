@@ -13,7 +13,6 @@ from engine.scene.pixels import (
     Alignment,
     decode,
     decode_single_channel,
-    decoding_with,
     distinct_ids,
     resize_aligned,
     resize_colour,
@@ -101,17 +100,3 @@ def test_distinct_ids_are_numpys_unique(highest: int) -> None:
     expected, expected_counts = np.unique(ids, return_counts=True)
     np.testing.assert_array_equal(values, expected)
     np.testing.assert_array_equal(counts, expected_counts)
-
-
-def test_another_decoder_reads_files_while_it_is_asked_to(tmp_path: Path) -> None:
-    path = tmp_path / "a.png"
-    cv2.imwrite(str(path), np.full((2, 3), 7, np.uint8))
-    seen = []
-
-    def decoder(file: Path, as_colour: bool) -> np.ndarray:
-        seen.append((file, as_colour))
-        return np.zeros((1, 1), np.uint8)
-
-    with decoding_with(decoder):
-        assert decode(path, as_colour=False).shape == (1, 1)
-    assert decode(path, as_colour=False).shape == (2, 3) and seen == [(path, False)]

@@ -68,7 +68,7 @@ def _shots(folder: Path) -> Iterator[tuple[str, Shot | None]]:
         match = re.fullmatch(r"frame_(\d+)", name)
         entry = table[name]
         if match is None or not isinstance(entry, dict):
-            raise PlgsError(f'"{name[:40]}" is no frame', path, _FIX)
+            raise PlgsError(f'"{name[:40]}" is not a frame', path, _FIX)
         if pictures and name not in pictures:
             continue  # only some were extracted
         pose = None
@@ -171,48 +171,16 @@ def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
 
 def _unpack_block(data: bytes) -> NDArray[np.float32]:
     """Raises ValueError, zlib.error."""
+    import lz4.block
+
     try:
-        steps = lz4_unpack(data, 2 * _PIXELS)
-    except ValueError:
+        steps = lz4.block.decompress(data, uncompressed_size=2 * _PIXELS)
+    except lz4.block.LZ4BlockError:
         steps = b""
     if len(steps) == 2 * _PIXELS:
         return np.frombuffer(steps, "<u2").reshape(_HEIGHT, _WIDTH) * np.float32(0.001)
     metres = zlib.decompressobj(-zlib.MAX_WBITS).decompress(data, 4 * _PIXELS)
     return np.frombuffer(metres, "<f4").reshape(_HEIGHT, _WIDTH)
-
-
-def lz4_unpack(data: bytes, largest: int) -> bytes:
-    """The bytes of one block in LZ4's block format, at most ``largest``. Raises ValueError when it is damaged."""
-    out, i = bytearray(), 0
-    while i < len(data):
-        token = data[i]
-        length, i = _lz4_length(data, i + 1, token >> 4)
-        if i + length > len(data):
-            raise ValueError("the block is cut off")
-        out += data[i : i + length]
-        i += length
-        if i == len(data):
-            break
-        back = int.from_bytes(data[i : i + 2], "little")
-        length, i = _lz4_length(data, i + 2, token & 15)
-        if not 0 < back <= len(out) or len(out) + length + 4 > largest:
-            raise ValueError("the block is damaged")
-        # A match may reach into what it writes itself: then it repeats.
-        match = bytes(out[-back:])
-        out += (match * ((length + 4) // back + 1))[: length + 4]
-    if len(out) > largest:
-        raise ValueError("the block is too long")
-    return bytes(out)
-
-
-def _lz4_length(data: bytes, i: int, length: int) -> tuple[int, int]:
-    """A length that starts at 4 bits and goes on in further bytes while these are 255, and where it ends."""
-    more = length == 15
-    while more:
-        if i >= len(data):
-            raise ValueError("the block is cut off")
-        length, more, i = length + data[i], data[i] == 255, i + 1
-    return length, i
 
 
 FORMAT = SceneFormat("scannetpp", _recognises, _read)
