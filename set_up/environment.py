@@ -54,7 +54,7 @@ class Recipe(NamedTuple):
 
 
 BLENDER = {(3, 11): "blender-4.5.txt", (3, 13): "blender-5.2.txt"}
-ENGINE_MODULES = ("torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors")
+ENGINE_MODULES = ("torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors", "lz4")
 
 
 def recipe(environment: str, version: tuple[int, int]) -> Recipe:
