@@ -13,7 +13,6 @@ from engine.errors import PlgsError
 from engine.scene import describe, open_scene
 from tests.scene.formats.room import Lens, View, cast, check_colours, check_on_room, elsewhere, look, quaternion, views
 from tests.scene.formats.writing import write_colour
-from tests.scene.refusing import refuses
 
 LENS = Lens().scaled(2)
 PINHOLE = ("PINHOLE", (LENS.fx, LENS.fy, LENS.cx, LENS.cy))
@@ -184,36 +183,3 @@ def test_binary(tmp_path: Path) -> None:
     for frame in scene.frames:
         pixel, depth = frame.camera.project(scene.points.xyz[scene.points.seen_by[frame.name]])
         np.testing.assert_allclose([*pixel[0], depth[0]], [LENS.cx, LENS.cy, 1.0], atol=1e-5)
-
-
-@pytest.mark.parametrize("file", ["cameras.bin", "images.bin", "points3D.bin"])
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.97])
-def test_cut_off_files_get_a_line(tmp_path: Path, file: str, share: float) -> None:
-    path = binary(tmp_path) / "sparse" / "0" / file
-    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
-    refuses("cut off", tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("file", "text", "told"),
-    [
-        ("cameras.txt", "3 PINHOLE 128 96 1 2 3\n", "PINHOLE with 3 numbers"),
-        ("cameras.txt", "3 THIN_PRISM_FISHEYE 128 96" + " 100 100 64 48" * 3, "image_undistorter"),
-        ("cameras.txt", "3 PINHOLE 128 96 -100 100 64 48", "no camera has"),
-        ("cameras.txt", "4 PINHOLE 128 96 100 100 64 48", "camera 3, which is not there"),
-        ("cameras.txt", "3 PINHOLE 96 128 100 100 48 48", "128x96, its camera 96x128"),
-        ("images.txt", "1 1 0 0\n\n", "line 1 is not as COLMAP"),
-        ("images.txt", "1 0 0 0 0 0 0 0 3 img_5.png\n\n", "quaternion is zero"),
-        ("images.txt", "1 1 0 0 0 0 0 0 3 ../img_5.png\n\n", "leaves the folder"),
-        ("images.txt", "", "no registered image"),
-        ("points3D.txt", "1 2 3\n", "line 1 is not as COLMAP"),
-    ],
-)
-def test_bad_files_get_a_line(tmp_path: Path, file: str, text: str, told: str) -> None:
-    (write_text(tmp_path) / "sparse" / "0" / file).write_text(text)
-    refuses(told, tmp_path)
-
-
-def test_missing_pictures_are_named(tmp_path: Path) -> None:
-    (write_text(tmp_path) / "images").rename(tmp_path / "photos")
-    refuses("pictures are missing.*img_5.png", tmp_path)

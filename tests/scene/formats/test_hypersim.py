@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.scene import open_scene
 from tests.scene.formats.room import cast, check_on_room, views
 from tests.scene.formats.writing import write_colour
@@ -84,26 +83,6 @@ def test_without_the_table_the_usual_lens_is_taken(tmp_path: Path) -> None:
     check_on_room(scene, tolerance=0.005, colour_step=255)
     one = scene.frames[0].read_colour(None).astype(int)
     assert 190 < np.percentile(one @ [0.3, 0.59, 0.11], 90) < 215 and not scene.frames[0].file_shows_colour
-
-
-def test_bad_files_get_a_line(tmp_path: Path) -> None:
-    folder = write_hypersim(tmp_path / "ai_001_001", USUAL)
-    table = tmp_path / "metadata_camera_parameters.csv"
-    good = table.read_text()
-    for text, told in (
-        (good.replace("ai_001_001", "ai_1"), "no camera parameters"),
-        (good.replace("0.577", "x"), "not"),
-    ):
-        table.write_text(text)
-        refuses(told, folder)
-    table.write_text(good)
-    depth = folder / "images" / "scene_cam_00_geometry_hdf5" / "frame.0001.depth_meters.hdf5"
-    depth.write_bytes(depth.read_bytes()[:600])
-    scene = open_scene(folder)
-    with pytest.raises(PlgsError, match="cannot be read"):
-        scene.frames[1].depth()
-    (folder / "_detail" / "metadata_scene.csv").write_text("parameter_name, parameter_value\n")
-    refuses("meters_per_asset_unit is missing", folder)
 
 
 def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

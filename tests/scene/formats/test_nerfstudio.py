@@ -14,7 +14,6 @@ import pytest
 from engine.scene import open_scene
 from tests.scene.formats.room import Lens, cast, check_colours, check_on_room, elsewhere, look, opengl_pose, views
 from tests.scene.formats.writing import in_steps, write_colour, write_grey, write_pair
-from tests.scene.refusing import refuses
 
 LENS = Lens()
 SHARED = {"w": 64, "h": 48, "fl_x": LENS.fx, "fl_y": LENS.fy, "cx": LENS.cx, "cy": LENS.cy, "camera_model": "OPENCV"}
@@ -35,11 +34,6 @@ def write_scene(folder: Path, depth: bool = True, **shared: Any) -> Path:
     content = SHARED | shared | {"frames": frames}
     (folder / "transforms.json").write_text(json.dumps({k: v for k, v in content.items() if v is not None}))
     return folder
-
-
-def change(folder: Path, **values: Any) -> None:
-    content = json.loads((folder / "transforms.json").read_text())
-    (folder / "transforms.json").write_text(json.dumps(content | values))
 
 
 def test_points_lie_on_the_room(tmp_path: Path) -> None:
@@ -170,23 +164,3 @@ def test_points_and_cameras_stand_upright_together(tmp_path: Path) -> None:
     assert scene.points is not None and scene.points.rgb[0].tolist() == [10, 20, 30]
     for frame, point in zip(scene.frames, scene.points.xyz, strict=True):
         np.testing.assert_allclose(point, frame.camera.centre + frame.camera.camera_to_world[:3, 2], atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
-        ({"fl_x": None}, '"fl_x" of frame frame_8 must be a number'),
-        ({"fl_x": -3}, "intrinsics that no camera has"),
-        ({"w": 48, "h": 64}, "64x48, its camera 48x64"),
-        ({"frames": []}, "no picture with a pose"),
-        ({"frames": [{"file_path": "images/frame_8", "transform_matrix": [[1, 2], [3]]}]}, "transform_matrix"),
-        ({"frames": [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}]}, "pictures are missing.*a.png"),
-        ({"frames": [{"file_path": "../a.png", "transform_matrix": np.eye(4).tolist()}]}, "leaves the folder"),
-        ({"frames": [{"file_path": "images/frame_8", "transform_matrix": np.ones((4, 4)).tolist()}]}, "last row"),
-        ({"ply_file_path": "transforms.json"}, "this is no PLY file"),
-    ],
-)
-def test_bad_files_get_a_line(tmp_path: Path, values: dict[str, Any], told: str) -> None:
-    change(write_scene(tmp_path), **values)
-    refuses(told, tmp_path)

@@ -81,20 +81,3 @@ def test_open3ds_own_trajectory(tmp_path: Path) -> None:
     content = {"class_name": "PinholeCameraTrajectory", "parameters": parameters}
     (tmp_path / "trajectory.json").write_text(json.dumps(content))
     check_on_room(open_scene(tmp_path))
-
-
-def test_bad_files_get_a_line(tmp_path: Path) -> None:
-    write_images(tmp_path, PRIMESENSE)
-    path = tmp_path / "a.log"
-    for text, told in (
-        (log(views())[:-40], "cut off|holds"),
-        (log(views()[:5]), "6 pictures, 6 depth images and 5 poses"),
-        (log(views()).replace("0 0 1", "0 0"), "line 1 holds 2 numbers, not 3"),
-    ):
-        path.write_text(text)
-        refuses(told, tmp_path)
-    path.write_text(log(views()))
-    (tmp_path / "intrinsic.json").write_text(json.dumps(intrinsic(Lens(48, 64, 50, 50, 24, 32))))
-    refuses("64x48, its camera 48x64", tmp_path)
-    (tmp_path / "intrinsic.json").write_text("{}")
-    refuses('no "width"', tmp_path)

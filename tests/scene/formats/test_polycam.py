@@ -12,7 +12,6 @@ import pytest
 from engine.scene import open_scene
 from tests.scene.formats.room import Lens, View, check_on_room, look, views, y_up
 from tests.scene.formats.writing import in_steps, write_colour, write_grey
-from tests.scene.refusing import refuses
 
 LENS = Lens().scaled(2)
 DEPTH = Lens()
@@ -55,15 +54,3 @@ def test_points_lie_on_the_room(tmp_path: Path, corrected: bool) -> None:
     assert any("not optimised" in warning for warning in scene.warnings) is not corrected
     check_on_room(scene)
     assert not scene.frames[0].depth()[:5].any()
-
-
-def test_bad_files_get_a_line(tmp_path: Path) -> None:
-    keyframes = write_polycam(tmp_path) / "keyframes"
-    path = keyframes / "corrected_cameras" / "98765432107.json"
-    good = json.loads(path.read_text())
-    for change, told in (({"t_03": "x"}, "t_03"), ({"fx": 0}, "no camera"), ({"width": 96, "height": 128}, "96x128")):
-        path.write_text(json.dumps(good | change))
-        refuses(told, tmp_path)
-    path.write_text(json.dumps(good))
-    (keyframes / "depth" / "98765432107.png").unlink()
-    refuses("no depth", tmp_path)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from engine.scene import open_scene
 from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views
 from tests.scene.formats.writing import in_steps, write_colour, write_grey
-from tests.scene.refusing import refuses
 
 
 def write_posed_images(folder: Path, *, depth: bool = True) -> Path:
@@ -42,9 +40,3 @@ def test_lost_tracking(tmp_path: Path) -> None:
     scene = open_scene(tmp_path)
     assert [frame.name for frame in scene.frames][2] == "00003"
     assert "without a pose are left out: 00002" in scene.warnings[0]
-
-
-@pytest.mark.parametrize(("file", "text"), [("intrinsic.txt", "1 2 3\n"), ("00001.txt", "1 0 0\n")])
-def test_bad_files_get_a_line(tmp_path: Path, file: str, text: str) -> None:
-    (write_posed_images(tmp_path) / file).write_text(text)
-    refuses(file, tmp_path)

@@ -119,23 +119,6 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
         scene.frames[0].depth()
 
 
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({"poses": [[0, 0, 0, 1, 0, 0, 0]]}, "1 poses and 11 pictures"),
-        ({"poses": [[0, 0, 0, 1, 0, 0]] * 11}, '"poses" of metadata must be 11x7'),
-        ({"poses": 5}, '"poses" of metadata'),
-        ({"K": None}, 'metadata has no "K"'),
-        ({"K": [1] * 4}, '"K" of metadata'),
-        ({"w": 10}, "intrinsics that no camera has"),
-        ({"w": "a"}, '"w" of metadata'),
-        ({"perFrameIntrinsicCoeffs": [5] * 11}, "coefficients"),
-    ],
-)
-def test_bad_metadata_gets_a_line(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
-    refuses(told, write_r3d(tmp_path / "a.r3d", **changes))
-
-
 def test_depth_that_unpacks_to_more_than_its_pixels_gets_a_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -149,18 +132,6 @@ def test_depth_that_unpacks_to_more_than_its_pixels_gets_a_line(
     with pytest.raises(PlgsError, match="0.depth cannot be decompressed .it unpacks to more than"):
         open_scene(tmp_path / "scan").frames[0].depth()
     assert asked == []
-
-
-def test_broken_archives_get_a_line(tmp_path: Path) -> None:
-    whole = write_r3d(tmp_path / "a.r3d").read_bytes()
-    (tmp_path / "b.r3d").write_bytes(whole[: len(whole) // 2])
-    refuses("no .r3d file, or it is cut off", tmp_path / "b.r3d")
-    (tmp_path / "c.r3d").write_bytes(whole[:3000] + bytes(20) + whole[3020:])
-    scene = open_scene(tmp_path / "c.r3d")
-    with pytest.raises(PlgsError, match="cannot be"):
-        for frame in scene.frames:
-            frame.depth()
-            frame.read_colour(None)
 
 
 USUAL = base64.b64decode(

@@ -5,12 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
-
 from engine.scene import open_scene
 from tests.scene.formats.room import Lens, View, check_on_room, look, opencv_pose, views
 from tests.scene.formats.writing import write_pair
-from tests.scene.refusing import refuses
 
 # 600 600 599.5 339.5 of 1200x680 and 320 320 319.5 239.5 of 640x480, integer centres, for a tenth of the size.
 NICE = Lens(120, 68, 60.0, 60.0, 60.0, 34.0)
@@ -53,19 +50,3 @@ def test_semantic_nerf(tmp_path: Path) -> None:
     scene = open_scene(tmp_path)
     assert scene.format == "vmap" and [frame.name for frame in scene.frames] == [f"rgb_{i}" for i in range(11)]
     check_on_room(scene)
-
-
-def test_bad_files_get_a_line(tmp_path: Path) -> None:
-    write_nice(tmp_path)
-    (tmp_path / "traj.txt").write_text(trajectory(views()[:4]))
-    refuses("there are 4 poses and a picture 5", tmp_path)
-    (tmp_path / "traj.txt").write_text("1 2 3\n")
-    refuses("line 1 holds 3 numbers, not 16", tmp_path)
-    inf = np.full((6, 16), np.inf)
-    np.savetxt(tmp_path / "traj.txt", inf)
-    refuses("no picture with a pose", tmp_path)
-    (tmp_path / "traj.txt").write_text(trajectory(views()))
-    (tmp_path / "results" / "depth000003.png").unlink()
-    refuses("picture 3 has no depth", tmp_path)
-    (tmp_path / "cam_params.json").write_text("{}")
-    refuses('no "camera"', tmp_path)

@@ -17,7 +17,6 @@ from engine.errors import PlgsError
 from engine.scene import open_scene
 from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views
 from tests.scene.formats.writing import in_steps, write_colour, write_grey
-from tests.scene.refusing import refuses
 
 DEPTH = Lens(256, 192, 220.0, 220.0, 131.0, 93.0)
 LENS = DEPTH.scaled(0.75)
@@ -103,21 +102,3 @@ def test_cut_off_depth_gets_a_line(tmp_path: Path, pack: Callable[[list[np.ndarr
     scene = open_scene(tmp_path)
     with pytest.raises(PlgsError, match="depth of frame 5|cannot be unpacked"):
         scene.frames[5].depth()
-
-
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({"other": {}}, '"other" is not a frame'),
-        ({"frame_000001": 5}, "is not a frame"),
-        ({"frame_000001": {"aligned_pose": [[1]]}}, '"aligned_pose" of frame_000001 must be 4x4'),
-        ({"frame_000001": {"aligned_pose": np.eye(4).tolist(), "intrinsic": np.eye(3).tolist()}}, None),
-        ({"frame_000001": {"aligned_pose": np.eye(4).tolist()}}, 'no "intrinsic"'),
-    ],
-)
-def test_bad_tables_get_a_line(tmp_path: Path, changes: dict[str, object], told: str | None) -> None:
-    write_table(write_scannetpp(tmp_path, one_stream) / "iphone", **changes)
-    if told is None:
-        assert len(open_scene(tmp_path).frames) == 6
-        return
-    refuses(told, tmp_path)

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.scene import open_scene
 from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views
 from tests.scene.refusing import refuses
@@ -65,21 +64,3 @@ def test_folders_that_were_exported_come_first(tmp_path: Path) -> None:
     (tmp_path / "pose").mkdir()
     (tmp_path / "color").mkdir()
     refuses("the folder has no .*color", tmp_path)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.001, 0.01, 0.5, 0.999])
-def test_cut_off_files_get_a_line(tmp_path: Path, share: float) -> None:
-    whole = sens()
-    (tmp_path / "a.sens").write_bytes(whole[: int(share * (len(whole) - 8))])
-    refuses("cut off", tmp_path / "a.sens")
-
-
-def test_other_files_and_damage_get_a_line(tmp_path: Path) -> None:
-    whole = bytearray(sens())
-    (tmp_path / "a.sens").write_bytes(b"\5" + whole[1:])
-    refuses("no .sens of version 4", tmp_path / "a.sens")
-    whole[-2000:-8] = bytes(1992)
-    (tmp_path / "a.sens").write_bytes(whole)
-    scene = open_scene(tmp_path / "a.sens")
-    with pytest.raises(PlgsError, match="depth"):
-        scene.frames[-1].depth()

@@ -13,7 +13,6 @@ from engine.scene import open_scene
 from engine.scene.formats.video import Video
 from tests.scene.formats.room import Lens, View, check_on_room, look, quaternion, views, y_up
 from tests.scene.formats.writing import in_steps, write_grey
-from tests.scene.refusing import refuses
 
 LENS = Lens().scaled(4)
 DEPTH = Lens()
@@ -90,21 +89,3 @@ def test_the_size_comes_from_the_header(tmp_path: Path) -> None:
     (tmp_path / "other.mkv").write_bytes(b"\x1a\x45\xdf\xa3" * 20)
     with pytest.raises(PlgsError, match="cannot be opened"):
         Video(tmp_path / "other.mkv").size()
-
-
-def test_bad_files_get_a_line(tmp_path: Path) -> None:
-    write_stray(tmp_path)
-    odometry = (tmp_path / "odometry.csv").read_text()
-    for text, told in (
-        ("a, b\n", "first line does not name"),
-        (odometry + "1, 2\n", "holds 2 numbers, not 9"),
-        (odometry.replace("000004", "-4"), "no frame's number"),
-        (odometry.replace("000004", "000400"), "000400 has no depth"),
-    ):
-        (tmp_path / "odometry.csv").write_text(text)
-        refuses(told, tmp_path)
-    (tmp_path / "odometry.csv").write_text(odometry)
-    (tmp_path / "camera_matrix.csv").write_text("1, 0, 5000\n0, 1, 1\n0, 0, 1\n")
-    refuses("intrinsics that no camera has with pictures of 256x192", tmp_path)
-    (tmp_path / "rgb.mp4").write_bytes(b"no video")
-    refuses("video", tmp_path)

@@ -10,7 +10,6 @@ import pytest
 from engine.scene import open_scene
 from tests.scene.formats.room import Lens, View, check_on_room, look, quaternion, views, y_up
 from tests.scene.formats.writing import write_colour, write_pair
-from tests.scene.refusing import refuses
 
 # 525 525 319.5 239.5 of 640x480, integer centres, for a tenth of the size with centres at +0.5.
 KINECT = Lens(64, 48, 52.5, 52.5, 32.0, 24.0)
@@ -120,23 +119,3 @@ def test_a_world_with_another_up_is_turned(tmp_path: Path) -> None:
     assert any("turned so that the cameras stand upright" in warning for warning in known.warnings)
     assert any("is the axis y, not z" in warning for warning in said.warnings)
     assert said.frames[0].camera.camera_to_world[:3, 3] == pytest.approx(y_up(views()[0]).eye)
-
-
-@pytest.mark.parametrize(
-    ("file", "text", "told"),
-    [
-        ("groundtruth.txt", "1.5 2 3\n", "line 1 holds 3 numbers, not 8"),
-        ("groundtruth.txt", "1.5 a 2 3 0 0 0 1\n", "something else than numbers"),
-        ("groundtruth.txt", "1.5 1 2 3 0 0 0 0\n", "quaternion is zero"),
-        ("groundtruth.txt", "1.5 1 2 3 0 0 0 1\n", "no picture with a pose"),
-        ("groundtruth.txt", "1.5 1 2 3 0 nan 0 1\n", "no picture with a pose"),
-        ("rgb.txt", "1305031102.17\n", "line 1 is no time stamp.*Write a time stamp and a file name on each line"),
-        ("rgb.txt", "1305031102.17 ../a.png\n", "leaves the folder"),
-        ("rgb.txt", "1305031102.17 rgb/a.png\n", "cannot be read"),
-        ("calibration.txt", "-3 1 1 1", "intrinsics that no camera has"),
-        ("calibration.txt", "", "not all there"),
-    ],
-)
-def test_bad_files_get_a_line(tmp_path: Path, file: str, text: str, told: str) -> None:
-    (write_tum(tmp_path) / file).write_text(text)
-    refuses(told, tmp_path)

@@ -1,0 +1,252 @@
+"""Whatever stands in a sample's files, opening and looking into it either works or raises PlgsError with one line."""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from engine.errors import PlgsError
+from engine.scene import describe, open_scene
+from tests.fuzzing import damaged, examples, with_odd_value
+from tests.scene.formats import (
+    test_colmap,
+    test_hypersim,
+    test_nerfstudio,
+    test_open3d_log,
+    test_polycam,
+    test_posed_images,
+    test_record3d,
+    test_replica,
+    test_scannetpp,
+    test_sens,
+    test_seven_scenes,
+    test_stray,
+    test_tum,
+)
+from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
+from tests.tiny_scene import write_tiny_scene
+
+ODD_WORDS = ("nan", "-inf", "1e999", "x", "", "-1", "0", "99999999999999999999", "../a", "\0")
+EYE = np.eye(4).tolist()
+PICTURE = "images/frame_8"
+
+
+def open3d(folder: Path) -> None:
+    test_open3d_log.write_images(folder, test_open3d_log.PRIMESENSE)
+    (folder / "a.log").write_text(test_open3d_log.log(test_open3d_log.views()))
+    (folder / "intrinsic.json").write_text(json.dumps(test_open3d_log.intrinsic(test_open3d_log.PRIMESENSE)))
+
+
+def unpacked_r3d(folder: Path) -> None:
+    with zipfile.ZipFile(test_record3d.write_r3d(folder / "a.r3d")) as archive:
+        archive.extractall(folder)
+    (folder / "a.r3d").unlink()
+
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "scannet": lambda folder: write_tiny_scene(
+        folder, frames=3, size=(16, 12), splits={"train": ["0000", "0001"], "test": ["0002"]}
+    ),
+    "nerfstudio": test_nerfstudio.write_scene,
+    "colmap": test_colmap.write_text,
+    "colmap-binary": test_colmap.binary,
+    "tum": test_tum.write_tum,
+    "7scenes": test_seven_scenes.write_seven,
+    "replica": test_replica.write_nice,
+    "posed-images": test_posed_images.write_posed_images,
+    "sens": lambda folder: (folder / "a.sens").write_bytes(test_sens.sens()),
+    "polycam": test_polycam.write_polycam,
+    "record3d": lambda folder: test_record3d.write_r3d(folder / "a.r3d"),
+    "record3d-unpacked": unpacked_r3d,
+    "stray": test_stray.write_stray,
+    "scannetpp": lambda folder: test_scannetpp.write_scannetpp(folder, test_scannetpp.lz4_blocks),
+    "hypersim": lambda folder: test_hypersim.write_hypersim(folder / "ai_001_001", test_hypersim.USUAL),
+    "open3d": open3d,
+}
+Sample = Callable[[str], Path]
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory: pytest.TempPathFactory) -> Sample:
+    """Gives the folder of a sample, which is written once."""
+    written: dict[str, Path] = {}
+
+    def of(name: str) -> Path:
+        if name not in written:
+            folder = tmp_path_factory.mktemp(name)
+            WRITERS[name](folder)
+            written[name] = folder
+        return written[name]
+
+    return of
+
+
+@contextmanager
+def with_content(path: Path, content: bytes | None) -> Iterator[None]:
+    """The file with other content, or None: without it, for a while."""
+    original = path.read_bytes() if path.exists() else None
+    path.unlink(missing_ok=True) if content is None else path.write_bytes(content)
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True) if original is None else path.write_bytes(original)
+
+
+def look_into(folder: Path) -> None:
+    with np.errstate(all="ignore"):
+        describe(open_scene(folder / "ai_001_001" if (folder / "ai_001_001").is_dir() else folder))
+
+
+def swapped(old: str, new: str) -> Callable[[bytes], bytes]:
+    return lambda data: data.replace(old.encode(), new.encode())
+
+
+def first(share: float) -> Callable[[bytes], bytes]:
+    return lambda data: data[: int(share * len(data))]
+
+
+# Sample, file, what becomes of it (other text; other values of its JSON; nothing), and what the line tells.
+BAD: list[tuple[str, str, Any, str]] = [
+    ("colmap", "sparse/0/cameras.txt", "3 PINHOLE 128 96 1 2 3\n", "PINHOLE with 3 numbers"),
+    ("colmap", "sparse/0/cameras.txt", "3 THIN_PRISM_FISHEYE 128 96" + " 100 100 64 48" * 3, "image_undistorter"),
+    ("colmap", "sparse/0/cameras.txt", "3 PINHOLE 128 96 -100 100 64 48", "no camera has"),
+    ("colmap", "sparse/0/cameras.txt", "4 PINHOLE 128 96 100 100 64 48", "camera 3, which is not there"),
+    ("colmap", "sparse/0/cameras.txt", "3 PINHOLE 96 128 100 100 48 48", "128x96, its camera 96x128"),
+    ("colmap", "sparse/0/images.txt", "1 1 0 0\n\n", "line 1 is not as COLMAP"),
+    ("colmap", "sparse/0/images.txt", "1 0 0 0 0 0 0 0 3 img_5.png\n\n", "quaternion is zero"),
+    ("colmap", "sparse/0/images.txt", "1 1 0 0 0 0 0 0 3 ../img_5.png\n\n", "leaves the folder"),
+    ("colmap", "sparse/0/images.txt", "", "no registered image"),
+    ("colmap", "sparse/0/points3D.txt", "1 2 3\n", "line 1 is not as COLMAP"),
+    ("colmap", "images/img_5.png", None, "pictures are missing.*img_5.png"),
+    *(
+        ("colmap-binary", f"sparse/0/{name}.bin", first(share), "cut off")
+        for name in ("cameras", "images", "points3D") for share in (0.0, 0.1, 0.97)
+    ),
+    ("hypersim", "metadata_camera_parameters.csv", swapped("ai_001_001", "ai_1"), "no camera parameters"),
+    ("hypersim", "metadata_camera_parameters.csv", swapped("0.577", "x"), "are not numbers"),
+    ("hypersim", "ai_001_001/_detail/metadata_scene.csv", "parameter_name, parameter_value\n", "unit is missing"),
+    ("hypersim", "ai_001_001/images/scene_cam_00_geometry_hdf5/frame.0001.depth_meters.hdf5", first(0.3),
+     "cannot be read"),
+    ("nerfstudio", "transforms.json", {"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
+    ("nerfstudio", "transforms.json", {"fl_x": None}, '"fl_x" of frame frame_8 must be a number'),
+    ("nerfstudio", "transforms.json", {"fl_x": -3}, "intrinsics that no camera has"),
+    ("nerfstudio", "transforms.json", {"w": 48, "h": 64}, "64x48, its camera 48x64"),
+    ("nerfstudio", "transforms.json", {"frames": []}, "no picture with a pose"),
+    ("nerfstudio", "transforms.json", {"frames": [{"file_path": PICTURE, "transform_matrix": [[1, 2], [3]]}]},
+     "transform_matrix"),
+    ("nerfstudio", "transforms.json", {"frames": [{"file_path": "a.png", "transform_matrix": EYE}]},
+     "pictures are missing.*a.png"),
+    ("nerfstudio", "transforms.json", {"frames": [{"file_path": "../a.png", "transform_matrix": EYE}]},
+     "leaves the folder"),
+    ("nerfstudio", "transforms.json", {"frames": [{"file_path": PICTURE, "transform_matrix": [[1] * 4] * 4}]},
+     "last row"),
+    ("nerfstudio", "transforms.json", {"ply_file_path": "transforms.json"}, "this is no PLY file"),
+    ("open3d", "a.log", first(0.98), "cut off|holds"),
+    ("open3d", "a.log", first(0.0), "there is no trajectory|6 pictures, 6 depth images and 0 poses"),
+    ("open3d", "a.log", swapped("0 0 1", "0 0"), "line 1 holds 2 numbers, not 3"),
+    ("open3d", "intrinsic.json", {"width": 48, "height": 64, "intrinsic_matrix": [50, 0, 0, 0, 50, 0, 24, 32, 1]},
+     "64x48, its camera 48x64"),
+    ("open3d", "intrinsic.json", "{}", 'no "width"'),
+    ("polycam", "keyframes/corrected_cameras/98765432107.json", {"t_03": "x"}, "t_03"),
+    ("polycam", "keyframes/corrected_cameras/98765432107.json", {"fx": 0}, "no camera"),
+    ("polycam", "keyframes/corrected_cameras/98765432107.json", {"width": 96, "height": 128}, "96x128"),
+    ("polycam", "keyframes/depth/98765432107.png", None, "no depth"),
+    ("posed-images", "intrinsic.txt", "1 2 3\n", "intrinsic.txt"),
+    ("posed-images", "00001.txt", "1 0 0\n", "00001.txt"),
+    ("record3d", "a.r3d", first(0.5), "no .r3d file, or it is cut off"),
+    ("record3d", "a.r3d", lambda data: data[:3000] + bytes(20) + data[3020:], "cannot be"),
+    ("record3d-unpacked", "metadata", {"poses": [[0, 0, 0, 1, 0, 0, 0]]}, "1 poses and 11 pictures"),
+    ("record3d-unpacked", "metadata", {"poses": [[0, 0, 0, 1, 0, 0]] * 11}, '"poses" of metadata must be 11x7'),
+    ("record3d-unpacked", "metadata", {"poses": 5}, '"poses" of metadata'),
+    ("record3d-unpacked", "metadata", swapped('"K"', '"k"'), 'metadata has no "K"'),
+    ("record3d-unpacked", "metadata", {"K": [1] * 4}, '"K" of metadata'),
+    ("record3d-unpacked", "metadata", {"w": 10}, "intrinsics that no camera has"),
+    ("record3d-unpacked", "metadata", {"w": "a"}, '"w" of metadata'),
+    ("record3d-unpacked", "metadata", {"perFrameIntrinsicCoeffs": [5] * 11}, "coefficients"),
+    ("replica", "traj.txt", first(0.7), "there are 4 poses and a picture 5|numbers, not 16"),
+    ("replica", "traj.txt", "1 2 3\n", "line 1 holds 3 numbers, not 16"),
+    ("replica", "traj.txt", ("inf " * 16 + "\n") * 6, "no picture with a pose"),
+    ("replica", "results/depth000003.png", None, "picture 3 has no depth"),
+    ("replica", "cam_params.json", "{}", 'no "camera"'),
+    ("scannetpp", "iphone/pose_intrinsic_imu.json", {"other": {}}, '"other" is not a frame'),
+    ("scannetpp", "iphone/pose_intrinsic_imu.json", {"frame_000001": 5}, "is not a frame"),
+    ("scannetpp", "iphone/pose_intrinsic_imu.json", {"frame_000001": {"aligned_pose": [[1]]}},
+     '"aligned_pose" of frame_000001 must be 4x4'),
+    ("scannetpp", "iphone/pose_intrinsic_imu.json", {"frame_000001": {"aligned_pose": EYE}}, 'no "intrinsic"'),
+    ("scannetpp", "iphone/depth.bin", first(0.9), "depth of frame|cannot be unpacked"),
+    *(("sens", "a.sens", first(share), "cut off") for share in (0.0, 0.001, 0.01, 0.5, 0.999)),
+    ("sens", "a.sens", lambda data: b"\5" + data[1:], "no .sens of version 4"),
+    ("sens", "a.sens", lambda data: data[:-2000] + bytes(2000), "depth cannot be decompressed|depth has another size"),
+    ("7scenes", "seq-01/frame-000002.depth.png", None, r"cannot be read .*frame-000002\.depth\.png"),
+    ("stray", "odometry.csv", "a, b\n", "first line does not name"),
+    ("stray", "odometry.csv", lambda data: data + b"1, 2\n", "holds 2 numbers, not 9"),
+    ("stray", "odometry.csv", swapped("000004", "-4"), "no frame's number"),
+    ("stray", "odometry.csv", swapped("000004", "000400"), "000400 has no depth"),
+    ("stray", "camera_matrix.csv", "1, 0, 5000\n0, 1, 1\n0, 0, 1\n",
+     "intrinsics that no camera has with pictures of 256x192"),
+    ("stray", "rgb.mp4", "no video", "this is not an MP4"),
+    ("tum", "groundtruth.txt", "1.5 2 3\n", "line 1 holds 3 numbers, not 8"),
+    ("tum", "groundtruth.txt", "1.5 a 2 3 0 0 0 1\n", "something else than numbers"),
+    ("tum", "groundtruth.txt", "1.5 1 2 3 0 0 0 0\n", "quaternion is zero"),
+    ("tum", "groundtruth.txt", "1.5 1 2 3 0 0 0 1\n", "no picture with a pose"),
+    ("tum", "groundtruth.txt", "1.5 1 2 3 0 nan 0 1\n", "no picture with a pose"),
+    ("tum", "rgb.txt", "1305031102.17\n", "line 1 is no time stamp.*Write a time stamp and a file name on each line"),
+    ("tum", "rgb.txt", "1305031102.17 ../a.png\n", "leaves the folder"),
+    ("tum", "rgb.txt", "1305031102.17 rgb/a.png\n", "cannot be read"),
+    ("tum", "calibration.txt", "-3 1 1 1", "intrinsics that no camera has"),
+    ("tum", "calibration.txt", "", "not all there"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "file", "change", "told"), BAD)
+def test_bad_files_get_a_line(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
+    path = sample(name) / file
+    if callable(change):
+        change = change(path.read_bytes())
+    elif isinstance(change, dict):
+        change = json.dumps(json.loads(path.read_bytes()) | change)
+    with with_content(path, change.encode() if isinstance(change, str) else change):
+        with pytest.raises(PlgsError, match=told) as caught:
+            look_into(sample(name))
+    assert "\n" not in str(caught.value) and caught.value.fix
+
+
+def odd_word(draw: Any, data: bytes) -> bytes:
+    """One number of a text is another word."""
+    found = [*re.finditer(rb"-?\d[\d.e+-]*", data)]
+    place = draw(st.sampled_from(found)) if found else None
+    word = draw(st.sampled_from(ODD_WORDS)).encode()
+    return b"" if place is None else data[: place.start()] + word + data[place.end() :]
+
+
+def odd_value(draw: Any, data: bytes) -> bytes:
+    """One value of a JSON document is another; other files are damaged."""
+    try:
+        return json.dumps(with_odd_value(draw, json.loads(data))).encode()
+    except ValueError:
+        return damaged(draw, data)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@examples(20)
+@given(data=st.data())
+def test_damaged_samples_get_a_line(sample: Sample, name: str, data: st.DataObject) -> None:
+    files = sorted(path for path in sample(name).rglob("*") if path.is_file())
+    suffix = data.draw(st.sampled_from(sorted({path.suffix for path in files})))  # what kind a file is of
+    path = data.draw(st.sampled_from([path for path in files if path.suffix == suffix]))
+    spoil = data.draw(st.sampled_from([damaged, odd_word, odd_value]))
+    with with_content(path, spoil(data.draw, path.read_bytes())):
+        try:
+            look_into(sample(name))
+        except PlgsError as error:
+            assert "\n" not in str(error) and error.fix.endswith((".", "?")), str(error)
