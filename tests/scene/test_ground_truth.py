@@ -11,7 +11,6 @@ from engine.scene import Scene, check_scene, load_view, open_scene
 from engine.scene.class_map import class_map
 from engine.scene.class_tables import known_table
 from engine.scene.ground_truth import classes_by_name
-from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -118,11 +117,3 @@ def test_views_do_not_depend_on_ground_truth(folder: Path) -> None:
         assert one.mask.segments == other.mask.segments
         for a, b in ((one.colour, other.colour), (one.depth, other.depth), (one.mask.ids, other.mask.ids)):
             np.testing.assert_array_equal(a, b)
-
-
-def test_damaged_ground_truth_is_found_by_the_checks(folder: Path) -> None:
-    path = folder / "gt" / "instance" / "0001.png"
-    data = bytearray(path.read_bytes())
-    data[-30] ^= 0xFF
-    path.write_bytes(bytes(data))
-    refuses("damaged", folder, look_into_pixels=True)

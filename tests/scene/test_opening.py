@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -146,19 +144,6 @@ def test_an_orientation_tag_does_not_turn_the_picture(tmp_path: Path) -> None:
     frame = open_scene(folder).frames[0]
     assert frame.size == (64, 48)
     np.testing.assert_array_equal(frame.read_colour(None), before)
-
-
-def test_opening_reads_no_pixels_and_needs_no_opencv(tmp_path: Path, root: Path) -> None:
-    folder = write_tiny_scene(tmp_path, frames=5)
-    program = (
-        "import sys; sys.modules['cv2'] = None; from pathlib import Path; from engine.scene import open_scene; "
-        f"print(len(open_scene(Path({str(folder)!r})).frames)); "
-        "print([name for name in ('torch', 'numba') if name in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=root, capture_output=True, text=True, check=True, timeout=120
-    )
-    assert done.stdout.split("\n")[:2] == ["5", "[]"]
 
 
 def test_a_folder_that_cannot_be_read_says_so(tmp_path: Path) -> None:

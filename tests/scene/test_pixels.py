@@ -44,19 +44,6 @@ def test_nearest_enlarged_by_a_whole_factor_comes_back_the_same(size: tuple[int,
     np.testing.assert_array_equal(resize_nearest(large, size), pixels)
 
 
-@given(sizes, sizes)
-def test_nearest_mirrors_with_the_picture_where_no_centre_meets_an_edge(
-    size: tuple[int, int], target: tuple[int, int]
-) -> None:
-    # (2 i + 1) w / 2 t is whole where the centre lies on an edge: then right and left differ by rule.
-    if any((2 * i + 1) * w % (2 * t) == 0 for w, t in zip(size, target, strict=True) for i in range(t)):
-        return
-    pixels = numbered(size)
-    np.testing.assert_array_equal(
-        resize_nearest(pixels[::-1, ::-1], target)[::-1, ::-1], resize_nearest(pixels, target)
-    )
-
-
 def test_an_alignment_shifts_depth_and_leaves_nothing_where_it_ends() -> None:
     pixels = numbered((8, 4)) + 1
     shifted = resize_aligned(pixels, (8, 4), Alignment(x_shift=0.25))

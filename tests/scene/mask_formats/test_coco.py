@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from engine.scene import check_scene, distinct_colour, open_scene
-from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -126,18 +125,7 @@ def test_annotations_of_other_images_are_passed_over(folder: Path) -> None:
     assert check_scene(open_scene(folder)) == ()
 
 
-def test_segments_without_pixels_are_a_warning(folder: Path) -> None:
-    change(folder, lambda c: c["annotations"][1]["segments_info"].append({"id": 900, "category_id": 5}))
-    expected = "1 segments of the masks' table have no pixel in the PNGs (the first: segment 900 of frame 0001)"
-    assert expected in check_scene(open_scene(folder))
-
-
 def test_a_grey_png_holds_the_ids_themselves(folder: Path) -> None:
     mask = open_scene(folder).frames[1].read_mask(None)
     cv2.imwrite(str(folder / "panoptic" / "0001.png"), mask.ids.astype(np.uint16))
     np.testing.assert_array_equal(open_scene(folder).frames[1].read_mask(None).ids, mask.ids)
-
-
-def test_a_mask_of_16_bit_colours_is_refused(folder: Path) -> None:
-    cv2.imwrite(str(folder / "panoptic" / "0001.png"), np.zeros((24, 32, 3), np.uint16))
-    refuses("not an 8-bit RGB PNG", folder, look_into_pixels=True)

@@ -11,7 +11,6 @@ import pytest
 
 from engine.scene import open_scene
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
-from tests.scene.refusing import refuses
 
 COCO = {3: 72, 5: 56}
 """Of COCO's things: the cabinet seen as a refrigerator, the chair."""
@@ -72,29 +71,3 @@ def test_a_picture_a_detection(tmp_path: Path) -> None:
     truths = write_pictures(tmp_path)
     scene = open_scene(tmp_path, mask_format="detections")
     check_on_room(scene, truths, SEEN | {3: "cabinet"}, frozenset({"cabinet", "chair"}))
-
-
-def test_a_name_that_tells_nothing_is_refused(tmp_path: Path) -> None:
-    write_pictures(tmp_path)
-    cv2.imwrite(str(tmp_path / "masks" / "0001" / "chair.png"), np.zeros((48, 64), np.uint8))
-    refuses(
-        r"does not tell class and score: .*chair.png. Call it <k>_<class>_<score>", tmp_path, mask_format="detections"
-    )
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"scores": np.array([0.5])}, "not 1 classes|not [24] classes"),
-        ({"classes": np.array(["chair"], object)}, "pickled array"),
-        ({"masks": np.zeros((48, 64), bool)}, "have the shape"),
-        ({"scores": None}, 'no "scores"'),
-    ],
-)
-def test_bad_stacks_get_a_line(tmp_path: Path, change: dict[str, np.ndarray | None], told: str) -> None:
-    write_stacks(tmp_path)
-    path = tmp_path / "masks" / "0000.npz"
-    with np.load(path) as stored:
-        arrays = {**stored, **change}
-    np.savez(path, **{key: values for key, values in arrays.items() if values is not None})
-    refuses(told, tmp_path, classes="coco", look_into_pixels=True)

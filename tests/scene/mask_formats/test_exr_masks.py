@@ -15,7 +15,6 @@ from engine.posed.exr_header import ExrHeader, read_exr_header
 from engine.scene import open_scene
 from engine.scene.exr_file import placed
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, tracks, write_frames
-from tests.scene.refusing import refuses
 
 OBJECTS = {1: "Wall.001", 2: "Floor", 3: "Cabinet.007", 5: "Chair.002", 13: "Ceiling"}
 SHOWN = {1: "Wall", 2: "Floor", 3: "Cabinet", 5: "Chair", 13: "Ceiling"}
@@ -110,21 +109,6 @@ def test_material_indices_are_classes(tmp_path: Path) -> None:
     check_on_room(scene, truths, NAMES, frozenset({"chair"}))
 
 
-def test_bad_files_get_a_line(tmp_path: Path) -> None:
-    write_mattes(tmp_path)
-    path = tmp_path / "masks" / "0001.exr"
-    whole = path.read_bytes()
-    window = b"dataWindow\0box2i\0" + struct.pack("<5i", 16, 0, 0, 63, 47)
-    huge = whole.replace(window, window[:-8] + struct.pack("<2i", 2**20, 2**20))
-    assert huge != whole
-    for data, told in ((b"", "no OpenEXR"), (whole[:90], "cut off"), (huge, "no size of a picture")):
-        path.write_bytes(data)
-        refuses(told, tmp_path)
-    path.write_bytes(whole[: len(whole) * 2 // 3])
-    with pytest.raises(PlgsError, match="cut off"):
-        mask_of(open_scene(tmp_path), 1)
-
-
 def test_a_vast_part_behind_a_small_one_is_refused(tmp_path: Path) -> None:
     """The library reads all parts."""
     planes = {"Z": np.zeros((5, 4), np.float32)}
@@ -138,15 +122,6 @@ def test_a_vast_part_behind_a_small_one_is_refused(tmp_path: Path) -> None:
     path.write_bytes(before + window + between + window[:-8] + struct.pack("<2i", 2**20, 2**20) + after)
     with pytest.raises(PlgsError, match="no size of a picture"):
         read_exr_header(path)
-
-
-def test_deep_files_are_refused(tmp_path: Path) -> None:
-    write_mattes(tmp_path)
-    path = tmp_path / "masks" / "0001.exr"
-    whole = bytearray(path.read_bytes())
-    whole[5] |= 0x08
-    path.write_bytes(whole)
-    refuses("deep OpenEXR files are not read", tmp_path)
 
 
 def test_what_lies_outside_the_data_window_is_void() -> None:

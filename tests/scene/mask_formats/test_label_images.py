@@ -11,8 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
-from engine.posed.array_file import array_headers
 from engine.scene import open_scene
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
 from tests.scene.mask_formats.test_tracks import palette_png
@@ -55,12 +53,6 @@ def test_things_without_an_instance_are_groups(tmp_path: Path) -> None:
     assert not any(one.is_thing for one in segments)
 
 
-def test_pairs_of_two_sizes_are_refused(tmp_path: Path) -> None:
-    write_pairs(tmp_path, ("semantic", "instance"))
-    cv2.imwrite(str(tmp_path / "masks" / "instance" / "0001.png"), np.zeros((24, 32), np.uint8))
-    refuses("not 64x48 as the classes are", tmp_path, classes="nyu40")
-
-
 def test_a_palettes_indices_are_classes(tmp_path: Path) -> None:
     """255 is void, as in Pascal VOC; ADE20K's 0 is a wall."""
     scene, truths = write_frames(tmp_path)
@@ -70,17 +62,6 @@ def test_a_palettes_indices_are_classes(tmp_path: Path) -> None:
         values[:4], truth.semantic[:4], truth.instance[:4] = 255, 0, 0
         (scene / "masks" / f"{truth.name}.png").write_bytes(palette_png(values))
     check_on_room(open_scene(tmp_path, mask_format="palette", classes="ade20k"), truths, NAMES | {0: ""}, frozenset())
-
-
-def test_numbers_outside_the_table_are_refused(tmp_path: Path) -> None:
-    write_pairs(tmp_path, ("semantic", "instance"))
-    cv2.imwrite(str(tmp_path / "masks" / "semantic" / "0001.png"), np.full((48, 64), 77, np.uint8))
-    refuses(
-        r"class ids 77 are not in the class table: .*0001.png. Add them to classes",
-        tmp_path,
-        classes="nyu40",
-        look_into_pixels=True,
-    )
 
 
 def write_arrays(folder: Path, save: Any) -> list[Truth]:
@@ -122,27 +103,6 @@ def header_of(shape: tuple[int, ...]) -> bytes:
     return file.getvalue()
 
 
-def test_bad_arrays_get_a_line(tmp_path: Path) -> None:
-    def save(path: Path, truth: Truth) -> None:
-        np.save(f"{path}.npy", in_table(truth, NYU))
-
-    write_arrays(tmp_path, save)
-    path = tmp_path / "masks" / "0001.npy"
-    logits = np.full((5, 48, 64), -1.0, np.float32)
-    for content, told in (
-        (np.array([{"a": 1}], object), "pickled array"),
-        (np.zeros((2, 3, 4, 5)), "no mask"),
-        (np.full((48, 64), 1.5), "no ids"),
-        (logits, "logits"),
-    ):
-        np.save(path, content, allow_pickle=True)
-        with pytest.raises(PlgsError, match=told):
-            mask_of(open_scene(tmp_path, classes="nyu40"), 1)
-    for data, told in ((b"", "no NumPy file"), (header_of((2**20, 2**20)), "too large"), (b"PK\3\4", "no NumPy file")):
-        path.write_bytes(data)
-        refuses(told, tmp_path, classes="nyu40")
-
-
 def test_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
     def save(path: Path, truth: Truth) -> None:
         with zipfile.ZipFile(f"{path}.npz", "w", zipfile.ZIP_DEFLATED) as archive:
@@ -165,24 +125,3 @@ def test_an_unknown_format_is_told_what_there_is(tmp_path: Path) -> None:
     (scene / "masks").mkdir()
     refuses(r"no masks of a known format.*Looked for coco: .*arrays: ", tmp_path)
     refuses('no mask format is called "yolo".*Choose one of coco, ', tmp_path, mask_format="yolo")
-
-
-@pytest.mark.parametrize("junk", [b"{", b"(", b"'", b"\xff", b"=", b"O"])
-def test_damaged_array_headers_get_a_line(tmp_path: Path, junk: bytes) -> None:
-    """At every place of the header that says type and shape."""
-
-    def save(path: Path, truth: Truth) -> None:
-        np.save(f"{path}.npy", in_table(truth, NYU).astype(np.uint16))
-
-    write_arrays(tmp_path, save)
-    path = tmp_path / "masks" / "0001.npy"
-    whole = path.read_bytes()
-    for place in range(10, 76):
-        path.write_bytes(whole[:place] + junk + whole[place + 1 :])
-        try:
-            array_headers(path)
-        except PlgsError as error:
-            assert error.where == str(path) and "\n" not in str(error)
-    path.write_bytes(whole[:20] + junk * 3 + whole[23:])
-    with pytest.raises(PlgsError):
-        array_headers(path)

@@ -61,28 +61,6 @@ def test_two_chairs_are_two_segments_at_any_bit_depth(folder: Path, pixel_type: 
     assert (mask.ids[5, 25], mask.ids[5, 0], mask.ids[5, 15]) == (1, 2, 3)
 
 
-def test_ids_do_not_depend_on_the_size_asked_for(folder: Path) -> None:
-    frame = open_scene(folder).frames[0]
-    own, small = frame.read_mask(None), frame.read_mask((16, 12))
-    np.testing.assert_array_equal(small.ids, own.ids[1::2, 1::2])
-    assert small.segments == own.segments
-
-
-def test_classes_outside_the_table_are_refused(folder: Path) -> None:
-    paint(folder / "m2f_semantics" / "0001.png", np.full((24, 32), 30, np.uint8))
-    refuses(r"class ids 30 are not in .* reduced table", folder, look_into_pixels=True)
-
-
-def test_masks_of_two_sizes_are_refused(folder: Path) -> None:
-    paint(folder / "m2f_instance" / "0001.png", np.zeros((12, 16), np.uint8))
-    refuses("not 32x24 as the classes are", folder)
-
-
-def test_colours_in_place_of_ids_are_refused(folder: Path) -> None:
-    paint(folder / "m2f_semantics" / "0001.png", np.zeros((24, 32, 3), np.uint8))
-    refuses("one channel", folder)
-
-
 def test_the_set_without_augmentation_is_used_where_it_is_alone_or_named(folder: Path) -> None:
     for kind in ("semantics", "instance"):
         (folder / f"m2f_{kind}").rename(folder / f"m2f_notta_{kind}")

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.scene import check_scene, open_scene
 from engine.scene.class_tables import known_table
 from tests.scene.mask_formats.labelled_room import (
@@ -107,15 +106,6 @@ def test_transformers_in_pngs_with_a_named_table(tmp_path: Path) -> None:
     refuses("do not say what their classes are.*--classes", tmp_path)
 
 
-def test_transformers_ids_given_twice_are_refused(tmp_path: Path) -> None:
-    write_transformers(tmp_path)
-    path = tmp_path / "masks" / "0001.json"
-    infos = json.loads(path.read_text())["segments_info"]
-    infos[-1]["id"] = infos[0]["id"]
-    path.write_text(json.dumps(infos))
-    refuses(r"segment id 1 twice.*0001.json.*label_ids_to_fuse", tmp_path)
-
-
 def write_detectron2(folder: Path, numbers: dict[int, int], things: set[int]) -> list[Truth]:
     scene, truths = write_frames(folder)
     for truth in truths:
@@ -148,23 +138,3 @@ def test_detectron2_names_no_classes(tmp_path: Path) -> None:
     truths = write_detectron2(tmp_path, COCO_NUMBERS, {5})
     names = {one: f"class {number}" for one, number in COCO_NUMBERS.items()} | {0: ""}
     check_on_room(open_scene(tmp_path), truths, names, frozenset({"class 56"}))
-
-
-@pytest.mark.parametrize(
-    ("content", "told"),
-    [
-        ("{", "cut off"),
-        ("[3]", "must be a list of objects"),
-        ("{}", "segments_info"),
-        ('[{"id": 1, "isthing": true}]', "category_id"),
-        ('[{"id": -1, "category_id": 3, "isthing": true}]', "out of range"),
-        ('[{"id": 1, "category_id": 3, "isthing": "yes"}]', "isthing"),
-        ('[{"id": 99999, "category_id": 3, "isthing": true}]', "missing in 0001.json"),
-    ],
-)
-def test_bad_tables_get_a_line(tmp_path: Path, content: str, told: str) -> None:
-    write_detectron2(tmp_path, COCO_NUMBERS, {5})
-    (tmp_path / "masks" / "0001.json").write_text(content)
-    with pytest.raises(PlgsError, match=told) as caught:
-        check_scene(open_scene(tmp_path))
-    assert "\n" not in str(caught.value) and "0001" in caught.value.where

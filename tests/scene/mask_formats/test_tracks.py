@@ -7,13 +7,11 @@ import struct
 import zlib
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.scene import open_scene
-from tests.scene.mask_formats.labelled_room import Truth, check_on_room, mask_of, tracks, write_frames
+from tests.scene.mask_formats.labelled_room import Truth, check_on_room, tracks, write_frames
 from tests.scene.refusing import refuses
 
 OBJECTS = {1: "", 2: "", 3: "object", 5: "object", 13: ""}
@@ -112,22 +110,8 @@ def test_grounded_sam2_names_classes(tmp_path: Path) -> None:
     assert tracks(scene, truths) == TRACKS
 
 
-def test_grounded_sam2_objects_without_a_row_are_refused(tmp_path: Path) -> None:
-    write_grounded(tmp_path)
-    path = tmp_path / "masks" / "json_data" / "mask_0000.json"
-    path.write_text(json.dumps({"labels": {}}))
-    with pytest.raises(PlgsError, match=r"objects .*7.* are missing in mask_0000.json"):
-        mask_of(open_scene(tmp_path))
-
-
 def test_frames_without_a_mask_are_named(tmp_path: Path) -> None:
     write_object_folders(tmp_path)
     for number in ("007", "012"):
         (tmp_path / "masks" / number / "0001.png").unlink()
     refuses("a frame has no mask .0001.", tmp_path)
-
-
-def test_colours_are_no_objects(tmp_path: Path) -> None:
-    write_palettes(tmp_path)
-    cv2.imwrite(str(tmp_path / "masks" / "0001.png"), np.zeros((48, 64, 3), np.uint8))
-    refuses("one channel, not colours", tmp_path, mask_format="sam2")

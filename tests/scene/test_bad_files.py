@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+import struct
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -34,6 +37,13 @@ from tests.scene.formats import (
     test_tum,
 )
 from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
+from tests.scene.mask_formats import (
+    test_detections,
+    test_exr_masks,
+    test_label_images,
+    test_segment_maps,
+    test_tracks,
+)
 from tests.tiny_scene import write_tiny_scene
 
 ODD_WORDS = ("nan", "-inf", "1e999", "x", "", "-1", "0", "99999999999999999999", "../a", "\0")
@@ -45,6 +55,13 @@ def open3d(folder: Path) -> None:
     test_open3d_log.write_images(folder, test_open3d_log.PRIMESENSE)
     (folder / "a.log").write_text(test_open3d_log.log(test_open3d_log.views()))
     (folder / "intrinsic.json").write_text(json.dumps(test_open3d_log.intrinsic(test_open3d_log.PRIMESENSE)))
+
+
+def arrays(folder: Path) -> None:
+    def save(path: Path, truth: test_label_images.Truth) -> None:
+        np.save(f"{path}.npy", test_label_images.in_table(truth, test_label_images.NYU).astype(np.uint16))
+
+    test_label_images.write_arrays(folder, save)
 
 
 def unpacked_r3d(folder: Path) -> None:
@@ -72,6 +89,23 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "scannetpp": lambda folder: test_scannetpp.write_scannetpp(folder, test_scannetpp.lz4_blocks),
     "hypersim": lambda folder: test_hypersim.write_hypersim(folder / "ai_001_001", test_hypersim.USUAL),
     "open3d": open3d,
+    "panoptic-lifting": lambda folder: write_tiny_scene(folder, frames=3, size=(32, 24), masks="panoptic_lifting"),
+    "pairs": lambda folder: test_label_images.write_pairs(folder, ("semantic", "instance")),
+    "arrays": arrays,
+    "detections": test_detections.write_stacks,
+    "detection-pictures": test_detections.write_pictures,
+    "cryptomatte": test_exr_masks.write_mattes,
+    "detectron2": lambda folder: test_segment_maps.write_detectron2(folder, test_segment_maps.COCO_NUMBERS, {5}),
+    "transformers": test_segment_maps.write_transformers,
+    "sam2": test_tracks.write_palettes,
+    "grounded-sam2": test_tracks.write_grounded,
+}
+OPTIONS: dict[str, dict[str, str]] = {
+    "pairs": {"classes": "nyu40"},
+    "arrays": {"classes": "nyu40"},
+    "detections": {"classes": "coco"},
+    "detection-pictures": {"mask_format": "detections"},
+    "sam2": {"mask_format": "sam2"},
 }
 Sample = Callable[[str], Path]
 
@@ -102,9 +136,9 @@ def with_content(path: Path, content: bytes | None) -> Iterator[None]:
         path.unlink(missing_ok=True) if original is None else path.write_bytes(original)
 
 
-def look_into(folder: Path) -> None:
+def look_into(folder: Path, name: str) -> None:
     with np.errstate(all="ignore"):
-        describe(open_scene(folder / "ai_001_001" if (folder / "ai_001_001").is_dir() else folder))
+        describe(open_scene(folder / "ai_001_001" if name == "hypersim" else folder, **OPTIONS.get(name, {})))
 
 
 def swapped(old: str, new: str) -> Callable[[bytes], bytes]:
@@ -113,6 +147,39 @@ def swapped(old: str, new: str) -> Callable[[bytes], bytes]:
 
 def first(share: float) -> Callable[[bytes], bytes]:
     return lambda data: data[: int(share * len(data))]
+
+
+def png(pixels: np.ndarray) -> bytes:
+    return cv2.imencode(".png", pixels)[1].tobytes()
+
+
+def npy(values: np.ndarray) -> bytes:
+    file = BytesIO()
+    np.save(file, values, allow_pickle=True)
+    return file.getvalue()
+
+
+def with_arrays(**changes: np.ndarray | None) -> Callable[[bytes], bytes]:
+    """An .npz with other arrays, None: without them."""
+
+    def change(data: bytes) -> bytes:
+        file = BytesIO()
+        with np.load(BytesIO(data)) as stored:
+            np.savez(file, **{key: values for key, values in {**stored, **changes}.items() if values is not None})
+        return file.getvalue()
+
+    return change
+
+
+def with_one_id_twice(data: bytes) -> bytes:
+    infos = json.loads(data)["segments_info"]
+    infos[-1]["id"] = infos[0]["id"]
+    return json.dumps(infos).encode()
+
+
+def with_huge_window(data: bytes) -> bytes:
+    window = b"dataWindow\0box2i\0" + struct.pack("<5i", 16, 0, 0, 63, 47)
+    return data.replace(window, window[:-8] + struct.pack("<2i", 2**20, 2**20))
 
 
 # Sample, file, what becomes of it (other text; other values of its JSON; nothing), and what the line tells.
@@ -205,6 +272,47 @@ BAD: list[tuple[str, str, Any, str]] = [
     ("tum", "rgb.txt", "1305031102.17 rgb/a.png\n", "cannot be read"),
     ("tum", "calibration.txt", "-3 1 1 1", "intrinsics that no camera has"),
     ("tum", "calibration.txt", "", "not all there"),
+    ("scannet", "gt/instance/0001.png", lambda data: data[:-30] + bytes(10) + data[-20:], "damaged"),
+    ("scannet", "panoptic/0001.png", png(np.zeros((12, 16, 3), np.uint16)), "not an 8-bit RGB PNG"),
+    ("panoptic-lifting", "m2f_semantics/0001.png", png(np.full((24, 32), 30, np.uint8)),
+     r"class ids 30 are not in .* reduced table"),
+    ("panoptic-lifting", "m2f_semantics/0001.png", png(np.zeros((24, 32, 3), np.uint8)), "one channel"),
+    ("panoptic-lifting", "m2f_instance/0001.png", png(np.zeros((12, 16), np.uint8)), "not 32x24 as the classes are"),
+    ("pairs", "masks/semantic/0001.png", png(np.full((48, 64), 77, np.uint8)),
+     r"class ids 77 are not in the class table: .*0001.png. Add them to classes"),
+    ("pairs", "masks/instance/0001.png", png(np.zeros((24, 32), np.uint8)), "not 64x48 as the classes are"),
+    ("arrays", "masks/0001.npy", npy(np.array([{"a": 1}], object)), "pickled array"),
+    ("arrays", "masks/0001.npy", npy(np.zeros((2, 3, 4, 5))), "no mask"),
+    ("arrays", "masks/0001.npy", npy(np.full((48, 64), 1.5)), "no ids"),
+    ("arrays", "masks/0001.npy", npy(np.full((5, 48, 64), -1.0, np.float32)), "logits"),
+    ("arrays", "masks/0001.npy", test_label_images.header_of((2**20, 2**20)), "too large"),
+    ("arrays", "masks/0001.npy", b"", "no NumPy file"),
+    ("arrays", "masks/0001.npy", b"PK\3\4", "no NumPy file"),
+    ("detections", "masks/0000.npz", with_arrays(scores=np.array([0.5])), "classes and scores as there are masks"),
+    ("detections", "masks/0000.npz", with_arrays(scores=None), 'no "scores"'),
+    ("detections", "masks/0000.npz", with_arrays(classes=np.array(["chair"], object)), "pickled array"),
+    ("detections", "masks/0000.npz", with_arrays(masks=np.zeros((48, 64), bool)), "have the shape"),
+    ("detection-pictures", "masks/0001/chair.png", png(np.zeros((48, 64), np.uint8)),
+     r"does not tell class and score: .*chair.png. Call it <k>_<class>_<score>"),
+    ("cryptomatte", "masks/0001.exr", b"", "no OpenEXR"),
+    ("cryptomatte", "masks/0001.exr", lambda data: data[:90], "cut off"),
+    ("cryptomatte", "masks/0001.exr", first(0.67), "cut off"),
+    ("cryptomatte", "masks/0001.exr", with_huge_window, "no size of a picture"),
+    ("cryptomatte", "masks/0001.exr", lambda data: data[:5] + b"\x08" + data[6:], "deep OpenEXR files are not read"),
+    *(
+        ("detectron2", "masks/0001.json", text, told) for text, told in (
+            ("{", "cut off"),
+            ("[3]", "must be a list of objects"),
+            ("{}", "segments_info"),
+            ('[{"id": 1, "isthing": true}]', "category_id"),
+            ('[{"id": -1, "category_id": 3, "isthing": true}]', "out of range"),
+            ('[{"id": 1, "category_id": 3, "isthing": "yes"}]', "isthing"),
+            ('[{"id": 99999, "category_id": 3, "isthing": true}]', "missing in 0001.json"),
+        )
+    ),
+    ("transformers", "masks/0001.json", with_one_id_twice, r"segment id 1 twice.*0001.json.*label_ids_to_fuse"),
+    ("sam2", "masks/0001.png", png(np.zeros((48, 64, 3), np.uint8)), "one channel, not colours"),
+    ("grounded-sam2", "masks/json_data/mask_0000.json", '{"labels": {}}', "objects .*7.* are missing in mask_0000"),
 ]  # fmt: skip
 
 
@@ -217,7 +325,7 @@ def test_bad_files_get_a_line(sample: Sample, name: str, file: str, change: Any,
         change = json.dumps(json.loads(path.read_bytes()) | change)
     with with_content(path, change.encode() if isinstance(change, str) else change):
         with pytest.raises(PlgsError, match=told) as caught:
-            look_into(sample(name))
+            look_into(sample(name), name)
     assert "\n" not in str(caught.value) and caught.value.fix
 
 
@@ -247,6 +355,6 @@ def test_damaged_samples_get_a_line(sample: Sample, name: str, data: st.DataObje
     spoil = data.draw(st.sampled_from([damaged, odd_word, odd_value]))
     with with_content(path, spoil(data.draw, path.read_bytes())):
         try:
-            look_into(sample(name))
+            look_into(sample(name), name)
         except PlgsError as error:
             assert "\n" not in str(error) and error.fix.endswith((".", "?")), str(error)
