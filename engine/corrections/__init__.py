@@ -14,23 +14,3 @@ from .part_classes import class_of_parts
 from .proposals import BY_VIEWS, Proposal, Proposals, proposals_of
 from .result import CorrectedResult, correct, read_corrected, set_undone, undo
 from .uncertain import entropy_of, entropy_of_views
-
-__all__ = [
-    "BY_VIEWS",
-    "CORRECTIONS",
-    "CorrectedResult",
-    "Edit",
-    "Proposal",
-    "Proposals",
-    "class_of_parts",
-    "correct",
-    "editing",
-    "entropy_of",
-    "entropy_of_views",
-    "making",
-    "proposals_of",
-    "read_corrected",
-    "read_edits",
-    "set_undone",
-    "undo",
-]

@@ -3,5 +3,3 @@
 from __future__ import annotations
 
 from .making import make_frames
-
-__all__ = ["make_frames"]

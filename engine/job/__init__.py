@@ -22,36 +22,3 @@ from .manifest import (
 )
 from .request import BAKES, FURTHER_LAYERS, LiftRequest
 from .stop import StopSignal, Watchdog
-
-__all__ = [
-    "BAKES",
-    "FURTHER_LAYERS",
-    "BakeCamera",
-    "BakeLocks",
-    "Checkpoint",
-    "CheckpointStore",
-    "Event",
-    "EventReader",
-    "EventWriter",
-    "ExitCode",
-    "LiftFolder",
-    "LiftRequest",
-    "LiftState",
-    "ListedFile",
-    "Manifest",
-    "StopSignal",
-    "Watchdog",
-    "add_files",
-    "check_sizes",
-    "drop_files",
-    "last_run",
-    "read_cameras",
-    "read_manifest",
-    "refuse_used",
-    "sha256",
-    "verify",
-    "verify_files",
-    "verify_lifted",
-    "write_atomically",
-    "write_manifest",
-]

@@ -5,16 +5,3 @@ from __future__ import annotations
 from .camera import Camera
 from .classes import VOID, Category, ClassTable, distinct_colour
 from .frames import PosedFrame, PosedScene, Size, SparsePoints, size_within
-
-__all__ = [
-    "VOID",
-    "Camera",
-    "Category",
-    "ClassTable",
-    "PosedFrame",
-    "PosedScene",
-    "Size",
-    "SparsePoints",
-    "distinct_colour",
-    "size_within",
-]

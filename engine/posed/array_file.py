@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tokenize
 import zlib
 from collections.abc import Collection
@@ -48,7 +47,7 @@ def read_npz(
             if size > most_bytes:
                 what = f"it would unpack to {size / 1e6:.0f} MB, at most {most_bytes / 1e6:.0f} may be"
                 raise PlgsError(what, path, fix)
-            return {name: parse_npy(archive.read(entry)) for name, entry in wanted.items()}
+            return {name: _array(BytesIO(archive.read(entry))) for name, entry in wanted.items()}
     except PlgsError:
         raise
     except KeyError as error:
@@ -60,30 +59,19 @@ def read_npz(
 def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]:
     """The array of a .npy. Raises PlgsError as ``read_npz`` does."""
     try:
-        return parse_npy(read_plain(path, most_bytes))
+        return _array(BytesIO(read_plain(path, most_bytes)))
     except OSError as error:
         raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
     except Exception as error:
         raise PlgsError(f"this is no NumPy array of numbers ({_reason(error)})", path, fix) from error
 
 
-def parse_npy(data: bytes) -> NDArray[Any]:
-    """The array in the bytes of a .npy. Memory is only taken for numbers that are there.
-
-    Raises ValueError, and the errors of NumPy's parser of headers.
-    """
-    stream = BytesIO(data)
-    version = np.lib.format.read_magic(stream)
-    if version not in _HEADERS:
-        raise ValueError(f"its version {version} is not known")
-    shape, is_fortran, dtype = _HEADERS[version](stream)
-    start = stream.tell()
-    if dtype.hasobject or dtype.itemsize == 0:
-        raise ValueError("it holds objects, not numbers")
-    if math.prod(shape) * dtype.itemsize != len(data) - start or min(shape, default=0) < 0:
-        raise ValueError(f"it does not hold the shape {shape} that it claims")
-    values = np.frombuffer(bytearray(data), dtype, offset=start)
-    return values.reshape(shape, order="F" if is_fortran else "C")
+def _array(file: IO[bytes]) -> NDArray[Any]:
+    """The array in a .npy. Memory is only touched for numbers that are there. Raises errors of many kinds."""
+    values: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+    if not values.dtype.itemsize:
+        raise ValueError("its numbers have no size")
+    return values
 
 
 def _reason(error: Exception) -> str:

@@ -16,18 +16,17 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from ..errors import PlgsError
 from ..posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ..posed.layout import read_file, shown
+from ..records import record_of
 from .class_tables import REDUCED, TABLES, known_table
 
 FILE_NAME = "classes.toml"
-_KEYS = {"table", "to", "void", "class"}
-_ROW_KEYS = {"id", "name", "thing", "into"}
 _LARGEST_FILE = 2**20
 
 
@@ -35,10 +34,25 @@ _LARGEST_FILE = 2**20
 class ClassRow:
     """The choice for one class. Fields that it leaves alone are None."""
 
-    id: int | None = None
+    id: int | None = field(default=None, metadata={"least": 0, "most": LARGEST_CLASS_ID})
     name: str | None = None
     thing: bool | None = None
     into: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.id is None and self.name is None:
+            raise ValueError("it has neither id nor name")
+        if not all(text is None or (text and text.isprintable()) for text in (self.name, self.into)):
+            raise ValueError("a name is not a text of one line")
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What the file says beside its classes."""
+
+    table: str | None = None
+    to: Literal["reduced"] | None = None
+    void: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,40 +94,14 @@ def read_class_choice(path: Path) -> ClassChoice:
         content = tomllib.loads(data.decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise PlgsError(f"this is not a TOML text ({str(error).splitlines()[0]})", path, "Correct it.") from error
-    _refuse_unknown(content, _KEYS, path)
-    table, to, void = content.get("table"), content.get("to"), content.get("void", [])
-    if table is not None and table not in TABLES:
-        raise PlgsError(f"the table {table!r} is not known"[:90], path, f"Choose one of {', '.join(TABLES)}.")
-    if to not in (None, REDUCED):
-        raise PlgsError('"to" is not "reduced"', path, 'Write to = "reduced", or leave it out.')
-    if not isinstance(void, list) or not all(type(each) is int for each in void):
-        raise PlgsError('"void" is no list of whole numbers', path, "Write it as void = [255].")
-    rows = content.get("class", [])
+    rows = content.pop("class", [])
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise PlgsError('"class" is no list of tables', path, "Begin each with [[class]].")
-    return ClassChoice(path, table, to is not None, frozenset(void), tuple(_row(row, path) for row in rows))
-
-
-def _row(row: dict[str, Any], path: Path) -> ClassRow:
-    _refuse_unknown(row, _ROW_KEYS, path)
-    number, thing = row.get("id"), row.get("thing")
-    if number is not None and (type(number) is not int or not 0 <= number <= LARGEST_CLASS_ID):
-        raise PlgsError('"id" of a class is no whole number from 0', path, "Write the number that the masks have.")
-    if thing is not None and type(thing) is not bool:
-        raise PlgsError('"thing" of a class is neither true nor false', path, "Correct it.")
-    for key in ("name", "into"):
-        text = row.get(key)
-        if text is not None and (not isinstance(text, str) or not text or not text.isprintable()):
-            raise PlgsError(f'"{key}" of a class is no name', path, "Write a text of one line.")
-    if number is None and row.get("name") is None:
-        raise PlgsError("a class has neither id nor name", path, "Say which class is meant.")
-    return ClassRow(number, row.get("name"), thing, row.get("into"))
-
-
-def _refuse_unknown(content: dict[str, Any], known: set[str], path: Path) -> None:
-    unknown = sorted(set(content) - known)
-    if unknown:
-        raise PlgsError(f'the key "{unknown[0]}" is not known'[:90], path, f"Known are {', '.join(sorted(known))}.")
+        raise PlgsError('"class" is not a list of tables', path, "Begin each with [[class]].")
+    said = record_of(_Content, content, path, "Correct it.")
+    if said.table is not None and said.table not in TABLES:
+        raise PlgsError(f"the table {said.table!r} is not known"[:90], path, f"Choose one of {', '.join(TABLES)}.")
+    chosen = (record_of(ClassRow, row, path, "Correct it.", f"class[{n}]") for n, row in enumerate(rows))
+    return ClassChoice(path, said.table, said.to is not None, frozenset(said.void), tuple(chosen))
 
 
 def class_choice_text(choice: ClassChoice) -> str:

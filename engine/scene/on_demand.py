@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from os import SEEK_END
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, TypeVar, overload
@@ -54,40 +55,26 @@ class StoredArrays:
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - open until this object is gone
-        self._end = 0
-        self._stored: list[tuple[int, tuple[int, ...], np.dtype[Any]]] = []
+        self._starts: list[int] = []
 
     def __len__(self) -> int:
-        return len(self._stored)
+        return len(self._starts)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays together."""
-        return self._end
+        """Bytes of all arrays together, with their headers."""
+        return self._file.seek(0, SEEK_END)
 
     def append(self, array: NDArray[Any]) -> int:
         """Store an array; returns its number."""
-        content = np.ascontiguousarray(array).data.cast("B") if array.size else memoryview(b"")
-        self._file.seek(self._end)
-        written = 0
-        while written < len(content):
-            written += self._file.write(content[written:])
-        self._stored.append((self._end, array.shape, array.dtype))
-        self._end += len(content)
-        return len(self._stored) - 1
+        self._starts.append(self.nbytes)
+        np.lib.format.write_array(self._file, np.ascontiguousarray(array), allow_pickle=False)
+        return len(self) - 1
 
     def __getitem__(self, number: int) -> NDArray[Any]:
         """The array, bit for bit as it was."""
-        start, shape, dtype = self._stored[number]
-        array = np.empty(shape, dtype)
-        room = array.reshape(-1).view(np.uint8).data
-        self._file.seek(start)
-        read = 0
-        while read < len(room):
-            got = self._file.readinto(room[read:])
-            if not got:
-                raise EOFError(f"array {number} is not whole")
-            read += got
+        self._file.seek(self._starts[number])
+        array: NDArray[Any] = np.lib.format.read_array(self._file, allow_pickle=False)
         return array
 
 

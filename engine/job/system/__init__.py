@@ -20,14 +20,3 @@ is_alive = system.is_alive
 usable_cpus = system.usable_cpus
 peak_bytes = system.peak_bytes
 OPEN_FILES_KEEP_NAMES = system.OPEN_FILES_KEEP_NAMES
-
-__all__ = [
-    "OPEN_FILES_KEEP_NAMES",
-    "flush_folder",
-    "is_alive",
-    "kill_with_children",
-    "peak_bytes",
-    "start_options",
-    "try_lock",
-    "usable_cpus",
-]

@@ -30,8 +30,6 @@ from . import (
 from .capture import Capture, SceneFormat, Shot
 from .photos import is_film, photos_in
 
-__all__ = ["FORMATS", "Capture", "SceneFormat", "Shot", "find_format"]
-
 FORMATS: tuple[SceneFormat, ...] = (
     folders.FORMAT,
     nerfstudio.FORMAT,

@@ -24,8 +24,6 @@ from . import (
 )
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
-__all__ = ["MASK_FORMATS", "FoundMask", "FoundSegment", "MaskFormat", "MaskSource", "StoredMask", "find_mask_format"]
-
 MASK_FORMATS: tuple[MaskFormat, ...] = (
     coco.FORMAT,
     panoptic_lifting.FORMAT,
