@@ -21,7 +21,7 @@ MOST_BYTES = 1 << 28
 """Bytes of all unpacked arrays of a file, at most: some five million labelled points."""
 LARGEST_PICTURE = 1 << 30
 """Bytes of an array with one frame's masks, at most."""
-_NO_ARRAYS = "this is no NumPy file of numbers, or it is cut off"
+_NO_ARRAYS = "this is not a NumPy file of numbers, or it is cut off"
 _SAVE_FIX = "Write it again with numpy.save."
 _DAMAGED = (
     ValueError, TypeError, EOFError, KeyError, SyntaxError, tokenize.TokenError, NotImplementedError, RuntimeError,
@@ -63,7 +63,7 @@ def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]
     except OSError as error:
         raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
     except Exception as error:
-        raise PlgsError(f"this is no NumPy array of numbers ({_reason(error)})", path, fix) from error
+        raise PlgsError(f"this is not a NumPy array of numbers ({_reason(error)})", path, fix) from error
 
 
 def _array(file: IO[bytes]) -> NDArray[Any]:

@@ -57,7 +57,7 @@ def read_exr_header(path: Path) -> ExrHeader:
     size = (right - left + 1, bottom - top + 1)
     for width, height in (size, *(one[:2] for one in stored)):
         if min(width, height) < 1 or width * height > LARGEST_PIXELS:
-            raise PlgsError(f"{width}x{height} is no size of a picture", path, _FIX)
+            raise PlgsError(f"{width}x{height} is not the size of a picture", path, _FIX)
     numbers = sum(width * height * max(1, count) for width, height, count in stored)
     if numbers > _MOST_NUMBERS:
         count = sum(one[2] for one in stored)
@@ -71,7 +71,7 @@ def _parts_of(path: Path) -> list[dict[str, bytes]]:
         with open_plain(path) as file:
             start, size = file.read(8), os.fstat(file.fileno()).st_size
             if not start.startswith(_MAGIC) or len(start) < 8:
-                raise PlgsError("this is no OpenEXR file", path, _FIX)
+                raise PlgsError("this is not an OpenEXR file", path, _FIX)
             flags = int.from_bytes(start[4:], "little")
             if flags & _DEEP:
                 raise PlgsError("deep OpenEXR files are not read", path, "Write a flat picture.")

@@ -72,7 +72,7 @@ def read_surface(path: Path) -> LabelledSurface:
     end = content.find(b"end_header\n", 0, _LONGEST_HEADER) + len(b"end_header\n")
     columns, vertices, faces = _header(content[:end])
     if not content.startswith(b"ply\nformat binary_little_endian") or not _COLUMNS <= {name for name, _ in columns}:
-        raise PlgsError("is no labelled surface", path, _FIX)
+        raise PlgsError("is not a labelled surface", path, _FIX)
     row = np.dtype(columns)
     if len(content) != end + vertices * row.itemsize + faces * _FACE.itemsize:
         raise PlgsError("is damaged", path, _FIX)

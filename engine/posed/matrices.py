@@ -123,7 +123,7 @@ def read_intrinsics(path: Path, size: Size) -> Camera:
         raise PlgsError("there is an inf", path, "Write the camera's fx, fy, cx and cy in pixels.")
     (fx, skew, cx), (row, fy, cy), last = matrix[0, :3], matrix[1, :3], matrix[2, :3]
     if fx <= 0.0 or fy <= 0.0 or not np.allclose(last, [0.0, 0.0, 1.0]):
-        raise PlgsError("this is no camera matrix", path, "Write fx 0 cx, 0 fy cy, 0 0 1, with fx and fy above 0.")
+        raise PlgsError("this is not a camera matrix", path, "Write fx 0 cx, 0 fy cy, 0 0 1, with fx and fy above 0.")
     if abs(skew) > _NO_SKEW * fx or abs(row) > _NO_SKEW * fy:
         raise PlgsError("the camera matrix has skew", path, "Rectify the images first.")
     width, height = size

@@ -57,7 +57,7 @@ def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
     Raises PlgsError when there are none, or a file is bad.
     """
     if not folder.is_dir():
-        raise PlgsError("is no folder", folder, _FIX)
+        raise PlgsError("is not a folder", folder, _FIX)
     table = folder / "panoptic.json"
     pairs = [(folder / one, folder / other) for one, other in PAIRS if (folder / one).is_dir()]
     if table.is_file() and not (is_truth and pairs):

@@ -25,7 +25,7 @@ def label_map_size(path: Path) -> Size:
         return label_header(path).size
     shape = array_headers(path)[_only_array(path)].shape
     if len(shape) != 2 or 0 in shape:
-        raise PlgsError("this is no picture of ids", path, "Save an array [height, width] of whole numbers.")
+        raise PlgsError("this is not a picture of ids", path, "Save an array [height, width] of whole numbers.")
     return shape[1], shape[0]
 
 
@@ -63,7 +63,7 @@ def whole_numbers(values: NDArray[np.generic], path: Path) -> NDArray[np.int64]:
     if values.dtype.kind == "f" and np.isfinite(values).all() and bool((values == np.floor(values)).all()):
         numbers = values.astype(np.int64)
     if numbers is None or int(np.abs(numbers).max(initial=0)) > _LARGEST_ID:
-        raise PlgsError("these are no ids", path, f"Save whole numbers from 0 to {_LARGEST_ID}.")
+        raise PlgsError("these are not ids", path, f"Save whole numbers from 0 to {_LARGEST_ID}.")
     return numbers
 
 

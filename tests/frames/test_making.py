@@ -90,7 +90,7 @@ def test_a_second_run_goes_on(archive: Path, tmp_path: Path) -> None:
 
 def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path: Path) -> None:
     scene, out = open_scene(archive), tmp_path / "out"
-    with pytest.raises(PlgsError, match="no frame of the scene: 17"):
+    with pytest.raises(PlgsError, match="not a frame of the scene: 17"):
         make_frames(scene, SceneSource(archive), out, names=["17"])
     make_frames(scene, SceneSource(archive), out, ["colour"], ["0"])
     with pytest.raises(PlgsError, match="holds something else"):

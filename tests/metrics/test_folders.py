@@ -117,6 +117,6 @@ def test_one_or_the_other(arguments: list[str], capsys: pytest.CaptureFixture[st
 
 def test_a_folder_without_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = write_masks(tmp_path / "truth")
-    for folder, told in ((tmp_path / "none", "no folder"), (tmp_path, "no labels")):
+    for folder, told in ((tmp_path / "none", "not a folder"), (tmp_path, "no labels")):
         assert main(["evaluate", "--predictions", str(folder), "--truth", str(truth)]) == 2
         assert told in capsys.readouterr().err

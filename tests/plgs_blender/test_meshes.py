@@ -84,5 +84,5 @@ def test_a_damaged_surface_is_told_in_one_line(lift: Path) -> None:
     whole = path.read_bytes()
     for content in (whole[:-3], whole.replace(b"class_id", b"klass_id"), b"", b"ply\n"):
         path.write_bytes(content)
-        with pytest.raises(PlgsError, match="is damaged|no labelled surface"):
+        with pytest.raises(PlgsError, match="is damaged|not a labelled surface"):
             read_surface(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -118,13 +117,6 @@ def test_what_was_measured_never_changes(seed: int, share: float) -> None:
     known = before[before > 0]
     if len(known):
         assert filled.max() <= HoleFilling().stretch * known.max() * 1.001
-
-
-@pytest.mark.parametrize("flatness", [0.0, 1.0])
-def test_flatness_decides_what_is_a_plane(flatness: float) -> None:
-    depth = measured(FLOOR, noise=0.01)
-    filled = fill_holes(depth, ONE_SEGMENT, HoleFilling(flatness=flatness))
-    assert bool((filled[HOLE] > 0).all()) is (flatness == 1.0)
 
 
 def test_thousands_of_specks_are_filled_at_once() -> None:

@@ -53,11 +53,6 @@ def test_any_up_axis_gives_the_same_room(tmp_path: Path, up: UpAxis) -> None:
         np.testing.assert_allclose(frame.camera.camera_to_world, tiny_pose(index, 5), atol=1e-12)
 
 
-def test_a_wrong_up_axis_is_a_warning(tmp_path: Path) -> None:
-    scene = open_scene(write_tiny_scene(tmp_path, frames=5, up="y"))
-    assert len(scene.warnings) == 1 and "lift with --up y" in scene.warnings[0]
-
-
 def test_lost_poses_drop_their_frames(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=7)
     for index in (0, 3):
@@ -77,12 +72,6 @@ def test_splits_choose_the_frames_and_only_these_need_their_files(tmp_path: Path
     assert [frame.name for frame in scene.test_frames] == ["0005"]
     assert scene.warnings == ("3 frames are in neither list of splits.json and left out: 0000, 0003, 0004",)
     check_scene(scene)
-
-
-def test_splits_may_name_frames_whose_tracking_was_lost(tmp_path: Path) -> None:
-    folder = write_tiny_scene(tmp_path, frames=3, splits={"train": ["0000", "0001"], "test": ["0002"]})
-    (folder / "pose" / "0001.txt").write_text("inf inf inf inf\n" * 4)
-    assert [frame.name for frame in open_scene(folder).train_frames] == ["0000"]
 
 
 def test_one_intrinsic_is_scaled_to_frames_of_another_size(tmp_path: Path) -> None:
@@ -114,12 +103,8 @@ def test_a_frame_may_have_intrinsics_and_a_shape_of_its_own(tmp_path: Path) -> N
         "1 frames have an empty mask",
         "4 segments of the masks' table have no pixel in the PNGs (the first",
     ]
-
-
-def test_intrinsics_of_every_frame_need_no_shared_file(tmp_path: Path) -> None:
-    folder = write_tiny_scene(tmp_path, frames=5)
     shared = folder / "intrinsic" / "intrinsic_color.txt"
-    for index in range(5):
+    for index in {*range(6)} - {2}:
         (folder / "intrinsic" / f"{index:04d}.txt").write_bytes(shared.read_bytes())
     shared.unlink()
     np.testing.assert_allclose(open_scene(folder).frames[3].camera.K, tiny_intrinsics((64, 48)), rtol=1e-12)

@@ -140,7 +140,7 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     data = read_file(path, _MOST_DEPTH)
     head = data[:64].split(b"&", 3)
     if len(head) < 4 or not all(part.isdigit() for part in head[:3]):
-        raise PlgsError("this is no depth map of COLMAP's", path, "Let COLMAP write it again.")
+        raise PlgsError("this is not a depth map of COLMAP's", path, "Let COLMAP write it again.")
     width, height, channels = (int(part) for part in head[:3])
     start = sum(len(part) + 1 for part in head[:3])
     if channels != 1 or not width * height or len(data) != start + 4 * width * height:
@@ -148,7 +148,7 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     values = np.frombuffer(data, "<f4", offset=start).reshape(height, width)
     is_broken = ~(np.abs(values) < _FARTHEST)  # not a number, too
     if is_broken.mean() > _MOST_BROKEN:
-        what = f"{is_broken.mean():.0%} of the depth map is no depth"
+        what = f"{is_broken.mean():.0%} of the depth map is not depth"
         raise PlgsError(what, path, "Let COLMAP write it again, or delete it: the frame then has no depth.")
     return np.where(is_broken, np.float32(0.0), only_depth(values))
 

@@ -96,7 +96,7 @@ def _metres_a_unit(path: Path) -> float:
             try:
                 metres = float(row.get("parameter_value") or "")
             except ValueError as error:
-                raise PlgsError("meters_per_asset_unit is no number", path, _FIX) from error
+                raise PlgsError("meters_per_asset_unit is not a number", path, _FIX) from error
             if 0.0 < metres < 1e6:
                 return metres
     raise PlgsError("meters_per_asset_unit is missing", path, _FIX)
@@ -131,7 +131,7 @@ def _read_table(path: Path) -> list[dict[str, str]]:
                 for row in csv.DictReader(file, skipinitialspace=True)
             ]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise PlgsError("this is no table", path, _FIX) from error
+        raise PlgsError("this is not a table", path, _FIX) from error
 
 
 FORMAT = SceneFormat("hypersim", _recognises, _read)

@@ -96,7 +96,7 @@ def tone_mapped(path: Path) -> NDArray[np.uint8]:
     """A linear picture, tone mapped to uint8 [H, W, 3] RGB. Raises PlgsError."""
     linear = np.nan_to_num(read_hdf5(path, 3).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     if linear.shape[2] != 3:
-        raise PlgsError("the picture has no three channels", path, "Download it again.")
+        raise PlgsError("the picture does not have three channels", path, "Download it again.")
     bright = float(np.percentile(linear @ np.array([0.3, 0.59, 0.11], np.float32), _BRIGHT_SHARE))
     scale = _BRIGHT ** (1.0 / _GAMMA) / bright if bright > 1e-4 else 0.0
     mapped = np.clip(np.maximum(scale * linear, 0.0) ** _GAMMA, 0.0, 1.0)

@@ -157,7 +157,7 @@ def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera
 def _focal_length(entry: dict[str, Any], key: str, side: float, context: str, path: Path) -> float:
     angle = take_number(entry, key, context, path)
     if not 0.0 < angle < math.pi:
-        raise PlgsError(f'"{key}" of {context} is no angle of view in radians', path, "Correct it.")
+        raise PlgsError(f'"{key}" of {context} is not an angle of view in radians', path, "Correct it.")
     return side / 2.0 / math.tan(angle / 2.0)
 
 
@@ -190,7 +190,7 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
     has_scale = "integer_depth_scale" in entry
     unit = take_number(entry, "integer_depth_scale", context, path) if has_scale else MILLIMETRES
     if not 0.0 < unit < 1.0:
-        raise PlgsError('"integer_depth_scale" is no length of a step in metres', path, "Such as 0.001.")
+        raise PlgsError('"integer_depth_scale" is not the length of a step in metres', path, "Such as 0.001.")
     return png_depth(depth_path, lens, unit)
 
 

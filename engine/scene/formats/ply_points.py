@@ -33,7 +33,7 @@ def read_ply_points(path: Path) -> SparsePoints:
     end = data.find(b"end_header")
     body = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or not body:
-        raise PlgsError("this is no PLY file", path, _FIX)
+        raise PlgsError("this is not a PLY file", path, _FIX)
     form, count, fields = _parse_header(data[:end].decode("ascii", "replace"), path)
     vertices = _vertices(data[body:], form, count, np.dtype(fields), path)
     names = vertices.dtype.names or ()

@@ -90,7 +90,7 @@ class _Archive:
             refuse_special(self.path)
             return ZipFile(self.path)
         except (BadZipFile, OSError, ValueError, NotImplementedError) as error:
-            raise PlgsError("this is no .r3d file, or it is cut off", self.path, _FIX) from error
+            raise PlgsError("this is not a .r3d file, or it is cut off", self.path, _FIX) from error
 
 
 def _recognises(place: Path) -> bool:

@@ -54,7 +54,7 @@ def _read(place: Path) -> Capture:
     width, height, fx, fy, cx, cy, scale = (take_number(camera, key, "camera", path) for key in _PARAMETERS)
     fix = "Correct it, or remove the file."
     if scale <= 0.0:
-        raise PlgsError("the depth has no scale above 0", path, fix)
+        raise PlgsError("the depth's scale is not above 0", path, fix)
     lens = pinhole(width, height, fx, fy, cx + 0.5, cy + 0.5, path=path, fix=fix)
     return _capture(place / "traj.txt", results, depths, lens, 1.0 / scale)
 

@@ -113,10 +113,10 @@ def _shots(file: BinaryIO, path: Path, header: _Header, alignment: Alignment) ->
 def _read_header(file: BinaryIO, path: Path) -> _Header:
     (version,) = _take(file, "<I", path)
     if version != _VERSION:
-        raise PlgsError(f"this is no .sens of version {_VERSION}", path, "Give ScanNet's own file.")
+        raise PlgsError(f"this is not a .sens of version {_VERSION}", path, "Give ScanNet's own file.")
     (length,) = _take(file, "<Q", path)
     if length > _LARGEST_NAME:
-        raise PlgsError("this is no .sens file", path, "Give ScanNet's own file.")
+        raise PlgsError("this is not a .sens file", path, "Give ScanNet's own file.")
     _take(file, f"<{int(length)}x", path)
     matrices = np.array(_take(file, "<64f", path), np.float64).reshape(4, 4, 4)
     colour_compression, depth_compression = _take(file, "<ii", path)

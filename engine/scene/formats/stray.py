@@ -79,7 +79,7 @@ def _read_odometry(path: Path) -> list[dict[str, float]]:
             given = {name: given[name] for name in _COLUMNS}
         values = dict(zip(given, numbers(Row(row.line, [*given.values()]), path, _FIX).tolist(), strict=True))
         if not 0.0 <= values["frame"] < 1e9:
-            raise PlgsError(f"line {row.line} has no frame's number", path, _FIX)
+            raise PlgsError(f"line {row.line} does not name a frame's number", path, _FIX)
         found.append(values)
     return found
 

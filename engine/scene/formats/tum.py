@@ -174,7 +174,7 @@ def _stamped(words: Sequence[str], line: int, path: Path) -> _Stamped:
         stamp = float(time)
     except ValueError as error:
         where = f"line {line}" if line else f'the name "{words[0]}"'
-        raise PlgsError(f"{where} is no time stamp with a file name", path, _LIST_FIX) from error
+        raise PlgsError(f"{where} is not a time stamp with a file name", path, _LIST_FIX) from error
     return _Stamped(stamp, file_inside(path.parent, name, path))
 
 

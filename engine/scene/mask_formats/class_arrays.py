@@ -56,9 +56,9 @@ def _most_probable(values: NDArray[Any], path: Path) -> FoundMask:
         values = np.moveaxis(values, -1, 0)
     values = values.astype(np.float32)
     if not np.isfinite(values).all():
-        raise PlgsError("probabilities are no numbers", path, _FIX)
+        raise PlgsError("probabilities are not numbers", path, _FIX)
     if values.min() < 0.0:
-        raise PlgsError("these are no probabilities but logits", path, "Save what softmax makes of them.")
+        raise PlgsError("these are logits, not probabilities", path, "Save what softmax makes of them.")
     labels, best = values.argmax(0), values.max(0)
     labels = np.where(best > 0.0, labels, -1)
     share = best / np.maximum(values.sum(0), 1e-12)
@@ -108,7 +108,7 @@ def _size(shape: tuple[int, ...], kind: str, path: Path) -> Size:
         return shape[1], shape[0]
     if len(shape) == 3 and kind == "f" and 0 not in shape:
         return (shape[1], shape[0]) if _is_channels_last(shape) else (shape[2], shape[1])
-    raise PlgsError(f"an array of the shape {list(shape)} is no mask", path, _FIX)
+    raise PlgsError(f"an array of the shape {list(shape)} is not a mask", path, _FIX)
 
 
 FORMAT = MaskFormat("arrays", _recognises, _read)

@@ -159,7 +159,7 @@ def _side_file(path: Path, name: str | None) -> str:
     try:
         return read_plain(side, _LARGEST_MANIFEST).decode()
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no text"
+        reason = getattr(error, "strerror", None) or "it is not a text"
         raise PlgsError(f"the manifest cannot be read ({reason})", side, "Put it beside the pictures.") from error
 
 

@@ -174,7 +174,7 @@ def _labels_of_config(config: Path, fused: set[int]) -> tuple[ClassLabel, ...]:
     labels, tables = {}, nearest_tables(str(name) for name in names.values())
     for key, name in names.items():
         if not key.isdecimal() or int(key) > LARGEST_CLASS_ID or not isinstance(name, str) or not name.isprintable():
-            raise PlgsError(f"the class {json.dumps(key)[:40]} of id2label is no number with a name", config, fix)
+            raise PlgsError(f"the class {json.dumps(key)[:40]} of id2label is not a number with a name", config, fix)
         is_thing = is_thing_by_name(name, tables)
         labels[int(key)] = ClassLabel(int(key), name, int(key) not in fused if is_thing is None else is_thing)
     return tuple(labels[key] for key in sorted(labels))

@@ -92,7 +92,7 @@ def test_broken_dense_depth(tmp_path: Path) -> None:
     depth = open_scene(tmp_path).frames[0].depth()
     assert (depth[-1, -4:] == 0.0).all() and (depth[:-1] > 0.0).all()
     path.write_bytes(b"128&96&1&" + bad * (128 * 96 // 4))
-    with pytest.raises(PlgsError, match=r"^100% of the depth map is no depth: .*img_.*geometric\.bin\. Let COLMAP"):
+    with pytest.raises(PlgsError, match=r"^100% of the depth map is not depth: .*img_.*geometric\.bin\. Let COLMAP"):
         open_scene(tmp_path).frames[0].depth()
 
 
