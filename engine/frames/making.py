@@ -78,7 +78,8 @@ def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
     known = {frame.name for frame in scene.frames}
     strange = sorted(set(names or ()) - known)
     if strange:
-        raise PlgsError("is not a frame of the scene", strange[0], "Give names that inspect and Blender's cameras show.")
+        fix = "Give names that inspect and Blender's cameras show."
+        raise PlgsError("is not a frame of the scene", strange[0], fix)
     return known if names is None else set(names)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -34,40 +35,34 @@ def sparse(path: Path, head: bytes, size: int) -> Path:
     return path
 
 
-def test_points_of_holes(tmp_path: Path) -> None:
-    with pytest.raises(PlgsError, match="larger than"):
-        _binary_points(sparse(tmp_path / "a.bin", struct.pack("<Q", 40_000_000), 1 << 31))
-    with pytest.raises(PlgsError, match="cut off"):
-        _binary_points(sparse(tmp_path / "b.bin", struct.pack("<Q", 1 << 62), 1000))
-    with pytest.raises(PlgsError, match="more than 4000000 points"):
-        _binary_points(sparse(tmp_path / "c.bin", struct.pack("<Q", 5_000_000), 51 * 5_000_000 + 8))
+def ply(count: int, form: str = "ascii", kind: str = "float") -> bytes:
+    fields = "".join(f"property {kind} {axis}\n" for axis in "xyz")
+    return f"ply\nformat {form} 1.0\nelement vertex {count}\n{fields}end_header\n".encode()
 
 
 @pytest.mark.parametrize(
-    ("count", "told"),
-    [(60_000_000, "cut off"), (1_100_000, "more than 1000000 vertices as text"), (600_000, "not numbers|cut off")],
-)
-def test_ply_of_text(tmp_path: Path, count: int, told: str) -> None:
-    fields = "".join(f"property float {axis}\n" for axis in "xyz")
-    head = f"ply\nformat ascii 1.0\nelement vertex {count}\n{fields}end_header\n"
-    path = tmp_path / "points.ply"
-    path.write_bytes(head.encode() + b"\n" * 8_000_000)
+    ("read", "content", "told"),
+    [
+        (_text_points, b"\n" * 2_000_000, "more than 1000000 lines"),
+        (read_ply_points, ply(60_000_000) + b"\n" * 8_000_000, "cut off"),
+        (read_ply_points, ply(1_100_000) + b"\n" * 8_000_000, "more than 1000000 vertices as text"),
+        (read_ply_points, ply(600_000) + b"\n" * 8_000_000, "not numbers|cut off"),
+        (_find_blocks, struct.pack("<IB", 1, 0) * 600_000, "more than 524288 frames"),
+        (lambda path: Video(path).size(), struct.pack(">I4s", 8, b"ftyp") + struct.pack(">I4s", 8, b"free") * 200_000,
+         "the video"),
+        (_binary_points, (struct.pack("<Q", 40_000_000), 1 << 31), "larger than"),
+        (_binary_points, (struct.pack("<Q", 1 << 62), 1000), "cut off"),
+        (_binary_points, (struct.pack("<Q", 5_000_000), 51 * 5_000_000 + 8), "more than 4000000 points"),
+    ],
+)  # fmt: skip
+def test_counts_that_no_file_has_are_refused(
+    tmp_path: Path, read: Callable[[Path], object], content: bytes | tuple[bytes, int], told: str
+) -> None:
+    """A file is its bytes, or the bytes that it begins with and its size."""
+    path = tmp_path / "file"
+    path.write_bytes(content) if isinstance(content, bytes) else sparse(path, *content)
     with pytest.raises(PlgsError, match=told):
-        read_ply_points(path)
-
-
-def test_a_video_of_empty_boxes(tmp_path: Path) -> None:
-    path = tmp_path / "rgb.mp4"
-    path.write_bytes(struct.pack(">I4s", 8, b"ftyp") + struct.pack(">I4s", 8, b"free") * 200_000)
-    with pytest.raises(PlgsError, match="the video"):
-        Video(path).size()
-
-
-def test_depth_of_empty_blocks(tmp_path: Path) -> None:
-    path = tmp_path / "depth.bin"
-    path.write_bytes(struct.pack("<IB", 1, 0) * 600_000)
-    with pytest.raises(PlgsError, match="more than 524288 frames"):
-        _find_blocks(path)
+        read(path)
 
 
 @pytest.mark.parametrize("size", [(6500, 2), (2, 6500), (3, 3), (640, 16)])
@@ -81,7 +76,7 @@ def test_pictures_that_no_camera_makes(tmp_path: Path, size: tuple[int, int]) ->
     refuses("the picture of frame .* which no camera makes", scene)
 
 
-@pytest.mark.parametrize("focal", [1e30, 1e299, 1e-300, 1e-30])
+@pytest.mark.parametrize("focal", [1e299, 1e-30])
 def test_focal_lengths_that_no_lens_has(tmp_path: Path, focal: float) -> None:
     scene = write_tiny_scene(tmp_path, frames=3)
     (scene / "intrinsic" / "intrinsic_color.txt").write_text(f"{focal} 0 8 0\n0 {focal} 6 0\n0 0 1 0\n0 0 0 1\n")
@@ -102,11 +97,6 @@ def test_estimated_depth_has_the_same_limits(tmp_path: Path) -> None:
         np.save(maps / f"{path.stem}.npy", np.ones((1, 5000), np.float32))
     with pytest.raises(PlgsError, match="depth of frame 0000 is 5000x1, which no camera makes"):
         open_scene(scene, depth=maps).frames[0].depth()
-
-
-def test_depth_of_one_row(tmp_path: Path) -> None:
-    with pytest.raises(PlgsError, match="depth of frame 0001 is 50000x1"):
-        depth_check("0001", tmp_path)(np.ones((1, 50_000), np.float32))
 
 
 @pytest.mark.parametrize(
@@ -132,17 +122,9 @@ def test_what_a_file_becomes_fits_into_the_memory(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(counts, "main_memory", lambda: MainMemory(1 << 34, 60_000_000))
     with pytest.raises(PlgsError, match="it takes 0.051 GB of memory"):
         read_file(points, 1 << 30)
-    fields = "".join(f"property uchar {name}\n" for name in "xyz")
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex 2000000\n{fields}end_header\n"
+    head = ply(2_000_000, "binary_little_endian", "uchar")
     with pytest.raises(PlgsError, match="it takes 0.096 GB of memory"):
-        read_ply_points(sparse(tmp_path / "points.ply", head.encode(), 3 * 2_000_000 + 1000))
-
-
-def test_lines_of_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "points3D.txt"
-    path.write_bytes(b"\n" * 2_000_000)
-    with pytest.raises(PlgsError, match="more than 1000000 lines"):
-        _text_points(path)
+        read_ply_points(sparse(tmp_path / "points.ply", head, 3 * 2_000_000 + 1000))
 
 
 def test_a_frame_whose_name_cannot_be_shown(tmp_path: Path) -> None:
