@@ -17,11 +17,12 @@ PYTEST := -m pytest --durations=10
 PARALLEL := -n logical --maxprocesses=4 --dist=worksteal
 # A test that takes longer than pyproject.toml's faulthandler_timeout hangs: none of `make test` takes a minute.
 ENDING := -o faulthandler_exit_on_timeout=true
-# The parts that mypy reads, if they exist.
-TYPED := $(addprefix -p plgs.,$(wildcard engine plgs_blender operators ui)) $(if $(wildcard run_plgs.py),-m plgs.run_plgs)
-# Tests of what runs in Blender's own Python, for the next Blender: all that touch bpy, and the main ways of the rest.
-NEXT_TESTS := $(wildcard tests/plgs_blender tests/operators tests/ui tests/test_register.py tests/test_extension.py \
-	tests/scene/test_opening.py tests/scene/formats tests/job/test_folder.py tests/job/test_following_events.py)
+# mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve.
+LINT := $(PYTHON) -m ruff check . && mkdir -p build/types && ln -sfn ../.. build/types/plgs && \
+	$(PYTHON) -m mypy $(addprefix -p plgs.,engine plgs_blender operators ui) -m plgs.run_plgs -p research
+# Tests of what runs in the next Blender's own Python.
+NEXT_TESTS := tests/plgs_blender tests/operators tests/ui tests/test_register.py tests/test_extension.py tests/posed \
+	tests/job/test_folder.py tests/job/test_following_events.py
 # Which examples `make search` tries first, and how many times as many as `make test`.
 SEED := $(or $(SEED),$(shell od -An -N3 -tu4 /dev/urandom | tr -d ' '))
 PLGS_FUZZ ?= 10
@@ -33,10 +34,11 @@ PLGS_FUZZ ?= 10
 demo: set-up
 	$(PYTHON) run_plgs.py $(SCENE) -o $(OUT) --preset $(PRESET) --resume
 
-# Kernels are compiled while mypy reads.
+# mypy reads on one core beside the tests, and is heard at the end of the first ones. Kernels are compiled before.
 test: set-up-next
-	@$(PYTHON) -m engine warm-up & $(MAKE) --no-print-directory lint && wait $$!
-	$(PYTHON) $(PYTEST) $(ENDING) $(PARALLEL) -m "not slow"
+	@mkdir -p build; { $(LINT); } >build/lint.log 2>&1 & \
+	$(PYTHON) -m engine warm-up && $(PYTHON) $(PYTEST) $(ENDING) $(PARALLEL) -m "not slow"; tests=$$?; \
+	wait $$! && lint=0 || lint=1; cat build/lint.log; exit $$((tests + lint))
 	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(ENDING) $(PARALLEL) -m "not slow" $(NEXT_TESTS); fi
 
 # What users see, from end to end: the tests that tests/behaviours.py names.
@@ -67,13 +69,8 @@ test-blender-next: extension
 	@$(PYTHON) set_up/blender_window.py sid
 	PLGS_WINDOW_TREE=build/blender-sid $(PYTHON) $(PYTEST) $(ENDING) -m "not slow" tests/window
 
-# mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve. research/
-# runs from the repository alone and imports the engine by its own name, so mypy reads it in a second call.
 lint: set-up
-	@$(PYTHON) -m ruff check .
-	@mkdir -p build/types && ln -sfn ../.. build/types/plgs
-	@$(PYTHON) -m mypy $(TYPED)
-	@$(PYTHON) -m mypy --follow-imports=silent -p research
+	@$(LINT)
 
 set-up:
 	@sh set_up/set_up.sh .venv
