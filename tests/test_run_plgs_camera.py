@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import run_plgs
 from engine.corrections import correct, making
 from engine.job import LiftFolder, LiftRequest, verify
 from engine.passes.exr import read_exr
+from tests.commands import exit_code
 from tests.test_run_plgs import run_script
 from tests.tiny_scene import tiny_pose, write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
@@ -102,16 +104,18 @@ def test_a_scene_that_was_moved_is_found(lift: LiftFolder, blend: Path, root: Pa
     assert said.returncode == 2 and "--scene belongs to --bake camera without SCENE" in said.stderr
 
 
-def test_four_commands_at_once_all_end_with_all_frames(lift: LiftFolder, blend: Path, root: Path) -> None:
+def test_two_commands_at_once_both_end_with_all_frames(lift: LiftFolder, blend: Path, root: Path) -> None:
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-4"]
-    with ThreadPoolExecutor(4) as pool:
-        ended = [*pool.map(lambda _: run_script(root, *command), range(4))]
-    assert [each.returncode for each in ended] == [0] * 4, [each.stderr for each in ended]
+    with ThreadPoolExecutor(2) as pool:
+        ended = [*pool.map(lambda _: run_script(root, *command), range(2))]
+    assert [each.returncode for each in ended] == [0] * 2, [each.stderr for each in ended]
     listed = [file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"]
     assert listed == [f"dolly.{frame:04d}" for frame in range(1, 5)]
 
 
-def test_what_cannot_be_baked_is_told_in_a_line(lift: LiftFolder, blend: Path, root: Path, tmp_path: Path) -> None:
+def test_a_camera_that_cannot_be_baked_is_told_in_a_line(
+    lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text, cut = tmp_path / "notes.blend", tmp_path / "cut.blend"
     text.write_text("no blend")
     cut.write_bytes(blend.read_bytes()[:100])
@@ -125,9 +129,7 @@ def test_what_cannot_be_baked_is_told_in_a_line(lift: LiftFolder, blend: Path, r
         (["--range", "-3-5"], ("'-3-5'", "from 0 on")),
         (["--range", "1"], ("'1'", "1-250")),
     ):
-        said = run_script(root, "-o", lift.path, "--bake", "camera", *arguments)
-        assert said.returncode == 2, said
-        (line,) = [line for line in said.stderr.splitlines() if line.startswith("error: ")]
+        assert exit_code(run_plgs.main, "-o", lift.path, "--bake", "camera", *arguments) == 2
+        (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
         assert all(each in line for each in told) and "--save" not in line, line
-        assert "Traceback" not in said.stderr and "usage" not in said.stderr
     assert not lift.passes_path.exists()

@@ -15,7 +15,7 @@ from tree import ROOT, Tree, wait_until
 
 SIZE = (1280, 1000)
 """Of the screen and of Blender's window on it, in pixels: a sidebar with all panels fits."""
-ROW_STEP = 12
+ROW_STEP = 16
 """Less than the height of a button, so that none is missed when a column is searched."""
 _MOVED_S, _PRESSED_S = 0.04, 0.06
 
@@ -28,7 +28,8 @@ class Window:
         self.folder, self._tree, self._blender = folder, tree, None
         self._log = (folder / "blender.log").open("ab")
         self._number, self.space = 0, "VIEW_3D"
-        for name in ("home", "screen", "shaders", "kernels"):
+        self._buttons: dict[str, tuple[int, int]] = {}
+        for name in ("home", "screen", "kernels"):
             (folder / name).mkdir(exist_ok=True)
         tree.environment |= {
             "HOME": str(folder / "home"),
@@ -107,16 +108,24 @@ class Window:
         self.run("watch.begin()")
         self.move(SIZE[0] // 2, SIZE[1] // 2)
 
+    def place(self, lift: Path, then: str = "") -> None:
+        """Show a finished lift in Solid shading of a user's own, and run statements before the window is drawn.
+
+        Material Preview, where a lift's points have their colours, takes a processor that stands in for a graphics card
+        a minute to begin with; test_result.py looks at it.
+        """
+        self.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})\n{_SOLID}\n{then}")
+
     # Questions and answers
 
-    def ask(self, expression: str, timeout: float = 60) -> Any:
+    def ask(self, expression: str, timeout: float = 180) -> Any:
         """The value of a Python expression inside Blender, as JSON brings it. RuntimeError with Blender's traceback."""
         answer = self._answer_to(self._send(expression), timeout)
         if "error" in answer:
             raise RuntimeError(f"in Blender:\n{answer['error']}")
         return answer["value"]
 
-    def run(self, statements: str, timeout: float = 60) -> Any:
+    def run(self, statements: str, timeout: float = 180) -> Any:
         """Run Python statements inside Blender; what they leave in `answer`."""
         return self.ask(f"{statements}\n", timeout) if "\n" in statements else self.ask(f"{statements};", timeout)
 
@@ -134,7 +143,7 @@ class Window:
         answer: dict[str, Any] = json.loads(path.read_text())
         return answer
 
-    def wait_for(self, expression: str, timeout: float = 60) -> None:
+    def wait_for(self, expression: str, timeout: float = 180) -> None:
         """Wait until the expression is true inside Blender."""
         wait_until(lambda: self.ask(expression), expression, timeout, 0.1)
 
@@ -231,15 +240,19 @@ class Window:
         left, top, width, height = self._region("UI")
         self.run("bpy.context.window_manager.clipboard = ''")
         heights = sorted(range(top + 8, top + height, ROW_STEP), key=lambda y: abs(y - (near or 0)))
-        # Buttons share rows: the middle hits most of them, the others stand at the sides. Tabs are at the right.
-        for share in (0.45, 0.8, 0.15):
-            x = left + int(width * share)
-            for y in heights:
-                self._input("mousemove", str(x), str(y), "sleep", str(_MOVED_S), "key", keys)
-                self._wait_for_events()
-                copied = self.ask("bpy.context.window_manager.clipboard")
-                if begin in copied and contains in copied:
-                    return x, y
+        # Where it was found earlier comes first: hovering makes Blender draw. Buttons share rows: the middle hits most of
+        # them, the others stand at the sides. Tabs are at the right.
+        earlier = [at for copied, at in self._buttons.items() if begin in copied and contains in copied]
+        anywhere = [(left + int(width * share), y) for share in (0.45, 0.8, 0.15) for y in heights]
+        last = ""
+        for x, y in earlier + anywhere:
+            self._input("mousemove", str(x), str(y), "sleep", str(_MOVED_S), "key", keys)
+            self._wait_for_events()
+            copied = self.ask("bpy.context.window_manager.clipboard")
+            if copied != last:  # over nothing, it stays
+                self._buttons[copied], last = (x, y), copied
+            if begin in copied and contains in copied:
+                return x, y
         raise LookupError(f"no button of {begin} {contains} in the sidebar")
 
     def _region(self, kind: str) -> tuple[int, int, int, int]:
@@ -275,7 +288,7 @@ class Window:
         cv2.imwrite(str(path), self.picture()[:, :, ::-1])
         return path
 
-    def settle(self, timeout: float = 60, still_s: float = 0.4) -> None:
+    def settle(self, timeout: float = 180, still_s: float = 0.4) -> None:
         """Wait until the screen has not changed for a while."""
         last, since, end = self.picture(), time.monotonic(), time.monotonic() + timeout
         while time.monotonic() - since < still_s:
@@ -309,6 +322,12 @@ class Window:
         self._log.close()
 
 
+_SOLID = """
+for screen in bpy.data.screens:
+    for area in screen.areas:
+        if area.type == 'VIEW_3D':
+            area.spaces.active.shading.type, area.spaces.active.shading.color_type = 'SOLID', 'OBJECT'
+"""
 _IN_SIDEBAR = """
 window = bpy.context.window_manager.windows[0]
 area = max((each for each in window.screen.areas if each.type == 'VIEW_3D'), key=lambda each: each.width * each.height)

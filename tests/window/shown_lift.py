@@ -78,7 +78,7 @@ def shown_lift(window: Window, folder: Path, panel: str, tab: str, *, bake: bool
     lift = tiny_lift.write_tiny_lift(folder / "lift", bake=bake).path
     window.run(_OWN_TAB.format(panel=panel, tab=tab))
     try:
-        window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
+        window.place(lift)
         window.run(_TOOLS)
         window.run("bpy.ops.ed.undo_push(message='shown')")
         window.open_sidebar(tab)

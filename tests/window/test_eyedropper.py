@@ -35,8 +35,7 @@ node.matte_id, node.select, tree.nodes.active = '', True, node
 
 def test_it_picks_the_instance_under_the_mouse(window: Window, work_folder: Path) -> None:
     lift = tiny_lift.write_tiny_lift(work_folder / "eyedropper" / "lift")
-    window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift.path)!r})")
-    window.run(SHOW)
+    window.place(lift.path, then=SHOW)
     window.space = "NODE_EDITOR"
     window.settle()
     window.open_sidebar("Node")

@@ -31,7 +31,7 @@ with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
 
 def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) -> None:
     lift = tiny_lift.write_tiny_lift(work_folder / "compositor" / "lift")
-    window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift.path)!r})")
+    window.place(lift.path)
     window.run(f"bpy.context.scene.plgs.lift_folder = {str(lift.path)!r}")
     window.open_sidebar()
     window.settle()
@@ -44,7 +44,7 @@ def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) ->
 
 def test_a_long_range_is_read_while_the_window_answers_and_esc_stops(window: Window, work_folder: Path) -> None:
     lift = tiny_lift.write_tiny_lift(work_folder / "long range" / "lift")
-    window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift.path)!r})")
+    window.place(lift.path)
     window.run("scene = bpy.context.scene; scene.frame_start, scene.frame_end = 1, 300000; scene.frame_set(7)")
     window.settle()
     status_bar = window.picture()[-STATUS_BAR:]
