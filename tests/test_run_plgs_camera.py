@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -35,6 +36,11 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def lift(finished: Path, tmp_path: Path) -> LiftFolder:
     return LiftFolder.open(shutil.copytree(finished, tmp_path / "lift"))
+
+
+@pytest.fixture(autouse=True)
+def this_python_is_the_engines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
 
 
 @pytest.fixture(scope="module")
@@ -79,29 +85,29 @@ def test_frames_are_baked_and_those_that_are_done_are_kept(lift: LiftFolder, ble
     assert blend.read_bytes() == before and not (lift.path / "lift.blend").exists()
 
 
-def test_corrections_are_seen_and_the_lifts_own_file_stays(lift: LiftFolder, blend: Path, root: Path) -> None:
+def test_corrections_are_seen_and_the_lifts_own_file_stays(lift: LiftFolder, blend: Path) -> None:
     own = Path(shutil.copy(blend, lift.path / "lift.blend"))
     before = own.read_bytes()
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-1"]
-    assert run_script(root, *command).returncode == 0
+    assert exit_code(run_plgs.main, *command) == 0
     baked = lift.passes_path / "dolly.0001.exr"
     shown = read_exr(baked).instance
     one = int(shown[shown > 0][0])
     correct(lift.path, lambda state, _: making.delete(state, one, around=False))
-    assert run_script(root, *command).returncode == 0
+    assert exit_code(run_plgs.main, *command) == 0
     assert not (read_exr(baked).instance == one).any() and own.read_bytes() == before
 
 
-def test_a_scene_that_was_moved_is_found(lift: LiftFolder, blend: Path, root: Path, tmp_path: Path) -> None:
+def test_a_scene_that_was_moved_is_found(
+    lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     moved = Path(shutil.copytree(lift.request.scene, tmp_path / "moved"))
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--range", "1-1", "--scene"]
-    said = run_script(root, *command, tmp_path / "gone")
-    assert said.returncode == 2 and "gone" in said.stderr and "Traceback" not in said.stderr
-    said = run_script(root, *command, moved)
-    assert said.returncode == 0, said.stderr
+    assert exit_code(run_plgs.main, *command, tmp_path / "gone") == 2 and "gone" in capsys.readouterr().err
+    assert exit_code(run_plgs.main, *command, moved) == 0
     assert LiftFolder.open(lift.path).request.scene == moved
-    said = run_script(root, moved, "-o", lift.path, "--scene", moved)
-    assert said.returncode == 2 and "--scene belongs to --bake camera without SCENE" in said.stderr
+    assert exit_code(run_plgs.main, moved, "-o", lift.path, "--scene", moved) == 2
+    assert "--scene belongs to --bake camera without SCENE" in capsys.readouterr().err
 
 
 def test_two_commands_at_once_both_end_with_all_frames(lift: LiftFolder, blend: Path, root: Path) -> None:

@@ -240,8 +240,8 @@ class Window:
         left, top, width, height = self._region("UI")
         self.run("bpy.context.window_manager.clipboard = ''")
         heights = sorted(range(top + 8, top + height, ROW_STEP), key=lambda y: abs(y - (near or 0)))
-        # Where it was found earlier comes first: hovering makes Blender draw. Buttons share rows: the middle hits most of
-        # them, the others stand at the sides. Tabs are at the right.
+        # Where it was found earlier comes first: Blender draws for each place that is tried. Buttons share rows:
+        # the middle hits most of them, the others stand at the sides. Tabs are at the right.
         earlier = [at for copied, at in self._buttons.items() if begin in copied and contains in copied]
         anywhere = [(left + int(width * share), y) for share in (0.45, 0.8, 0.15) for y in heights]
         last = ""
