@@ -15,6 +15,8 @@ PYTHON := .venv/bin/python
 PYTEST := -m pytest --durations=10
 # One process of tests for each core, and memory for four at most.
 PARALLEL := -n logical --maxprocesses=4 --dist=worksteal
+# Two Blenders, each on a screen of its own.
+WINDOWS := -n 2 --dist=loadgroup
 # A test that takes longer than pyproject.toml's faulthandler_timeout hangs: none of `make test` takes a minute.
 ENDING := -o faulthandler_exit_on_timeout=true
 # mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve.
@@ -34,11 +36,11 @@ PLGS_FUZZ ?= 10
 demo: set-up
 	$(PYTHON) run_plgs.py $(SCENE) -o $(OUT) --preset $(PRESET) --resume
 
-# mypy reads on one core beside the tests, and is heard at the end of the first ones. Kernels are compiled before.
-test: set-up-next
-	@mkdir -p build; { $(LINT); } >build/lint.log 2>&1 & \
+# mypy and the making of .venv-next take one core beside the first tests, and are heard when those have ended.
+test: set-up
+	@mkdir -p build; { $(LINT) && sh set_up/set_up.sh .venv-next; } >build/beside-tests.log 2>&1 & \
 	$(PYTHON) -m engine warm-up && $(PYTHON) $(PYTEST) $(ENDING) $(PARALLEL) -m "not slow"; tests=$$?; \
-	wait $$! && lint=0 || lint=1; cat build/lint.log; exit $$((tests + lint))
+	wait $$! && beside=0 || beside=1; cat build/beside-tests.log; exit $$((tests + beside))
 	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(ENDING) $(PARALLEL) -m "not slow" $(NEXT_TESTS); fi
 
 # What users see, from end to end: the tests that tests/behaviours.py names.
@@ -63,11 +65,11 @@ extension: set-up
 # The zip in a real Blender's window, under a virtual screen, with real mouse and keys: in Debian's Blender 4.3, and in 5.2.
 test-window: extension
 	@$(PYTHON) set_up/blender_window.py trixie
-	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) $(ENDING) -m "not slow" tests/window
+	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) $(ENDING) $(WINDOWS) -m "not slow" tests/window
 
 test-blender-next: extension
 	@$(PYTHON) set_up/blender_window.py sid
-	PLGS_WINDOW_TREE=build/blender-sid $(PYTHON) $(PYTEST) $(ENDING) -m "not slow" tests/window
+	PLGS_WINDOW_TREE=build/blender-sid $(PYTHON) $(PYTEST) $(ENDING) $(WINDOWS) -m "not slow" tests/window
 
 lint: set-up
 	@$(LINT)

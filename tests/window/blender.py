@@ -29,30 +29,29 @@ class Window:
         self._log = (folder / "blender.log").open("ab")
         self._number, self.space = 0, "VIEW_3D"
         self._buttons: dict[str, tuple[int, int]] = {}
+        self._is_compiled = False
         for name in ("home", "screen", "kernels"):
             (folder / name).mkdir(exist_ok=True)
         tree.environment |= {
             "HOME": str(folder / "home"),
             "BLENDER_USER_RESOURCES": str(folder / "resources"),
             "LIBGL_ALWAYS_SOFTWARE": "1",
+            "MESA_SHADER_CACHE_DIR": str(ROOT / "build" / "window" / "shaders"),  # a third of a start
             "NUMBA_CACHE_DIR": str(folder / "kernels"),
             "PLGS_ENGINE_PYTHON": str(ROOT / ".venv" / "bin" / "python"),
         }
         self._start_screen()
         install = ["blender", "--command", "extension", "install-file", "-r", "user_default", "-e", str(package)]
         tree.run(*install)
-        self._compile_kernels()
 
-    def _compile_kernels(self) -> None:
-        """Let the installed engine compile its kernels while other tests run: a lift would wait for that (a minute)."""
+    def compile_kernels(self) -> None:
+        """Let the installed engine compile its kernels, so that lifts begin at once."""
+        if self._is_compiled:
+            return
         engine = self.folder / "resources" / "extensions" / "user_default" / "plgs"
         python = self._tree.environment["PLGS_ENGINE_PYTHON"]
-        command = f"cd {engine} && exec nice {python} -m engine warm-up"
-        self._warm_up = self._tree.start("sh", "-c", command, log=self._log.fileno())
-
-    def wait_for_kernels(self) -> None:
-        """Wait until a lift can begin at once."""
-        assert self._warm_up.wait(timeout=300) == 0, self.log_tail()
+        self._tree.run("sh", "-c", f"cd {engine} && exec {python} -m engine warm-up", timeout=600)
+        self._is_compiled = True
 
     def _start_screen(self) -> None:
         reading, writing = os.pipe()
@@ -315,7 +314,7 @@ class Window:
 
     def close(self) -> None:
         """End Blender and the screen."""
-        for process in (self._blender, self._screen, self._warm_up):
+        for process in (self._blender, self._screen):
             if process is not None:
                 process.kill()
                 process.wait()

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+LIFTS = {"test_main_path", "test_going_on", "test_pictures"}
+
 if str(Path(__file__).parent) not in sys.path:
     sys.path.insert(0, str(Path(__file__).parent))
 
@@ -22,6 +24,13 @@ if "PLGS_WINDOW_TREE" in os.environ:
     from tree import ROOT, Tree, paths_of_this_python
 else:
     collect_ignore_glob = ["test_*.py"]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Under xdist each Blender has files of its own, and one has all lifts: that one compiles the engine's kernels."""
+    for item in items:
+        if item.path.parent == Path(__file__).parent:
+            item.add_marker(pytest.mark.xdist_group("lifts" if item.path.stem in LIFTS else item.path.stem))
 
 
 @pytest.fixture(scope="session")

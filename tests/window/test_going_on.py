@@ -61,7 +61,7 @@ def begin(window: Window, scene: Path, name: str, **settings: object) -> LiftFol
     wanted = {"scene_folder": str(scene), "lift_folder": str(folder), "steps": 20_000, **settings}
     for key, value in wanted.items():
         window.run(f"settings().{key} = {value!r}")
-    window.wait_for_kernels()
+    window.compile_kernels()
     window.wait_for("bpy.ops.plgs.lift_scene.poll()")
     window.run("bpy.ops.plgs.lift_scene('INVOKE_DEFAULT')")
     window.wait_for("followed() is not None and followed().progress.loss is not None", 120)

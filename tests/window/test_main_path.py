@@ -61,7 +61,7 @@ def test_a_lift_is_started_cancelled_and_resumed_and_its_box_picked(window: Wind
     window.open_sidebar()
     choose_scene(window, scene)
     window.run(f"bpy.context.scene.plgs.steps = {STEPS}")
-    window.wait_for_kernels()
+    window.compile_kernels()
     _, start = window.press("plgs.lift_scene")
     window.wait_for(f"{RUNNING} and {RUNNING}[0].progress.steps == {STEPS} and {RUNNING}[0].progress.step > 20", 120)
     window.screenshot("lifting")

@@ -140,7 +140,7 @@ def test_a_lift_under_way(window: Window, scene: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(scene)!r})", timeout=120)
     window.run(_LOOK_THROUGH)
-    window.wait_for_kernels()
+    window.compile_kernels()
     window.run("bpy.ops.plgs.lift_scene('INVOKE_DEFAULT')")
     step, seen = f"{_RUNNING}[0].progress.step", f"{_PREVIEW}.picture_for(bpy.context.scene) is not None"
     window.wait_for(f"{_RUNNING} and {step} > 250 and {seen}", timeout=300)
