@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sys
@@ -22,7 +23,6 @@ from plgs.plgs_blender.tasks import registry
 
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_hypersim import USUAL, write_hypersim
-from tests.scene.formats.test_nerfstudio import change
 
 
 @pytest.fixture
@@ -181,7 +181,8 @@ def test_depth_and_masks_are_shown_before_a_camera(room: Path) -> None:
 
 
 def test_a_bent_lens_is_straight_in_pictures_and_depth(own: Path) -> None:
-    change(own / "studio", k1=-0.05)
+    transforms = own / "studio" / "transforms.json"
+    transforms.write_text(json.dumps(json.loads(transforms.read_text()) | {"k1": -0.05}))
     bpy.ops.plgs.import_scene(scene_folder=str(own / "studio"), cloud=False)
     camera = frames()["frame_9"]
     assert Path(camera.data.background_images[0].image.filepath) == own / "studio_frames" / "color" / "frame_9.jpg"
