@@ -17,10 +17,13 @@ from scipy.optimize import linear_sum_assignment
 from ..machine.compiled import Array, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
 from ..scene import distinct_ids
-from .label_losses import TINY, chunk_count, chunk_range
+from .label_losses import TINY
 
 NO_SLOT = -1
 ONE, LEAST = np.float32(1), np.float32(TINY)
+CHUNK = 8192
+"""Pixels that a thread takes at a time. Chunks depend on the number of pixels alone, so sums over them have the same
+bits however many threads there are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,7 @@ def assigned_slots(
     slot_of_segment = np.full(segments + 1, NO_SLOT, np.int16)
     if slots and segments:
         flat = coverage.detach().contiguous().numpy().reshape(-1, coverage.shape[-1])
-        sums = np.zeros((chunk_count(len(flat)), segments, slots))
+        sums = np.zeros((-(-len(flat) // CHUNK), segments, slots))
         opaque, row = alpha.detach().numpy().reshape(-1), things.row.reshape(-1)
         parallel_for(worker_count(), add_slots, flat, opaque, first, row, sums)
         mean = sums.sum(axis=0) / things.pixels[:, None]
@@ -68,8 +71,7 @@ def add_slots(worker: int, workers: int, coverage: Array, alpha: Array, first: i
     """Slot probabilities of every ``workers``-th chunk of pixels, added up by segment into ``sums`` float64
     [chunks, I, S]."""
     for chunk in range(worker, len(sums), workers):
-        start, end = chunk_range(chunk, len(row))
-        for pixel in range(start, end):
+        for pixel in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(row))):
             if row[pixel] < 0:
                 continue
             share_of_alpha = ONE / (alpha[pixel] + LEAST)

@@ -13,14 +13,24 @@ from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 
 from ..machine import memory
+from ..machine.compiled import Array, contracted
 from ..machine.threads import parallel_for, worker_count
-from .similarity_kernels import WEIGHTS, Found, Pictures, compare_strips, scratch_size, strip_count
+
+WINDOW, SIGMA = 11, 1.5
+REACH = WINDOW // 2
+C1, C2 = np.float32(0.01**2), np.float32(0.03**2)
+ONE, TWO = np.float32(1), np.float32(2)
+STRIP_ROWS = 48
+"""Rows that a thread compares at a time. The intermediate pictures of a strip stay in the processor's cache, and the
+strips depend on the picture alone, so that sums have the same bits whatever the number of threads."""
+
+_WINDOW = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_32F)
 
 
 def _blur(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """A picture [H, W, 3] blurred by the window, with zeros around it."""
-    window = np.array([*reversed(WEIGHTS), *WEIGHTS[1:]], np.float32)
-    return cv2.sepFilter2D(picture, -1, window, window, borderType=cv2.BORDER_CONSTANT).astype(np.float32, copy=False)
+    blurred = cv2.sepFilter2D(picture, -1, _WINDOW, _WINDOW, borderType=cv2.BORDER_CONSTANT)
+    return blurred.astype(np.float32, copy=False)
 
 
 @dataclass(frozen=True)
@@ -48,17 +58,12 @@ class _Comparison(torch.autograd.Function):
     ) -> torch.Tensor:
         if image.shape != photo.values.shape:
             raise ValueError(f"the picture is {tuple(image.shape)}, the photo {photo.values.shape}")
-        height, width, channels = image.shape
-        length, count, workers = width * channels, image.numel(), worker_count()
-        pictures = (image.detach().contiguous().numpy(), photo.values, photo.mean, photo.variance)
-        rows = Pictures(*(picture.reshape(height, length) for picture in pictures))
-        weights = np.array([l1_weight / count, ssim_weight / count], np.float32)
-        gradient = memory.empty((height, length), np.float32)
-        found = Found(gradient, np.zeros((strip_count(height), 2)))
-        scratch = memory.empty((workers, scratch_size(length)), np.float32)
-        parallel_for(workers, compare_strips, rows, weights, found, scratch)
-        ctx.save_for_backward(torch.from_numpy(gradient).view(image.shape))
-        difference, similarity = found.sums.sum(axis=0) / count
+        count, values = image.numel(), image.detach().contiguous().numpy()
+        gradient, sums = memory.empty(values.shape, np.float32), np.zeros((-(-len(values) // STRIP_ROWS), 2))
+        weights = (l1_weight / count, ssim_weight / count)
+        parallel_for(worker_count(), _compare_strips, values, photo, weights, gradient, sums)
+        ctx.save_for_backward(torch.from_numpy(gradient))
+        difference, similarity = sums.sum(axis=0) / count
         return image.new_tensor(l1_weight * difference + ssim_weight * similarity)
 
     @staticmethod
@@ -66,6 +71,74 @@ class _Comparison(torch.autograd.Function):
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
         (gradient,) = ctx.saved_tensors
         return gradient * gradients[0], None, None, None
+
+
+def _compare_strips(
+    worker: int,
+    workers: int,
+    image: NDArray[np.float32],
+    photo: PhotoMoments,
+    weights: tuple[float, float],
+    gradient: NDArray[np.float32],
+    sums: NDArray[np.float64],
+) -> None:
+    """Every ``workers``-th strip of rows: the gradient [H, W, 3] by ``image``, and ``sums`` [strips, 2] of |image -
+    photo| and of SSIM. ``weights``: what L1 and SSIM of one value count."""
+    for strip in range(worker, len(sums), workers):
+        first, end = strip * STRIP_ROWS, min((strip + 1) * STRIP_ROWS, len(image))
+        # the gradient depends on SSIM's slopes within the window's reach, and these on pixels once more as far away
+        near = slice(max(first - REACH, 0), min(end + REACH, len(image)))
+        far = slice(max(first - 2 * REACH, 0), min(end + 2 * REACH, len(image)))
+        x, y = image[far], photo.values[far]
+        known = slice(near.start - far.start, near.stop - far.start)
+        mean, square, product = (_blur(each)[known] for each in (x, x * x, x * y))
+        ssim = np.empty_like(mean)
+        _similarity(
+            mean.ravel(),
+            square.ravel(),
+            product.ravel(),
+            photo.mean[near].ravel(),
+            photo.variance[near].ravel(),
+            ssim.ravel(),
+        )
+        own = slice(first - near.start, end - near.start)
+        slopes = [_blur(slope)[own].ravel() for slope in (mean, square, product)]
+        pair = image[first:end].ravel(), photo.values[first:end].ravel()
+        sums[strip, 0] = _gradient(*pair, *slopes, np.array(weights, np.float32), gradient[first:end].ravel())
+        sums[strip, 1] = ssim[own].sum(dtype=np.float64)
+
+
+@contracted
+def _similarity(
+    mean: Array, square: Array, product: Array, photo_mean: Array, photo_variance: Array, ssim: Array
+) -> None:
+    """SSIM of blurred moments. The moments become its slopes by the picture's mean, square and product with the
+    photo. All are float32 [n]."""
+    for i in range(len(ssim)):
+        x, y = mean[i], photo_mean[i]
+        luminance, structure = TWO * x * y + C1, TWO * (product[i] - x * y) + C2
+        first = ONE / (x * x + y * y + C1)
+        second = ONE / (square[i] - x * x + photo_variance[i] + C2)
+        scale = first * second
+        ssim[i] = luminance * structure * scale
+        mean[i] = TWO * (y * (structure - luminance) * scale + x * ssim[i] * (second - first))
+        square[i] = -ssim[i] * second
+        product[i] = TWO * luminance * scale
+
+
+@contracted
+def _gradient(
+    image: Array, photo: Array, by_mean: Array, by_square: Array, by_product: Array, weights: Array, gradient: Array
+) -> float:
+    """Fill the gradient from SSIM's blurred slopes and from L1; returns the sum of |image - photo|. All are float32
+    [n]; ``weights`` [2] as ``_compare_strips`` has them."""
+    total, l1, similarity = 0.0, weights[0], weights[1]
+    for i in range(len(image)):
+        off = image[i] - photo[i]
+        slope = by_mean[i] + TWO * image[i] * by_square[i] + photo[i] * by_product[i]
+        gradient[i] = l1 * np.sign(off) + similarity * slope
+        total += abs(off)
+    return total
 
 
 def compare(image: torch.Tensor, photo: PhotoMoments, l1_weight: float, ssim_weight: float) -> torch.Tensor:

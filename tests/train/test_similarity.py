@@ -8,8 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.train.similarity import PhotoMoments, compare
-from engine.train.similarity_kernels import STRIP_ROWS
+from engine.train.similarity import STRIP_ROWS, PhotoMoments, compare
 
 
 def blur(planes: torch.Tensor) -> torch.Tensor:
