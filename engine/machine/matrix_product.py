@@ -1,6 +1,6 @@
 """The matrix product of the rasteriser's labels.
 
-It takes a block of a few rows and sixteen columns at a time, whose sums stay in registers.
+It takes a block of four rows and sixteen columns at a time, whose sums stay in registers.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from numba.extending import overload
 
 from .compiled import Array, device_function
-from .vectors import HAS_AVX512, WIDTH, broadcast_load, fma, get, load, store
+from .vectors import WIDTH, broadcast_load, fma, get, load, store
 
 
 class Rows(NamedTuple):
@@ -31,15 +31,6 @@ class ListedRows(NamedTuple):
     first: int
 
 
-class AlternatingRows(NamedTuple):
-    """Row 2 r begins at values[even + r * stride], row 2 r + 1 at values[odd + r * stride]."""
-
-    values: Array
-    even: int
-    odd: int
-    stride: int
-
-
 class Factors(NamedTuple):
     """The factor of row a of the result and row b of the source is values[start + a * across + b * along]."""
 
@@ -58,14 +49,13 @@ def begin_of(rows: Any, number: int) -> int:
 def _begin_of(rows, number):
     if rows.instance_class is Rows:
         return lambda rows, number: rows.start + number * rows.stride
-    if rows.instance_class is ListedRows:
-        return lambda rows, number: rows.start + get(rows.numbers, rows.first + number) * rows.stride
-    return lambda rows, number: (rows.odd if number & 1 else rows.even) + (number >> 1) * rows.stride
+    return lambda rows, number: rows.start + get(rows.numbers, rows.first + number) * rows.stride
 
 
 @device_function
 def add_four_rows(out: Any, factors: Any, source: Any, a: int, c: int, count: int) -> None:
-    """Rows ``a`` to a + 3 and columns ``c`` to c + 15 of the product. With AVX2 the sums take half the registers."""
+    """Rows ``a`` to a + 3 and columns ``c`` to c + 15 of the product. With AVX2 the sums take half the registers. They
+    are written out because registers have no index."""
     o0, o1, o2, o3 = begin_of(out, a) + c, begin_of(out, a + 1) + c, begin_of(out, a + 2) + c, begin_of(out, a + 3) + c
     s0, s1, s2, s3 = load(out.values, o0), load(out.values, o1), load(out.values, o2), load(out.values, o3)
     values, across, at = factors.values, factors.across, factors.start + a * factors.across
@@ -83,50 +73,12 @@ def add_four_rows(out: Any, factors: Any, source: Any, a: int, c: int, count: in
 
 
 @device_function
-def add_eight_rows(out: Any, factors: Any, source: Any, a: int, c: int, count: int) -> None:
-    """As ``add_four_rows``, rows ``a`` to a + 7: a row of the source is loaded once for eight sums. It is written out
-    because registers have no index."""
-    o0, o1, o2, o3 = begin_of(out, a) + c, begin_of(out, a + 1) + c, begin_of(out, a + 2) + c, begin_of(out, a + 3) + c
-    o4, o5, o6 = begin_of(out, a + 4) + c, begin_of(out, a + 5) + c, begin_of(out, a + 6) + c
-    o7 = begin_of(out, a + 7) + c
-    s0, s1, s2, s3 = load(out.values, o0), load(out.values, o1), load(out.values, o2), load(out.values, o3)
-    s4, s5, s6, s7 = load(out.values, o4), load(out.values, o5), load(out.values, o6), load(out.values, o7)
-    values, across, at = factors.values, factors.across, factors.start + a * factors.across
-    for b in range(count):
-        row = load(source.values, begin_of(source, b) + c)
-        s0 = fma(broadcast_load(values, at), row, s0)
-        s1 = fma(broadcast_load(values, at + across), row, s1)
-        s2 = fma(broadcast_load(values, at + 2 * across), row, s2)
-        s3 = fma(broadcast_load(values, at + 3 * across), row, s3)
-        s4 = fma(broadcast_load(values, at + 4 * across), row, s4)
-        s5 = fma(broadcast_load(values, at + 5 * across), row, s5)
-        s6 = fma(broadcast_load(values, at + 6 * across), row, s6)
-        s7 = fma(broadcast_load(values, at + 7 * across), row, s7)
-        at += factors.along
-    store(out.values, o0, s0)
-    store(out.values, o1, s1)
-    store(out.values, o2, s2)
-    store(out.values, o3, s3)
-    store(out.values, o4, s4)
-    store(out.values, o5, s5)
-    store(out.values, o6, s6)
-    store(out.values, o7, s7)
-
-
-@device_function
-def add_product(out: Any, factors: Any, source: Any, rows: int, columns: int, count: int) -> None:
+def add_product(out: Any, factors: Factors, source: Any, rows: int, columns: int, count: int) -> None:
     """out[a, c] += sum_b factor[a, b] * source[b, c] for a < ``rows``, c < ``columns``, b < ``count``.
 
-    ``out`` is ``Rows`` or ``ListedRows``, ``source`` these or ``AlternatingRows``, ``factors`` is ``Factors``.
-    ``columns`` is a multiple of 16. Rows are taken eight or four at a time, so memory must reach to the next multiple
-    of eight, or of four where ``rows`` is one. Summed in ascending order of b.
+    ``out`` and ``source`` are ``Rows`` or ``ListedRows``. ``rows`` is a multiple of 4 and ``columns`` of 16. Summed in
+    ascending order of b.
     """
     for c in range(0, columns, WIDTH):
-        a = 0
-        if HAS_AVX512:
-            while rows - a > 4:
-                add_eight_rows(out, factors, source, a, c, count)
-                a += 8
-        while a < rows:
+        for a in range(0, rows, 4):
             add_four_rows(out, factors, source, a, c, count)
-            a += 4

@@ -15,7 +15,6 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import lower_builtin, models, register_model, type_callable
 
-from .compiled import machine_target
 from .intrinsics import element_pointer, intrinsic, is_flat
 
 WIDTH = 16
@@ -197,18 +196,6 @@ def prefetch_write(typing_context: Any, array: Any, index: Any) -> Any:
 
 
 @intrinsic
-def is_aligned(typing_context: Any, array: Any, index: Any) -> Any:
-    """Whether array[index] begins a cache line."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        address = builder.ptrtoint(element_pointer(context, builder, signature.args[0], *arguments), ir.IntType(64))
-        rest = builder.and_(address, ir.IntType(64)(4 * WIDTH - 1))
-        return builder.icmp_unsigned("==", rest, ir.IntType(64)(0))
-
-    return types.boolean(array, types.int64), emit
-
-
-@intrinsic
 def store_nontemporal(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
     """As ``store``, at the beginning of a cache line, without reading what was there nor keeping it in the cache."""
     if not is_flat(array, types.float32) or values is not lanes:
@@ -314,16 +301,6 @@ def trailing_zeros(typing_context: Any, bits: Any) -> Any:
         return call(builder, "llvm.cttz.i64", ir.IntType(64), [arguments[0], ir.Constant(ir.IntType(1), 0)])
 
     return types.int64(types.int64), emit
-
-
-def has_avx512() -> bool:
-    """Whether kernels may use AVX-512's thirty-two registers of sixteen floats. They may not where Numba is told to
-    compile for a processor without it."""
-    features = machine_target()[2].split(",")
-    return "+avx512f" in features and "+avx512dq" in features
-
-
-HAS_AVX512 = has_avx512()
 
 
 def _register_arithmetic() -> None:

@@ -14,7 +14,6 @@ from ..machine.threads import parallel_for, worker_count
 from .arrays import Blended, Gaussians, Intersections, Projected, Scratch, Size, Splats, flat
 from .blending.contributors import list_contributors
 from .blending.forward import blend_forward, scratch_size
-from .chunks import chunk_count
 from .conventions import Pinhole
 from .isect_tiles import blending_workers, isect_tiles
 from .projection import camera_array, project
@@ -82,24 +81,14 @@ def rasterize_forward(
     final, last, records = memory.several((pixels, np.float32), (pixels, np.float32), ((count, RECORD), np.float32))
     out = Blended(*map(flat, layers.in_order()), final, last)
 
-    boxes, depths, counts = _project(gaussians, records, camera, size, on_image)
-    isects, longest = isect_tiles(worker_count(), boxes, depths, counts, size.width, size.height)
+    boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
+    projected = Projected(records, boxes, depths, on_image.means2d, on_image.visible)
+    parallel_for(worker_count(), project, gaussians, camera, size, projected, np.zeros(1, np.int64))
+    isects, longest = isect_tiles(worker_count(), boxes, depths, size.width, size.height)
     workers = blending_workers(worker_count(), isects, longest)
     scratch = new_scratch(workers, scratch_size(channels, longest), longest)
     parallel_for(workers, blend_forward, isects, Splats(flat(records), flat(labels)), out, size, scratch)
     return layers, ForwardState(camera, records, isects, longest, final, last)
-
-
-def _project(
-    gaussians: Gaussians, records: Array, camera: Array, size: Size, on_image: OnImage
-) -> tuple[Array, Array, Array]:
-    """Boxes, depths and counts as ``isect_tiles`` takes them; fills ``records`` and ``on_image``."""
-    count = len(records)
-    boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
-    projected = Projected(records, boxes, depths, on_image.means2d, on_image.visible)
-    counts = np.empty((chunk_count(count), 2), np.int64)
-    parallel_for(worker_count(), project, gaussians, camera, size, projected, counts, np.zeros(1, np.int64))
-    return boxes, depths, counts
 
 
 def new_scratch(workers: int, floats: int, longest: int) -> Scratch:

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine.compiled import Array, device_function, parallel_kernel
-from ..machine.intrinsics import fetch_add
 from .arrays import Gaussians, Projected, Size
-from .chunks import chunk_range
+from .chunks import chunk_count, next_chunk
 from .conventions import ALPHA_MIN, BLUR, TINY_NORM, Pinhole
 from .records import (
     CENTRE_X,
@@ -159,13 +158,13 @@ def clear(i: int, out: Projected) -> None:
 
 
 @device_function
-def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, out: Projected) -> int:
-    """Project one Gaussian; returns how many tiles it touches, 0 where it is not visible."""
+def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, out: Projected) -> None:
+    """Project one Gaussian."""
     clear(i, out)
     opacity = np.float64(gaussians.opacities[i])
     x, y, z = camera_point(camera, *three_of(gaussians.means, i))
     if not (z > camera[16] and opacity >= ALPHA_MIN):
-        return 0
+        return
     centre_x, centre_y, cov_xx, cov_xy, cov_yy = footprint_of(i, (x, y, z), gaussians, camera)
     reach = math.log(opacity / ALPHA_MIN)
     extent_x, extent_y = math.sqrt(2.0 * reach * cov_xx), math.sqrt(2.0 * reach * cov_yy)
@@ -174,7 +173,7 @@ def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, ou
     low_y, high_y = max(np.ceil(centre_y - extent_y - 0.5), 0.0), min(np.floor(centre_y + extent_y - 0.5), bottom)
     determinant = cov_xx * cov_yy - cov_xy * cov_xy
     if not (determinant > 0.0 and low_x <= high_x and low_y <= high_y):
-        return 0
+        return
     boxes = out.boxes
     boxes[i, 0], boxes[i, 1] = int(low_x) // TILE, int(high_x) // TILE + 1
     boxes[i, 2], boxes[i, 3] = int(low_y) // TILE, int(high_y) // TILE + 1
@@ -186,7 +185,6 @@ def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, ou
     write_record(i, (centre_x, centre_y), whitened, gaussians, out.records)
     out.records[i, LOG_OPACITY] = (reach + LOG_ALPHA_MIN) * LOG2_E
     out.records[i, DEPTH] = z
-    return (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
 
 
 @device_function
@@ -210,26 +208,14 @@ def write_record(
 
 @parallel_kernel
 def project(
-    worker: int,
-    workers: int,
-    gaussians: Gaussians,
-    camera: Array,
-    size: Size,
-    out: Projected,
-    counts: Array,
-    next_one: Array,
+    worker: int, workers: int, gaussians: Gaussians, camera: Array, size: Size, out: Projected, next_one: Array
 ) -> None:
-    """Chunk after chunk until none is left. ``camera`` float64 [CAMERA]; ``counts`` int64 [chunks, 2] gets the visible
-    Gaussians of each chunk, and the tiles that they touch; ``next_one`` int64 [1] is the next chunk to take."""
-    chunks = counts.shape[0]
-    while True:
-        chunk = fetch_add(next_one)
-        if chunk >= chunks:
-            break
-        first, end = chunk_range(chunk, chunks, gaussians.means.shape[0])
-        shown, touched = 0, 0
+    """Chunk after chunk until none is left. ``camera`` float64 [CAMERA]; ``next_one`` int64 [1] is the next chunk to
+    take."""
+    count = gaussians.means.shape[0]
+    chunks = chunk_count(count)
+    first, end = next_chunk(next_one, chunks, count)
+    while first < end:
         for i in range(first, end):
-            tiles = project_gaussian(i, gaussians, camera, size, out)
-            shown += tiles > 0
-            touched += tiles
-        counts[chunk, 0], counts[chunk, 1] = shown, touched
+            project_gaussian(i, gaussians, camera, size, out)
+        first, end = next_chunk(next_one, chunks, count)

@@ -18,7 +18,6 @@ from .room import CHANNELS, Workload, room_workload
 CASES = ((10_000, 640, 480), (50_000, 640, 480), (200_000, 640, 480), (5_000, 160, 120))
 STAGES = {
     "project": "projection",
-    "sort_by_depth": "binning",
     "count_tiles": "binning",
     "scatter_tiles": "binning",
     "blend_forward": "blend forward",

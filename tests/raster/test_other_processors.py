@@ -35,7 +35,7 @@ out = rasterize(*tensors, work.camera_to_world, work.intrinsics, work.width, wor
 binding.initialize_all_targets()
 binding.initialize_all_asmprinters()
 KERNELS = (
-    "project", "sort_by_depth", "scatter_tiles", "blend_forward", "blend_backward", "gather", "list_contributors"
+    "project", "scatter_tiles", "blend_forward", "blend_backward", "gather", "list_contributors"
 )
 for kernel in KERNELS:
     (text,) = [text for name, text in texts.items() if name == kernel]
@@ -64,9 +64,7 @@ for kernel in KERNELS:
 LESSER_MACHINE = """
 import sys
 import pytest
-from engine.machine import vectors
 from engine.raster.blending import backward, forward
-assert not vectors.HAS_AVX512
 failed = pytest.main(["-q", "-p", "no:cacheprovider", "tests/raster/test_rasterize.py", "-k", "matches or same_bits"])
 kernels = (forward.blend_forward, backward.blend_backward)
 code = "".join(text for kernel in kernels for text in kernel.inspect_asm().values())
@@ -99,20 +97,3 @@ def test_llvm_compiles_the_kernels_for_arm(tmp_path: Path) -> None:
 def test_matches_the_reference_on_a_machine_without_avx512(tmp_path: Path) -> None:
     """The processor's name alone is not enough: Numba would still use all that this one can."""
     run(LESSER_MACHINE, tmp_path, NUMBA_CPU_NAME="haswell", NUMBA_CPU_FEATURES="")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "setting, wide",
-    [
-        ({"NUMBA_CPU_NAME": "generic"}, False),
-        ({"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": ""}, False),
-        ({"NUMBA_CPU_FEATURES": "+avx2,+fma,-avx512f"}, False),
-        ({"NUMBA_ENABLE_AVX": "0"}, False),
-        ({"NUMBA_CPU_NAME": "cascadelake", "NUMBA_CPU_FEATURES": "+avx512f,+avx512dq"}, True),
-    ],
-)
-@pytest.mark.skipif(not IS_X86, reason="about x86 processors")
-def test_uses_only_the_instructions_that_numba_may(setting: dict[str, str], wide: bool, tmp_path: Path) -> None:
-    said = run("from engine.machine.vectors import HAS_AVX512; print(HAS_AVX512)", tmp_path, **setting)
-    assert said.strip() == str(wide)

@@ -47,7 +47,7 @@ BEHIND = LAST + TILE
 D_PLANES = BEHIND + TILE  # gradients of red, green, blue, depth
 WEIGHTS = PATCH_STATE + (PATCHES + 1) * PATCH_STRIDE  # [patch, member, pixel]
 LISTED = BACKWARD_BATCH + 4  # of a patch: its members, and as many as are missing from the last four
-# [member or PAD_INDEX, padded], then a patch's gradients [row, pixel, padded]
+# [member or PAD_INDEX, padded], then a patch's gradients [pixel, padded]
 BATCH_LABELS = WEIGHTS + PATCHES * LISTED * TILE
 assert PATCHES * LISTED <= MEMBERS
 NO_PATCH = PATCHES

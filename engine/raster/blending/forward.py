@@ -66,15 +66,7 @@ from .forward_strip import (
     strip_floats,
     write_strip,
 )
-from .labels import (
-    FinishedStrip,
-    add_listed_labels,
-    copy_members,
-    flush_all,
-    flush_lines,
-    pack_labels,
-    prefetch_labels,
-)
+from .labels import add_listed_labels, copy_members, prefetch_labels, write_labels
 
 ALPHA_CAP = F(ALPHA_MAX)
 ALPHA_LEAST = F(ALPHA_MIN)
@@ -90,7 +82,7 @@ def batch_floats(channels: int) -> int:
 
 def scratch_size(channels: int, longest: int) -> int:
     """Floats of scratch that a worker needs when the longest list of a tile has ``longest`` Gaussians."""
-    floats: int = STRIP_LABELS + 2 * strip_floats(channels) + -(-longest // BATCH) * batch_floats(channels)
+    floats: int = STRIP_LABELS + strip_floats(channels) + -(-longest // BATCH) * batch_floats(channels)
     return floats
 
 
@@ -227,11 +219,7 @@ def blend_forward(
     width, height, channels = size.width, size.height, size.channels
     columns, tiles = (width + TILE - 1) // TILE, starts.shape[0] - 1
     padded = padded_channels(channels)
-    batches = STRIP_LABELS + 2 * strip_floats(channels)
-    strip_labels = STRIP_LABELS
-    # the labels of the strip before: they go to memory, a few lines at a time, while this one is computed
-    row, padded_row = width * channels, TILE * padded
-    lines, finished = (0, 0), FinishedStrip(out.labels, 0, 0, padded_row, row)
+    batches = STRIP_LABELS + strip_floats(channels)
     while True:
         number = fetch_add(scratches.next_one)
         if number >= tiles:
@@ -245,7 +233,7 @@ def blend_forward(
             pixel = (top + r) * width + left
             for own in range(rows):
                 prefetch_row(pixel + own * width, out)
-            start_strip(pixels, rows, strip_labels, channels, scratch)
+            start_strip(pixels, rows, channels, scratch)
             ends = (0, LISTED)
             for place in range(0, tile.length, BATCH):
                 b = place // BATCH
@@ -265,30 +253,17 @@ def blend_forward(
                     before, state = ends[patch], STATE + patch * PATCH_STRIDE
                     end, sees = blend_patch(touching[patch], state, scratch, fields, members, before, in_vectors)
                     strip_sees |= sees
-                    lines = flush_lines(lines, finished, scratch)
                     if channels > 0 and end > before:
                         fresh = touching[patch] & ~get(copied, b)
                         put(copied, b, get(copied, b) | touching[patch])
                         copy_members(fresh, tile.first + place, flatten_ids, labels, channels, scratch, own_labels)
                     if end > patch * LISTED + PENDING:
-                        end, lines = add_listed_labels(
-                            patch, end, strip_labels, scratch, members, batches, lines, finished
-                        )
+                        end = add_listed_labels(patch, end, scratch, members, batches, padded)
                     ends = (end, ends[1]) if patch == 0 else (ends[0], end)
                 if not strip_sees:
                     break
             for patch in range(2):
-                _, lines = add_listed_labels(
-                    patch, ends[patch], strip_labels, scratch, members, batches, lines, finished
-                )
+                add_listed_labels(patch, ends[patch], scratch, members, batches, padded)
             write_strip(pixel, pixels, rows, width, scratch, out)
-            flush_all(lines, finished, scratch)
             if channels > 0:
-                target = pixel * channels
-                upper = pack_labels(target, pixels, channels, strip_labels, scratch, out.labels)
-                lower = 0
-                if rows > 1:
-                    lower = pack_labels(target + row, pixels, channels, strip_labels + padded_row, scratch, out.labels)
-                lines, finished = (upper, lower), FinishedStrip(out.labels, strip_labels, target, padded_row, row)
-                strip_labels = 2 * STRIP_LABELS + strip_floats(channels) - strip_labels  # the other one
-    flush_all(lines, finished, scratch)
+                write_labels(pixel, pixels, rows, size, scratch, out.labels)

@@ -24,7 +24,7 @@ STATE = WEIGHTS + 2 * LISTED * TILE  # [patch, field, pixel]
 COLUMNS, TRANSMITTANCE, FINAL, LAST = 0, TILE, 2 * TILE, 3 * TILE
 PLANES = 4 * TILE  # red, green, blue, depth
 PATCH_STRIDE = 8 * TILE
-STRIP_LABELS = STATE + 2 * PATCH_STRIDE  # [row, pixel, padded channels], twice; then fields and labels of each batch
+STRIP_LABELS = STATE + 2 * PATCH_STRIDE  # [patch, pixel, padded channels]; then fields and labels of each batch
 
 
 @device_function
@@ -33,7 +33,7 @@ def strip_floats(channels: int) -> int:
 
 
 @device_function
-def start_strip(columns: int, rows: int, labels: int, channels: int, scratch: Array) -> None:
+def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
     """Begin a strip of ``columns`` and ``rows`` of the image: nothing is blended, and no light passes outside the
     image."""
     left, right = interleave2(lane_numbers(), lane_numbers())
@@ -47,7 +47,7 @@ def start_strip(columns: int, rows: int, labels: int, channels: int, scratch: Ar
         store(scratch, state + LAST, broadcast(-ONE))
         for plane in range(4):
             store(scratch, state + PLANES + plane * TILE, broadcast(ZERO))
-    for at in range(labels, labels + strip_floats(channels), TILE):
+    for at in range(STRIP_LABELS, STRIP_LABELS + strip_floats(channels), TILE):
         store(scratch, at, broadcast(ZERO))
 
 
