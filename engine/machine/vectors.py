@@ -174,25 +174,16 @@ def broadcast_load(typing_context: Any, array: Any, index: Any) -> Any:
     return lanes(array, types.int64), emit
 
 
-def _prefetch(to_write: int) -> Any:
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = builder.bitcast(element_pointer(context, builder, signature.args[0], *arguments), BYTES_IR)
-        call(builder, "llvm.prefetch.p0", ir.VoidType(), [pointer, INT(to_write), INT(3), INT(1)])
-        return context.get_dummy_value()
-
-    return emit
-
-
 @intrinsic
 def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
     """Have the cache line of array[index] brought, to be read a little later; any index is harmless."""
-    return types.void(array, types.int64), _prefetch(0)
 
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = builder.bitcast(element_pointer(context, builder, signature.args[0], *arguments), BYTES_IR)
+        call(builder, "llvm.prefetch.p0", ir.VoidType(), [pointer, INT(0), INT(3), INT(1)])
+        return context.get_dummy_value()
 
-@intrinsic
-def prefetch_write(typing_context: Any, array: Any, index: Any) -> Any:
-    """Have the cache line of array[index] brought, to be written a little later; any index is harmless."""
-    return types.void(array, types.int64), _prefetch(1)
+    return types.void(array, types.int64), emit
 
 
 @intrinsic

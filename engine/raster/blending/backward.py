@@ -78,7 +78,6 @@ from .batch import AHEAD
 from .forward import ALPHA_CAP, ALPHA_LEAST, take_four
 from .forward_strip import ONE, ZERO, F
 from .label_gradients import add_label_gradients, write_label_gradients
-from .labels import LINES_AT_ONCE
 
 
 @inlined
@@ -190,8 +189,8 @@ def blend_backward(
     scratch, counts = scratches.floats[worker], scratches.words[worker]
     lists = PatchLists(counts, scratches.members[worker], size.channels > 0)
     starts, flatten_ids, isect_ids = isects.isect_offsets, isects.flatten_ids, isects.isect_ids
-    width, height, channels, touched = size.width, size.height, size.channels, out.touched
-    columns, tiles = (width + TILE - 1) // TILE, starts.shape[0] - 1
+    channels, touched = size.channels, out.touched
+    columns, tiles = (size.width + TILE - 1) // TILE, starts.shape[0] - 1
     padded = padded_channels(channels)
     start_worker(scratch, counts)
     while True:
@@ -205,9 +204,6 @@ def blend_backward(
             touched[isect_ids[k]] = 0
         if far < 0:
             continue
-        # the tile's label gradients are asked for while the first Gaussians are on
-        row_lines = (min(TILE, width - left) * channels + TILE - 1) // TILE
-        ahead_rows, ahead_row, ahead_line = min(TILE, height - top) if channels > 0 else 0, 0, 0
         # each Gaussian is whitened while the one before is on: which patches it touches is known when its turn comes
         own = 0
         patches = whiten_tile(records, int(get(flatten_ids, first + far)) * RECORD, tile, scratch, own)
@@ -221,13 +217,6 @@ def blend_backward(
                 prefetch(records, int(get(flatten_ids, first + max(place - AHEAD, 0))) * RECORD)
                 patches = whiten_tile(records, following, tile, scratch, WHITENED - own)
                 isect = int(get(isect_ids, first + place))
-                if ahead_row < ahead_rows:
-                    ahead = ((top + ahead_row) * width + left) * channels + ahead_line * TILE
-                    for line in range(LINES_AT_ONCE):
-                        prefetch(pixels.labels, ahead + line * TILE)
-                    ahead_line += LINES_AT_ONCE
-                    if ahead_line >= row_lines:
-                        ahead_row, ahead_line = ahead_row + 1, 0
                 touched[isect] = touching != 0
                 if touching != 0:
                     fill_alphas(get(records, at + L11), F(place), touching, scratch, own)

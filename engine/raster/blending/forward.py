@@ -61,7 +61,6 @@ from .forward_strip import (
     WEIGHTS,
     ZERO,
     F,
-    prefetch_row,
     start_strip,
     strip_floats,
     write_strip,
@@ -231,8 +230,6 @@ def blend_forward(
         for r in range(0, min(TILE, height - top), PATCH_HEIGHT):
             rows = min(PATCH_HEIGHT, height - top - r)
             pixel = (top + r) * width + left
-            for own in range(rows):
-                prefetch_row(pixel + own * width, out)
             start_strip(pixels, rows, channels, scratch)
             ends = (0, LISTED)
             for place in range(0, tile.length, BATCH):

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...machine.compiled import Array, device_function, inlined
 from ...machine.vector_shuffles import deinterleave2, interleave2, interleave3
-from ...machine.vectors import broadcast, lane_numbers, load, masked_store, prefetch_write, select, store
+from ...machine.vectors import broadcast, lane_numbers, load, masked_store, select, store
 from ..arrays import Blended
 from ..records import BATCH, PATCH_HEIGHT, PENDING, TILE, padded_channels
 from .batch import STRIP_FIELDS
@@ -49,17 +49,6 @@ def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
             store(scratch, state + PLANES + plane * TILE, broadcast(ZERO))
     for at in range(STRIP_LABELS, STRIP_LABELS + strip_floats(channels), TILE):
         store(scratch, at, broadcast(ZERO))
-
-
-@device_function
-def prefetch_row(pixel: int, out: Blended) -> None:
-    """Have the lines brought that ``write_row`` will write: it would wait for one after the other."""
-    prefetch_write(out.alpha, pixel)
-    prefetch_write(out.depth, pixel)
-    prefetch_write(out.final, pixel)
-    prefetch_write(out.last, pixel)
-    for line in range(3):
-        prefetch_write(out.image, 3 * pixel + line * TILE)
 
 
 @inlined

@@ -22,9 +22,6 @@ from ..arrays import Size
 from ..records import PATCH_HEIGHT, TILE, padded_channels
 from .forward_strip import LISTED, STRIP_LABELS, WEIGHTS, F
 
-LINES_AT_ONCE = 12
-"""Cache lines that a core can have under way to memory. With more of them it waits."""
-
 
 @device_function
 def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at: int) -> None:
