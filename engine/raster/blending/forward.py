@@ -19,7 +19,6 @@ from ...machine.vectors import (
     broadcast_load,
     fma,
     fnmadd,
-    get,
     load,
     load_pairs,
     maximum,
@@ -65,7 +64,7 @@ from .forward_strip import (
     strip_floats,
     write_strip,
 )
-from .labels import add_listed_labels, copy_members, prefetch_labels, write_labels
+from .labels import add_listed_labels, load_labels, write_labels
 
 ALPHA_CAP = F(ALPHA_MAX)
 ALPHA_LEAST = F(ALPHA_MIN)
@@ -213,7 +212,6 @@ def blend_forward(
 ) -> None:
     """Tile after tile until none is left."""
     scratch, members = scratches.floats[worker], scratches.members[worker]
-    copied = scratches.words[worker]  # a bit for each member of a batch whose labels were copied
     starts, flatten_ids, records, labels = isects.isect_offsets, isects.flatten_ids, splats.records, splats.labels
     width, height, channels = size.width, size.height, size.channels
     columns, tiles = (width + TILE - 1) // TILE, starts.shape[0] - 1
@@ -233,16 +231,14 @@ def blend_forward(
             start_strip(pixels, rows, channels, scratch)
             ends = (0, LISTED)
             for place in range(0, tile.length, BATCH):
-                b = place // BATCH
-                fields = batches + b * batch_floats(channels)
+                fields = batches + place // BATCH * batch_floats(channels)
                 own_labels = fields + BATCH_FIELDS
                 in_vectors = ((own_labels - batches) // TILE, padded // TILE)
                 count = min(BATCH, tile.length - place)
                 if place == loaded:
-                    if channels > 0:
-                        prefetch_labels(tile.first + place, count, flatten_ids, labels, channels)
                     load_batch(flatten_ids, records, tile, place, count, scratch, fields)
-                    put(copied, b, 0)
+                    if channels > 0:
+                        load_labels(tile.first + place, count, flatten_ids, labels, channels, scratch, own_labels)
                     loaded += BATCH
                 touching = whiten_strip(r, count, scratch, fields, STRIP)
                 strip_sees = False
@@ -250,10 +246,6 @@ def blend_forward(
                     before, state = ends[patch], STATE + patch * PATCH_STRIDE
                     end, sees = blend_patch(touching[patch], state, scratch, fields, members, before, in_vectors)
                     strip_sees |= sees
-                    if channels > 0 and end > before:
-                        fresh = touching[patch] & ~get(copied, b)
-                        put(copied, b, get(copied, b) | touching[patch])
-                        copy_members(fresh, tile.first + place, flatten_ids, labels, channels, scratch, own_labels)
                     if end > patch * LISTED + PENDING:
                         end = add_listed_labels(patch, end, scratch, members, batches, padded)
                     ends = (end, ends[1]) if patch == 0 else (ends[0], end)

@@ -16,10 +16,10 @@ from ...machine.vectors import (
     masked_store,
     prefetch,
     store,
-    trailing_zeros,
 )
 from ..arrays import Size
 from ..records import PATCH_HEIGHT, TILE, padded_channels
+from .batch import AHEAD
 from .forward_strip import LISTED, STRIP_LABELS, WEIGHTS, F
 
 
@@ -36,26 +36,15 @@ def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at:
 
 
 @device_function
-def prefetch_labels(first: int, count: int, flatten_ids: Array, labels: Array, channels: int) -> None:
-    """Have the labels of a batch brought: they lie anywhere in memory, and will be needed soon."""
-    for m in range(count):
-        source = int(get(flatten_ids, first + m)) * channels
-        for c in range(0, channels, TILE):
-            prefetch(labels, source + c)
-        prefetch(labels, source + channels - 1)
-
-
-@device_function
-def copy_members(
-    members: int, first: int, flatten_ids: Array, labels: Array, channels: int, scratch: Array, at: int
+def load_labels(
+    first: int, count: int, flatten_ids: Array, labels: Array, channels: int, scratch: Array, at: int
 ) -> None:
-    """The labels of a batch's members, of which ``members`` has the bits, to scratch[at:]. The batch begins at
-    flatten_ids[first:]."""
-    while members != 0:
-        m = trailing_zeros(members)
-        members &= members - 1
-        gaussian = int(get(flatten_ids, first + m))
-        copy_labels(gaussian, labels, channels, scratch, at + m * padded_channels(channels))
+    """The labels of a batch's members side by side, to scratch[at:]. The batch begins at flatten_ids[first:]."""
+    for m in range(count):
+        ahead = int(get(flatten_ids, first + min(m + AHEAD, count - 1))) * channels
+        for c in range(0, channels, TILE):
+            prefetch(labels, ahead + c)
+        copy_labels(int(get(flatten_ids, first + m)), labels, channels, scratch, at + m * padded_channels(channels))
 
 
 @device_function
