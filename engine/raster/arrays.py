@@ -124,12 +124,12 @@ class GaussianGradients(NamedTuple):
 
 class Scratch(NamedTuple):
     """Room to work in. ``next_one`` int64 [1] is the next tile to take. Each worker has ``floats`` float32 [workers,
-    n], ``members`` int32 [workers, MEMBERS] and ``words`` int64 [workers, w], a word for each patch, row or batch."""
+    n], ``members`` int32 [workers, MEMBERS] and, for the backward pass, ``counts`` int64 [workers, PATCHES]."""
 
     next_one: Array
     floats: Array
     members: Array
-    words: Array
+    counts: Array
 
 
 class Tile(NamedTuple):

@@ -26,7 +26,7 @@ def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) ->
     out = _no_gradients(len(state.records), channels)
     images = map(flat, d_layers.in_order())
     pixels = PixelGradients(*images, state.final, state.last)
-    scratch = new_scratch(workers, scratch_size(channels), state.longest)
+    scratch = new_scratch(workers, scratch_size(channels))
     parallel_for(workers, blend_backward, state.isects, flat(state.records), pixels, size, isects, scratch)
     scene = (shapes, state.records, state.camera)
     flat_out = out._replace(labels=flat(out.labels))

@@ -12,28 +12,26 @@ from ..machine import memory
 from ..machine.compiled import Array
 from ..machine.threads import parallel_for, worker_count
 from .arrays import Blended, Gaussians, Intersections, Projected, Scratch, Size, Splats, flat
+from .blending.batch import PATCHES
 from .blending.contributors import list_contributors
 from .blending.forward import blend_forward, scratch_size
 from .conventions import Pinhole
 from .isect_tiles import blending_workers, isect_tiles
 from .projection import camera_array, project
-from .records import BATCH, MEMBERS, RECORD, TILE
-
-WORDS_OF_LINE = memory.ALIGNMENT // 8
+from .records import MEMBERS, RECORD, TILE
 
 
 @dataclass(frozen=True, eq=False)
 class ForwardState:
     """What the forward pass leaves for the backward one.
 
-    ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``longest``: the Gaussians in the longest list of a
-    tile; ``final`` and ``last`` float32 [H * W] as in ``Blended``.
+    ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``final`` and ``last`` float32 [H * W] as in
+    ``Blended``.
     """
 
     camera: Array
     records: Array
     isects: Intersections
-    longest: int
     final: Array
     last: Array
 
@@ -86,23 +84,22 @@ def rasterize_forward(
     parallel_for(worker_count(), project, gaussians, camera, size, projected, np.zeros(1, np.int64))
     isects, longest = isect_tiles(worker_count(), boxes, depths, size.width, size.height)
     workers = blending_workers(worker_count(), isects, longest)
-    scratch = new_scratch(workers, scratch_size(channels, longest), longest)
+    scratch = new_scratch(workers, scratch_size(channels, longest))
     parallel_for(workers, blend_forward, isects, Splats(flat(records), flat(labels)), out, size, scratch)
-    return layers, ForwardState(camera, records, isects, longest, final, last)
+    return layers, ForwardState(camera, records, isects, final, last)
 
 
-def new_scratch(workers: int, floats: int, longest: int) -> Scratch:
-    """Scratch for ``workers``, each with ``floats``, where the longest list of a tile has ``longest`` Gaussians.
+def new_scratch(workers: int, floats: int) -> Scratch:
+    """Scratch for ``workers``, each with ``floats``.
 
     Each worker has whole cache lines: workers that write to the same line would wait for each other.
     """
-    words = max(TILE + 1, -(-longest // BATCH))
     return Scratch(
         np.zeros(1, np.int64),
         *memory.several(
             ((workers, -(-floats // TILE) * TILE), np.float32),
             ((workers, MEMBERS), np.int32),
-            ((workers, -(-words // WORDS_OF_LINE) * WORDS_OF_LINE), np.int64),
+            ((workers, PATCHES), np.int64),
         ),
     )
 

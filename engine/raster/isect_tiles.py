@@ -30,13 +30,16 @@ def isect_tiles(
     ``boxes`` [N, 4] and ``depths`` [N] as in ``Projected``.
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
-    tiles = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
-    offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(tiles, dtype=np.int64)])
+    offsets, keys = memory.several((len(boxes) + 1, np.int64), (len(boxes), np.uint64))
+    keys = keys[: list_visible(boxes, depths.view(np.uint32), keys, offsets)]
+    keys.sort()
     count = int(offsets[-1])
     workers = workers if count >= WORTH_SHARING else 1
-    listed = memory.several((columns * rows + 1, np.int64), (count, np.int32), (count, np.int32))
+    order, *listed = memory.several(
+        (len(keys), np.int32), (columns * rows + 1, np.int64), (count, np.int32), (count, np.int32)
+    )
+    np.copyto(order.view(np.uint32), keys, casting="unsafe")
     isects = Intersections(offsets, *listed)
-    order = nearest_first(np.flatnonzero(tiles), depths)
     places = np.zeros((workers, columns * rows), np.int64)
     parallel_for(workers, count_tiles, order, boxes, columns, places)
     longest = running_starts(places, isects.isect_offsets)
@@ -44,17 +47,26 @@ def isect_tiles(
     return isects, int(longest)
 
 
-def nearest_first(shown: NDArray[np.int64], depths: NDArray[np.float32]) -> NDArray[np.int32]:
-    """The Gaussians ``shown`` [V], ascending, in the order of their ``depths`` [N]; ties keep the order of indices."""
-    # depths are positive, so their bits sort as they do; NumPy sorts whole numbers faster than it sorts places
-    keys = depths[shown].view(np.uint32).astype(np.uint64) << np.uint64(32) | shown.astype(np.uint64)
-    keys.sort()
-    return keys.astype(np.uint32).view(np.int32)
-
-
 def blending_workers(workers: int, isects: Intersections, longest: int) -> int:
     """How many workers blend. Each has room for the longest list, so there are no more of them than such lists."""
     return min(workers, max(1, -(-len(isects.flatten_ids) // max(1, longest))))
+
+
+@compiled
+def list_visible(boxes: Array, depth_bits: Array, keys: Array, gaussian_offsets: Array) -> int:
+    """The keys by which visible Gaussians are sorted: depth, then index. Also the running sum of the tiles that each
+    touches. Returns how many are visible."""
+    shown, isect = 0, 0
+    for i in range(boxes.shape[0]):
+        gaussian_offsets[i] = isect
+        tiles = (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
+        if tiles > 0:
+            # depths are positive, so their bits sort as they do
+            keys[shown] = np.uint64(depth_bits[i]) << np.uint64(32) | np.uint64(i)
+            shown += 1
+            isect += tiles
+    gaussian_offsets[boxes.shape[0]] = isect
+    return shown
 
 
 @parallel_kernel

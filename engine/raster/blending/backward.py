@@ -186,7 +186,7 @@ def blend_backward(
     scratches: Scratch,
 ) -> None:
     """Tile after tile until none is left."""
-    scratch, counts = scratches.floats[worker], scratches.words[worker]
+    scratch, counts = scratches.floats[worker], scratches.counts[worker]
     lists = PatchLists(counts, scratches.members[worker], size.channels > 0)
     starts, flatten_ids, isect_ids = isects.isect_offsets, isects.flatten_ids, isects.isect_ids
     channels, touched = size.channels, out.touched
