@@ -156,7 +156,7 @@ def frame_range(text: str) -> tuple[int, int, int]:
     """(first, last, step) from "1-250" or "1-250x2"; for argparse, so it raises ArgumentTypeError."""
     found = re.fullmatch(r"(\d{1,7})-(\d{1,7})(?:x([1-9]\d{0,6}))?", text)
     if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames from 0 on, such as 1-250 or 1-250x2")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a range of frames from 0 on, such as 1-250 or 1-250x2")
     if int(found[2]) < int(found[1]):
         raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; a range is such as 1-250")
     return int(found[1]), int(found[2]), int(found[3] or 1)
@@ -231,11 +231,11 @@ def blend_path(options: argparse.Namespace) -> Path:
     blend: Path = options.save.absolute()
     is_in_lift = blend.parent == options.output.absolute()  # which need not be there yet
     if blend.suffix != ".blend" or blend.is_dir():
-        raise PlgsError("is no name for a .blend", blend, "Give --save a file name that ends in .blend.")
+        raise PlgsError("is not a name for a .blend", blend, "Give --save a file name that ends in .blend.")
     if not is_in_lift and not os.access(blend.parent, os.W_OK):
         raise PlgsError("cannot be written to, or is not there", blend.parent, "Give --save another folder.")
     if blend.exists() and not is_blend(blend):
-        raise PlgsError("is there already and is no Blender file", blend, "Give --save another file name.")
+        raise PlgsError("is there already and is not a Blender file", blend, "Give --save another file name.")
     return blend
 
 
@@ -243,7 +243,7 @@ def refuse_no_blend(named: Path | None) -> None:
     """Raises PlgsError for what --blend names and is no .blend: before anything is lifted."""
     if named is None:
         return
-    what = "is no Blender file" if named.is_file() else "is not there"
+    what = "is not a Blender file" if named.is_file() else "is not there"
     if not named.is_file() or not is_blend(named):
         raise PlgsError(what, named, "Give --blend the Blender file that has the camera.", option="--blend")
 

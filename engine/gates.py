@@ -41,7 +41,7 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
 
 
 def refuse_special(path: Path) -> None:
-    """Raise OSError for what is no plain file: before a library opens it by its name."""
+    """Raise OSError for what is not a plain file: before a library opens it by its name."""
     if not S_ISREG(os.stat(path).st_mode):
         raise _special(path)
 
@@ -80,7 +80,7 @@ def _open(path: Path, flags: int, follow_link: bool) -> int:
 
 
 def _special(path: Path) -> OSError:
-    return OSError(errno.EINVAL, "it is no plain file", str(path))
+    return OSError(errno.EINVAL, "it is not a plain file", str(path))
 
 
 def inner_path(text: str) -> PurePosixPath:

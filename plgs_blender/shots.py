@@ -63,13 +63,13 @@ def shot_of(
     )
     fix = "Set the range in the Output properties: from 0 on, its end not before its start."
     if not shot.frames or shot.first < 0:
-        raise PlgsError(f"frames {shot.first} to {shot.last} are no range that can be baked", scene.name, fix)
+        raise PlgsError(f"cannot be baked: {shot.first} to {shot.last} is not a range of frames", scene.name, fix)
     return shot
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
-    """What to do when ``wanted`` (empty: the active one) is no camera: the cameras to choose from, similar names first,
-    cameras of the lift's frames last.
+    """What to do when ``wanted`` (empty: the active one) is not a camera: the cameras to choose from, similar
+    names first, cameras of the lift's frames last.
     """
     cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
     if not cameras:
@@ -180,7 +180,7 @@ def _check_pinhole(ob: bpy.types.Object, frame: int) -> None:
     """Raises PlgsError for a camera whose picture no pinhole camera makes."""
     at = f"{ob.name}, frame {frame}"
     if ob.type != "CAMERA":
-        raise PlgsError("is no camera", at, "Make a camera the scene's active one.")
+        raise PlgsError("is not a camera", at, "Make a camera the scene's active one.")
     if ob.data.type != "PERSP":
         kind = {"ORTHO": "orthographic", "PANO": "panoramic"}.get(ob.data.type, ob.data.type.lower())
         raise PlgsError(f"is {kind}; only cameras in perspective can be baked", at, "Set its type to Perspective.")

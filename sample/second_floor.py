@@ -237,7 +237,7 @@ def read_poses(path: Path) -> list[Floats]:
     except (OSError, ValueError, IndexError) as error:
         raise PlgsError("there are no poses that can be read", path, FIX) from error
     if rows.shape[1] != 7 or not np.isfinite(rows).all():
-        raise PlgsError("this is no table of 7 numbers a frame", path, FIX)
+        raise PlgsError("this is not a table of 7 numbers per frame", path, FIX)
     poses = []
     for row, turn in zip(rows, turns, strict=True):
         pose = np.eye(4)

@@ -128,7 +128,7 @@ def test_a_camera_that_cannot_be_baked_is_told_in_a_line(
     for arguments, told in (
         (["--blend", blend, "--camera", "Nope"], ("no camera named 'Nope'", "'dolly', 'wide'")),
         (["--blend", cut], ("cut.blend", "--blend")),
-        (["--blend", text], ("is no Blender file", "notes.blend", "--blend")),
+        (["--blend", text], ("is not a Blender file", "notes.blend", "--blend")),
         (["--blend", tmp_path / "gone.blend"], ("is not there", "gone.blend", "--blend")),
         (["--steps", "5", "--seed", "2"], ("leave out --seed, --steps,", "SCENE")),
         (["--range", "3-1"], ("'3-1'", "ends before it begins")),

@@ -104,7 +104,7 @@ def _client(address: str) -> Any:
     distributed = require_dask()
     fix = "Start one (dask scheduler), or give its address, such as tcp://machine:8786."
     if not is_address(address):
-        raise PlgsError("is no address of a scheduler", address, fix, option="--scheduler")
+        raise PlgsError("is not the address of a scheduler", address, fix, option="--scheduler")
     try:
         return distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -53,7 +53,7 @@ def run_worker(
     require_dask()
     fix = "Give the address that the scheduler says, such as tcp://machine:8786."
     if not is_address(address):
-        raise PlgsError("is no address of a scheduler", address, fix)
+        raise PlgsError("is not the address of a scheduler", address, fix)
     if not gigabytes:
         memory = main_memory()
         gigabytes = memory.total / 1e9 if memory is not None else 1.0

@@ -80,7 +80,7 @@ class LiftFolder:
             raise PlgsError("there is no such lift folder", path, "Give the folder of a lift.")
         refuse_foreign(path)
         if not (path / "request.json").is_file():
-            raise PlgsError("is no lift folder (it has no request.json)", path, "Give the folder of a lift.")
+            raise PlgsError("is not a lift folder (it has no request.json)", path, "Give the folder of a lift.")
         return cls(path, LiftRequest.read(path / "request.json"))
 
     @property
@@ -279,7 +279,7 @@ def refuse_used(path: Path) -> None:
     for entry in path.iterdir():
         # A kill inside this very function leaves such a name, and blocks may be lifted before their building.
         if not entry.name.startswith(PART) and entry.name != BLOCKS:
-            what = f"is not empty (it holds '{entry.name}') and is no lift folder"
+            what = f"is not empty (it holds '{entry.name}') and is not a lift folder"
             raise PlgsError(what, path, "Choose another output folder.")
 
 

@@ -30,7 +30,7 @@ class FileLock:
     """Exclusive lock on a file, held from ``with`` to its end. A missing file is made; content is untouched.
 
     Children that are started with ``subprocess`` do not inherit it. Raises PlgsError when another process
-    holds it, or when the file system knows no locks; OSError when it cannot be opened, or is no plain file.
+    holds it, or when the file system knows no locks; OSError when it cannot be opened, or is not a plain file.
     """
 
     def __init__(self, path: Path, wait_s: float = 1.0) -> None:

@@ -182,7 +182,7 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
         names = [text_of(scene.camera, "frame")] if scene.camera is not None else [""]
         if not names[0]:
             fix = "Choose one of the lift's cameras: select it and press Ctrl+Numpad 0."
-            raise PlgsError("the active camera is no frame of the lift", scene.name, fix)
+            raise PlgsError("the active camera does not belong to a frame of the lift", scene.name, fix)
     python = engine_environment.usable_python()
     return lifts.bake(lift, python, names, layers=sorted(scene.plgs.layers), keep_running=scene.plgs.keep_running)
 

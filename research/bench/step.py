@@ -163,7 +163,7 @@ def typical(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
     As little moved by a disturbed step as a median, and the parts add up to the whole. Raises ValueError for no steps.
     """
     if not steps:
-        raise ValueError("there is no step to tell of")
+        raise ValueError("there is no step to report")
     ordered = sorted(steps, key=lambda parts: sum(parts.values()))
     cut = len(ordered) // 4
     middle = ordered[cut : len(ordered) - cut]

@@ -250,9 +250,9 @@ def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("address", ["nonsense", "machine:8786", "tcp://machine", "tcp://a b:1"])
 def test_an_address_that_is_none(address: str, tmp_path: Path) -> None:
-    with pytest.raises(PlgsError, match="is no address of a scheduler"):
+    with pytest.raises(PlgsError, match="is not the address of a scheduler"):
         run(plan_of(tmp_path, "a"), Place(scheduler=address))
-    with pytest.raises(PlgsError, match="is no address of a scheduler"):
+    with pytest.raises(PlgsError, match="is not the address of a scheduler"):
         run_worker(address)
 
 

@@ -134,7 +134,7 @@ def test_watching_or_opening_a_finished_lift_places_it(how: str, lift: Path) -> 
 
 
 def test_opening_what_is_no_lift_is_said(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="is no lift folder"):
+    with pytest.raises(RuntimeError, match="is not a lift folder"):
         bpy.ops.plgs.open_lift(directory=str(tmp_path))
 
 

@@ -158,9 +158,9 @@ def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> 
             cameras_of(scene, shot_of(scene, **asked))
         assert "\n" not in str(told.value)
 
-    refused("no range", first=5, last=4)
+    refused("not a range", first=5, last=4)
     scene.frame_start = 0
-    refused("no range", first=-3, last=4)
+    refused("not a range", first=-3, last=4)
     for kind, line in (("ORTHO", "orthographic"), ("PANO", "panoramic")):
         scene.camera.data.type = kind
         refused(line)
@@ -178,7 +178,7 @@ def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> 
         with pytest.raises(PlgsError, match=f"no camera named '{name}'.*'dolly'"):
             shot_of(scene, name)
     scene.camera = bpy.data.objects["Cube"]
-    refused("is no camera")
+    refused("is not a camera")
 
 
 def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.Scene, tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_looking_at_what_is_no_lift(tmp_path: Path) -> None:
     assert lifts.look_at(tmp_path / "nothing") is None and lifts.refusal_of(tmp_path / "nothing") is None
     (tmp_path / "folder").mkdir()
     assert lifts.look_at(tmp_path / "folder") is None
-    assert "is no lift folder" in str(lifts.refusal_of(tmp_path / "folder"))
+    assert "is not a lift folder" in str(lifts.refusal_of(tmp_path / "folder"))
 
 
 def test_a_folder_that_was_not_started_can_be_resumed(lift: LiftFolder) -> None:
