@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 
@@ -16,4 +17,9 @@ if __name__ == "__main__":
     # OpenMP's threads otherwise spin while they wait. On a machine that does anything else besides, that made a
     # training step several times slower than one thread alone. Read once, when torch is imported: set it before.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    sys.exit(main(sys.argv[1:]))
+    code = main(sys.argv[1:])
+    if "torch" in sys.modules:  # Python takes a second to take torch apart. Nothing that must be done waits for that.
+        atexit._run_exitfuncs()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from ..corrections import read_corrected
 from ..errors import PlgsError
@@ -35,6 +34,7 @@ from ..scene import Camera, Frame, Scene
 from ..scene_of_lift import complete_known_scene, scene_of_lift
 from ..train.progress import StageReporter
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, read_baker
+from .device import be_repeatable
 from .scene_files import MODEL
 
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
@@ -122,7 +122,7 @@ def _bake(
     stop: StopSignal,
     options: BakeOptions,
 ) -> None:
-    torch.use_deterministic_algorithms(True)
+    be_repeatable()
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
         scene = scene_of_lift(folder)

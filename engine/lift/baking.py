@@ -9,7 +9,6 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-import torch
 
 from ..corrections import CorrectedResult
 from ..job import EventWriter, LiftFolder, write_atomically
@@ -27,6 +26,7 @@ from ..passes.previews import colour_picture, preview_paths, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene, Size, View, open_asked
 from ..train.progress import StageReporter
 from .corrected_scene import corrected_scene
+from .device import be_repeatable
 from .judging import Seen, judge
 from .scene_files import read_model, read_shown_instances
 
@@ -151,7 +151,7 @@ def score_corrected(
     folder: LiftFolder, corrected: CorrectedResult, progress: Callable[[int, int], object]
 ) -> dict[str, object]:
     """The figures of a finished lift as it is corrected, in the form of metrics.json. Raises PlgsError, OSError."""
-    torch.use_deterministic_algorithms(True)
+    be_repeatable()
     scene = open_asked(folder.request)
     baker, report = read_baker(folder, scene.classes, corrected), Report(scene.classes)
     for done, frame in enumerate(scene.test_frames, start=1):

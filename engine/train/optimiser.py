@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import torch
+from torch.optim.adam import adam
 
 from ..model.anchors import Anchors
 from ..model.decoders import Decoders
@@ -31,34 +32,44 @@ def learning_rate(ends: tuple[float, float], progress: float) -> float:
     return math.exp(math.log(start) * (1 - progress) + math.log(end) * progress)
 
 
+Moments = tuple[torch.Tensor, torch.Tensor]
+"""The running means of a parameter's gradients and of their squares, in the parameter's shape."""
+
+
+@torch.no_grad()
+def adam_step(
+    parameters: Sequence[torch.Tensor], moments: Sequence[Moments], count: int, rate: float, *, eps: float, fused: bool
+) -> None:
+    """Move ``parameters`` along their gradients, update ``moments`` in place and drop the gradients.
+
+    ``count`` steps came before. A parameter without a gradient took no part: its moments fade. torch's own class Adam
+    imports torch's compiler, which takes 3 s.
+    """
+    gradients = [torch.zeros_like(each) if each.grad is None else each.grad for each in parameters]
+    means, squares = [mean for mean, _ in moments], [square for _, square in moments]
+    counts = [torch.tensor(float(count)) for _ in parameters]
+    adam(
+        list(parameters), gradients, means, squares, [], counts, foreach=False, fused=fused, amsgrad=False,
+        beta1=0.9, beta2=0.999, lr=rate, weight_decay=0.0, eps=eps, maximize=False,
+    )  # fmt: skip
+    for parameter in parameters:
+        parameter.grad = None
+
+
+def no_moments(parameter: torch.Tensor) -> Moments:
+    """What a parameter has before its first step."""
+    return torch.zeros_like(parameter), torch.zeros_like(parameter)
+
+
 class Optimiser:
     """Adam (eps 1e-15, Scaffold-GS). State is kept by name, so that it can be stored, restored and cut."""
 
     def __init__(self, anchors: Anchors, decoders: Decoders, rates: Rates, extent: float) -> None:
-        self.rates, self.extent = rates, extent
-        self.moments: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
+        self.anchors, self.decoders, self.rates, self.extent = anchors, decoders, rates, extent
+        self.moments: dict[str, Moments] = {}
         self.count = 0
-        self._bind(anchors, decoders)
-
-    def _bind(self, anchors: Anchors, decoders: Decoders) -> None:
-        self.anchors, self.decoders = anchors, decoders
-        groups = []
-        for name, parameters in self._groups():
-            groups.append({"params": parameters, "name": name, "lr": 0.0})
-        self.adam = torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)
-        for name, parameter in self._named():
-            if name in self.moments:
-                mean, square = self.moments[name]
-                self.adam.state[parameter] = {
-                    "step": torch.tensor(float(self.count)),
-                    "exp_avg": mean,
-                    "exp_avg_sq": square,
-                }
-
-    def _groups(self) -> Iterator[tuple[str, Sequence[torch.Tensor]]]:
         for name in Anchors.LEARNT:
-            yield name, [getattr(self.anchors, name).requires_grad_()]
-        yield from self.decoders.learnt()
+            getattr(anchors, name).requires_grad_()
 
     def _named(self) -> Iterator[tuple[str, torch.Tensor]]:
         for name in Anchors.LEARNT:
@@ -68,14 +79,15 @@ class Optimiser:
 
     def step(self, progress: float) -> None:
         """One Adam step from the gradients at hand; ``progress`` is the share of all steps done."""
-        for group in self.adam.param_groups:
-            rate = learning_rate(self.rates[group["name"]], progress)
-            group["lr"] = rate * self.extent if group["name"] == "offset" else rate
-            for parameter in group["params"]:
-                if parameter.grad is None:  # a decoder that took no part: its moments fade, and all count their steps
-                    parameter.grad = torch.zeros_like(parameter)
-        self.adam.step()
-        self.adam.zero_grad(set_to_none=True)
+        names = {id(parameter): name for name, parameter in self._named()}
+        groups = [(name, [getattr(self.anchors, name)]) for name in Anchors.LEARNT]
+        for group, parameters in (*groups, *self.decoders.learnt()):
+            rate = learning_rate(self.rates[group], progress) * (self.extent if group == "offset" else 1.0)
+            for each in parameters:
+                if names[id(each)] not in self.moments:
+                    self.moments[names[id(each)]] = no_moments(each)
+            moments = [self.moments[names[id(each)]] for each in parameters]
+            adam_step(parameters, moments, self.count, rate, eps=1e-15, fused=True)
         self.count += 1
 
     def rebound(self, anchors: Anchors, decoders: Decoders) -> Optimiser:
@@ -84,25 +96,18 @@ class Optimiser:
 
     def replace_anchors(self, anchors: Anchors, keep: torch.Tensor) -> None:
         """Go on with ``anchors``: rows ``keep`` (bool over the old ones), then new ones, whose moments start at 0."""
-        moments = self.tensors()
-        self.moments = {}
-        for name, _ in self._named():
-            if f"{name}.mean" not in moments:
-                continue
-            mean, square = moments[f"{name}.mean"], moments[f"{name}.square"]
-            if name.startswith("anchors."):
-                size = getattr(anchors, name.removeprefix("anchors.")).shape
-                mean, square = _resized(mean[keep], size), _resized(square[keep], size)
-            self.moments[name] = (mean, square)
-        self._bind(anchors, self.decoders)
+        self.anchors = anchors
+        for name in Anchors.LEARNT:
+            parameter, moments = getattr(anchors, name).requires_grad_(), self.moments.get(f"anchors.{name}")
+            if moments is not None:
+                mean, square = (_resized(each[keep], parameter.shape) for each in moments)
+                self.moments[f"anchors.{name}"] = mean, square
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """First and second moments by parameter name."""
         tensors = {}
-        for name, parameter in self._named():
-            state = self.adam.state.get(parameter)
-            if state:
-                tensors[f"{name}.mean"], tensors[f"{name}.square"] = state["exp_avg"], state["exp_avg_sq"]
+        for name, (mean, square) in self.moments.items():
+            tensors[f"{name}.mean"], tensors[f"{name}.square"] = mean, square
         return tensors
 
     def restore(self, tensors: dict[str, torch.Tensor], count: int) -> None:
@@ -113,7 +118,6 @@ class Optimiser:
             for name, _ in self._named()
             if f"{name}.mean" in tensors
         }
-        self._bind(self.anchors, self.decoders)
 
 
 def _resized(rows: torch.Tensor, size: torch.Size) -> torch.Tensor:

@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from ..model.anchors import UNKNOWN_CLASS
 from ..model.structured import StructuredScene
+from .optimiser import adam_step, no_moments
 from .targets import columns_of, slots_of
 
 STEPS = 400
@@ -52,7 +53,7 @@ def warm_start(
     with torch.no_grad():
         decoders.opacity.get_parameter("2.bias").add_(OPACITY_BIAS)
     parameters = [each for name, group in decoders.learnt() if name in FITTED for each in group]
-    adam = torch.optim.Adam(parameters, lr=RATE)
+    moments = [no_moments(each) for each in parameters]
     for step in range(steps):
         rows = torch.from_numpy(random.integers(0, len(anchors), min(BATCH, len(anchors))))
         centre = centres[torch.from_numpy(random.integers(0, len(centres), len(rows)))]
@@ -64,8 +65,5 @@ def warm_start(
             if bool((target >= 0).any()):
                 flat = logits.reshape(len(rows) * k, -1)
                 loss = loss + functional.cross_entropy(flat, target.repeat_interleave(k), ignore_index=-1)
-        adam.param_groups[0]["lr"] = RATE * (1 - step / steps)
-        adam.zero_grad()
         loss.backward()
-        adam.step()
-    adam.zero_grad()  # the last gradients are no part of the first training step
+        adam_step(parameters, moments, step, RATE * (1 - step / steps), eps=1e-8, fused=False)

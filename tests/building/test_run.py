@@ -35,7 +35,7 @@ def lift(folder: LiftFolder, *, resume: bool = False) -> None:
 @pytest.fixture(autouse=True)
 def again_as_before() -> Iterator[None]:
     yield
-    torch.use_deterministic_algorithms(False)
+    torch.set_deterministic_debug_mode("default")
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ def lift(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiftFolder]:
         yield folder
     finally:
         PRESETS["preview"] = preview
-        torch.use_deterministic_algorithms(False)
+        torch.set_deterministic_debug_mode("default")
 
 
 @pytest.fixture(scope="module")

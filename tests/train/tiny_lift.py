@@ -49,7 +49,7 @@ def presets_as(**presets: Preset) -> Iterator[None]:
         yield
     finally:
         PRESETS.update(before)
-        torch.use_deterministic_algorithms(False)
+        torch.set_deterministic_debug_mode("default")
 
 
 def lift_into(path: Path, request: LiftRequest) -> LiftFolder:
