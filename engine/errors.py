@@ -1,4 +1,4 @@
-"""Errors that are no defect of the program: what a user can mend, and a stop that was asked for."""
+"""Errors that are not defects of the program: what a user can mend, and a stop that was requested."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .gates import one_line as one_line
 from .gates import shortened
 
 _LONGEST = 600
-"""Characters of what is wrong, at most."""
+"""The largest number of characters in what is wrong."""
 _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
 
 
@@ -37,12 +37,12 @@ class ErrorCode(StrEnum):
     """The kinds of errors that a caller treats differently. The panel offers a button for most of them."""
 
     BAD_INPUT = "bad-input"
-    BUSY = "busy"  # another process works there: try again later
+    BUSY = "busy"  # another process is working there: try again later
     NO_ENGINE = "no-engine"  # no usable Python: set the engine up
     LACKS_PART = "lacks-part"  # the engine lacks packages that can be added to it
     NO_POSES = "no-poses"  # photos or a film: make their poses
-    NO_MASKS = "no-masks"  # the scene has none: make them
-    NO_MEMORY = "no-memory"  # the lift was refused before it began: fit it
+    NO_MASKS = "no-masks"  # the scene has no masks: make them
+    NO_MEMORY = "no-memory"  # the lift was refused before it began: make it fit
     DISK_FULL = "disk-full"
     NOT_FINISHED = "not-finished"  # the lift has no result yet: resume it
     DAMAGED = "damaged"  # the result is not as it was written: resume the lift
@@ -60,15 +60,15 @@ class ErrorCode(StrEnum):
 
 
 MEMORY_IS_GONE = "no memory is left"
-"""Words of every reader's error that only memory mends."""
+"""Words in every reader's error that only more memory mends."""
 
 
 class PlgsError(Exception):
     """Input, a lift folder or a computer that cannot be used: what is wrong, where, and what to do.
 
-    ``option`` is the command-line option that ``fix`` means, as ``fix`` spells it, such as "--masks"; several are
-    separated by blanks, none is an empty text. The panel shows the names of its own fields in their place. With
-    LACKS_PART it is the name of the part. ``what`` may quote a library's text of many lines: it becomes a short one.
+    ``option`` is the command-line option that ``fix`` means, spelt as in ``fix``, such as "--masks"; several are
+    separated by blanks, and an empty text means none. The panel shows its own fields' names instead. With LACKS_PART it
+    is the name of the part. ``what`` may quote a library's long text: it is shortened to one line.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class PlgsError(Exception):
         super().__init__(one_line(f"{subject}. {fix}" if fix else subject))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How pickle makes it anew, such as in another process."""
+        """How pickle rebuilds it, for example in another process."""
         return partial(type(self), code=self.code, option=self.option), (self.what, self.where, self.fix)
 
     @property
@@ -91,7 +91,7 @@ class PlgsError(Exception):
 
 
 def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
-    """The error of an engine without the packages of ``name``, one that `python -m engine add` knows."""
+    """The error for an engine that lacks the packages of ``name``, a part that `python -m engine add` knows."""
     fix = f"Add it to the engine: {sys.executable} -m engine add {name}."
     return PlgsError(what, where, fix, code=ErrorCode.LACKS_PART, option=name)
 
@@ -101,6 +101,6 @@ class Cancelled(Exception):
 
 
 def is_silence(error: BaseException | None) -> bool:
-    """Whether a disk or share did not answer, which says nothing about what lies there: ``error`` or its cause."""
+    """Whether ``error`` or its cause is a disk or share that did not answer, which tells nothing about its content."""
     causes = (error, error.__cause__ if error is not None else None)
     return any(isinstance(one, OSError) and one.errno in _SILENT for one in causes)

@@ -1,8 +1,8 @@
-"""What comes from other people passes here first: files, paths, texts, addresses. Standard library only.
+"""What comes from other people passes through here first: files, paths, texts, addresses. Standard library only.
 
 Files are opened only when they are plain (regular) files, and read only up to a size. A FIFO would block whoever opens
-it, a device may do anything, a link leads elsewhere. What is refused is an OSError with a message of its own, so that
-whoever reports errors of the system reports these too.
+it, a device may do anything, a link leads elsewhere. A refusal is an OSError with a message of its own, so that code
+that reports system errors reports these too.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import BinaryIO
 
 _USER = re.compile(r"(?<=://)[^/@\s]+@")
 _SAFE = sum(getattr(os, name, 0) for name in ("O_BINARY", "O_CLOEXEC", "O_NOCTTY", "O_NONBLOCK"))
-"""Never wait for the other end of a FIFO. Plain files make no difference. Windows has some of these only."""
+"""Flags that never wait for the other end of a FIFO. Plain files are not affected. Windows has only some of them."""
 _NO_LINK: int = getattr(os, "O_NOFOLLOW", 0)
 
 
 def open_plain(path: Path, *, follow_link: bool = True) -> BufferedReader:
-    """A plain file, open for reading. Raises OSError, also for what is none, or (on request) is a link."""
+    """A plain file, open for reading. Raises OSError, also if it is not a plain file or (on request) is a link."""
     descriptor = _open(path, os.O_RDONLY, follow_link)
     return os.fdopen(descriptor, "rb")
 
@@ -41,13 +41,13 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
 
 
 def refuse_special(path: Path) -> None:
-    """Raise OSError for what is not a plain file: before a library opens it by its name."""
+    """Raise OSError if this is not a plain file, before a library opens it by its name."""
     if not S_ISREG(os.stat(path).st_mode):
         raise _special(path)
 
 
 def open_to_append(path: Path) -> int:
-    """A descriptor to read a plain file and append to it; made when missing.
+    """A descriptor to read a plain file and append to it; it is made if missing.
 
     Raises OSError, also for a link and for a file that has a second name elsewhere: its content would change there.
     """
@@ -86,8 +86,8 @@ def _special(path: Path) -> OSError:
 def inner_path(text: str) -> PurePosixPath:
     """A relative path of plain names. Raises ValueError for one that leaves its folder.
 
-    Windows' rules decide, which are the wider ones: drives, shares (a look at one sends the user's credentials there),
-    both kinds of slashes.
+    Windows' rules decide, which are the stricter ones: drives, shares (looking at one sends the user's credentials
+    there), both kinds of slashes.
     """
     parts = PureWindowsPath(text)
     if parts.anchor or ".." in parts.parts or not parts.parts or "\0" in text:
@@ -96,20 +96,20 @@ def inner_path(text: str) -> PurePosixPath:
 
 
 def printable(text: object) -> str:
-    """The text without what a terminal takes for a command, or cannot show: each such character becomes "?".
+    """The text without what a terminal takes as a command or cannot show: each such character becomes "?".
 
-    Line breaks and tabs stay. Colours, cursor movements and half surrogate pairs (of paths that are no UTF-8) go.
+    Line breaks and tabs stay. Colours, cursor movements and half surrogate pairs (of paths that are not UTF-8) go.
     """
     return "".join(each if each.isprintable() or each in "\n\t" else "?" for each in str(text))
 
 
 def one_line(text: object) -> str:
-    """``printable`` in one line."""
+    """``printable`` on one line."""
     return " ".join(printable(text).split("\n"))
 
 
 def shortened(text: object, longest: int) -> str:
-    """``one_line`` without runs of blanks, of at most so many characters."""
+    """``one_line`` without runs of blanks, at most ``longest`` characters."""
     line = " ".join(one_line(text).split())
     return line if len(line) <= longest else f"{line[: longest - 1]}…"
 
@@ -124,12 +124,12 @@ def table_cell(value: object) -> object:
 
 
 def markdown_cell(text: object) -> str:
-    """``one_line`` for a table of Markdown: no column ends in it, and no tag of HTML begins."""
+    """``one_line`` for a Markdown table: it ends no column and begins no HTML tag."""
     return one_line(text).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;")
 
 
 def plot_label(text: object) -> str:
-    """``one_line`` for a plot: matplotlib takes what is between two dollar signs for a formula."""
+    """``one_line`` for a plot: matplotlib takes what is between two dollar signs as a formula."""
     return one_line(text).replace("$", r"\$")
 
 

@@ -15,15 +15,15 @@ from .errors import PlgsError
 from .gates import read_plain
 
 MOST_BYTES = 1 << 26
-"""Bytes of a file of ours, at most. Parsed, it takes some twenty times as much memory."""
+"""The largest size of a file of ours in bytes. Parsed, it takes some twenty times as much memory."""
 LARGEST_TABLE = 1 << 28
-"""Bytes of a table that another program wrote, at most. Those of the longest recordings have a tenth of that."""
+"""The largest size of another program's table in bytes. Those of the longest recordings have a tenth of that."""
 _WRITE_AGAIN = "Write this file again."
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 
 def plain(value: object) -> Json:
-    """The value in JSON's own types: numpy's numbers become Python's, paths text, NaN and infinity null.
+    """The value in JSON's own types: numpy's numbers become Python's, paths become text, NaN and infinity become null.
 
     Raises TypeError for other values.
     """

@@ -14,8 +14,8 @@ from .result_files import INSTANCES, read_instances
 
 KNOWN_SCENE = "scene.json"
 """File of a lift folder: the frames of its scene with their cameras."""
-FIND_SCENE = "Name where the scene now is: Find Scene, or --scene."
-_FIX = "Delete this file, then let an engine bake a frame of the lift: it writes it anew."
+FIND_SCENE = "Say where the scene is now, with Find Scene or --scene."
+_FIX = "Delete this file, then let an engine bake a frame of the lift, which writes it again."
 
 
 def known_scene(folder: LiftFolder) -> PosedScene:
@@ -26,12 +26,12 @@ def known_scene(folder: LiftFolder) -> PosedScene:
     """
     scene, known = folder.request.scene, read_known(folder)
     if known is None:
-        fix = "Let an engine bake a frame of it: that writes the list."
+        fix = "Let an engine bake a frame of it, which writes the list."
         raise PlgsError("an early version made this lift, without a list of its frames", folder.path, fix)
     classes, _ = read_instances(folder.result_path / INSTANCES)
     frames, warnings = known.posed_frames(scene), known.warnings
     if not os.path.exists(scene):
-        warnings = (f"the scene is not at {scene}: no photos. {FIND_SCENE}",)
+        warnings = (f"the scene is not at {scene}, so there are no photos. {FIND_SCENE}",)
     return PosedScene(scene, frames, classes, warnings, known.layout)
 
 

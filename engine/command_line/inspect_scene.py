@@ -31,7 +31,7 @@ def inspect_scene(
     PlgsError for the first thing that a lift would refuse, after an answer with the findings that may explain it.
     """
     if fix is not None and fix.exists():
-        raise PlgsError("the folder for the mended scene exists", fix, "Name one that does not.")
+        raise PlgsError("the folder for the mended scene already exists", fix, "Name a new one.")
     events.stage("inspect", 1, 2, "Looking at the scene")
     scene = open_asked(asked)
     report, refusal = None, None

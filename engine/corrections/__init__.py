@@ -1,8 +1,8 @@
-"""What people mend of a lift: typed edits beside its result, and the result as they correct it.
+"""What people correct in a lift: typed edits beside its result, and the result after those corrections.
 
 `file` keeps the edits in corrections.json. `making` makes them. `replay` applies them to the objects and points of a
 result, and says what becomes of every label. `result` reads result and edits together. The engine and Blender both
-import this, so it needs numpy alone.
+import this, so it needs only numpy.
 """
 
 from __future__ import annotations

@@ -19,22 +19,22 @@ from ..records import record_of, to_json
 
 CORRECTIONS = "corrections.json"
 KINDS = ("rename", "reclass", "merge", "delete", "split", "assign", "accept")
-"""What this version knows. Edits of other kinds are kept, and not applied."""
+"""The kinds that this version knows. Edits of other kinds are kept but not applied."""
 MOVES = ("delete", "split", "assign")
-"""Those that give points other labels."""
+"""The kinds that give points other labels."""
 PER_METRE = 1000
 """Points are kept in millimetres."""
 _FARTHEST = 10**9
-"""Millimetres, at most."""
+"""The farthest place of a point, in millimetres."""
 _BOUNDS = {"least": -_FARTHEST, "most": _FARTHEST}
 _SHOWN = {"shown": True}
-_MEND = "Mend it, or move it away to see the lift as the engine made it."
+_MEND = "Repair it, or move it away to see the lift as the engine made it."
 
 
 @dataclass(frozen=True)
 class ObjectMark:
-    """An object as it was when it was edited, to be known again in another lift: its id, its number of points, and the
-    corners of their upright box in metres (without the outermost points)."""
+    """An object as it was when it was edited, so that it can be recognised in another lift: its id, its number of
+    points, and the corners of their upright box in metres (without the outermost points)."""
 
     id: int = field(metadata={"least": 1})
     points: int
@@ -57,7 +57,7 @@ class NewObject:
 
 @dataclass(frozen=True)
 class MovedPoints:
-    """Points that get a label. ``millimetres``: x, y and z of each in turns."""
+    """Points that get a label. ``millimetres``: the x, y and z of each point in turn."""
 
     label: int
     millimetres: tuple[int, ...] = field(metadata=_BOUNDS)
@@ -69,11 +69,11 @@ class MovedPoints:
 
 @dataclass(frozen=True)
 class Edit:
-    """One edit. What is not of its ``kind`` is empty.
+    """One edit. Fields that its ``kind`` does not use are empty.
 
-    ``name`` of a rename, ``class_id`` of a reclass, and of a split whose first part is of another class than the whole.
-    A merge makes all ``objects`` the first. A move takes points of the ``objects`` and of the stuff ``classes`` to
-    other labels (``moved``); ``rest`` is the label of the objects' other points, None where they stay. ``raw`` is the
+    A rename has a ``name``. A reclass has a ``class_id``, as has a split whose first part changes its class. A merge
+    turns all ``objects`` into the first. A move gives points of the ``objects`` and of the stuff ``classes`` other
+    labels (``moved``); ``rest`` is the label of the objects' other points, None where they keep theirs. ``raw`` is the
     entry as it was read, for kinds that this version does not know.
     """
 
@@ -92,7 +92,7 @@ class Edit:
 
     @property
     def largest_id(self) -> int:
-        """Of the objects that it speaks of."""
+        """The largest id of the objects that it refers to."""
         return max([*(mark.id for mark in self.objects), *(new.id for new in self.made)], default=0)
 
     def to_json(self) -> dict[str, Any]:
@@ -103,7 +103,7 @@ class Edit:
 
 @dataclass(frozen=True)
 class _Unknown:
-    """What is shown of an edit of a kind that this version does not know."""
+    """What is shown of an edit whose kind this version does not know."""
 
     kind: str = field(metadata=_SHOWN)
     uid: str
@@ -111,7 +111,7 @@ class _Unknown:
 
 
 def edit_of(entry: dict[str, Any], path: Path) -> Edit:
-    """The edit of an entry. Raises PlgsError when it is damaged."""
+    """The edit in an entry. Raises PlgsError when it is damaged."""
     for key in ("kind", "uid", "time"):
         if not entry.get(key):
             raise PlgsError(f"an edit has no '{key}'", path, _MEND)

@@ -1,6 +1,6 @@
-"""Edits of the objects that are there now. Each is checked before it is made.
+"""Edits of the objects that exist now. Each is checked before it is made.
 
-All take the replayed state, and raise PlgsError for what makes no sense.
+All functions take the replayed state, and raise PlgsError for an edit that makes no sense.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from .relabelling import Labels
 from .replay import Replay, in_millimetres
 
 PART_GAP = 0.15
-"""Metres between neighbouring points of one part, at most."""
+"""The largest distance in metres between neighbouring points of one part."""
 LEAST_PART = 0.02
 """Share of an object's points below which a part is a crumb, which stays with the nearest larger part."""
 AROUND = 0.5
-"""Metres around a deleted object in which its points find what they become."""
+"""Metres around a deleted object within which its points look for a new label."""
 _LONGEST_NAME = 60
-"""Characters: Blender's own names have no more bytes than that, in Latin letters."""
+"""Characters. Blender's own names have no more bytes than that, and a Latin letter takes one."""
 
 
 def rename(state: Replay, number: int, name: str) -> Edit:
     name = name.strip()
     if not name or len(name) > _LONGEST_NAME or not name.isprintable():
-        what = f"{name[:80]!r} is no name for an object"
-        raise PlgsError(what, CORRECTIONS, f"Give 1 to {_LONGEST_NAME} characters that can be printed.")
+        what = f"{name[:80]!r} is not a name for an object"
+        raise PlgsError(what, CORRECTIONS, f"Give 1 to {_LONGEST_NAME} printable characters.")
     return Edit("rename", (_mark(state, number),), name=name)
 
 
 def reclass(state: Replay, numbers: Sequence[int], class_id: int) -> Edit:
-    """Another class for objects. Stuff has no objects, so with a class of stuff their points become the stuff."""
+    """Give objects another class. Stuff has no objects, so with a stuff class their points become that stuff."""
     if class_id not in state.classes or class_id == 0:
         known = ", ".join(f"{one.id} {one.name}" for one in state.classes.categories if one.id)
         raise PlgsError(f"there is no class {class_id}", CORRECTIONS, f"The classes are {known}.")
@@ -46,15 +46,15 @@ def reclass(state: Replay, numbers: Sequence[int], class_id: int) -> Edit:
 
 
 def merge(state: Replay, numbers: Sequence[int]) -> Edit:
-    """All become the first, with its name and its class."""
+    """Merge all objects into the first, which keeps its name and its class."""
     numbers = list(dict.fromkeys(numbers))
     if len(numbers) < 2:
-        raise PlgsError("one object cannot be merged with itself", CORRECTIONS, "Name two objects or more.")
+        raise PlgsError("an object cannot be merged with itself", CORRECTIONS, "Name two or more objects.")
     return Edit("merge", tuple(_mark(state, number) for number in numbers))
 
 
 def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
-    """The points become what lies around, or else points of the class without an object."""
+    """Give the points the labels of what lies around, or else the object's class without an object."""
     mark = _mark(state, number)
     xyz, other = state.points_of(number), (state.label != number) & (state.label != 0)
     moved: tuple[MovedPoints, ...] = ()
@@ -69,10 +69,10 @@ def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
 def split(
     state: Replay, number: int, part: NDArray[np.integer], first_id: int, class_of: Mapping[int, int] | None = None
 ) -> Edit:
-    """Split an object: ``part`` int [n] is the part of each of its points in their order, 0 for what stays. The others
-    are new objects from the id ``first_id`` on. Each is of the class ``class_of`` its part, else of the object's.
+    """Split an object. ``part`` int [n] is the part of each of its points in their order, 0 for what stays. The other
+    parts become new objects with ids from ``first_id`` on. ``class_of`` gives a part's class, by default the object's.
 
-    Raises PlgsError where it would leave one part alone.
+    Raises PlgsError if only one part would result.
     """
     mark, one = _mark(state, number), state.objects[number]
     parts = [int(each) for each in np.unique(part)]
@@ -95,8 +95,8 @@ def split(
 
 
 def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int64]:
-    """The connected part of each point [n, 3], int64 [n], the largest 0. Points in cells of half the side ``gap`` that
-    touch are connected; crumbs belong to the nearest part."""
+    """The connected part of each point [n, 3], int64 [n]; the largest is 0. Points are connected if their cells, whose
+    sides are half of ``gap``, touch. Crumbs belong to the nearest part."""
     if not len(xyz):
         return np.zeros(0, np.int64)
     cells, cell = np.unique(np.floor(xyz / (gap / 2)).astype(np.int64), axis=0, return_inverse=True)
@@ -129,15 +129,15 @@ def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int
 
 
 def sides_of(xyz: NDArray[np.floating], point: Sequence[float], normal: Sequence[float]) -> NDArray[np.int64]:
-    """1 for each point [n, 3] beyond the plane through ``point``, in the direction of ``normal``; else 0. int64 [n]."""
+    """1 for each point [n, 3] beyond the plane through ``point`` in the direction of ``normal``, else 0; int64 [n]."""
     return ((xyz - np.asarray(point)) @ np.asarray(normal, np.float64) > 0).astype(np.int64)
 
 
 def assign(
     state: Replay, chosen: NDArray[np.bool_], target: int, *, class_id: int = 0, name: str = "", new_id: int = 0
 ) -> Edit:
-    """Give the ``chosen`` points, bool [N], to the object ``target``; to a new object ``new_id`` of ``class_id`` where
-    ``target`` is 0; to the class alone where ``new_id`` is 0, too."""
+    """Give the ``chosen`` points, bool [N], to the object ``target``. Where that is 0, give them to a new object
+    ``new_id`` of ``class_id``; where ``new_id`` is 0 too, to the class alone."""
     made: tuple[NewObject, ...] = ()
     if not chosen.any():
         raise PlgsError("no points are chosen", CORRECTIONS, "Select points, or enlarge the region.")
@@ -156,21 +156,21 @@ def assign(
     classes = tuple(-one for one in before.tolist() if one <= 0 and one != label)
     rows = chosen & (state.label != label)
     if not rows.any():
-        raise PlgsError("the chosen points are its own already", CORRECTIONS, "Choose others.")
+        raise PlgsError("the chosen points already belong to it", CORRECTIONS, "Choose other points.")
     moved = _groups(state.xyz[rows], np.full(int(rows.sum()), label, np.int32))
     return Edit("assign", marks, classes=classes, moved=moved, made=made)
 
 
 def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
-    """Give an object the points ``within``, bool [N], that are its own or its class's without an object. What it has
-    elsewhere becomes its class's without an object. Raises PlgsError where nothing changes."""
+    """Give an object those points ``within``, bool [N], that are its own or have its class but no object. Its points
+    elsewhere keep the class but lose the object. Raises PlgsError where nothing changes."""
     mark, kind = _mark(state, number), state.class_of(number)
     own = state.label == number
     inner, outer = within & (state.label == -kind), own & ~within
     if not (own & within).any() and not inner.any():
-        raise PlgsError(f"none of its points is there: {state.objects[number].name}", CORRECTIONS, "Move its box back.")
+        raise PlgsError(f"no point of {state.objects[number].name} is there", CORRECTIONS, "Move its box back.")
     if not inner.any() and not outer.any():
-        raise PlgsError("its points are those of the box already", CORRECTIONS, "Move or scale its box.")
+        raise PlgsError("it already has exactly the points in the box", CORRECTIONS, "Move or scale its box.")
     rows = inner | outer
     label = np.where(inner, number, -kind).astype(np.int32)
     return Edit("assign", (mark,), classes=(kind,), moved=_groups(state.xyz[rows], label[rows]))
@@ -188,12 +188,12 @@ def _mark(state: Replay, number: int) -> ObjectMark:
 
 def _some(numbers: Sequence[int]) -> list[int]:
     if not numbers:
-        raise PlgsError("no object is named", CORRECTIONS, "Name one or more.")
+        raise PlgsError("no object is named", CORRECTIONS, "Name one or more objects.")
     return list(dict.fromkeys(numbers))
 
 
 def _new_name(state: Replay, class_id: int, more: int = 0) -> str:
-    """ "chair 7", with a number after those of its class."""
+    """A name such as "chair 7", with the next number of its class."""
     kind = state.classes[class_id].name
     names = [one.name.removeprefix(f"{kind} ") for one in state.objects.values()]
     return f"{kind} {max((int(name) for name in names if name.isdecimal()), default=0) + 1 + more}"

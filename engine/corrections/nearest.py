@@ -6,15 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 _PAIRS = 1 << 22
-"""Distances that are held at a time."""
+"""The largest number of distances held at a time."""
 _MANY = 1 << 27
-"""Pairs from which a k-d tree is worth its import, where there is one."""
+"""The number of pairs from which importing a k-d tree pays off, where there is one."""
 
 
 def nearest(
     queries: NDArray[np.floating], points: NDArray[np.floating]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Index of the nearest of ``points`` [N, 3], at least one, to each of ``queries`` [Q, 3]: int64 [Q], and its
+    """The index of the nearest of ``points`` [N, 3], at least one, to each of ``queries`` [Q, 3], int64 [Q], and its
     distance, float64 [Q]."""
     if len(queries) * len(points) > _MANY:
         try:
@@ -31,7 +31,7 @@ def nearest(
     step = max(1, _PAIRS // len(points))
     for start in range(0, len(queries), step):
         some = (queries[start : start + step] - middle).astype(np.float64)
-        distance = squared - 2.0 * (some @ near.T)  # without the queries' own squares, which order nothing
+        distance = squared - 2.0 * (some @ near.T)  # without the queries' own squares, which do not change the order
         rows = distance.argmin(axis=1)
         found[start : start + step] = rows
         least[start : start + step] = distance[np.arange(len(some)), rows] + (some * some).sum(axis=1)

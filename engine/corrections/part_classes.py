@@ -1,4 +1,4 @@
-"""Which class the masks give each part of an object that is split without asking their pixels."""
+"""The class that the masks give each part of a split object, found without reading their pixels."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ..known_scene import read_known
 from .replay import INNER, Replay
 
 FITS = 0.5
-"""Intersection over union with a mask's rectangle from which the mask shows this part and little else."""
+"""Least intersection over union with a mask's rectangle at which the mask shows this part and little else."""
 
 
 def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.integer]) -> dict[int, int]:
     """The class that most masks of an object give each ``part``, int [n] of its points in their order. A mask votes for
-    the part whose points fill its rectangle, with its pixels; a part without a vote is left out.
+    the part whose points fill its rectangle, weighted by its pixels; a part without votes is left out.
 
     Raises PlgsError for a damaged list of the lift's frames.
     """

@@ -15,21 +15,21 @@ BY_VIEWS = "split by views"
 LEAST_DOUBT = 0.15
 """Doubt below which nothing is proposed."""
 FEW_VIEWS = 3
-"""Frames: an object that fewer saw is perhaps none."""
+"""An object seen in fewer frames may not be a real object."""
 CRUMB = 60
-"""Points below which an object is perhaps a crumb."""
+"""An object with fewer points may be a crumb."""
 APART = 0.2
-"""Share of an object's frames that show it as several segments, from which it may be several things. Masks that are
-cut by something in front do so in fewer frames."""
+"""An object may be several things if at least this share of its frames show it as several segments. Masks that are cut
+by something in front do so in fewer frames."""
 LARGE = 0.15
-"""Share of the largest segment's pixels from which another one in the frame is no crumb."""
+"""A segment with at least this share of the pixels of the frame's largest one is not a crumb."""
 TOUCHING = 0.1
 """Metres between two objects of a class that may be one."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """``doubt`` in (0, 1]. ``answer`` is the edit that would mend it: reclass (to ``class_id``), split,
+    """``doubt`` in (0, 1]. ``answer`` is the edit that would correct it: reclass (to ``class_id``), split,
     split by views, delete, or merge (with ``other``). ``frame`` shows it best, empty where no mask does."""
 
     instance: int
@@ -44,7 +44,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Proposals:
-    """The ``open`` ones, worst first, and how many of all objects were ``looked_at``: corrected or accepted."""
+    """The ``open`` proposals, worst first, and how many of all objects were ``looked_at``: corrected or accepted."""
 
     open: tuple[Proposal, ...]
     looked_at: int
@@ -56,7 +56,7 @@ class Proposals:
 
 
 def proposals_of(corrected: CorrectedResult) -> Proposals:
-    """At most one proposal an object, the most doubtful; none for those that an edit speaks of."""
+    """At most one proposal per object, the most doubtful; none for objects that an edit refers to."""
     known = {one.id for one in corrected.instances}
     edits = [edit for edit in corrected.edits if not edit.undone and edit.uid not in corrected.told]
     looked_at = {mark.id for edit in edits for mark in edit.objects} | {new.id for edit in edits for new in edit.made}
@@ -69,7 +69,7 @@ def proposals_of(corrected: CorrectedResult) -> Proposals:
 
 
 def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
-    """All that may be wrong with an object."""
+    """Everything that may be wrong with an object."""
     best = max(one.segments, key=lambda segment: segment.share, default=None)
     frame, found = best.frame if best else "", []
 
@@ -88,14 +88,14 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
         propose(2.0 * share, reason, "reclass", class_id=kind)
     apart, frames = _frames_apart(one)
     if len(apart) > 1 and len(apart) > APART * frames:
-        reason = f"masks of {len(apart)} of {frames} frames separate it"
+        reason = f"the masks of {len(apart)} of {frames} frames separate it"
         propose(2.0 * len(apart) / frames, reason, BY_VIEWS, seen=apart[0])
     xyz = corrected.points.xyz[corrected.points.instance_id == one.id]
     sizes = np.bincount(parts_of(xyz))
     if len(sizes) > 1:
-        propose(2.0 * float(1 - sizes[0] / len(xyz)), f"it is {len(sizes)} parts that do not touch", "split")
+        propose(2.0 * float(1 - sizes[0] / len(xyz)), f"it consists of {len(sizes)} parts that do not touch", "split")
     if one.views < FEW_VIEWS:
-        propose(0.6 / max(one.views, 1), f"only {one.views} frames saw it", "delete")
+        propose(0.6 / max(one.views, 1), f"only {one.views} frames show it", "delete")
     if len(xyz) < CRUMB:
         propose(0.7 * (1 - len(xyz) / CRUMB), f"it has only {len(xyz)} points", "delete")
     for other in corrected.instances:
@@ -105,8 +105,8 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
 
 
 def _frames_apart(one: Instance) -> tuple[list[str], int]:
-    """The frames whose masks show an object as several segments, the one whose second segment is the largest first,
-    and in how many frames it has a mask."""
+    """The frames whose masks show an object as several segments, the one with the largest second segment first, and the
+    number of frames that have a mask of it."""
     sizes: dict[str, list[int]] = {}
     for segment in one.segments:
         sizes.setdefault(segment.frame, []).append(segment.pixels)

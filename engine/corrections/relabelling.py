@@ -1,6 +1,6 @@
-"""What becomes of the label of anything that has a place: a point, an anchor, a Gaussian.
+"""How edits change the label of anything that has a place: a point, an anchor, a Gaussian.
 
-An edit of whole objects maps labels to labels. An edit of points is known by the points alone; all else follows the
+An edit of whole objects maps labels to labels. An edit of points names the points alone; everything else follows the
 nearest point that had the same label before.
 """
 
@@ -24,14 +24,14 @@ def labels_of(class_id: NDArray[np.integer], instance_id: NDArray[np.integer]) -
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Some labels change. ``table``: those that all change alike. ``points``: by source label, the points that had it,
-    float32 [N, 3], and their labels after, int32 [N]."""
+    """A change of some labels. ``table``: labels that change as a whole. ``points``: by source label, the points that
+    had it, float32 [N, 3], and their new labels, int32 [N]."""
 
     table: Mapping[int, int] = field(default_factory=dict)
     points: Mapping[int, tuple[NDArray[np.float32], Labels]] = field(default_factory=dict)
 
     def apply(self, xyz: NDArray[np.floating], label: Labels) -> None:
-        """Change ``label`` [N] of what stands at ``xyz`` [N, 3] in place."""
+        """Change the ``label`` [N] of what stands at ``xyz`` [N, 3] in place."""
         rows_of = {source: np.flatnonzero(label == source) for source in (*self.table, *self.points)}
         for source, target in self.table.items():
             label[rows_of[source]] = target
@@ -66,7 +66,7 @@ class Relabelling:
         return frozenset(source for step in self.steps for source in (*step.table, *step.points))
 
     def of(self, xyz: NDArray[np.floating], label: Labels) -> Labels:
-        """The labels after all edits of what stands at ``xyz`` [N, 3] and had ``label`` [N]; int32 [N]."""
+        """The labels, int32 [N], that what stands at ``xyz`` [N, 3] and had ``label`` [N] has after all edits."""
         after = label.copy()
         rows = np.flatnonzero(np.isin(label, sorted(self.sources)))
         some, changed = xyz[rows], after[rows]

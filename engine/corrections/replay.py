@@ -15,22 +15,22 @@ from .nearest import nearest
 from .relabelling import Labels, Relabelling, Step, labels_of, step_of
 
 LEAST_OVERLAP = 0.2
-"""Intersection over union of the boxes above which an object is the one that an edit means."""
+"""Least intersection over union of the boxes at which an object is the one that an edit means."""
 PADDING = 0.05
-"""Metres around these boxes: pictures on a wall have no thickness, and lifts differ by some centimetres."""
+"""Metres added around these boxes: pictures on a wall have no thickness, and lifts differ by some centimetres."""
 REACH = 0.04
 """Metres within which a point of another lift follows a point that was moved."""
 MOST_LOST = 0.1
-"""Share of an edit's points that may be missing where the points are those of the same lift."""
+"""Share of an edit's points that may be missing if the lift is still the same."""
 INNER = (2.0, 98.0)
-"""Percentiles of the points that make a mark's box: single points stray."""
+"""Percentiles of the points that span a mark's box, as single points stray."""
 OUTER = (0.5, 99.5)
-"""Those that make an object's box anew."""
+"""Percentiles of the points that span an object's new box."""
 
 
 @dataclass(eq=False)
 class Replay:
-    """The state between two edits. ``label`` int32 [N]: that of each point. ``told``: what was not applied, by edit."""
+    """The state between two edits. ``label`` int32 [N]: each point's. ``told``: why an edit was not applied, by uid."""
 
     classes: ClassTable
     xyz: NDArray[np.float32]
@@ -72,7 +72,7 @@ class Replay:
         return ObjectMark(number, len(points), *corners)  # type: ignore[arg-type]
 
     def apply(self, edit: Edit) -> str:
-        """Apply an edit. Returns why not, if so."""
+        """Apply an edit. Returns the reason if it cannot be applied, else an empty text."""
         if edit.kind not in KINDS:
             return f"this version does not know the edit {edit.kind!r}"
         reasons = [reason for mark in edit.objects if (reason := self._missing(mark))]
@@ -97,7 +97,7 @@ class Replay:
         return ""
 
     def _no_label(self, edit: Edit) -> str:
-        """Why what an edit gives its points is no object or class; empty when it is."""
+        """Why what an edit gives its points is not an object or a class; empty when it is."""
         rest = 0 if edit.rest is None else edit.rest
         classes = [-label for label in (rest, *(group.label for group in edit.moved)) if label < 0]
         classes += [edit.class_id] if edit.class_id else []
@@ -112,7 +112,7 @@ class Replay:
             return f"there is no object {mark.id}"
         now = self.mark(mark.id)
         if mark.points and now.points and _overlap(mark, now) < LEAST_OVERLAP:
-            return f"object {mark.id} ({self.objects[mark.id].name}) is another one here"
+            return f"object {mark.id} ({self.objects[mark.id].name}) is a different one here"
         return ""
 
     def _reclass(self, ids: Sequence[int], class_id: int) -> str:
@@ -149,7 +149,7 @@ class Replay:
             after[np.isin(before, ids)] = edit.rest
         _take_moved(self.xyz[rows], after, groups)
         if edit.kind != "delete" and (after == before).all():
-            return "none of its points is here"
+            return "none of its points are here"
         base = self.objects[ids[0]] if ids else None
         self.steps.append(step_of(self.xyz[rows], before, after))
         self.label[rows] = after
@@ -160,7 +160,7 @@ class Replay:
             if (before == number).any():
                 if not (after == number).any():
                     del self.objects[number]
-            elif edit.rest is not None:  # no point was its own, but perhaps a Gaussian
+            elif edit.rest is not None:  # it had no point, but perhaps a Gaussian
                 del self.objects[number]
                 self.steps.append(Step({number: edit.rest}))
         self._fit([number for number in {*ids, *np.unique(after).tolist()} if number in self.objects])
@@ -169,7 +169,7 @@ class Replay:
         return ""
 
     def _made(self, number: int, name: str, class_id: int, base: Instance | None) -> Instance:
-        """A new object of some points, with the evidence and the axes of the one that they were of."""
+        """A new object made of some points, with the evidence and the axes of the object that they belonged to."""
         yaw, rotation = (base.yaw, base.rotation) if base else (0.0, (1.0, 0.0, 0.0, 0.0))
         views, score, segments = (base.views, base.score, base.segments) if base else (0, 0.0, ())
         colour, kind = distinct_colour(number), self.classes[class_id].name
@@ -181,7 +181,7 @@ class Replay:
         self.steps.append(step)
 
     def _fit(self, ids: Iterable[int]) -> None:
-        """Fit the boxes of objects to their points, with the axes that they have."""
+        """Fit the boxes of objects to their points, and keep the axes of the boxes."""
         for number in ids:
             points, one = self.points_of(number), self.objects[number]
             if len(points):
@@ -192,7 +192,7 @@ class Replay:
 
 
 def _take_moved(xyz: NDArray[np.float32], after: Labels, groups: Sequence[MovedPoints]) -> None:
-    """Give the points [N, 3] that were moved their labels: the very points, or in another lift those close by."""
+    """Give the points [N, 3] that were moved their labels: exactly these, or in another lift those close by."""
     if not groups or not len(xyz):
         return
     wanted = np.concatenate([np.array(group.millimetres, np.int64).reshape(-1, 3) for group in groups])
@@ -216,7 +216,7 @@ def in_millimetres(xyz: NDArray[np.floating]) -> NDArray[np.int64]:
 
 
 def _keys(millimetres: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number a point: 21 bits an axis, which wrap beyond a kilometre."""
+    """One number per point: 21 bits per axis, which wrap around beyond a kilometre."""
     x, y, z = (millimetres & ((1 << 21) - 1)).T
     return x << 42 | y << 21 | z
 

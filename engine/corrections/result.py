@@ -1,4 +1,4 @@
-"""A lift's result and what people corrected of it, read together: by Blender, bakes, exports and scores alike."""
+"""A lift's result and people's corrections of it, read together: by Blender, bakes, exports and scores alike."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class CorrectedResult:
     """The objects and points of a result after the edits.
 
     ``made`` are the objects as the engine made them. ``accepted`` are ids of objects that are right as they are.
-    ``told``: why an edit was not applied, by its uid. ``fingerprint``: of the edits that change what is shown, empty
-    where there is none.
+    ``told``: why an edit was not applied, by its uid. ``fingerprint`` is that of the edits that change what is shown;
+    it is empty where there are none.
     """
 
     folder: Path
@@ -52,7 +52,7 @@ class CorrectedResult:
     def warnings(self) -> list[str]:
         """A line for each edit that was not applied."""
         return [
-            f"{edit.kind} of {edit.time} is not applied: {self.told[edit.uid]}"
+            f"{edit.kind} of {edit.time} was not applied: {self.told[edit.uid]}"
             for edit in self.edits
             if edit.uid in self.told
         ]
@@ -78,7 +78,7 @@ class CorrectedResult:
     def ids_of(
         self, before: NDArray[np.int32], after: NDArray[np.int32], class_id: NDArray[np.int32]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """As ``ids``, from labels."""
+        """As ``ids``, but from labels."""
         kinds, made = self.class_of, {one.id: one.class_id for one in self.made}
         changed = class_id.copy()
         moved = before != after
@@ -127,7 +127,7 @@ class _Result:
         return state
 
     def corrected(self, edits: Sequence[Edit], state: Replay | None = None) -> CorrectedResult:
-        """The result after the edits. ``state`` is their replay, where it was made already."""
+        """The result after the edits. ``state`` is their replay, if it has already been made."""
         state = state or self.replay(edits)
         shown = [edit.uid for edit in edits if not edit.undone and edit.kind != "accept" and edit.uid not in state.told]
         fingerprint = sha256("\n".join(shown).encode()).hexdigest()[:32] if shown else ""
@@ -151,12 +151,12 @@ class _Result:
 
 
 Make = Callable[[Replay, int], Edit]
-"""Makes an edit of the state, and of the first id that no object ever had."""
+"""Makes an edit from the state and the first id that no object ever had."""
 
 
 def correct(lift: Path, make: Make) -> tuple[Edit, CorrectedResult]:
-    """Add an edit to those of the lift in this folder. Returns it and the result with it, for which the edits are
-    replayed once. Raises PlgsError, OSError: then nothing is changed."""
+    """Add an edit to those of the lift in this folder. Returns the edit and the new result, for which the edits are
+    replayed once. Raises PlgsError and OSError; nothing is then changed."""
     with editing(lift) as edits:
         result = _Result.read(lift)
         state = result.replay(edits)
@@ -164,14 +164,14 @@ def correct(lift: Path, make: Make) -> tuple[Edit, CorrectedResult]:
         edit = make(state, free)
         reason = state.apply(edit)
         if reason:
-            raise PlgsError(reason, lift / CORRECTIONS, "Choose what is there.")
+            raise PlgsError(reason, lift / CORRECTIONS, "Choose objects and classes that exist.")
         edits.append(edit)
     return edit, result.corrected(edits, state)
 
 
 def undo(lift: Path) -> tuple[Edit, CorrectedResult]:
-    """Undo the last edit that is not undone, whoever made it. Returns it and the result without it. Raises PlgsError
-    when there is none, OSError."""
+    """Undo the last edit that is not undone, whoever made it. Returns the edit and the result without it. Raises
+    PlgsError when there is none, and OSError."""
     with editing(lift) as edits:
         last = max((place for place, edit in enumerate(edits) if not edit.undone), default=-1)
         if last < 0:
@@ -181,6 +181,6 @@ def undo(lift: Path) -> tuple[Edit, CorrectedResult]:
 
 
 def set_undone(lift: Path, undone: dict[str, bool]) -> None:
-    """Undo edits, or do them again, by uid. Raises PlgsError, OSError."""
+    """Undo or redo edits, by uid. Raises PlgsError, OSError."""
     with editing(lift) as edits:
         edits[:] = [replace(edit, undone=undone.get(edit.uid, edit.undone)) for edit in edits]

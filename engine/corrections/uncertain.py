@@ -11,13 +11,13 @@ from ..posed import Camera
 from ..result_files import SemanticPoints
 
 _CELLS = 48
-"""Cells across the picture: in each the nearest point hides what lies behind it."""
+"""Cells across the picture. In each, the nearest point hides what lies behind it."""
 _BEHIND = 0.15
 """Metres that a point may lie behind the nearest one and still be seen."""
 
 
 def entropy_of(confidence: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Bits of doubt [N] between the winner, with this share of the votes, and all else: 0 sure, 1 undecided."""
+    """Bits of doubt [N] between the winner, with this share of the votes, and all others: 0 is sure, 1 undecided."""
     share = np.clip(confidence.astype(np.float64), 1e-6, 1 - 1e-6)
     return np.asarray(np.where(share < 0.5, 1.0, -share * np.log2(share) - (1 - share) * np.log2(1 - share)))
 

@@ -1,4 +1,4 @@
-"""What is wrong with a scene? Depth is carried into other views; edges, normals, pictures and labels are compared."""
+"""What is wrong with a scene? Depth is projected into other views; edges, normals, pictures and labels are compared."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from .pictures import side_by_side
 from .reprojection import Assumption, Examined
 
 _NEIGHBOURS = 4
-"""Photos before and after that a photo is compared with."""
+"""The number of photos before it, and after it, that a photo is compared with."""
 _BLURRED, _BLURRED_SURFACE = 0.8, 0.88
 """Shares of the neighbours' detail, in the whole picture and on the same surfaces. Turning away costs a tenth."""
 _VERY_BLURRED, _BLURRED_BY_ITSELF = 0.35, 0.3
@@ -23,7 +23,7 @@ _EXPOSURE = 1.5
 """Factor between bright and dark frames of one surface, from the 5th to the 95th percentile."""
 _CLIPPED = 0.5
 _SAME_DISTANCE = 0.15
-"""Largest logarithm of the ratio of two distances. A nearer surface shows its texture larger, which is no blur."""
+"""Largest logarithm of the ratio of two distances. A nearer surface looks smoother, which is not blur."""
 _GRAIN = 9
 """Pixels of a picture 320 wide over which detail is averaged."""
 _NO_DETAIL, _DETAIL = 13.0, 1500.0
@@ -58,7 +58,7 @@ def blur_findings(photos: dict[int, Photo]) -> list[Finding]:
 
 
 def blur_findings_on_surfaces(examined: Examined, assumed: Assumption) -> list[Finding]:
-    """Frames with less detail than their neighbours, also on the surfaces that both show. A bare wall is no blur."""
+    """Frames with less detail than their neighbours, also on the surfaces that both show. A bare wall is not blur."""
     shots = [examined.photo(row) for row in range(len(examined.looks))]
     details = _relative_details(examined, assumed)
     if details is None:
@@ -77,14 +77,14 @@ def _blur_findings(shots: Sequence[Photo], may_be: NDArray[np.bool_], threshold:
     worst, row = found[0]
     beside = shots[row - 1] if row else shots[1]
     drop = [shots[row].name for value, row in found if value < _VERY_BLURRED]
-    more = f"; {listed(drop)} may as well be left out" if drop else ""
+    more = f"; {listed(drop)} could also be left out" if drop else ""
     return [
         Finding(
             cause="blur",
             severity="note",
             text=f"{len(found)} of {len(shots)} frames are less sharp than their neighbours, the worst with "
             f"{worst:.0%} of their detail: {listed(names)}{more}",
-            option="none is needed, as a lift counts them less; leave the worst out with a splits.json",
+            option="no change is needed, as a lift gives them less weight; leave the worst out with a splits.json",
             figures={"frames": float(len(found)), "least_detail": worst},
             frames=names,
             picture=side_by_side([(beside.name, beside.grey), (shots[row].name, shots[row].grey)]),
@@ -121,7 +121,7 @@ def exposure_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
             severity="note",
             text=f"exposure varies: some frames show the same surface {spread:.1f} times as bright as others "
             f"(darkest {examined.name(dark)}, brightest {examined.name(bright)})",
-            option="none is needed, as a lift fits each frame's exposure; lock it when you record again",
+            option="no change is needed, as a lift fits each frame's exposure; lock it when you record again",
             figures={"times": spread},
             picture=side_by_side([(examined.name(row), greys[row]) for row in (dark, bright)]),
         )
@@ -137,7 +137,7 @@ def _relative_details(examined: Examined, assumed: Assumption) -> Floats | None:
         grey = examined.photo(row).grey
         detail = cv2.blur(np.abs(cv2.Laplacian(grey, cv2.CV_32F)), (_GRAIN, _GRAIN))
         brightness = cv2.blur(grey.astype(np.float32), (_GRAIN, _GRAIN))
-        # Exposure multiplies both. Dark pixels have next to no detail but noise.
+        # Exposure multiplies both. Dark pixels have little detail besides noise.
         maps.append(_NO_DETAIL + _DETAIL * detail / np.maximum(brightness, 1.0))
     levels = _relative_levels(examined, assumed, maps, _SAME_DISTANCE)
     return None if levels is None else levels - np.median(levels)

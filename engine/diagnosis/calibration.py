@@ -1,7 +1,7 @@
-"""How far off are lens, depth unit and ray length? A robust least-squares fit to all reprojected depth.
+"""How far off are the lens, the depth unit and the ray length? A robust least-squares fit to all reprojected depth.
 
 Every point that another view shows nearly where it is expected is one equation of the fit. An error in one frame's pose
-is in all of its pairs, so the uncertainty counts frames and not points.
+affects all of its pairs, so the uncertainty counts frames and not points.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _PARAMETERS = ("unit", "focal", "aspect", "x", "y", "ray")
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])
 """Step of each parameter for the slopes. It hardly changes which points agree."""
 _PRIOR = np.array([0.3, 0.3, 0.3, 0.1, 0.1, 1.0])
-"""Deviation expected of each. It decides where views say nothing: cameras at one height leave fy open."""
+"""The expected deviation of each. It decides where views say nothing: cameras at one height leave fy open."""
 _ROUNDS = 8
 _LEAST_TERMS = 200
 _FINEST = 2e-4
@@ -28,7 +28,7 @@ _STEEPEST = 5.0
 
 
 class Calibration(NamedTuple):
-    """``values`` float64 [6] beside the assumption, in the order of ``_PARAMETERS``, with their standard errors.
+    """``values`` float64 [6] relative to the assumption, in the order of ``_PARAMETERS``, with their standard errors.
 
     They are the logarithms of the factors of depth, of the focal lengths and of fx alone, the principal point's shift
     in shares of width and height, and the part of the ray's length that is in depth.
@@ -46,7 +46,7 @@ class Calibration(NamedTuple):
         return float(self.deviations[_PARAMETERS.index(name)])
 
     def is_sure_of(self, name: str, least: float, sigmas: float = 5.0) -> bool:
-        """Whether a value is at least ``least`` and ``sigmas`` standard errors, up or down."""
+        """Whether a value differs from 0 by at least ``least`` and by at least ``sigmas`` standard errors."""
         return abs(self.of(name)) >= max(least, sigmas * self.deviation(name))
 
 

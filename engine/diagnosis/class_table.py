@@ -1,4 +1,4 @@
-"""Do the names of the classes suit the surfaces? Floors are level and seen from above, ceilings from below, walls are
+"""Do the names of the classes fit the surfaces? Floors are level and seen from above, ceilings from below, walls are
 upright."""
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from .reprojection import Assumption, Examined
 from .up import world_normals
 
 _KINDS = {"floor": ("floor", "flooring", "rug", "carpet"), "ceiling": ("ceiling",), "wall": ("wall",)}
-"""First words of the names of classes by what their surfaces are."""
+"""The first words of class names, by the kind of their surfaces."""
 _FURTHER = {"other", "merged", "brick", "wood", "stone", "tile", "concrete", "panel", "marble", *_KINDS["floor"]}
-"""Words that may follow. A wall-cabinet is no wall."""
+"""Words that may follow. A wall-cabinet is not a wall."""
 _WHAT = {"floor": "is level, seen from above", "ceiling": "is level, seen from below", "wall": "is upright"}
 _WITHIN = 25.0
-"""Degrees by which a surface may differ from level or upright: clothes, shelves and noise do."""
+"""Degrees by which a surface may differ from level or upright, as clothes, shelves and noise do."""
 _FEWEST_POINTS = 200
 _SUITS, _DIFFERS = 0.5, 0.25
-"""Shares of a kind's points that suit its name: at least in a right table, at most in a wrong one."""
+"""Shares of a kind's points that fit its name: the least in a right table, and the most in a wrong one."""
 
 
 class Suiting(NamedTuple):
-    """Of the points whose class has the name of a kind: how many there are, and which share suits."""
+    """The points whose class has the name of a kind: how many there are, and which share of them fits the name."""
 
     points: int
     share: float
 
 
 def measure_table(examined: Examined, assumed: Assumption, up: Floats) -> dict[str, Suiting]:
-    """Each kind of surface that classes name, of those that enough points show. Raises PlgsError."""
+    """Each kind of surface that classes name and that enough points show. Raises PlgsError."""
     views = examined.views
     if any(look.frame.read_mask is None for look in views.looks):
         return {}
@@ -60,7 +60,7 @@ def _kind(name: str) -> str | None:
 
 
 def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[Finding]:
-    """Class ids that mean something else than the table says. Raises PlgsError."""
+    """Class ids that mean something other than the table says. Raises PlgsError."""
     found = measure_table(examined, assumed, up)
     wrong = {kind: each for kind, each in found.items() if each.share < _DIFFERS}
     is_enough = sum(each.points for each in wrong.values()) >= 2 * _FEWEST_POINTS
@@ -71,8 +71,8 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
         Finding(
             cause="class table",
             severity="wrong",
-            text=f"the names of the classes do not suit the surfaces: {told}",
-            option="see that ids and names are of one table: ids may count from 0 in one and from 1 in the other",
+            text=f"the names of the classes do not fit the surfaces: {told}",
+            option="check that ids and names come from the same table: one may count from 0 and another from 1",
             figures={f"{kind}_share": each.share for kind, each in found.items()},
         )
     ]

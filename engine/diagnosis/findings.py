@@ -20,11 +20,11 @@ from .reprojection import Assumption
 from .trials import Agreement
 
 FINDINGS = "findings.json"
-FIX = "--fix OUT writes the scene with it mended"
+FIX = "--fix OUT writes a scene in which it is mended"
 """The end of ``Finding.option`` where a mended scene needs no decision by the user."""
 
 Severity = Literal["wrong", "note"]
-"""Mend what is "wrong" before a lift. A "note" is about pictures or labels that a lift copes with."""
+""""wrong": mend it before a lift. "note": it is about pictures or labels, and a lift copes with it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +126,6 @@ def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
 
 
 def _holds_findings_only(folder: Path) -> bool:
-    """Whether all files are findings and their pictures ("1-depth-unit.png"), or parts of them left by a kill."""
+    """Whether all files are findings and their pictures ("1-depth-unit.png"), or parts left by a killed run."""
     names = [path.name.removeprefix(PART) for path in folder.iterdir()]
     return all(name == FINDINGS or re.fullmatch(r"\d+-[a-z-]+\.png", name) for name in names)

@@ -1,4 +1,4 @@
-"""Do the views call the same surface the same? Masks and classes that contradict each other between views."""
+"""Do all views give a surface the same class? Masks and classes that contradict each other between views."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from .pictures import side_by_side
 from .reprojection import Assumption, Examined
 
 _WIDTH = 320
-"""Pixels across of the masks that are compared."""
+"""The width in pixels of the masks that are compared."""
 _SAME_SURFACE = 0.5
 """Least agreement in depth, 0..1, of two views of one surface: about 2.7 % of the depth."""
 _FEWEST_POINTS = 100
 _UNRELATED = 0.5
 _FOREIGN, _PROBABLY_FOREIGN = 0.25, 0.35
-"""Shares of the median agreement beyond chance. Another frame's mask has as little: floors are low in all pictures."""
+"""Shares of the median agreement beyond chance. A foreign mask also reaches some: floors are low in all pictures."""
 _CONFUSED, _CONFUSED_SHARE = 0.25, 0.01
 """A class is contradicted if another class takes this share of its points, and this share of all points."""
 
 
 class LabelAgreement(NamedTuple):
     """``counts`` float64 [C, C]: points of one class in one view and of another in the other view. Rows and columns are
-    in the order of ``class_ids``, without void. ``by_look`` float64 [F]: share of a look's points that other views call
-    the same, nan where there are too few.
+    in the order of ``class_ids``, without void. ``by_look`` float64 [F]: share of a look's points that other views give
+    the same class, nan where there are too few.
     """
 
     class_ids: tuple[int, ...]
@@ -39,7 +39,7 @@ class LabelAgreement(NamedTuple):
 
     @property
     def share(self) -> float:
-        """The share of all points named by both views that they name the same."""
+        """The share of all points named by both views to which both give the same name."""
         return float(np.trace(self.counts) / max(self.counts.sum(), 1.0))
 
     @property
@@ -99,7 +99,7 @@ def _unrelated_masks(examined: Examined, labels: LabelAgreement) -> Finding:
         cause="contradicting masks",
         severity="wrong",
         text=f"two views give the same class to only {labels.share:.0%} of the points that both see",
-        option="see that each mask belongs to its frame, and that all have the same class table",
+        option="check that each mask belongs to its frame, and that all use the same class table",
         figures={"share": labels.share},
         picture=_masks_shown(examined, [0, 1]),
     )
@@ -113,7 +113,7 @@ def _odd_masks(examined: Examined, labels: LabelAgreement, rows: list[int], midd
         severity="wrong",
         text=f"the masks of {listed(names)} contradict those of the other views: {worst:.0%} of their points have the "
         f"same class there; the median of all frames is {middle:.0%}",
-        option="see that these masks belong to these frames, or leave the frames out with a splits.json",
+        option="check that these masks belong to these frames, or leave the frames out with a splits.json",
         figures={"share": worst, "middle": middle},
         frames=names,
         picture=_masks_shown(examined, [max(rows[0] - 1, 0), rows[0]]),
@@ -133,8 +133,8 @@ def _confused_classes(examined: Examined, labels: LabelAgreement) -> list[Findin
             finding = Finding(
                 cause="contradicting classes",
                 severity="note",
-                text=f"views contradict each other: {part:.0%} of what one calls {one} another calls {other}",
-                option="none is needed, as a lift votes; see that the class table is the same for all masks",
+                text=f"views contradict each other: {part:.0%} of what one calls {one}, another calls {other}",
+                option="no change is needed, as a lift takes a vote; check that all masks use the same class table",
                 figures={"share": part, "class": one, "other": other},
                 picture=_masks_shown(examined, [_look_with_most(examined, each) for each in ids]),
             )
@@ -143,7 +143,7 @@ def _confused_classes(examined: Examined, labels: LabelAgreement) -> list[Findin
 
 
 def _look_with_most(examined: Examined, class_id: int) -> int:
-    """The look that shows most of a class."""
+    """The look that shows a class most."""
     return int(np.argmax([(look.frame.mask(None).class_map() == class_id).mean() for look in examined.looks]))
 
 

@@ -16,16 +16,16 @@ Floats = NDArray[np.float64]
 
 _MOST_LOOKS = 120
 _SPREAD = 24
-"""Places of the recording that are compared with each other. Each has a group of frames."""
+"""Places in the recording that are compared with each other. Each has a group of frames."""
 _GROUP_STEPS = (0, 1, 3, 7, 15)
 """Frames of a group, counted from its first."""
 _NEXT = 3
-"""Looks that each look is compared with, counted in recording order."""
+"""The number of following looks, in recording order, that each look is compared with."""
 _WIDEST = 640
-"""Pixels across that depth and pictures are reduced to."""
+"""The width in pixels to which depth and pictures are reduced."""
 _PHOTO_WIDTH = 320
 _POINTS = 400
-"""Points that each look compares with other views."""
+"""The number of points that each look compares with other views."""
 _SMOOTH = 1.05
 """Largest ratio of the depths around a point. Above it, the pixels lie on both sides of an edge."""
 _DARK, _BRIGHT = 8, 247
@@ -80,7 +80,7 @@ def pairs_of(count: int) -> NDArray[np.int64]:
     spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
     pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
     pairs |= {*combinations(spread, 2)}
-    # Directions alternate, so that the points of each look are used, and its depth is.
+    # Directions alternate, so that both the points and the depth of each look are used.
     return np.array([(i, j) if (i + j) % 2 else (j, i) for i, j in sorted(pairs)], np.int64).reshape(-1, 2)
 
 

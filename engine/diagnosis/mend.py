@@ -29,15 +29,15 @@ _DEEPEST = 65535
 def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
     """Write the mended scene to the folder ``out``, which must not exist. It is written as a whole or not at all.
 
-    What was written is read again. If it is no improvement, it is deleted and the answer says why; else it is None.
+    What was written is read again. If it is no improvement, it is deleted and the reason is returned, otherwise None.
 
     Colour images are hard links where they are files of their own, and PNGs otherwise. Depth is in millimetres, masks
     are COCO panoptic, and ground truth is images of classes and instances. Raises PlgsError.
     """
     if out.exists():
-        raise PlgsError("the folder for the mended scene exists", out, "Name one that does not.")
+        raise PlgsError("the folder for the mended scene already exists", out, "Name a new one.")
     if out.resolve().is_relative_to(scene.folder.resolve()):
-        raise PlgsError("the mended scene would lie inside the scene itself", out, "Name a folder outside of it.")
+        raise PlgsError("the mended scene would lie inside the scene itself", out, "Name a folder outside it.")
     frames = [frame for frame in scene.frames if frame.name not in diagnosis.mending.dropped]
     if not any(not frame.held_out for frame in frames):
         raise PlgsError("no frame to train on would be left", scene.folder, "Give more frames.")
@@ -89,7 +89,7 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
 
 
 def _mended_cameras(scene: Scene, frames: list[Frame], mending: Mending) -> list[Camera]:
-    """The frames' cameras with the right numbers."""
+    """The frames' cameras with corrected numbers."""
     assumed = mending.assumed
     turn = np.eye(3) if scene.turn is None else scene.turn
     poses = assumed_poses(np.stack([frame.camera.camera_to_world for frame in frames]), turn, assumed)
@@ -108,7 +108,7 @@ def _mended_cameras(scene: Scene, frames: list[Frame], mending: Mending) -> list
 
 
 def _lens(camera: Camera, assumed: Assumption) -> tuple[float, float, float, float]:
-    """The right fx, fy, cx, cy, in shares of the picture."""
+    """The corrected fx, fy, cx, cy, in shares of the picture."""
     given = np.array(
         [[camera.fx / camera.width, camera.fy / camera.height, camera.cx / camera.width, camera.cy / camera.height]]
     )
@@ -133,7 +133,7 @@ def _write_colour(frame: Frame, folder: Path) -> None:
 
 
 def _link_or_copy(source: Path, target: Path) -> None:
-    """Make a hard link where the file system can, so that the first file may be deleted. Copy otherwise."""
+    """Make a hard link where the file system can, so that the first file may be deleted; otherwise copy."""
     try:
         os.link(source, target)
     except OSError:
@@ -147,7 +147,7 @@ def _write_depth(frame: Frame, mending: Mending, folder: Path) -> None:
 
 
 def _mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
-    """The right planar depth in metres, float64 [H, W]."""
+    """The corrected planar depth in metres, float64 [H, W]."""
     depth = frame.depth(None).astype(np.float64)
     height, width = depth.shape
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
@@ -168,7 +168,7 @@ def _moved(depth: NDArray[np.float64], right: int, down: int) -> NDArray[np.floa
 
 
 def _link_group_masks(scene: Scene, frames: list[Frame], folder: Path) -> bool:
-    """Link masks whose segments may be several objects, as COCO panoptic cannot say that. False without such masks."""
+    """Link masks whose segments may be several objects, which COCO panoptic cannot say. False if there are none."""
     theirs = [path for path in scene.folder.glob("m2f_*") if path.is_dir()] if scene.folder.is_dir() else []
     if not theirs or not any(segment.is_group for frame in frames for segment in frame.mask(None).segments):
         return False

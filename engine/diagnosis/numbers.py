@@ -20,7 +20,7 @@ _OFF_RAY = 0.3
 """Part of the ray's length that is in depth."""
 _OFF_PIXELS = 0.3
 _ABOVE_NOISE = 2.0
-"""Median errors that a shift of the principal point must move surfaces by."""
+"""A shift of the principal point must move surfaces by at least this many median errors."""
 _HALF, _NEARLY = 0.5, 0.1
 """Pixels: a shift of half a pixel, and its tolerance."""
 _RAY = "the length of the ray ((u - cx) / fx, (v - cy) / fy, 1)"
@@ -29,9 +29,9 @@ Figures = dict[str, float | str]
 
 
 class _CauseWords(NamedTuple):
-    """How a cause is called, the caption of the mended picture, the sentence, and what the user can do in the files.
+    """What a cause is called, the caption of the mended picture, the sentence, and what the user can do in the files.
 
-    ``text`` and ``option`` are empty where figures belong into them.
+    ``text`` and ``option`` are empty where they need figures.
     """
 
     name: str
@@ -69,7 +69,7 @@ _WORDS = {
     "not ray": _CauseWords(
         "depth divided by the ray",
         "depth along the axis",
-        "depth was divided by the length of the ray, though it was along the axis already",
+        "depth was divided by the length of the ray, although it was already along the axis",
         f"multiply it by {_RAY}",
     ),
     "swapped": _CauseWords(
@@ -82,8 +82,8 @@ _WORDS = {
     "lag": _CauseWords("frames off", "poses of other frames"),
     "mirrored": _CauseWords(
         "mirrored images",
-        "left and right exchanged",
-        "pictures and depth have left and right exchanged",
+        "left and right swapped",
+        "left and right are swapped in pictures and depth",
         "mirror them",
     ),
 }  # fmt: skip
@@ -91,7 +91,7 @@ _WORDS = {
 NUMBER_CAUSES = frozenset(words.name for words in _WORDS.values())
 """What findings on poses, depth and intrinsics are called."""
 _ONLY_TOLD = ("lag", "mirrored")
-"""Causes that are mended in the user's files: which of them are wrong is for the user to see."""
+"""Causes that users mend in their own files, as only they can see which of the files are wrong."""
 
 
 def number_findings(examined: Examined) -> tuple[list[Finding], Assumption, Shift]:
@@ -116,13 +116,13 @@ def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) ->
     one, other = examined.telling_pair(cause.assumed)
     is_sure = cause.rival is None and cause.cause not in _ONLY_TOLD
     if cause.rival is not None:
-        option = f"{option}, or see whether it is the {_WORDS[cause.rival].name}, which explains the views as well"
+        option = f"{option}, or check whether it is the {_WORDS[cause.rival].name}, which explains the views as well"
     assumptions = [("as it is", before), (f"with {words.caption}", cause.assumed)]
     return Finding(
         cause=words.name,
         severity="wrong",
-        text=f"{text}: of the points carried into other views {after['agreeing_after']:.0%} lie on the depth there, "
-        f"and {after['agreeing_before']:.0%} as the scene is",
+        text=f"{text}: of the points projected into other views, {after['agreeing_after']:.0%} then lie on the depth "
+        f"there, against {after['agreeing_before']:.0%} as the scene is",
         option=f"{option}; {FIX}" if is_sure else option,
         figures={**figures, **after},
         is_mended=is_sure,
@@ -131,7 +131,7 @@ def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) ->
 
 
 def _off(factor: float) -> str:
-    """How far a length is off that has to be multiplied by ``factor``."""
+    """How far off a length is that has to be multiplied by ``factor``."""
     return f"{1 / factor:.4g} times too long" if factor < 1.0 else f"{factor:.4g} times too short"
 
 
@@ -148,11 +148,11 @@ def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> t
     if cause.cause == "length":
         factor = now.length / before.length
         text = f"the poses are in another unit, {_off(factor)}"
-        return text, f"multiply the cameras' places by {factor:.4g}", {"factor": factor}
+        return text, f"multiply the cameras' positions by {factor:.4g}", {"factor": factor}
     if cause.cause == "lag":
         lag = now.lag
-        text = f"poses and depth are of different frames: depth fits the pose that is named {lag:+d} frames on"
-        return text, "see which of the two was named by another count, and name it again", {"frames": float(lag)}
+        text = f"poses and depth are of different frames: depth fits the pose at an offset of {lag:+d} frames"
+        return text, "check which of the two was numbered differently, and rename it", {"frames": float(lag)}
     if cause.cause == "lens size":
         scale = now.lens_scale / before.lens_scale
         text = f"the intrinsics belong to pictures of {width / scale:.0f}x{height / scale:.0f}, not {width}x{height}"
@@ -189,7 +189,7 @@ def _calibration_findings(
     if not is_far_better(after, before):  # drifting poses bend every number a little
         return [], assumed
     one, other = examined.telling_pair(mended)
-    picture = depth_errors(examined.views, one, other, [("as it is", assumed), ("with the numbers measured", mended)])
+    picture = depth_errors(examined.views, one, other, [("as it is", assumed), ("with the measured numbers", mended)])
     findings = [
         Finding(
             cause=cause,
@@ -243,7 +243,7 @@ def _measured(examined: Examined, found: Calibration, free: set[str]) -> list[tu
         measured.append(_measured_principal_point(examined, found))
     if "ray" in free:
         share = -found.of("ray")
-        text = f"depth is along the axis but for {share:.0%} of the ray's length"
+        text = f"depth is along the axis except for {share:.0%} of the ray's length"
         measured.append(("ray depth", text, "write depth along the axis", {"share": share}))
     return measured
 
@@ -260,7 +260,7 @@ def _measured_principal_point(examined: Examined, found: Calibration) -> tuple[s
         if near.all() and pixels[0] * pixels[1] > 0.0 and (within < _NEARLY).all():
             sign = "+" if pixels[0] > 0.0 else "-"
             text = f"the principal point is half a {whose} pixel off ({x:+.2f}, {y:+.2f} px, within {within.max():.2f})"
-            meant = "pixels' centres are not where the format has them"
+            meant = "pixel centres are not where the format puts them"
             return "half a pixel", f"{text}: {meant}", f"add {sign}0.5 to cx and cy", figures
     within = errors * look.frame.size
     text = f"the principal point is {-x:+.2f}, {-y:+.2f} px off (within {within[0]:.2f}, {within[1]:.2f})"

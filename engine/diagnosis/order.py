@@ -1,4 +1,4 @@
-"""Are the frames in the order of their recording, and does any occur twice?"""
+"""Are the frames in the order of their recording, and does any frame occur twice?"""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _REACH = 2.0
 
 
 class FrameOrder(NamedTuple):
-    """Steps between successive frames, in metres that the place they look at moves by.
+    """Steps between successive frames: the metres by which the place that they look at moves.
 
     ``given`` is the median step in the order of the names, ``shortest`` the median step of ``path``: an order found by
     always going to the nearest frame. ``rank`` is the median share of all frames that are nearer to a frame than its
@@ -66,7 +66,7 @@ def measure_order(scene: Scene, assumed: Assumption) -> FrameOrder | None:
 
 
 def _walk(distances: Floats, start: int) -> list[int]:
-    """From frame to nearest frame."""
+    """The order of a walk from each frame to the nearest one that is left."""
     left = distances.copy()
     path = [start]
     for _ in range(len(distances) - 1):
@@ -84,7 +84,7 @@ def _smoothness(places: Floats) -> float:
 
 
 def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
-    """Whether the frames are out of the order of their recording."""
+    """Whether the frames are not in the order of their recording."""
     if order is None or not order.is_shuffled:
         return []
     best = listed([scene.frames[number].name for number in order.path], 6)
@@ -93,7 +93,7 @@ def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
         Finding(
             cause="unsorted frames",
             severity="wrong",
-            text=f"frames are not in the order of the recording: what cameras look at moves by {order.given:.2f} m "
+            text=f"frames are not in the order of the recording: what the cameras look at moves by {order.given:.2f} m "
             f"from one frame to the next, and by {order.shortest:.2f} m in the order {best}",
             option="name the files in the order of the recording",
             figures={"step_m": order.given, "shortest_step_m": order.shortest, "nearer_share": order.rank},
@@ -111,13 +111,13 @@ def repeat_findings(scene: Scene) -> list[Finding]:
     if not repeated:
         return []
     shown = [frames[number] for number in repeated[0][::-1]]
-    count = "1 frame has" if len(repeated) == 1 else f"{len(repeated)} frames have"
+    count = "1 frame repeats" if len(repeated) == 1 else f"{len(repeated)} frames repeat"
     pairs = ", ".join(f"{frames[a].name} is {frames[b].name}" for a, b in repeated[:3])
     return [
         Finding(
             cause="repeated frames",
             severity="wrong",
-            text=f"{count} the picture of another one ({pairs})",
+            text=f"{count} the picture of another ({pairs})",
             option="leave them out; --fix OUT does",
             figures={"frames": float(len(repeated))},
             is_mended=True,

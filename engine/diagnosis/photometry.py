@@ -1,4 +1,4 @@
-"""Do the pictures show the surfaces that depth and poses say? The same surface is of the same grey in two pictures."""
+"""Do the pictures show the surfaces that depth and poses describe? A surface has the same grey in two pictures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .reprojection import Assumption, Examined
 _SAME_SURFACE = 0.5
 _FEWEST_POINTS, _FEWEST_PAIRS, _FEWEST_LOOKS = 30, 12, 6
 _LEAST_CONTRAST = 4.0
-"""Grey levels, as a deviation. Of a bare wall nothing can be told."""
+"""Grey levels, as a deviation. A bare wall tells nothing."""
 _BETTER = 0.1
 """Least gain of the mean correlation under another assumption about the pictures."""
 _CERTAIN = 5.0
@@ -23,7 +23,7 @@ _CERTAIN = 5.0
 
 
 class Taken(NamedTuple):
-    """Which picture is taken for a look: that of the frame so many places later (``lag``), ``mirrored`` or not."""
+    """Which picture is used for a look: that of the frame so many places later (``lag``), ``mirrored`` or not."""
 
     lag: int = 0
     mirrored: bool = False
@@ -83,7 +83,7 @@ def _correlations(examined: Examined, places: list[tuple[Floats, Floats]], taken
 
 
 def _photo(examined: Examined, look: int, taken: Taken) -> Photo | None:
-    """The picture taken for a look, where it is loaded."""
+    """The picture used for a look, where it is loaded."""
     return examined.photos.get(examined.looks[look].number + taken.lag)
 
 
@@ -114,8 +114,8 @@ def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
         Finding(
             cause=cause,
             severity="wrong",
-            text=f"{what}: where two views see the same surface, their greys correlate by {fit.before:.2f}, and by "
-            f"{fit.after:.2f} then ({fit.certainty:.0f} standard errors)",
+            text=f"{what}: where two views see the same surface, their greys correlate by {fit.before:.2f}, and then "
+            f"by {fit.after:.2f} ({fit.certainty:.0f} standard errors)",
             option=option,
             figures={"correlation": fit.before, "correlation_then": fit.after, "certainty": fit.certainty},
             picture=side_by_side([(photo.name, photo.grey), ("its depth", depth)]),
@@ -125,7 +125,7 @@ def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
 
 def _words(taken: Taken) -> tuple[str, str, str]:
     if taken.mirrored:
-        what = "pictures have left and right exchanged, depth and poses have not"
+        what = "left and right are swapped in the pictures, but not in depth and poses"
         return "mirrored colour", what, "mirror the colour images"
     way = "earlier" if taken.lag > 0 else "later"
     places = "1 frame" if abs(taken.lag) == 1 else f"{abs(taken.lag)} frames"

@@ -20,7 +20,7 @@ _QUANTILE = 0.3
 """Quantile of a pair's distances. Some points of any two views lie on surfaces that only one of them sees."""
 _LEAST_PAIRS, _LEAST_LAGS, _LEAST_EACH = 30, 6, 8
 _LEAST_ACROSS = 20
-"""Pairs of looks across a gap, and within the parts."""
+"""Least pairs of looks across a gap, and within each of the parts."""
 _NEAR = 3
 """Frames between two looks that count as neighbours."""
 _HALF, _ENOUGH = 0.5, 0.2
@@ -35,7 +35,7 @@ _CERTAIN = 5.0
 
 
 class Drift(NamedTuple):
-    """How far the surfaces of two looks are apart, by the frames between the looks.
+    """How far apart the surfaces of two looks are, by the number of frames between the looks.
 
     ``near`` and ``far`` are medians in metres: over the pairs of neighbours, and over the pairs at least half as far
     apart in time as any pair that sees the same surface. ``certainty`` is the rank correlation of distance and time in
@@ -50,7 +50,7 @@ class Drift(NamedTuple):
 
 
 class Gap(NamedTuple):
-    """The recording before a frame's ``number`` and from it on: how far surfaces are apart, in metres, as a median over
+    """The recording before a frame's ``number`` and from it on: how far apart surfaces are, in metres, as a median over
     the pairs of looks from both parts (``across``) and from one (``within``)."""
 
     number: int
@@ -132,9 +132,9 @@ def _gap_finding(examined: Examined, gap: Gap) -> Finding:
     return Finding(
         cause="parts apart",
         severity="wrong",
-        text=f"the poses before and from frame {name} on do not fit: surfaces that frames of both parts see are "
-        f"{gap.across * 100:.1f} cm apart, and {gap.within * 100:.1f} cm within the parts",
-        option="register the two parts to each other again, or lift one of them by a splits.json",
+        text=f"the poses before frame {name} do not fit those from it on: surfaces that both parts see are "
+        f"{gap.across * 100:.1f} cm apart, against {gap.within * 100:.1f} cm within the parts",
+        option="register the two parts to each other again, or lift only one of them with a splits.json",
         figures={"across_m": gap.across, "within_m": gap.within, "frame": name},
     )
 
@@ -149,7 +149,7 @@ def _drift_finding(drift: Drift) -> Finding:
         severity="wrong",
         text=f"poses drift: surfaces that two frames see are {drift.near * 100:.1f} cm apart between neighbours and "
         f"{drift.far * 100:.1f} cm between frames far apart in time ({drift.certainty:.0f} standard errors)",
-        option="register the frames again with loops closed, or lift parts of the recording by a splits.json",
+        option="register the frames again with loop closure, or lift parts of the recording with a splits.json",
         figures={"near_m": drift.near, "far_m": drift.far, "certainty": drift.certainty},
         picture=scatter(drift.lags, drift.distances, "across: frames between two views, up: distance of surfaces"),
     )
@@ -177,7 +177,7 @@ def _misplaced_finding(examined: Examined, rows: list[int]) -> Finding:
     return Finding(
         cause="frames out of place",
         severity="wrong",
-        text=f"{agrees} with no neighbour, while the neighbours agree with each other: {listed(names)}",
+        text=f"{agrees} with no neighbour, although the neighbours agree with each other: {listed(names)}",
         option="leave them out; --fix OUT does",
         figures={"frames": float(len(rows))},
         is_mended=True,

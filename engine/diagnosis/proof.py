@@ -1,4 +1,4 @@
-"""Is a mended scene better than the one it was made from? It is read again and measured before anybody gets it."""
+"""Is a mended scene better than the one it was made from? It is read again and measured before it is handed over."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _LOOKED_AT = 8
 _KEPT = 0.9
 """Least share of the depth that a mended scene keeps."""
 _NEAREST, _FARTHEST = 0.1, 50.0
-"""Metres between which the median depth has to be."""
+"""The median depth has to lie between these metres."""
 _NO_WORSE = 0.98
 
 
 def harm_of(scene: Scene, diagnosis: Diagnosis, folder: Path) -> str | None:
     """Why the mended scene in ``folder`` is no improvement on ``scene``, such as "most of the depth would be lost".
-    None if it is one: it opens, keeps its depth, is of a room's size, and its views agree far better.
+    None if it is one: it opens, keeps its depth, has the size of a room, and its views agree far better.
     """
     try:
         mended = open_scene(folder)
@@ -43,7 +43,7 @@ def harm_of(scene: Scene, diagnosis: Diagnosis, folder: Path) -> str | None:
     has_new_numbers = diagnosis.mending.assumed != Assumption() or diagnosis.mending.depth_shift != (0.0, 0.0)
     is_good = is_far_better(after, before) if has_new_numbers else after.mean >= _NO_WORSE * before.mean
     if not is_good:
-        return f"its views would agree in {after.share:.0%} of what two see, against {before.share:.0%} as it is"
+        return f"its views would agree on {after.share:.0%} of what two see, against {before.share:.0%} as it is"
     return None
 
 

@@ -71,7 +71,7 @@ def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registr
 
 
 def _distinct(looks: list[Look]) -> list[Look]:
-    """At most 32 looks spread over the recording, each of another place."""
+    """At most 32 looks spread over the recording, each of a different place."""
     rows = np.unique(np.linspace(0, len(looks) - 1, min(len(looks), _MOST)).round().astype(int))
     kept: list[Look] = []
     seen: list[Floats] = []
@@ -197,7 +197,7 @@ def _registration_finding(examined: Examined, found: Registration, is_depth: boo
     if is_depth:
         sides = [(abs(x), "to the left" if x > 0.0 else "to the right"), (abs(y), "above" if y > 0.0 else "below")]
         how = " and ".join(f"{pixels:.1f} px {side}" for pixels, side in sides if pixels >= 0.1)
-        text, option = f"depth lies {how} of where the colour images have it", f"move it; {FIX}"
+        text, option = f"depth lies {how} of where the colour images show it", f"move it; {FIX}"
     else:
         text = (
             f"depth is not registered to the colour images: its edges fit them scaled by {found.scale:.3f} and moved "

@@ -1,4 +1,4 @@
-"""Depth is carried into other views under an assumption about what the scene's numbers mean."""
+"""Depth is projected into other views under an assumption about what the scene's numbers mean."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Comparison(NamedTuple):
     ``error`` float64: logarithm of the depth seen over the depth expected, nan where the other view shows nothing.
     ``agrees`` float64: 1 for no error, 0 from 5 % on and where nothing is seen. ``known`` bool: the point exists.
     ``place`` float64 [P, M, 2]: in shares of the other picture, nan behind its camera. ``scale`` float64: distance
-    to the other camera over distance to the own one.
+    to the other camera over distance to its own.
     """
 
     error: Floats
@@ -67,7 +67,7 @@ class Comparison(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The surface that a look shows where points are projected to. ``distance`` float64 [N]: metres of the points
+    """The surface that a look shows where points project to. ``distance`` float64 [N]: metres by which the points lie
     above it along its ``normal`` float64 [N, 3], in the camera's axes. nan where there is none.
     """
 
@@ -112,7 +112,7 @@ class Views:
         return assumed_poses(self.recorded[meant], self.turn, assumed)
 
     def compare(self, pairs: NDArray[np.int64], assumed: Assumption, points: int | None = None) -> Comparison:
-        """Carry the first ``points`` points of each pair's first look into the second; pairs int64 [P, 2]."""
+        """Project the first ``points`` points of each pair's first look into the second; pairs int64 [P, 2]."""
         lens, poses = self.lens_of(assumed), self.poses_of(assumed)
         one, other = pairs[:, 0], pairs[:, 1]
         world, known = self.world_points(assumed, lens, poses, points)
@@ -163,7 +163,7 @@ class Views:
         return found
 
     def surface_at(self, look: int, local: Floats, assumed: Assumption, lens: Lens) -> Surface:
-        """The surface of a look where points, float64 [N, 3] in its camera's axes, are projected to."""
+        """The surface of a look where points, float64 [N, 3] in its camera's axes, project to."""
         safe = np.where(local[:, 2] > 1e-6, local[:, 2], 1.0)
         place = local[:, :2] / safe[:, None] * lens[:2] + lens[2:]
         step = np.maximum(1.0, np.round(self.size[look] / _NORMAL_GRAIN)) / self.size[look]
@@ -198,7 +198,7 @@ def lens_under(lens: Lens, aspect: Floats, assumed: Assumption) -> Lens:
 
 
 def assumed_poses(poses: Floats, turn: Floats, assumed: Assumption) -> Floats:
-    """Camera-to-world poses [F, 4, 4] under an assumption but for its lag. ``turn`` is that of ``Views``."""
+    """Camera-to-world poses [F, 4, 4] under an assumption, without its lag. ``turn`` is that of ``Views``."""
     if not (assumed.inverted or assumed.opengl or assumed.length != 1.0):
         return poses
     rotation, centre = turn.T @ poses[:, :3, :3], poses[:, :3, 3] @ turn

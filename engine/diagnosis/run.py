@@ -40,7 +40,7 @@ def diagnose(scene: Scene) -> Diagnosis:
         findings += pose_findings(examined, assumed)
         findings += blur_findings_on_surfaces(examined, assumed)
         pictures = picture_findings(examined, assumed)
-        if pictures:  # what depth's edges say of other pictures than its own is chance
+        if pictures:  # depth's edges fit pictures of other frames only by chance
             findings, shift = [each for each in findings if each.cause != SHIFT], (0.0, 0.0)
         findings += pictures
     findings += clipped_findings(examined.photos)
@@ -49,7 +49,7 @@ def diagnose(scene: Scene) -> Diagnosis:
     findings += table_findings(examined, assumed, _Z if tilt is None else tilt.axis)
     turn = None if tilt is None else turn_to_z(tilt.axis)
     is_sure = all(finding.is_mended for finding in findings if finding.cause in NUMBER_CAUSES)
-    if not is_sure:  # whatever was measured after a doubtful cause is as doubtful
+    if not is_sure:  # whatever was measured after a doubtful cause is just as doubtful
         findings = [replace(finding, is_mended=False) for finding in findings]
     mending = Mending(assumed, shift, turn, _dropped(findings)) if is_sure else Mending()
     return _diagnosis(scene, findings, mending, len(examined.looks), as_it_is)

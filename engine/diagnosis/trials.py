@@ -14,7 +14,7 @@ from .reprojection import Assumption, Views
 
 _UNITS = (1000.0, 100.0, 10.0, 6.5535, 5.0, 4.0, 2.54, 2.0, 1.6, 1.3107, 0.76295, 0.625, 0.5, 0.393701, 0.25, 0.2,
          1 / 6.5535, 0.1, 0.01, 0.001)  # fmt: skip
-"""Factors of depth. They cover metres for millimetres, 5000, 6553.5 or 4000 steps a metre for 1000, and inches."""
+"""Factors of depth, for metres read as millimetres, 5000, 6553.5 or 4000 steps per metre read as 1000, and inches."""
 _AS_GOOD = 0.995
 """A fitted value replaces a tried one where views agree at least this many times as well."""
 _SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
@@ -163,7 +163,7 @@ def _best(
 
 
 def _whose_lengths(views: Views, before: Assumption, found: FoundCause) -> FoundCause:
-    """Whether depth or poses have the other unit. Views cannot tell, but rooms have sizes."""
+    """Decide whether depth or poses have the wrong unit. Views cannot tell, but rooms have sizes."""
     factor = found.assumed.unit / before.unit
     depth = float(np.median(views.values[views.values > 0.0])) * before.unit
     is_room, becomes_room = (_NEAREST <= metres <= _FARTHEST for metres in (depth, depth * factor))

@@ -15,12 +15,12 @@ from .reprojection import Assumption, Examined, Views
 
 _CLEARLY_UP = 0.6
 _CONES = (40.0, 25.0, 15.0, 8.0, 5.0, 5.0, 5.0)
-"""Degrees about the axis within which normals count, one round after the other."""
+"""Degrees about the axis within which normals count, in successive rounds."""
 _LEAST_SHARE = 0.08
 _LEVEL = 5.0
 """Degrees. Normals this close to the axis belong to level surfaces, and this close to a right angle to walls."""
 _TILTED, _CERTAIN = 5.0, 5.0
-"""Degrees and standard errors. Floors are level to a degree, and so are scanners' worlds."""
+"""Degrees and standard errors. Floors are level to within a degree, and so are scanners' worlds."""
 _NAMED_WITHIN = 8.0
 """Degrees from an axis of the poses, within which the axis is named."""
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -85,7 +85,7 @@ def world_normals(views: Views, assumed: Assumption) -> list[tuple[Floats, NDArr
 def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding:
     """That the world is tilted, with the option that mends it."""
     turn = np.eye(3) if examined.scene.turn is None else examined.scene.turn
-    written = turn.T @ up.axis  # in the poses' own world, as --up has it
+    written = turn.T @ up.axis  # in the poses' own world, as --up takes it
     axis = max(_AXES, key=lambda name: abs(float(written @ _AXES[name])))
     cosine = float(written @ _AXES[axis])
     name = axis if cosine > 0.0 else f"-{axis}"

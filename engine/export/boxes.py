@@ -19,7 +19,7 @@ _AXES = {"centre": "xyz", "size": "xyz", "rotation": "wxyz"}
 
 
 def export_boxes(lift: FinishedLift, output: Path) -> None:
-    """boxes.json and boxes.csv (a column a number, such as size_x). Raises OSError."""
+    """boxes.json and boxes.csv (one column per number, such as size_x). Raises OSError."""
     boxes: list[dict[str, Any]] = [{field: getattr(one, field) for field in FIELDS} for one in lift.listed]
     content = {"up": "z", "unit": "m", "boxes": boxes}
     write_atomically(output / "boxes.json", json.dumps(content, indent=1, ensure_ascii=False) + "\n")

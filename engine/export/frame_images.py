@@ -1,4 +1,4 @@
-"""Images of every frame: COCO panoptic, class and instance ids as 16-bit PNGs, the same as ScanNet names them,
+"""Images of every frame: COCO panoptic, class and instance ids as 16-bit PNGs, the same under ScanNet's names, and
 depth."""
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def export_scannet(lift: FinishedLift, output: Path) -> None:
     """label-filt/<frame>.png and instance-filt/<frame>.png, 16 bits, 0 = none, as in ScanNet's own folders. The ids are
     those of the lift's classes, which labels.tsv names. Raises as ``export_label_images``.
 
-    ScanNet's instance images count the objects of a scene from 1, stuff included; here stuff has none.
+    ScanNet's instance images count the objects of a scene from 1, stuff included; here stuff has no instances.
     """
     for frame, layers in lift.views():
         write_atomically(output / "label-filt" / f"{frame.name}.png", id_bytes(layers.semantic, output))
@@ -106,7 +106,7 @@ def export_scannet(lift: FinishedLift, output: Path) -> None:
 
 
 def export_depth(lift: FinishedLift, output: Path) -> None:
-    """<frame>.npy: planar depth float32 [H, W] in metres, 0 = none. ``lift --depth`` takes such a folder where there is
+    """<frame>.npy: planar depth float32 [H, W] in metres, 0 = none. ``lift --depth`` reads such a folder where there is
     no sensor. Raises OSError."""
     for frame, layers in lift.views():
         depth = np.where(layers.combined[..., 3] >= LEAST_COVERAGE, layers.depth, np.float32(0))

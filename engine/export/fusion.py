@@ -15,11 +15,11 @@ VOXEL = 0.02
 FARTHEST = 8.0
 """Metres beyond which rendered depth is not fused."""
 LEAST_VIEWS = 2
-"""Views that have to see a voxel."""
+"""The number of views that have to see a voxel."""
 _TRUNCATION = 4.0
 """Voxels on each side of the surface that a view changes."""
 _BLOCKS = 20_000
-"""Blocks of voxels that memory is reserved for at first. Open3D takes more when it needs them."""
+"""The blocks of voxels for which memory is reserved at first. Open3D takes more when it needs them."""
 
 Ints = NDArray[np.int64]
 
@@ -45,7 +45,7 @@ class SmallView:
 
 
 def fuse(views: Sequence[SmallView]) -> Surface:
-    """The zero level of the field of all views. Normals point to where the cameras are."""
+    """The zero level of the field of all views. Normals point towards the cameras."""
     import open3d.core
     import open3d.t.geometry as geometry
 
@@ -62,7 +62,7 @@ def fuse(views: Sequence[SmallView]) -> Surface:
     if not grid.hashmap().size():
         none = np.empty((0, 3), np.float32)
         return Surface(none, none.astype(np.uint8), none, none.astype(np.int64))
-    # Open3D wants more than this weight, and each view weighs 1. Its vertices lie on the edges of the grid, so grazing
+    # Open3D needs more than this weight, and each view weighs 1. Its vertices lie on the edges of the grid, so grazing
     # views leave steps: one round of smoothing brings the vertices nearer to the true surface.
     mesh = grid.extract_triangle_mesh(LEAST_VIEWS - 0.5).to_legacy().filter_smooth_simple(1).normalize_normals()
     xyz, normal, rgb = (np.asarray(each) for each in (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors))
@@ -77,8 +77,8 @@ def fuse(views: Sequence[SmallView]) -> Surface:
 
 
 def _in_order(surface: Surface) -> Surface:
-    """The same surface with vertices and triangles sorted, as Open3D's threads leave them in another order each time.
-    Vertices at one place, which it leaves where blocks of voxels meet, become one."""
+    """The same surface with vertices and triangles sorted, as Open3D's threads return them in a different order each
+    time. Vertices in the same place, which it leaves where blocks of voxels meet, become one."""
     order = np.lexsort(np.concatenate([surface.normal, surface.xyz], axis=1).T)
     xyz = surface.xyz[order]
     is_first = np.ones(len(xyz), bool)
@@ -88,7 +88,7 @@ def _in_order(surface: Surface) -> Surface:
     triangles = number[surface.triangles]
     triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
     first = triangles.argmin(axis=1)[:, None]
-    triangles = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)  # turned, so that normals stay
+    triangles = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)  # rotated, which keeps normals
     triangles = triangles[np.lexsort(triangles.T[::-1])]
     kept = order[is_first]
     return Surface(surface.xyz[kept], surface.rgb[kept], surface.normal[kept], triangles)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _FLOAT, _WHOLE, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
-"""glTF's numbers for float32, uint32, and what buffers hold."""
+"""glTF's codes for float32, uint32, and what buffers hold."""
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 
 
@@ -34,7 +34,7 @@ def glb_bytes(
         views.append({"buffer": 0, "byteOffset": len(body), "byteLength": values.nbytes, "target": target})
         accessors.append({"bufferView": number, "componentType": kind, "count": len(values), "type": shape})
         body += values.tobytes()
-    accessors[0] |= {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}  # asked for of positions
+    accessors[0] |= {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}  # required for positions
     attributes = {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}
     content = {
         "asset": {"version": "2.0", "generator": "PLGS for Blender"},

@@ -1,4 +1,4 @@
-"""A fused surface mended: small holes closed, and crumbs of an object that lie far from it taken from it."""
+"""A fused surface mended: small holes are closed, and crumbs far from their object are taken away from it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..posed.labelled_surface import triangles_by_label
 from .fusion import Ints, Surface
 
 HAND = 0.1
-"""Metres that a hole measures at most, along each axis, to be closed. A crumb of stuff has at most its square."""
+"""The largest size in metres, along each axis, of a hole that is closed. Its square is the largest crumb of stuff."""
 CRUMB = 0.1
 """Share of the largest piece's area below which a piece of a mesh is small."""
 FAR = 0.2
@@ -24,8 +24,8 @@ def close_holes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     """The surface and its vertices' labels [V] with a fan in each hole of at most a HAND, around a new vertex in its
     middle.
 
-    A hole is a ring of open edges. The rim of a scrap is one, too, and stays open: there the surface reaches no further
-    than the ring.
+    A hole is a ring of open edges. The rim of a scrap is one too, and stays open: there the surface does not extend
+    beyond the ring.
     """
     rim = open_edges(surface.triangles)
     if not len(rim):
@@ -35,7 +35,7 @@ def close_holes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     _, ring, count = np.unique(ring, return_inverse=True, return_counts=True)
 
     def mean(values: NDArray[np.generic]) -> NDArray[np.float64]:
-        """Of the vertices of each hole."""
+        """Mean over each hole's rim vertices."""
         sums = [np.bincount(ring, column, len(count)) for column in values[rim[:, 0]].T]
         return np.stack(sums, axis=-1) / count[:, None]
 
@@ -67,7 +67,7 @@ def _rings(surface: Surface, rim: Ints) -> tuple[Ints, NDArray[np.bool_]]:
 
 
 def open_edges(triangles: Ints) -> Ints:
-    """The edges [E, 2] with a triangle on one side alone, directed as in that triangle [T, 3]."""
+    """The edges [E, 2] with a triangle on only one side, directed as in that triangle [T, 3]."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     there, back = edges @ np.array([_KEYS, 1]), edges @ np.array([1, _KEYS])
     return edges[~np.isin(there, back)]
@@ -76,8 +76,8 @@ def open_edges(triangles: Ints) -> Ints:
 def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -> Ints:
     """The labels [V] without crumbs: small pieces of a label's mesh, far from its large ones.
 
-    A crumb gets the label that most of its neighbours on the surface have, and 0 where it has none. Stuff, which
-    ``is_stuff`` [V] tells, is in pieces by its nature, such as the wall between two pictures: only its smallest are
+    A crumb gets the label that most of its neighbours on the surface have, and 0 where it has none. Stuff, marked by
+    ``is_stuff`` [V], is naturally in pieces, such as the wall between two pictures: only its smallest pieces are
     crumbs.
     """
     number, crumbs, stays = np.full(len(label), -1, np.int64), 0, np.zeros(len(label), np.bool_)
@@ -113,7 +113,7 @@ def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
 
 
 def _pieces(joined: Ints, count: int) -> Ints:
-    """The connected piece [count] of each vertex; the rows of ``joined`` [N, 2 or 3] hang together."""
+    """The connected piece [count] of each vertex; each row of ``joined`` [N, 2 or 3] connects its vertices."""
     first, last = joined[:, :-1].ravel(), joined[:, 1:].ravel()
     graph = coo_matrix((np.ones(len(first), np.int8), (first, last)), (count, count))
     return connected_components(graph, directed=False)[1].astype(np.int64)

@@ -1,8 +1,8 @@
-"""The lifted scene as meshes: rendered depth fused into one surface, cut into a mesh an instance and one a stuff class.
+"""The lifted scene as meshes: rendered depth fused into one surface, cut into one mesh per instance and stuff class.
 
-One truncated signed distance field takes all views (`fusion`). Its surface's vertices are then labelled by the views
+One truncated signed distance field collects all views (`fusion`). Its surface's vertices are then labelled by the views
 that see them: each votes with what it shows there. So the meshes meet where the labels change, without gaps. Small
-holes are closed, and what lies far from its object is taken from it (`mending`).
+holes are closed, and pieces far from their object are taken from it (`mending`).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ MOST_INSTANCES = 1 << 16
 
 
 def export_mesh(lift: FinishedLift, output: Path) -> None:
-    """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one an instance
-    and one a stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
+    """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
+    instance and stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
     surface, label = mended(*fused(lift))
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
     columns = {
@@ -88,7 +88,7 @@ def _small(frame: Frame, layers: PanopticLayers) -> SmallView:
 
 
 def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView]) -> NDArray[np.int64]:
-    """The label that most views show at each vertex, of those whose depth is there; 0 where none is. int64 [V]."""
+    """The label that most of the views whose depth is there show at each vertex; 0 where none is. int64 [V]."""
     known = np.unique(np.concatenate([np.unique(view.label) for view in views]))
     votes = np.zeros((len(xyz), len(known)), np.uint16)
     for view in views:
@@ -104,7 +104,7 @@ def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView]) -> NDArray[n
 
 
 def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mapping[int, str]) -> dict[int, str]:
-    """File names of the labels: an instance's own, or its class's where it is none. Void has none."""
+    """File names of the labels: an instance's own, or that of the class where there is no instance. Void has none."""
     names = {}
     for value in labels.tolist():
         class_id, instance = divmod(value, MOST_INSTANCES)
@@ -115,7 +115,7 @@ def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mappi
 
 
 def _glb(name: str, surface: Surface, triangles: NDArray[np.int64]) -> bytes:
-    """The part of the surface that these triangles are."""
+    """The part of the surface that consists of these triangles."""
     used, corners = np.unique(triangles, return_inverse=True)
     xyz, normal = _upright(surface.xyz[used]), _upright(surface.normal[used])
     return glb_bytes(name, xyz, normal, linear(surface.rgb[used] / 255), corners.reshape(-1, 3))

@@ -15,7 +15,7 @@ from .frame_images import LEAST_COVERAGE
 from .source import FinishedLift
 
 NEIGHBOURS = 30
-"""Nearest points that a normal is fitted to."""
+"""The number of nearest points that a normal is fitted to."""
 
 
 def export_points(lift: FinishedLift, output: Path) -> None:

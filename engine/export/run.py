@@ -29,14 +29,14 @@ def export(
     """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (of KINDS) into the folder ``output``.
     With a file of ``cameras``, which only clouds take, write what these see instead.
 
-    The folder must be new or empty, or hold this very export, cut off or whole, so that no other files are overwritten.
-    An output in the lift's own folder ``exports`` is made anew.
+    The folder must be new or empty, or hold this very export, complete or not, so that no other files are overwritten.
+    An output in the lift's own folder ``exports`` is replaced.
 
     Raises PlgsError for a lift that is not finished or is damaged, for bad cameras, and for an output that holds other
     files; OSError.
     """
     if cameras is not None and kind != "clouds":
-        what = f"{kind} is of the scene's frames"
+        what = f"{kind} can only show the scene's frames"
         raise PlgsError(what, cameras, "Give --frames, or export clouds.", option="--cameras")
     verify_lifted(folder.result_path)
     lift = FinishedLift(folder, frames, progress, cameras)
@@ -48,7 +48,7 @@ def export(
 def make_room(folder: LiftFolder, output: Path, export: Mapping[str, object]) -> None:
     """Make the folder, with the facts of ``export`` in its note. Raises PlgsError where other files are, OSError."""
     if output.exists() and not output.is_dir():
-        raise PlgsError("the export needs a folder, this is a file", output, "Name another one.")
+        raise PlgsError("the export needs a folder, but this is a file", output, "Name another one.")
     text, note = json.dumps(export, indent=1) + "\n", output / NOTE
     if output.resolve().is_relative_to(folder.path.resolve() / "exports"):
         shutil.rmtree(output, ignore_errors=True)

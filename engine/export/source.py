@@ -20,12 +20,12 @@ from ..scene import Camera, ClassTable, Frame, Scene
 from ..scene_of_lift import scene_of_lift
 
 Progress = Callable[[int, int], object]
-"""Called after each view with the views done and their number. What it raises ends the work."""
+"""Called after each view with the number of views done and of all. An error that it raises ends the work."""
 
 
 @dataclass(frozen=True, eq=False)
 class FinishedLift:
-    """A lift and the frames of it to export. Each attribute is read when it is asked for, and then raises PlgsError or
+    """A lift and the frames of it to export. Each attribute is read when it is first used, and then raises PlgsError or
     OSError."""
 
     folder: LiftFolder
@@ -94,7 +94,7 @@ class FinishedLift:
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:
-    """Whether baked passes show these corrections. A damaged file is for its reader to tell."""
+    """Whether baked passes show these corrections. A damaged file is left to its reader."""
     try:
         return (read_note(baked, CORRECTIONS_NOTE) or "") == corrections
     except ValueError:

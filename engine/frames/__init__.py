@@ -1,4 +1,4 @@
-"""A scene's frames as files that any program opens: undistorted pictures, depth and masks in colours, a cloud."""
+"""A scene's frames as files that any program can open: undistorted pictures, depth and masks in colours, a cloud."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..scene import Camera
 
 _CELLS_DEEP = 200.0
-"""Cells in the median depth of the first frame: a cell is about a centimetre in a room."""
+"""The number of cells in the median depth of the first frame: a cell is about a centimetre in a room."""
 _SIDE = 2**20
 """Cells along an axis, from -_SIDE to _SIDE."""
 
@@ -26,7 +26,7 @@ class ColouredCloud:
 class CloudBuilder:
     """Collects pixels in cells of a grid; a cell becomes one point, the mean of its pixels.
 
-    When more than ``cap`` cells are taken, each eight of them become one, so that memory stays bounded.
+    When more than ``cap`` cells are taken, every eight of them become one, so that memory stays bounded.
     """
 
     def __init__(self, cap: int = 400_000) -> None:
@@ -35,7 +35,7 @@ class CloudBuilder:
         self._sums = np.zeros((0, 7))  # x y z r g b count
 
     def add(self, camera: Camera, depth: NDArray[np.float32], colour: NDArray[np.uint8], stride: int = 1) -> None:
-        """A frame: depth float32 [H, W] metres (0 = none) and colour uint8 [H, W, 3], of ``camera``'s size. Every
+        """Add a frame: depth float32 [H, W] metres (0 = none) and colour uint8 [H, W, 3], of ``camera``'s size. Every
         ``stride``-th row and column is taken.
         """
         seen = depth[::stride, ::stride] > 0.0
@@ -57,7 +57,7 @@ class CloudBuilder:
         return ColouredCloud(mean[:, :3].astype(np.float32), np.rint(mean[:, 3:]).astype(np.uint8))
 
     def _merge(self, cells: NDArray[np.int64], sums: NDArray[np.float64]) -> None:
-        """One row a cell, in the cells' order."""
+        """Keep one row per cell, in the order of the cells."""
         x, y, z = (cells + _SIDE).T
         _, first, cell = np.unique((x * 2 * _SIDE + y) * 2 * _SIDE + z, return_index=True, return_inverse=True)
         self._cells = cells[first]

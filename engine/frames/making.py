@@ -21,11 +21,11 @@ from .cloud import CloudBuilder
 
 KINDS = ("colour", "depth", "masks", "cloud")
 Progress = Callable[[int, int], object]
-"""Is called after each frame with the frames done and their number. Its errors end the work."""
+"""Called after each frame with the number of frames done and of all. An error that it raises ends the work."""
 
 _JPEG_QUALITY = 95
 _CLOUD_FRAMES, _CLOUD_PIXELS = 300, 8_000_000
-"""Frames, evenly spread, and pixels of them that the cloud is made of, about, at most."""
+"""About the largest numbers of frames, evenly spread, and of their pixels that the cloud is made of."""
 
 
 def make_frames(
@@ -78,8 +78,8 @@ def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
     known = {frame.name for frame in scene.frames}
     strange = sorted(set(names or ()) - known)
     if strange:
-        fix = "Give names that inspect and Blender's cameras show."
-        raise PlgsError("is not a frame of the scene", strange[0], fix)
+        fix = "Give names as inspect and Blender's cameras show them."
+        raise PlgsError("this is not a frame of the scene", strange[0], fix)
     return known if names is None else set(names)
 
 
@@ -114,7 +114,7 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
             made = replace(made, depth_range=(drawn.near, drawn.far))
         made = replace(made, depth=path)
     if "masks" in kinds and frame.read_mask is not None:
-        # The file of a mask is its reader's secret, so masks are drawn anew each time.
+        # Only its reader knows the file of a mask, so masks are drawn anew each time.
         path = folder / "masks" / f"{frame.name}.png"
         _write_image(path, mask_colours(frame.read_mask(None), scene.classes))
         made = replace(made, masks=path)

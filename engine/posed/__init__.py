@@ -1,4 +1,4 @@
-"""Where were the pictures taken? Cameras, classes, posed frames and plain folders; numpy alone, for Blender's sake."""
+"""Where were the pictures taken? Cameras, classes, posed frames and plain folders; only numpy, for Blender's sake."""
 
 from __future__ import annotations
 

@@ -18,9 +18,9 @@ from ..errors import PlgsError
 from ..gates import open_plain, read_plain
 
 MOST_BYTES = 1 << 28
-"""Bytes of all unpacked arrays of a file, at most: some five million labelled points."""
+"""The largest size of all unpacked arrays of a file in bytes: some five million labelled points."""
 LARGEST_PICTURE = 1 << 30
-"""Bytes of an array with one frame's masks, at most."""
+"""The largest size of an array with one frame's masks in bytes."""
 _NO_ARRAYS = "this is not a NumPy file of numbers, or it is cut off"
 _SAVE_FIX = "Write it again with numpy.save."
 _DAMAGED = (
@@ -45,7 +45,7 @@ def read_npz(
             wanted = {name: entries[name] for name in (entries if names is None else names)}
             size = sum(entry.file_size for entry in wanted.values())
             if size > most_bytes:
-                what = f"it would unpack to {size / 1e6:.0f} MB, at most {most_bytes / 1e6:.0f} may be"
+                what = f"it would unpack to {size / 1e6:.0f} MB, but at most {most_bytes / 1e6:.0f} MB are allowed"
                 raise PlgsError(what, path, fix)
             return {name: _array(BytesIO(archive.read(entry))) for name, entry in wanted.items()}
     except PlgsError:
@@ -120,9 +120,9 @@ def _header(file: IO[bytes], path: Path) -> ArrayHeader:
     version = np.lib.format.read_magic(file)
     shape, _, dtype = _HEADERS.get(version, np.lib.format.read_array_header_2_0)(file)
     if dtype.hasobject:
-        fix = "Save numbers with numpy.save, and what belongs to them as JSON."
+        fix = "Save numbers with numpy.save, and other data as JSON."
         raise PlgsError("this is a pickled array, which could run code when it is read", path, fix)
     if float(np.prod(shape, dtype=np.float64)) * dtype.itemsize > LARGEST_PICTURE:
         sides = " x ".join(map(str, shape))
-        raise PlgsError(f"an array of {sides} numbers is too large for a picture", path, "Save one frame a file.")
+        raise PlgsError(f"an array of {sides} numbers is too large for a picture", path, "Save one frame per file.")
     return ArrayHeader(tuple(shape), dtype.kind)

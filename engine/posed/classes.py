@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from ..gates import one_line
 
 LARGEST_ID = 65535
-"""Largest id of a class or of a result's instance: tables by id (palettes, label images of 16 bits) stay small."""
+"""The largest id of a class or of a result's instance: tables by id (palettes, label images of 16 bits) stay small."""
 VOID = 0
 """Class id of pixels without a label. It is never predicted."""
 LARGEST_CLASS_ID = LARGEST_ID - 1

@@ -176,7 +176,7 @@ def test_undo_after_all_was_read_again(lift: Path) -> None:
     ("make", "line"),
     [
         (lambda s, _: m.rename(s, 77, "x"), "there is no object 77.*objects are 1, 2, 3"),
-        (lambda s, _: m.rename(s, DESK, "\n"), "is no name"),
+        (lambda s, _: m.rename(s, DESK, "\n"), "is not a name"),
         (lambda s, _: m.reclass(s, [DESK], 99), "there is no class 99"),
         (lambda s, _: m.merge(s, [DESK, DESK]), "merged with itself"),
         (lambda s, free: m.split(s, DESK, m.parts_of(s.points_of(DESK)), free), "does not fall into parts"),
@@ -196,7 +196,7 @@ def test_another_lift_of_the_scene_takes_what_it_knows(tmp_path: Path, lift: Pat
     again = write_result(tmp_path / "again", shift=0.013, without=CRUMB)
     shutil.copy(lift / CORRECTIONS, again)
     result = read_corrected(again)
-    assert result.warnings == [f"delete of {result.edits[1].time} is not applied: there is no object {CRUMB}"]
+    assert result.warnings == [f"delete of {result.edits[1].time} was not applied: there is no object {CRUMB}"]
     found = objects(again)
     assert found[DESK].name == "desk"
     assert sorted(round(found[one].centre[0], 1) for one in (CHAIRS, 4)) == [0.2, 1.2]
@@ -207,7 +207,7 @@ def test_corrections_of_another_scene(tmp_path: Path, lift: Path) -> None:
     other = write_result(tmp_path / "other", shift=7.0)
     shutil.copy(lift / CORRECTIONS, other)
     result = read_corrected(other)
-    assert "object 2 (table 1) is another one here" in result.warnings[0] and not result.fingerprint
+    assert "object 2 (table 1) is a different one here" in result.warnings[0] and not result.fingerprint
 
 
 def test_a_thousand_edits(lift: Path) -> None:
@@ -267,7 +267,7 @@ def test_masks_that_separate_an_object_are_told(lift: Path) -> None:
         return [(one.reason, one.answer, one.frame) for one in found if one.answer == BY_VIEWS]
 
     whole = [(frame, 100) for frame in range(6)]
-    assert proposed(*whole, (1, 60), (3, 90)) == [("masks of 2 of 6 frames separate it", BY_VIEWS, "3")]
+    assert proposed(*whole, (1, 60), (3, 90)) == [("the masks of 2 of 6 frames separate it", BY_VIEWS, "3")]
     assert proposed(*whole, (1, 5), (3, 90)) == []  # a crumb, and a single frame
     assert proposed(*((frame, 100) for frame in range(12)), (1, 60), (3, 90)) == []  # cut by something in front
 
