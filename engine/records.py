@@ -1,7 +1,7 @@
 """Records: dataclasses whose annotations say what their JSON holds.
 
 A field is a text, a number, true or false, a path, a Literal, a tuple, a mapping from texts, another record, Json, or a
-union of these. A field with a default may be absent, and is left out when it is empty as well as the default. Its
+union of these. A field with a default may be absent, and is left out when both it and the default are empty. Its
 metadata says more: ``least`` and ``most`` bound its numbers, ``longest`` its text, ``shown`` makes its text fit for one
 line, ``inside`` says that its path leads into the folder of the file, and ``apart`` that it is not in the file.
 """
@@ -52,24 +52,24 @@ def read_record(kind: type[Record], path: Path, fix: str, version: int = 1, **ap
 
 
 def refuse_other_format(content: dict[str, Any], path: Path | str, version: int = 1) -> None:
-    """Take the number of the format out of a file's content. Raises PlgsError for another one than ``version``."""
+    """Take the number of the format out of a file's content. Raises PlgsError if it is not ``version``."""
     found = content.pop("format", None)
     if found != version or isinstance(found, bool):
-        what = f"has format {found!r}, this version reads {version}"
+        what = f"the file has format {found!r}, but this version reads {version}"
         raise PlgsError(what, path, "Use the version of PLGS that wrote it.")
 
 
 def record_of(
     kind: type[Record], content: Mapping[str, Any], path: Path | str, fix: str, context: str = "", **apart: Any
 ) -> Record:
-    """The record of a JSON object out of the file ``path``. ``context`` is its place there, such as "files[3]".
+    """The record of a JSON object from the file ``path``. ``context`` is its place there, such as "files[3]".
 
-    Raises PlgsError that names the file, the key and what it has to be.
+    Raises a PlgsError that names the file, the key and what it has to be.
     """
     declared = {each.name: each for each in _written(kind)}
     unknown = sorted(set(content) - set(declared))
     if unknown:
-        what = f"has {', '.join(map(repr, unknown))}{_of(context)}, which this version does not know"
+        what = f"the file has {', '.join(map(repr, unknown))}{_of(context)}, which this version does not know"
         raise PlgsError(what, path, "Remove it, or use the version of PLGS that wrote it.")
     values, hints = dict(apart), _hints(cast(Any, kind))
     for name, each in declared.items():
@@ -77,7 +77,7 @@ def record_of(
         if name in content:
             values[name] = _Reader(path, fix, each.metadata).value(hints[name], content[name], key)
         elif each.default is MISSING and each.default_factory is MISSING:
-            raise PlgsError(f"has no '{key}'", path, fix)
+            raise PlgsError(f"the file has no '{key}'", path, fix)
     try:
         return kind(**values)
     except ValueError as error:
@@ -119,7 +119,7 @@ class _Reader:
         return found
 
     def _one_of(self, kinds: tuple[Any, ...], given: Any, key: str) -> Any:
-        """The first kind that fits; the last one's error tells what is wrong."""
+        """The first kind that fits; the last one's error says what is wrong."""
         kinds = tuple(each for each in kinds if (each is NoneType) == (given is None))
         for each in kinds[:-1]:
             try:

@@ -1,4 +1,4 @@
-"""The scene of a lift with its pixels: where its request says, else, when it was moved, its cameras alone."""
+"""The scene of a lift with its pixels, where its request says; where it was moved, its cameras alone."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
 
 
 def remember_scene(folder: LiftFolder, scene: Scene) -> None:
-    """Write the cameras of a lift's scene, and what its masks are known by, beside its request. Raises PlgsError for
-    a mask that cannot be read, OSError."""
+    """Write the cameras of a lift's scene, and the digest of its masks, beside its request. Raises PlgsError for a mask
+    that cannot be read, OSError."""
     write_known(folder, scene, digest_of_masks(scene))
 
 
 def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
-    """Write scene.json anew where an earlier version wrote it without what Blender needs, or not at all."""
+    """Write scene.json again where an earlier version wrote it without what Blender needs, or not at all."""
     known = read_known(folder)
     if os.path.exists(scene.folder) and (known is None or not known.layout):
         write_known(folder, scene, "" if known is None else known.masks)
@@ -58,8 +58,8 @@ def is_done(folder: LiftFolder) -> bool:
 
 
 def have_masks_changed(folder: LiftFolder, scene: Scene | None = None) -> bool:
-    """Whether masks of a lift's ``scene``, opened where it is not given, are others than when the lift was last run.
-    False where that is not known, or the scene is gone. Raises PlgsError."""
+    """Whether the masks of a lift's ``scene``, opened where it is not given, differ from those when the lift was last
+    run. False where that is not known, or the scene is gone. Raises PlgsError."""
     known = read_known(folder)
     if known is None or not known.masks or not os.path.exists(folder.request.scene):
         return False
@@ -80,7 +80,7 @@ def digest_of_masks(scene: Scene) -> str:
 def relink(folder: LiftFolder, place: Path) -> LiftFolder:
     """Let a lift's request name its scene at another ``place``. Masks and depth maps that lay in it move along.
 
-    Raises PlgsError when a program works at the lift, when what is there cannot be read, or has other frames: other
+    Raises PlgsError when a program works on the lift, when what is there cannot be read, or has other frames: other
     names, sizes, lenses or poses. Then the request stays as it was.
     """
     if folder.is_running:
@@ -101,9 +101,9 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
     there = {frame.name: frame for frame in scene.frames}
     for frame in known:
         if frame.name not in there:
-            raise PlgsError(f"is another scene: it has no frame {frame.name}", scene.folder, FIND_SCENE)
+            raise PlgsError(f"this is another scene: it has no frame {frame.name}", scene.folder, FIND_SCENE)
         if not _is_same(frame.camera, there[frame.name].camera):
-            raise PlgsError(f"is another scene: the camera of frame {frame.name} differs", scene.folder, FIND_SCENE)
+            raise PlgsError(f"this is another scene: the camera of {frame.name} differs", scene.folder, FIND_SCENE)
 
 
 def _gone(scene: Path) -> Callable[[Any], NoReturn]:

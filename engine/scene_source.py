@@ -1,4 +1,4 @@
-"""Which scene is meant, and how it is read: what commands, requests and the panel hand on.
+"""Which scene is meant, and how it is read: what commands, requests and the panel pass on.
 
 A field's metadata holds the keywords of `argparse` for the ``option`` of the command line that sets it.
 """
@@ -24,7 +24,7 @@ def option(help: str, metavar: str, type: Any = str, **more: Any) -> dict[str, A
 def up_axis(text: str) -> str:
     """What --up means; for argparse, so it raises ArgumentTypeError."""
     if text not in UP_OPTIONS:
-        raise ArgumentTypeError(f"{text!r} is none of {', '.join(UP_OPTIONS)}")
+        raise ArgumentTypeError(f"{text!r} is not one of {',  '.join(UP_OPTIONS)}")
     return UP_OPTIONS[text]
 
 
@@ -44,7 +44,7 @@ class SceneSource:
     """
 
     scene: Path
-    masks: Path | None = field(default=None, metadata=option("panoptic masks, where not in SCENE itself", "PATH", Path))
+    masks: Path | None = field(default=None, metadata=option("panoptic masks, if not in SCENE itself", "PATH", Path))
     up: UpAxis = field(
         default="z",
         metadata=option(
@@ -56,7 +56,7 @@ class SceneSource:
     scene_format: str | None = field(
         default=None,
         metadata=option(
-            "how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its looks)", "NAME"
+            "how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its files)", "NAME"
         ),
     )
     depth: Path | None = field(
@@ -65,7 +65,7 @@ class SceneSource:
     mask_format: str | None = field(
         default=None,
         metadata=option(
-            "how the masks are laid out, such as coco, transformers, sam2, pairs (default: recognised by their looks)",
+            "how the masks are laid out, such as coco, transformers, sam2, pairs (default: recognised by their files)",
             "NAME",
         ),
     )
@@ -86,7 +86,7 @@ class SceneSource:
 
     @property
     def resolved(self) -> SceneSource:
-        """The same by absolute paths without links."""
+        """The same with absolute paths without links."""
         masks, depth = (None if path is None else path.resolve() for path in (self.masks, self.depth))
         classes = None if self.classes is None else class_table(self.classes)
         return SceneSource(self.scene.resolve(), masks, self.up, self.scene_format, depth, self.mask_format, classes)

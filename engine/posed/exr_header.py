@@ -1,4 +1,4 @@
-"""Headers of OpenEXR files, by the standard library alone: Blender's Python has no OpenEXR."""
+"""Headers of OpenEXR files, read with the standard library alone: Blender's Python has no OpenEXR."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .limits import LARGEST_PIXELS
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _HEADER_SIZES = (2**18, 2**26)
-"""Bytes that are read of a header, first and at most. Cryptomatte's names of thousands of objects take megabytes."""
+"""Bytes of a header that are read at first, and at most. Cryptomatte's names of thousands of objects take megabytes."""
 _MOST_NUMBERS = 2**30
-"""Numbers in all channels of all parts, at most: the library reads them all."""
+"""The largest number of values in all channels of all parts, as the library reads them all."""
 _MOST_PARTS = 1024
 _TILED, _DEEP, _PARTS = 0x200, 0x800, 0x1000
 """Flags of the version."""
@@ -61,7 +61,7 @@ def read_exr_header(path: Path) -> ExrHeader:
     numbers = sum(width * height * max(1, count) for width, height, count in stored)
     if numbers > _MOST_NUMBERS:
         count = sum(one[2] for one in stored)
-        raise PlgsError(f"{count} channels are too many to read", path, "Write the masks' channels alone.")
+        raise PlgsError(f"{count} channels are too many to read", path, "Write only the masks' channels.")
     return ExrHeader(size, (x - left, y - top), channels, texts, numbers)
 
 

@@ -1,6 +1,6 @@
 """The names of formats of scenes and masks and of public class tables, as options, messages and Blender show them.
 
-``formats/`` and ``mask_formats/`` have a reader for each; a test sees to it that these tables name them all.
+``formats/`` and ``mask_formats/`` have a reader for each; a test checks that these tables name them all.
 """
 
 from __future__ import annotations

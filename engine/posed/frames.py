@@ -76,7 +76,7 @@ class PosedScene:
 
 
 def size_within(size: Size, box: Size) -> Size:
-    """``size`` (width, height) brought into ``box`` with its aspect kept; never enlarged."""
+    """``size`` (width, height) reduced to fit into ``box`` with its aspect kept; never enlarged."""
     width, height = size
     scale = min(1.0, box[0] / width, box[1] / height)
     return max(1, round(width * scale)), max(1, round(height * scale))

@@ -24,7 +24,7 @@ _JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _TAIL = 4096
 MOST_PIXELS = 160_000_000
-"""Pixels of an image, at most. No camera has more; decoded, they take half a gigabyte."""
+"""The largest number of pixels of an image. No camera has more; decoded, they take half a gigabyte."""
 _MOST_BYTES = 1 << 29
 
 
@@ -45,7 +45,7 @@ class ImageHeader:
 
 
 def read_image_header(path: Path) -> ImageHeader:
-    """Read the header of a PNG or JPEG and see that the file has an end. Raises PlgsError."""
+    """Read the header of a PNG or JPEG and check that the file has an end. Raises PlgsError."""
     try:
         with open_plain(path) as file:
             start = file.read(33)
@@ -70,7 +70,7 @@ def read_image_header(path: Path) -> ImageHeader:
 
 
 def check_image_file(path: Path) -> bytes:
-    """Read an image's bytes and see that they are whole and, for a PNG, undamaged (checksums). Raises PlgsError."""
+    """Read an image's bytes and check that they are whole and, for a PNG, undamaged (checksums). Raises PlgsError."""
     data = _read(path)
     check_image_bytes(data, path)
     return data
@@ -86,7 +86,7 @@ def _read(path: Path) -> bytes:
 def check_image_bytes(data: bytes, path: Path) -> None:
     """``check_image_file`` for bytes out of the file ``path``.
 
-    Raises PlgsError, also for other kinds than PNG and JPEG, which no decoder gets, and for too many pixels.
+    Raises PlgsError, also for kinds other than PNG and JPEG, which no decoder may read, and for too many pixels.
     """
     if not data:
         raise PlgsError("the image is empty", path, "Write this file again.")
@@ -107,7 +107,7 @@ def _neither(path: Path) -> PlgsError:
 
 def _refuse_vast(width: int, height: int, path: Path) -> None:
     if width * height > MOST_PIXELS:
-        what = f"the image claims {width}x{height} pixels, at most {MOST_PIXELS // 10**6} million may be"
+        what = f"the image claims {width}x{height} pixels, but at most {MOST_PIXELS // 10**6} million are allowed"
         raise PlgsError(what, path, "Make it smaller, or write this file again.")
 
 

@@ -14,13 +14,13 @@ from ..errors import PlgsError
 from ..gates import read_plain
 
 LEAST_TRIANGLES = 20
-"""Meshes of fewer triangles are fragments, and left out."""
+"""Meshes of fewer triangles are fragments and are left out."""
 _KINDS = {"float": "<f4", "int": "<i4", "uchar": "u1"}
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 _COLUMNS = {"x", "y", "z", "red", "green", "blue", "class_id", "instance_id"}
 _MOST_BYTES = 1 << 30
 _LONGEST_HEADER = 8192
-_FIX = "Delete it, and make the meshes anew."
+_FIX = "Delete it, then make the meshes again."
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ class LabelledSurface:
 def triangles_by_label(
     triangles: NDArray[np.integer], label: NDArray[np.int64]
 ) -> dict[int, NDArray[Any]]:
-    """The triangles [T, 3] of each label, from the labels [V] of the vertices: the label of two corners, else the first
-    corner's.
+    """The triangles [T, 3] of each label, from the labels [V] of the vertices. A triangle has the label that two of its
+    corners share, else that of its first corner.
     """
     corners = label[triangles]
     own = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
@@ -68,18 +68,18 @@ def read_surface(path: Path) -> LabelledSurface:
     try:
         content = read_plain(path, _MOST_BYTES)
     except OSError as error:
-        raise PlgsError(f"cannot be read ({error.strerror})", path, _FIX) from error
+        raise PlgsError(f"the file cannot be read ({error.strerror})", path, _FIX) from error
     end = content.find(b"end_header\n", 0, _LONGEST_HEADER) + len(b"end_header\n")
     columns, vertices, faces = _header(content[:end])
     if not content.startswith(b"ply\nformat binary_little_endian") or not _COLUMNS <= {name for name, _ in columns}:
-        raise PlgsError("is not a labelled surface", path, _FIX)
+        raise PlgsError("this is not a labelled surface", path, _FIX)
     row = np.dtype(columns)
     if len(content) != end + vertices * row.itemsize + faces * _FACE.itemsize:
-        raise PlgsError("is damaged", path, _FIX)
+        raise PlgsError("the file is damaged", path, _FIX)
     table = np.frombuffer(content, row, vertices, end)
     triangles = np.frombuffer(content, _FACE, faces, end + vertices * row.itemsize)["corners"]
     if faces and not 0 <= int(triangles.min()) <= int(triangles.max()) < vertices:
-        raise PlgsError("is damaged", path, _FIX)
+        raise PlgsError("the file is damaged", path, _FIX)
     return LabelledSurface(
         np.stack([table[axis] for axis in "xyz"], axis=1),
         np.stack([table[channel] for channel in ("red", "green", "blue")], axis=1),

@@ -53,7 +53,7 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
         raise PlgsError(f"the folder cannot be read ({error.strerror})", folder, "Check its permissions.") from error
     found: dict[str, Path] = {}
     for path in sorted(paths, key=lambda path: (natural_order(path.stem), path.name)):
-        # A name that starts with a dot is a file system's own note, such as macOS writes.
+        # A name that starts with a dot is a file system's own note, such as macOS makes.
         if path.suffix.lower() not in suffixes or path.name.startswith("."):
             continue
         if path.is_symlink() and not path.exists():
@@ -92,7 +92,7 @@ def files_of_frames(
 
 def file_inside(folder: Path, name: str, path: Path) -> Path:
     """The file in ``folder`` that the file ``path`` calls ``name``. Raises PlgsError if it is outside."""
-    # Windows' rules are the wider ones: drives, both kinds of slashes.
+    # Windows' rules are the stricter ones: drives, both kinds of slashes.
     parts = PureWindowsPath(name)
     if parts.anchor or ".." in parts.parts or "\0" in name or not parts.parts:
         what = f'the file name "{shown(name)}" leaves the folder {folder.name}'

@@ -31,7 +31,7 @@ def check_camera(name: str, camera: Camera, path: Path) -> None:
     shown: it goes into panels, tables and logs as it is. ``path`` is its picture.
     """
     if not name.isprintable():
-        raise PlgsError(f"the name of frame {shown(name)} has marks that cannot be shown", path.parent, "Rename it.")
+        raise PlgsError(f"the name of frame {shown(name)} cannot be shown as text", path.parent, "Rename it.")
     _check_size(f"the picture of frame {shown(name)}", camera.size, path)
     least, most = (share * max(camera.size) for share in _FOCAL_LENGTHS)
     if not (least <= camera.fx <= most and least <= camera.fy <= most):
@@ -41,7 +41,7 @@ def check_camera(name: str, camera: Camera, path: Path) -> None:
 
 
 def depth_check(name: str, path: Path) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """A function that gives planar depth, float32 [H, W] metres with 0 = none, back as it is, once it is checked.
+    """A function that checks planar depth, float32 [H, W] metres with 0 = none, and returns it unchanged.
 
     It raises PlgsError, with the frame's ``name`` and the file ``path``, for a size or lengths that no sensor gives.
     """
@@ -59,5 +59,5 @@ def depth_check(name: str, path: Path) -> Callable[[NDArray[np.float32]], NDArra
 
 def _check_size(what: str, size: Size, path: Path) -> None:
     if min(size) < _SMALLEST_SIDE or max(size) > _LONGEST_SHAPE * min(size):
-        fix = f"Each side needs {_SMALLEST_SIDE} pixels, and the longer one at most {_LONGEST_SHAPE} times the other's."
+        fix = f"Use at least {_SMALLEST_SIDE} pixels a side, and no side over {_LONGEST_SHAPE} times the other."
         raise PlgsError(f"{what} is {shown_size(size)}, which no camera makes", path, fix)

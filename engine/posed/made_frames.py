@@ -1,7 +1,7 @@
 """frames.json: the files that an engine makes of a scene's frames for programs that cannot read the frames themselves.
 
-Blender's Python has no OpenCV. It takes from here the cameras of all layouts but plain folders, and pictures that lie
-in a video or an archive, or have to be undistorted.
+Blender's Python has no OpenCV. It takes from here the cameras of all layouts except plain folders, and pictures that
+lie in a video or an archive, or have to be undistorted.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from .scene_record import StoredScene
 
 FILE = "frames.json"
 VERSION = 2
-"""Of frames.json. Version 1 had no cameras of frames without a picture."""
-_FIX = "Delete the folder: it is made anew."
+"""The version of frames.json. Version 1 had no cameras of frames without a picture."""
+_FIX = "Delete the folder; it will be made again."
 _INSIDE = {"inside": True}
 
 
@@ -71,7 +71,7 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
             return made
     elif folder.is_dir() and not any(folder.iterdir()):
         return None
-    raise PlgsError("is there already, and holds something else", folder, "Name another folder.")
+    raise PlgsError("the folder exists already and holds something else", folder, "Name another folder.")
 
 
 def is_newer(path: Path, source: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Matrices out of text files and JSON, and the poses and intrinsics that they hold."""
+"""Matrices from text files and JSON, and the poses and intrinsics that they hold."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.f
     try:
         rows = [[float(value) for value in line] for line in lines]
     except ValueError as error:
-        raise PlgsError(f"there is something else than numbers ({error})", path, f"Write {wanted} numbers.") from error
+        raise PlgsError(f"there is something other than numbers ({error})", path, f"Write {wanted} numbers.") from error
     if (len(rows), len(rows[0])) not in shapes or len({len(row) for row in rows}) > 1:
-        raise PlgsError(f"the matrix is not {wanted}", path, f"Write {wanted} numbers, a row a line.")
+        raise PlgsError(f"the matrix is not {wanted}", path, f"Write {wanted} numbers, one row per line.")
     matrix = np.array(rows)
     if np.isnan(matrix).any():
         raise PlgsError("there is a NaN", path, "Write numbers that a camera can have.")
@@ -68,7 +68,7 @@ def _as_numbers(
 def read_pose(path: Path) -> NDArray[np.float64] | None:
     """Read a camera-to-world pose, float64 [4, 4].
 
-    None when it holds inf: so scanners mark that tracking was lost. Raises PlgsError as ``rigid`` does.
+    None when it holds inf, which is how scanners mark lost tracking. Raises PlgsError as ``rigid`` does.
     """
     pose = read_matrix(path, ((4, 4),))
     return None if np.isinf(pose).any() else rigid(pose, path)
@@ -77,10 +77,10 @@ def read_pose(path: Path) -> NDArray[np.float64] | None:
 def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
     """A camera-to-world pose, float64 [4, 4], out of the file ``path``.
 
-    Raises PlgsError for a matrix that is not rigid. The rounding of text is straightened, so that the inverse is exact.
+    Raises PlgsError for a matrix that is not rigid. The rounding of text is corrected, so that the inverse is exact.
     """
     if not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-4):
-        raise PlgsError("the last row of the pose is not 0 0 0 1", path, "Write camera-to-world, rows as lines.")
+        raise PlgsError("the last row of the pose is not 0 0 0 1", path, "Write camera-to-world, one row per line.")
     rotation = pose[:3, :3]
     lengths = np.linalg.norm(rotation, axis=0)
     if lengths.min() > 1e-6 and np.abs(lengths / lengths.mean() - 1.0).max() < _RIGID_TOLERANCE:

@@ -1,4 +1,4 @@
-"""Plain folders: the layout whose cameras and pictures Blender reads by itself, without an engine.
+"""Plain folders: the layout whose cameras and pictures Blender can read without an engine.
 
 The folders are ``color/ depth/ pose/ intrinsic/``, as ScanNet exports them; ``formats/folders.py`` describes them. Here
 are the poses, the lenses and the split; the engine's reader adds depth and masks.
@@ -41,15 +41,15 @@ class PlainFolders:
 
 
 def recognises(place: Path) -> bool:
-    """Two of the folders are enough, so that a forgotten one is named."""
+    """Two of the folders are enough, so that an error names a forgotten one."""
     return sum((place / name).is_dir() for name in ("color", "pose", "intrinsic")) >= 2
 
 
 def read_folders(folder: Path) -> PlainFolders:
-    """Read poses and lenses, and of pictures their headers. Raises PlgsError."""
+    """Read poses and lenses, and the headers of pictures. Raises PlgsError."""
     pictures = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, FOLDERS_FIX)
     pose_files = files_by_stem(folder / "pose", {".txt"}, FOLDERS_FIX)
-    fix = "Add pose/<name>.txt, or take their colour images away."
+    fix = "Add pose/<name>.txt, or remove their colour images."
     require_all(list(pictures), pose_files, "pose", folder / "pose", fix)
     poses = {name: read_pose(pose_files[name]) for name in pictures}
     lost = tuple(name for name, pose in poses.items() if pose is None)

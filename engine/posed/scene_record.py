@@ -1,6 +1,6 @@
-"""Posed frames as JSON: a lift's scene.json and the frames.json of pictures that an engine made hold them.
+"""Posed frames as JSON, in a lift's scene.json and in the frames.json of pictures that an engine made.
 
-Blender reads no layout but plain folders. It takes the cameras of all other scenes from here.
+Blender reads no layout except plain folders. It takes the cameras of all other scenes from here.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class StoredFrame:
 
     ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and ``depth`` are paths, relative where they lie in the
     scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is; lifts of earlier versions
-    do not say it, so their photos are left to an engine.
+    lack it, so their photos are left to an engine.
     """
 
     name: str = field(metadata={"shown": True})

@@ -13,7 +13,7 @@ from .layout import listed
 _EVERY, _FIRST = 8, 4
 """Every 8th frame is held out, starting with the 5th."""
 _MOST = 40
-"""Frames that are held out, at most. More measure nothing better, and each is rendered and scored."""
+"""The largest number of held-out frames. More measure nothing better, and each is rendered and scored."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Split:
 def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split:
     """The split of the frames ``names`` by ``splits.json`` in ``folder``, or the default without that file.
 
-    ``lost`` names frames without a pose. Raises PlgsError as ``read_split`` does, or when no frame is to train on.
+    ``lost`` names frames without a pose. Raises PlgsError as ``read_split`` does, or when no frame is left to train on.
     """
     table = folder / "splits.json"
     split = read_split(table, names, lost) if table.is_file() else default_split(names)
@@ -38,9 +38,9 @@ def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split
 
 
 def default_split(names: Sequence[str]) -> Split:
-    """Hold out every 8th frame: the 5th, the 13th, ..., and 40 at most. Fewer than five frames are all trained on.
+    """Hold out every 8th frame: the 5th, the 13th, ..., at most 40. Fewer than five frames are all trained on.
 
-    The first and often the last frame see the most by themselves, and are trained on.
+    The first frame, and often the last, shows most that no other does, so they are trained on.
     """
     every = max(_EVERY, -(-len(names) // _MOST))
     test = names[_FIRST::every]

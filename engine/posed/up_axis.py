@@ -1,4 +1,4 @@
-"""Which axis of a world points up, by what its format says or by the cameras: people hold them upright."""
+"""Which axis of a world points up: as its format says, or as the cameras show, which people hold upright."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | N
     name = ("-" if written[axis] < 0.0 else "") + "xyz"[axis]
     advice = f"lift with --up {name}" if name in _TO_Z_UP else "turn the poses so that z points up"
     if mean[2] < -_CLEARLY_UP:
-        advice = f"{advice}, or see that poses have y down and z forward (OpenGL's and Blender's are the reverse)"
+        advice = f"{advice}, or check that poses have y down and z forward (OpenGL's and Blender's are the reverse)"
     return f"the cameras' up is the axis {name}, not {up}, so boxes would be tilted: {advice}"
 
 

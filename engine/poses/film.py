@@ -1,4 +1,4 @@
-"""The sharpest pictures of a film, evenly over its length, as image files."""
+"""The sharpest pictures of a film, evenly spread over its length, as image files."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _QUALITY = 95
 
 
 def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
-    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, called by their number in the film.
+    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, named by their number in the film.
 
-    ``progress`` is called with those done and their number. Raises PlgsError, OSError.
+    ``progress`` is called with the numbers of pictures done and of all. Raises PlgsError, OSError.
     """
     import cv2
 
@@ -33,7 +33,7 @@ def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int,
         good, data = cv2.imencode(".jpg", np.ascontiguousarray(pictures[sharpest][..., ::-1]), options)
         if not good:
             raise PlgsError(
-                f"picture {sharpest} of the film cannot be written", film, "Take its pictures out yourself."
+                f"picture {sharpest} of the film cannot be written", film, "Extract its pictures yourself."
             )
         (folder / f"{sharpest:06d}.jpg").write_bytes(data.tobytes())
         progress(done, len(edges) - 1)

@@ -1,4 +1,4 @@
-"""From photos to a COLMAP model beside them: ``sparse/0``, as COLMAP itself puts it, and ``made_by.json`` in it.
+"""From photos to a COLMAP model beside them: ``sparse/0``, where COLMAP itself puts it, and ``made_by.json`` in it.
 
 A reconstruction has no unit of length. Where measured depth lies beside the photos, in ``depth``, it gives the unit.
 """
@@ -25,7 +25,7 @@ from .scale import metres_per_length
 
 STAGE = "poses"
 FILM_PICTURES = 150
-"""Pictures that are taken of a film, at most."""
+"""The largest number of pictures that are taken from a film."""
 _LEAST_SHARE = 0.5
 _WITHOUT_DEPTH = (
     "Lengths have no unit, and there is no depth: a lift needs a network's depth maps with --depth FOLDER, which are "
@@ -35,8 +35,8 @@ _WITHOUT_DEPTH = (
 
 @dataclass(frozen=True)
 class Made:
-    """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres that a length of the
-    reconstruction was, None without measured depth.
+    """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres per length of the
+    reconstruction, None without measured depth.
     """
 
     folder: Path
@@ -55,19 +55,19 @@ class Made:
         path = folder / "sparse" / "0" / MADE_BY
         if not path.is_file():
             return None
-        fix = "Move the folder sparse away, and make the poses again."
+        fix = "Move the folder sparse away, then make the poses again."
         data: Mapping[str, Any] = read_object(path, fix)
         try:
             return cls(folder, int(data["posed"]), int(data["photos"]), int(data["points"]), data["scale"])
         except (KeyError, TypeError, ValueError) as error:
-            raise PlgsError("this is no note of made poses", path, fix) from error
+            raise PlgsError("this is not a record of made poses", path, fix) from error
 
 
 def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int = FILM_PICTURES) -> Made:
     """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos.
 
-    A film's pictures go into a folder of the film's name. What is there already is never written over; poses that an
-    earlier call made are taken. Raises PlgsError, OSError; Cancelled.
+    A film's pictures go into a folder of the film's name. Existing files are never overwritten; poses that an earlier
+    call made are used. Raises PlgsError, OSError; Cancelled.
     """
     made = Made.read(place.with_suffix("") if is_film(place) else place)
     if made is not None:
@@ -89,8 +89,8 @@ def _map(folder: Path, photos: Path, events: EventWriter, stop: StopSignal) -> M
         if model is None or model.num_reg_images() < max(LEAST, _LEAST_SHARE * len(names)):
             found = 0 if model is None else model.num_reg_images()
             fix = "Take more photos, each showing most of what the one before shows, in good light, without blur."
-            raise PlgsError(f"poses were found for {found} of {len(names)} photos only", photos, fix)
-        depths = files_if_any(folder / "depth", {".png", ".npy"}, "Leave the folder depth out.")
+            raise PlgsError(f"poses were found for only {found} of {len(names)} photos", photos, fix)
+        depths = files_if_any(folder / "depth", {".png", ".npy"}, "Remove the folder depth.")
         scale = metres_per_length(model, depths) if depths else None
         if scale is not None:
             scale.apply(model)
@@ -117,7 +117,7 @@ def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int
         folder = place.with_suffix("")
         if folder.exists():
             fix = "Make the poses of that folder, or move it away."
-            raise PlgsError("the film's pictures would go into a folder that is there already", folder, fix)
+            raise PlgsError("the film's pictures would go into a folder that exists already", folder, fix)
         part = folder.with_name(f".{folder.name}.part")
         shutil.rmtree(part, ignore_errors=True)
 
@@ -134,7 +134,7 @@ def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int
         return folder, folder / "images"
     photos = photos_in(place) if place.is_dir() else None
     if photos is None:
-        raise PlgsError("there are no photos here, and this is no film", place, "Name a folder of photos, or an .mp4.")
+        raise PlgsError("there are no photos here, nor is this a film", place, "Name a folder of photos, or an .mp4.")
     for each in FORMATS:
         if each.recognises(place):
             raise PlgsError(f"this scene has poses already ({each.name})", place, "Lift it as it is.")

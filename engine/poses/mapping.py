@@ -19,7 +19,7 @@ _POLL_S = 0.1
 
 
 def colmap(photos: Path) -> Any:
-    """The package pycolmap. Raises PlgsError where it is not there."""
+    """The package pycolmap. Raises PlgsError where it is not installed."""
     try:
         import pycolmap
     except ImportError as error:
@@ -30,7 +30,7 @@ def colmap(photos: Path) -> Any:
 def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: EventWriter, stop: StopSignal) -> Any:
     """The largest reconstruction of photos that one camera took (pycolmap's Reconstruction); None when there is none.
 
-    Same photos, same poses, but for what threads change. Raises PlgsError without pycolmap; Cancelled.
+    The same photos give the same poses, except for what threads change. Raises PlgsError without pycolmap; Cancelled.
     """
     pycolmap = colmap(photos)
     pycolmap.logging.minloglevel = 2
@@ -70,7 +70,7 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
 
 
 def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
-    """The answer of work in a thread of its own, which ends when this shall stop. Raises what it raises; Cancelled."""
+    """The result of ``work``, done in its own thread until it is stopped. Raises what ``work`` raises; Cancelled."""
     answers: list[Any] = []
     errors: list[BaseException] = []
 

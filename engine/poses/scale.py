@@ -38,7 +38,7 @@ def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
     """The median of measured depth over a point's depth in the reconstruction, over all photos' points.
 
     ``depths`` are files by the photos' stems. None where too few points have depth, or their ratios disagree. Raises
-    PlgsError for a file that is no depth.
+    PlgsError for a file that is not a depth map.
     """
     ratios: list[NDArray[np.float64]] = []
     for image in model.images.values():

@@ -21,9 +21,9 @@ from .view import read_ahead
 SEEN_WITHIN = (40, 40)
 """Pixels (width, height) of the box within which depth is read to find out what a frame sees."""
 MARGIN = 0.5
-"""Metres around a cell that its block sees, too."""
+"""Metres around a cell that its block also sees."""
 LEAST_SHARE = 0.1
-"""Share of a frame's points within the cell and its margin from which the block is lifted from it."""
+"""A block is lifted from the frames that have at least this share of their points in its cell and margin."""
 LEAST_FRAMES = 3
 
 
@@ -65,8 +65,8 @@ def _halved(cell: Cell, points: NDArray[np.float64], blocks: int) -> list[Cell]:
 def cells_of(
     scene: Scene, blocks: int, progress: Callable[[int, int], object]
 ) -> tuple[list[Cell], list[NDArray[np.float32]]]:
-    """The cells of a scene, and the points [n, 3] that each of its frames to train on sees. The same for everybody who
-    asks. Raises PlgsError for depth that cannot be read, and for more blocks than the scene has frames for."""
+    """The cells of a scene, and the points [n, 3] that each of its frames to train on sees. They are always the same.
+    Raises PlgsError for depth that cannot be read, and for more blocks than the scene has frames for."""
     frames = scene.train_frames
     if blocks * LEAST_FRAMES > len(frames):
         fix = f"Give at most {len(frames) // LEAST_FRAMES}."

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 BLACK, JPEG_BLACK = 2, 12
 """Largest median brightness of a border, and of its pixels: JPEG brightens those near the picture."""
 THICKEST = 0.1
-"""Share of the picture that a border reaches inwards at most. Thicker dark areas are things in the picture."""
+"""Share of the picture that a border at most reaches inwards. Thicker dark areas are things in the picture."""
 SHORTEST = 0.125
-"""Share of a side that a border runs along at least."""
+"""The least share of a side that a border runs along."""
 STEEPEST = 2
 """Pixels by which the thickness of a border changes at most from one pixel along the side to the next: an undistortion
 is smooth, the outlines of furniture are not."""

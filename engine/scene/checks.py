@@ -19,12 +19,12 @@ from .overlap import Thumbnail, measure_overlap
 from .pixels import distinct_ids, resize_nearest
 
 Progress = Callable[[int, int], object]
-"""Is called often with the frames done and their number. Its errors end the check."""
+"""Called often with the numbers of frames done and of all. An error that it raises ends the check."""
 
 _THUMBNAIL_WIDTH = 40
 _COLOURS_DECODED = 16
 _MEDIAN_STEP = 7
-"""Pixels between those that count for the median depth: a seventh of a frame is plenty."""
+"""The step between the pixels that count for the median depth: a seventh of a frame is plenty."""
 _LOOKS_LIKE_METRES = 0.1
 """Metres that some depth of a scene in millimetres exceeds."""
 _LOOKS_TOO_FAR = 15.0
@@ -71,18 +71,18 @@ class FrameFacts:
 
 @dataclass(frozen=True)
 class Survey:
-    """The facts of every frame, and warnings beside those of opening the scene."""
+    """The facts of every frame, and warnings besides those of opening the scene."""
 
     frames: tuple[FrameFacts, ...]
     warnings: tuple[str, ...]
 
 
 def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ...]:
-    """Check every file of a scene and how the frames fit together; warnings beside those the scene has already.
+    """Check every file of a scene and how the frames fit together; returns warnings besides those of the scene.
 
-    Raises PlgsError for the first thing that cannot be lifted, missing depth or masks included. Takes about 20 ms a
-    frame of 640x480. Depth, masks and ground truth of all frames are decoded; of colour all files are checked for
-    damage and 16 are decoded.
+    Raises PlgsError for the first thing that cannot be lifted, missing depth or masks included. Takes about 20 ms for a
+    640x480 frame. Depth, masks and ground truth of all frames are decoded; all colour files are checked for damage, and
+    16 of them are decoded.
     """
     require_liftable(scene)
     return survey_scene(scene, progress).warnings
@@ -180,7 +180,7 @@ def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
 def _depth_warnings(depths: Mapping[str, DepthFacts]) -> Iterable[str]:
     typical = float(np.median([depth.range[1] for depth in depths.values()])) if depths else 0.0
     if typical > _LOOKS_TOO_FAR:
-        yield f"depth is {typical:.0f} m in the middle, which is far for a room: is it in millimetres?"
+        yield f"the median depth is {typical:.0f} m, which is far for a room: is it in millimetres?"
     sparse = [name for name, depth in depths.items() if depth.share < _SPARSE_DEPTH]
     if sparse:
         yield f"{len(sparse)} frames have depth on less than 5 % of their pixels: {listed(sparse)}"

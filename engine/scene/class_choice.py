@@ -88,7 +88,7 @@ def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
 
 
 def read_class_choice(path: Path) -> ClassChoice:
-    """The choice in a file. Raises PlgsError that names the file and the key that is wrong."""
+    """The choice in a file. Raises a PlgsError that names the file and the key that is wrong."""
     data = read_file(path, _LARGEST_FILE)
     try:
         content = tomllib.loads(data.decode("utf-8-sig"))

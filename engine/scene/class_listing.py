@@ -35,7 +35,7 @@ class ClassList:
 def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
     """The classes in the masks' files and in a classes.toml beside them. Opens the scene; raises PlgsError.
 
-    ``table`` starts anew with the classes of a table (see ``TABLES``), for masks whose files have none.
+    ``table`` starts again with the classes of a table (see ``TABLES``), for masks whose files have none.
     """
     path = class_list_path(source.scene, source.masks)
     scene = open_asked(replace(source, up="z", classes=table))
@@ -59,7 +59,7 @@ def write_class_list(source: SceneSource, edited: Path) -> Path:
     if not listed.rows:
         raise PlgsError("there are no classes to write", "Classes", "Read them from the masks first.")
     if not all(row.name.isprintable() and row.name and row.into.isprintable() for row in listed.rows):
-        raise PlgsError("a class has no name", "Classes", "Give each a name of one line.")
+        raise PlgsError("a class has no name", "Classes", "Give each class a name of one line.")
     if listed.path.absolute() != path.absolute():
         raise PlgsError("the list is of another scene", path, _AGAIN)
     rows = [replace(row, into=row.into or row.name) for row in listed.rows]
@@ -76,7 +76,7 @@ def class_list_path(folder: Path, masks: Path | None = None) -> Path:
     beside = place if place.is_dir() else place.parent
     path = beside / FILE_NAME
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise PlgsError("this is not a file of its own", path, "Move it away.")
+        raise PlgsError("this is a link or a folder, not a file", path, "Move it away.")
     find_class_choice(None, beside)
     return path
 

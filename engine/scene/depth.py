@@ -1,4 +1,4 @@
-"""Depth maps: planar metres, out of 16-bit PNGs or NumPy arrays, in the picture of the colour camera."""
+"""Depth maps: planar metres, from 16-bit PNGs or NumPy arrays, in the picture of the colour camera."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def trusted(depth: DepthMap, confidence: Path | None) -> DepthMap:
 def drop_untrusted(depth: NDArray[np.float32], level: NDArray[np.integer], path: Path) -> NDArray[np.float32]:
     """``depth`` [H, W] where ``level`` [H, W] is above 0, else 0. Raises PlgsError when they differ in size."""
     if depth.shape != level.shape:
-        raise PlgsError("confidence has another size than depth", path, "Remove the confidence, or copy it again.")
+        raise PlgsError("confidence and depth differ in size", path, "Remove the confidence, or copy it again.")
     return np.where(level > 0, depth, np.float32(0.0))
 
 
@@ -139,7 +139,7 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
     """
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
-    require_all(list(lenses), files, "depth", folder, "Add depth/<name>.png, or take their colour images away.")
+    require_all(list(lenses), files, "depth", folder, "Add depth/<name>.png, or remove their colour images.")
     maps = {name: png_depth(files[name], lens) for name, lens in lenses.items()}
     path = scene / "intrinsic" / "intrinsic_depth.txt"
     if not path.is_file():
@@ -151,7 +151,7 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
     alignments = {name: alignment for name, alignment in found.items() if alignment is not None}
     if len(alignments) == len(maps):
         return {name: replace(maps[name], alignment=alignment) for name, alignment in alignments.items()}, ()
-    warning = f"{path.name} does not fit the colour intrinsics and is ignored: depth is taken to lie on the colour"
+    warning = f"{path.name} does not fit the colour intrinsics and is ignored: depth is assumed to fit the colour"
     return maps, (warning,)
 
 

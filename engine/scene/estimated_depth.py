@@ -1,6 +1,6 @@
 """Monocular depth maps fitted to a reconstruction's sparse points: the paper's estimated-depth path.
 
-A network's map of one picture is right but for a scale and a shift, of depth or, with many networks, of its inverse.
+A network's map of one picture is right except for a scale and a shift, of depth or, with many networks, of its inverse.
 Both follow from the frame's sparse points, whose depth is known.
 """
 
@@ -24,8 +24,8 @@ from .frame import Frame, SparsePoints
 from .pixels import decode
 
 LEAST_POINTS = 12
-"""Points that a frame must see at least to have depth."""
-_FIX = "Give one map a frame, called as the frame is: .npy, or .png of 8 or 16 bits."
+"""The least number of points that a frame must see to have depth."""
+_FIX = "Give one map per frame, with the frame's name: .npy, or .png of 8 or 16 bits."
 _PAIRS = 256
 _MOST_POINTS = 2000
 _CLOSE = 0.01
@@ -123,7 +123,7 @@ def fitted_map(path: Path, pixels: NDArray[np.float64], depths: NDArray[np.float
     fit = fit_depth(values[rows, columns].astype(np.float64), depths)
     if fit is None:
         what = "the map does not rise or fall with the depth of the reconstruction's points"
-        raise PlgsError(what, path, "See that it belongs to this frame, or leave the frame out.")
+        raise PlgsError(what, path, "Check that it belongs to this frame, or leave the frame out.")
     return fit.depth(values)
 
 
@@ -151,7 +151,7 @@ def with_estimated_depth(
             read_image_header(path)
     if points is None or not len(points):
         found = tuple(_with_depth(frame, files[frame.name], lambda path: in_metres(read_map(path))) for frame in frames)
-        return found, ["there are no sparse points to fit depth to: maps are taken for metres (.png: millimetres)"]
+        return found, ["there are no sparse points to fit depth to: maps are read as metres (.png: millimetres)"]
     kept, blind = [], []
     for frame in frames:
         pixels, depths = _seen_points(frame, points)
@@ -173,7 +173,7 @@ def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.floa
 
 
 def _seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(x, y) of a frame's points in shares of the picture, and their depth. Without tracks, of all points in view."""
+    """(x, y) of a frame's points in shares of the picture, and their depth. Without tracks: all points in view."""
     xyz = points.xyz[points.seen_by.get(frame.name, np.zeros(0, np.int64))] if points.seen_by else points.xyz
     pixels, depths = frame.camera.project(xyz)
     shares = pixels / [frame.camera.width, frame.camera.height]

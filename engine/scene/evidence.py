@@ -1,4 +1,4 @@
-"""How much a view's word counts: by how well it resolves what it speaks of (ours, beyond the paper).
+"""How much a view's vote counts: by how well it resolves what it votes on (ours, beyond the paper).
 
 A network knows a sink from 1 m away and calls it a countertop from 4 m. There are more far views than near ones. So a
 view has as many votes on a point, an object, a Gaussian, or on two masks, as its kind of evidence says. All of these
@@ -28,9 +28,9 @@ _POWERS: dict[EvidenceKind, tuple[float, float]] = {
 """The powers of the pixels and of the resolution."""
 
 LEAST_PIXELS = 100
-"""Pixels of a segment from which a view resolves it."""
+"""A view resolves a segment of at least this many pixels."""
 NEAR = 0.5
-"""Share of the best view's resolution from which a view is near."""
+"""A view is near if it has at least this share of the best view's resolution."""
 
 Amounts = TypeVar("Amounts", float, NDArray[np.floating])
 
@@ -41,26 +41,26 @@ def evidence_of_pixels(kind: EvidenceKind) -> float:
 
 
 def evidence_of_resolution(kind: EvidenceKind, resolution: Amounts) -> Amounts:
-    """The factor that the ``resolution`` [...], in pixels a centimetre, gives to a view's votes."""
+    """The factor that the ``resolution`` [...], in pixels per centimetre, gives to a view's votes."""
     return resolution ** _POWERS[kind][1]
 
 
 def evidence(kind: EvidenceKind, pixels: NDArray[np.floating], resolution: NDArray[np.floating]) -> NDArray[np.float64]:
-    """A view's votes on things that it shows with ``pixels`` [n] at a mean ``resolution`` [n] in pixels a centimetre,
+    """A view's votes on things that it shows with ``pixels`` [n] at a mean ``resolution`` [n] in pixels per centimetre,
     float64 [n]."""
     of_pixels = np.power(np.asarray(pixels, np.float64), evidence_of_pixels(kind))
     return of_pixels * evidence_of_resolution(kind, np.asarray(resolution, np.float64))
 
 
 def resolution_on(camera: Camera, depth: NDArray[np.floating], mask_scale: float) -> NDArray[np.float32]:
-    """Pixels a centimetre of the frame's own mask on surfaces at ``depth`` float32 [...] metres, float32 [...]; 0 where
-    there is no depth. ``mask_scale`` is that of ``View``."""
+    """Pixels per centimetre of the frame's own mask on surfaces at ``depth`` float32 [...] metres, float32 [...]; 0
+    where there is no depth. ``mask_scale`` is that of ``View``."""
     focal = mask_scale * np.sqrt(camera.fx * camera.fy)
     return np.divide(0.01 * focal, depth, out=np.zeros_like(depth), where=depth > 0).astype(np.float32)
 
 
 def resolution_of(view: View) -> NDArray[np.float32]:
-    """``resolution_on`` what a view sees."""
+    """The ``resolution_on`` what a view sees."""
     return resolution_on(view.camera, view.depth, view.mask_scale)
 
 

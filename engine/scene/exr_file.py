@@ -19,7 +19,7 @@ def read_channels(path: Path, header: ExrHeader, names: list[str]) -> list[NDArr
     try:
         import OpenEXR
     except ImportError as error:
-        fix = "Let the engine's Python install it: python -m pip install -r requirements/engine.txt."
+        fix = "Install it with the engine's Python: python -m pip install -r requirements/engine.txt."
         raise PlgsError("EXR files need the package OpenEXR", path, fix) from error
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:

@@ -1,4 +1,4 @@
-"""Which frames of a long capture are lifted: enough of them, evenly over the camera's way, and the sharpest.
+"""Which frames of a long capture are lifted: enough of them, evenly along the camera's path, and the sharpest.
 
 A hand-held camera takes more pictures than a room needs. As in Panoptic Lifting, the recording is cut into windows, and
 the sharpest frame of each is kept. Windows are equal in time and motion together: a camera that stands still needs few
@@ -21,7 +21,7 @@ from .view import read_ahead
 STEP_METRES, STEP_DEGREES = 0.8, 15.0
 """A step of this length changes a view as much as a turn by this angle."""
 CANDIDATES = 3
-"""Frames of a window whose sharpness is measured, at most. So reading does not grow with the recording."""
+"""Frames of a window whose sharpness is measured, at most, so that reading does not grow with the recording."""
 LOOKED_AT_WITHIN = (480, 480)
 """Pixels (width, height) that a picture is brought into to measure its sharpness."""
 
@@ -29,7 +29,7 @@ LOOKED_AT_WITHIN = (480, 480)
 def choose_frames(scene: Scene, most: int, progress: Callable[[int, int], object] | None = None) -> Scene:
     """The scene with at most ``most`` of the frames to train on; those held out stay.
 
-    ``progress`` is called with the windows done and their number. Raises PlgsError when a picture cannot be read.
+    ``progress`` is called with the numbers of windows done and of all. Raises PlgsError when a picture cannot be read.
     """
     frames = scene.train_frames
     if len(frames) <= most:
@@ -53,7 +53,7 @@ def windows(frames: Sequence[Frame], most: int) -> list[NDArray[np.intp]]:
     cosine = np.einsum("nij,nij->n", poses[1:, :3, :3], poses[:-1, :3, :3]) / 2.0 - 0.5  # (trace - 1) / 2
     turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     motion = gone / STEP_METRES + turned / STEP_DEGREES
-    # A tracker that jumps is no motion: such a step counts as the longest of the usual ones.
+    # A jump of the tracker is not motion: such a step counts as the longest of the usual ones.
     motion = np.minimum(motion, 10.0 * max(float(np.median(motion)), 1e-9))
     share = 0.5 * motion / max(float(motion.sum()), 1e-9) + 0.5 / len(motion)
     travelled = np.concatenate([[0.0], np.cumsum(share)]) / max(float(share.sum()), 1e-9)

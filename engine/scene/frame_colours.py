@@ -17,7 +17,7 @@ _GRADIENT = np.array(
 _LINE, _BORDER = 0.45, 0.4
 """Brightness of the lines at whole metres and of the borders of segments, as a share of the pixel's own."""
 _MOST_LINES = 40
-"""Lines in a picture, at most; deeper scenes have none."""
+"""The largest number of lines in a picture; deeper scenes have none."""
 _NONE = (60, 60, 60)
 """sRGB of pixels without depth or without a class."""
 

@@ -23,7 +23,7 @@ from .pixels import decode_single_channel, distinct_ids, resize_nearest
 
 _ANYTHING = 21
 """The last of the paper's classes: all other things."""
-_FIX = "Correct it, or take the ground truth away: only the metrics need it."
+_FIX = "Correct it, or remove the ground truth: only the metrics need it."
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
     """Class ids and instance ids out of two label images. Raises PlgsError when a file is bad."""
     stored = GroundTruth(decode_single_channel(semantic), decode_single_channel(instance))
     if stored.semantic.shape != stored.instance.shape:
-        raise PlgsError("classes and instances differ in size", instance, "Make both of one size.")
+        raise PlgsError("classes and instances differ in size", instance, "Make both the same size.")
     return stored
 
 
@@ -68,8 +68,8 @@ def open_ground_truth(
 
     The result has a reader for each frame with ground truth, and warnings. ``sizes`` are those of the colour images by
     frame. Class ids are those of the masks' table ``classes``; where the ground truth has a table of its own (see
-    ``_own_table``), its classes become those of the same name. Raises PlgsError when an image is no label image or has
-    another shape.
+    ``_own_table``), its classes become those of the same name. Raises PlgsError when an image is not a label image or
+    has another shape.
     """
     folders = _find_folders(scene)
     if folders is None:
@@ -120,8 +120,8 @@ def in_classes(semantic: NDArray[np.integer], class_of: Mapping[int, int]) -> ND
 def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, int]:
     """The class in ``classes`` for each number of another table with ``names``; numbers without any are left out.
 
-    Names are the same where they differ in case and in endings such as COCO's "-merged" only. Else the paper's 21
-    classes decide: a class is the only one in ``classes`` of the same of the 21.
+    Names match if they differ only in case and in endings such as COCO's "-merged". Else the paper's 21 classes decide:
+    a class matches if it is the only one in ``classes`` with the same of the 21.
     """
     by_name = {_plain(each.name): each.id for each in reversed(classes.categories)} | {"void": VOID}
     by_reduced: dict[int | None, list[int]] = {}

@@ -3,7 +3,7 @@
 A surface without depth has no points, so no anchors and no labels. Most holes lie in a plane with what surrounds them:
 a screen on a wall, the far end of a floor. The inverse depth of a plane is an affine function of the pixel, so a hole
 is filled from the ring of measured pixels around it, of its own segment if that has enough of them. A hole whose
-ring is no plane stays a hole.
+ring is not a plane stays a hole.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
     if not pairs:
         raise PlgsError("there are no labels here", folder, _FIX)
     semantics, instances = (files_by_stem(each, {".png"}, _FIX) for each in pairs[0])
-    require_all(list(semantics), instances, "instance image", pairs[0][1], "Call it as the class image is called.")
+    require_all(list(semantics), instances, "instance image", pairs[0][1], "Give it the name of the class image.")
     for path in (*semantics.values(), *(instances[name] for name in semantics)):
         check_label_header(path)
     readers = {name: partial(read_label_pair, path, instances[name]) for name, path in semantics.items()}
@@ -119,7 +119,7 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
     class_of = classes_by_name({each.id: each.name for each in own.categories}, true)
     if not class_of:
         what = f"its classes have other names than those in {predictions.folder}"
-        raise PlgsError(what, truth.folder, "Bring both to one class table.")
+        raise PlgsError(what, truth.folder, "Use one class table for both.")
     free = count(max(true.ids) + 1)
     others = tuple(replace(each, id=next(free)) for each in own.categories if each.id not in class_of)
     left = [each.id for each in own.categories if each.id not in class_of]

@@ -70,7 +70,7 @@ def whole_numbers(values: NDArray[np.generic], path: Path) -> NDArray[np.int64]:
 def _only_array(path: Path) -> str:
     names = list(array_headers(path))
     if len(names) != 1:
-        raise PlgsError(f"there are {len(names)} arrays in one file", path, "Save the picture of ids alone.")
+        raise PlgsError(f"there are {len(names)} arrays in one file", path, "Save only the picture of ids.")
     return names[0]
 
 

@@ -92,7 +92,7 @@ def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
 
 @dataclass(frozen=True)
 class MaskSet:
-    """The masks of a scene's frames: the class table, one reader a frame, and warnings."""
+    """The masks of a scene's frames: the class table, one reader per frame, and warnings."""
 
     classes: ClassTable = ClassTable(())
     readers: Mapping[str, MaskReader] = field(default_factory=dict)

@@ -37,7 +37,7 @@ class OnDemand(Sequence[Item]):
         if isinstance(place, slice):
             chosen = range(self._count)[place]
             return OnDemand(len(chosen), lambda number: self._make(chosen[number]))
-        return self._make(range(self._count)[place])  # the range raises IndexError, and knows numbers from the end
+        return self._make(range(self._count)[place])  # the range raises IndexError, and takes negative numbers
 
 
 def chained(first: Sequence[Item], second: Sequence[Item]) -> OnDemand[Item]:
@@ -87,7 +87,7 @@ def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDema
 
 
 class StoredViews(OnDemand[View]):
-    """Views on disk, in their order, each read back on demand, bit for bit: a long scan has more than memory holds.
+    """Views on disk, in their order, each read back on demand, bit for bit: a long scan does not fit into memory.
 
     They are stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with their number so far.
     """

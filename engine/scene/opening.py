@@ -157,7 +157,7 @@ def _is_far_aside(lens: Camera) -> bool:
 
 
 def require_liftable(scene: Scene) -> None:
-    """Raise PlgsError when a scene has no masks or no depth, which a lift needs beside cameras and pictures."""
+    """Raise PlgsError when a scene has no masks or no depth, which a lift needs besides cameras and pictures."""
     if not scene.has_depth:
         fix = "Give depth images in the scene, or a folder of depth maps with --depth."
         raise PlgsError("the scene has no depth", scene.folder, fix, option="--depth")

@@ -71,7 +71,7 @@ class ColourReader:
 
 
 def decode_single_channel(path: Path) -> NDArray[np.int32]:
-    """Decode a label image of 8 or 16 bits a pixel to int32 [H, W]. Raises PlgsError for a colour image."""
+    """Decode a label image of 8 or 16 bits per pixel to int32 [H, W]. Raises PlgsError for a colour image."""
     pixels = decode(path, as_colour=False)
     if pixels.ndim != 2:
         raise PlgsError(
@@ -81,7 +81,7 @@ def decode_single_channel(path: Path) -> NDArray[np.int32]:
 
 
 def resize_colour(pixels: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:
-    """Resize uint8 [H, W, 3]: area averages when it shrinks, Lanczos when it grows."""
+    """Resize uint8 [H, W, 3]: with area averages when it shrinks, with Lanczos when it grows."""
     height, width = pixels.shape[:2]
     if (width, height) == size:
         return pixels

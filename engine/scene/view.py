@@ -25,8 +25,8 @@ READERS = 2
 class View:
     """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
 
-    ``border`` bool [H, W] marks the pixels of a black border. It is None in pictures without one. ``mask_scale``: how
-    many pixels of the frame's own mask a pixel's side has.
+    ``border`` bool [H, W] marks the pixels of a black border. It is None in pictures without one. ``mask_scale`` is how
+    many pixels of the frame's own mask the side of a pixel spans.
     """
 
     name: str
@@ -57,7 +57,7 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
 
 
 def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterator[Read]:
-    """``read`` of each frame in its order, a few frames ahead. Decoding a picture holds no lock of Python's.
+    """``read`` of each frame in its order, a few frames ahead. Decoding a picture does not hold Python's lock.
 
     Frames of one file, such as a video, are read one after another. Errors of ``read`` come at the frame's own place.
     """

@@ -1,7 +1,7 @@
 """Masks of all frames of a scene as COCO panoptic, frame by frame. Frames with a mask are not made again.
 
-``panoptic/<frame>.png`` and ``.json`` come one by one; ``panoptic/made_by.json`` names the model. ``panoptic.json`` is
-written last, and without it there are no masks yet.
+``panoptic/<frame>.png`` and ``.json`` are written one by one; ``panoptic/made_by.json`` names the model.
+``panoptic.json`` is written last, and without it there are no masks yet.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .merging import MadeSegment
 TABLE, FOLDER, MADE_BY = "panoptic.json", "panoptic", "made_by.json"
 _OTHER_MASKS = ("m2f_semantics", "m2f_notta_semantics", "masks")
 Progress = Callable[[int, int, int], object]
-"""Is called after each frame with those done, their number, and those made in this run. Its errors end the work."""
+"""Called after each frame with the numbers done, of all, and made in this run. Its errors end the work."""
 
 
 class Segmenter(Protocol):
@@ -59,10 +59,10 @@ class Job:
 
 
 def begin_job(folder: Path, model: str, frames: int) -> Job:
-    """Begin in ``folder``, or go on there. Raises PlgsError for masks of other programs or another model: nothing is
+    """Begin in ``folder``, or continue there. Raises PlgsError for masks of other programs or another model: nothing is
     overwritten."""
     made_by = folder / FOLDER / MADE_BY
-    fix = "Name another folder with -o, or take these away."
+    fix = "Name another folder with -o, or remove these."
     if made_by.is_file():
         content = read_object(made_by, fix)
         if content.get("model") != model or content.get("frames") != frames:
@@ -74,7 +74,7 @@ def begin_job(folder: Path, model: str, frames: int) -> Job:
     try:
         write_atomically(made_by, json.dumps({"model": model, "frames": frames}) + "\n")
     except OSError as error:
-        raise PlgsError(f"cannot be written ({error.strerror})", folder, "Name another folder with -o.") from error
+        raise PlgsError(f"this cannot be written ({error.strerror})", folder, "Name another with -o.") from error
     return Job(folder, False, False)
 
 
@@ -105,7 +105,7 @@ def read_list(path: Path) -> list[object]:
     fix = "Delete this file, then start again."
     content = read_value(path, fix)
     if not isinstance(content, list):
-        raise PlgsError("this frame's segments are no list", path, fix)
+        raise PlgsError("this frame's segments are not a list", path, fix)
     return list(content)
 
 

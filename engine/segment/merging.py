@@ -14,9 +14,9 @@ import torch
 from numpy.typing import NDArray
 
 LEAST_SCORE = 0.5
-"""Score of a query that is a segment, at least."""
+"""The least score of a query that is a segment."""
 INSIDE = 0.5
-"""Probability of a pixel of a query's mask, at least."""
+"""The least probability of a pixel of a query's mask."""
 VISIBLE = 0.8
 """Share of a segment that the others must leave visible; else it is dropped."""
 
@@ -36,8 +36,8 @@ def merge_queries(
     """Segment ids, int32 [H, W] with 0 = none, and the segments.
 
     ``class_logits`` is float [Q, C + 1], with no object as the last class, ``mask_probabilities`` float [Q, H, W]. A
-    pixel goes to the query with the greatest score times probability. ``stuff`` are labels with one segment a picture;
-    its score is the mean of its queries', weighted by pixels.
+    pixel goes to the query with the greatest score times probability. ``stuff`` are labels with one segment per
+    picture; its score is the mean of its queries', weighted by pixels.
     """
     ids = np.zeros(mask_probabilities.shape[1:], np.int32)
     scores, labels = class_logits.softmax(-1).max(-1)

@@ -1,4 +1,4 @@
-"""Mask2Former out of a folder or, with the user's consent, from Hugging Face's hub. transformers is imported late.
+"""Mask2Former from a folder or, with the user's consent, from Hugging Face's hub. transformers is imported late.
 
 Only safetensors are read: no pickles, and no code that comes with a model.
 """
@@ -19,7 +19,7 @@ from ..scene import ClassLabel, is_thing_by_name, nearest_tables, size_within
 from .merging import MadeSegment, merge_queries
 
 _LARGEST_SIDE = 1280
-"""Pixels of a mask's longer side, at most: networks see less than that anyway."""
+"""The largest number of pixels of a mask's longer side: networks see less than that anyway."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ def _resized(masks: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
 
 
 def load_model(name: str, *, download: bool) -> Mask2Former:
-    """Load the network in the folder ``name``, or the hub's of this name. Raises PlgsError.
+    """Load the network in the folder ``name``, or the one of this name on the hub. Raises PlgsError.
 
-    Only with ``download`` is it fetched; else it has to be on this machine already.
+    It is fetched only with ``download``; otherwise it has to be on this machine already.
     """
     _refuse_other_folders(name)
     if not download:  # transformers reads this when it is imported

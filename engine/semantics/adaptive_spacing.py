@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from .clustering import cell_keys, merge_cells, merged_points
 
 ENLARGED = 2.0
-"""Times the wanted spacing above which spacing adapts. Smaller rooms are sampled evenly."""
+"""Spacing adapts above this multiple of the wanted spacing. Smaller rooms are sampled evenly."""
 MIXED = 0.2
 """Share of the votes against a cell's winner above which labels change within the cell."""
 LEAST_GAIN = 0.8
-"""Share of the cells with changing labels above which an even spacing does as well."""
+"""Share of the cells with changing labels above which an even spacing does just as well."""
 
 ColumnedPoints = tuple[NDArray[np.float64], NDArray[np.int64]]
 """World points [n, 3] in metres, and the column of votes of each one's class, -1 = none."""

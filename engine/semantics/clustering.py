@@ -2,7 +2,7 @@
 
 The paper gives neither K nor the seeding nor the iterations. Here the seeds are the means of a grid's occupied cells.
 A few Lloyd steps follow, in which each point moves to the nearest centre within one spacing. So K-means needs no
-chance, and its time grows linearly with the points.
+randomness, and its time grows linearly with the points.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
 
 
 def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArray[np.float64], float]:
-    """One centre an occupied cell, the mean of its points: float64 [K, 3] with K <= ``cap``, ordered by cell; and the
+    """One centre per occupied cell, the mean of its points: float64 [K, 3] with K <= ``cap``, ordered by cell; and the
     spacing used.
 
     ``spacing`` (metres) is enlarged until no more than ``cap`` cells are occupied.
     """
     cells = merged_points(batches(), spacing)
     while len(cells) > cap:
-        # Surfaces fill space as the square of the spacing. The little more lets one or two rounds do.
+        # Surfaces fill space as the square of the spacing. The small extra makes one or two rounds enough.
         spacing *= max(1.01, math.sqrt(len(cells) / cap))
         cells = merge_cells(cells, spacing)
     return cells[:, :3], spacing
 
 
 def merged_points(batches: Iterable[NDArray[np.float64]], spacing: float) -> NDArray[np.float64]:
-    """Points [n, 3] a batch that share a cell become one row (mean x, y, z, weight), [K, 4], ordered by cell."""
+    """Points [n, 3] of the batches that share a cell become one row (mean x, y, z, weight), [K, 4], ordered by cell."""
     cells = np.zeros((0, 4))
     pending: list[NDArray[np.float64]] = []
     rows = 0

@@ -22,7 +22,7 @@ from ..scene import VOID, View
 SPARSE_OVERLAP = 0.5
 """Median overlap with the next view below which views are too sparse to compare their labels."""
 OVERLAP_STRIDE = 8
-"""Every how many rows and columns a pixel is looked at to measure the overlap of two views."""
+"""The step in rows and columns between the pixels that measure the overlap of two views."""
 
 
 @dataclass(frozen=True)

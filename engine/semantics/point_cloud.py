@@ -21,7 +21,7 @@ from .clustering import lloyd_step, seed_centres
 LLOYD_STEPS = 1
 """Steps of K-means after the seeding."""
 MOST_PIXELS = 16_000_000
-"""About at most this many pixels of all views are used: every s-th row and column."""
+"""At most about this many pixels of all views are used: every s-th row and column."""
 
 Progress = Callable[[int, int], None]
 """Called with (done, total) after each view; may raise to stop."""
@@ -30,7 +30,7 @@ Progress = Callable[[int, int], None]
 @dataclass(frozen=True)
 class CloudOptions:
     """``spacing`` of the clusters in metres (half the anchors' voxel size does well) is enlarged until at most ``cap``
-    clusters remain; in very large scenes less where labels change (`adapted_centres`). A cluster whose winner has less
+    clusters remain; in very large scenes, less where labels change (`adapted_centres`). A cluster whose winner has less
     than ``majority`` of the votes is unknown. ``evidence``: the votes that a view has on a cluster; the paper's
     are its "pixels"."""
 
@@ -128,7 +128,7 @@ def build_point_cloud(
 
 
 def _stride(views: Sequence[View]) -> int:
-    """Every how many rows and columns a pixel is used."""
+    """The step in rows and columns between the pixels that are used."""
     pixels = sum(view.camera.width * view.camera.height for view in views)
     stride = 1
     while pixels / stride**2 > MOST_PIXELS:
@@ -144,7 +144,7 @@ def _points(view: View, stride: int) -> NDArray[np.float64]:
 
 
 def _labelled_points(view: View, stride: int, class_ids: NDArray[np.int64]) -> ColumnedPoints:
-    """``_points``, and the place of each one's class in ``class_ids``, -1 where it has none."""
+    """``_points``, and the column of each one's class in ``class_ids``, -1 where it has none."""
     label = view.mask.class_map()[::stride, ::stride][view.depth[::stride, ::stride] > 0]
     column = np.minimum(np.searchsorted(class_ids, label), len(class_ids) - 1)
     return _points(view, stride), np.where(class_ids[column] == label, column, -1)

@@ -79,7 +79,7 @@ def test_what_is_no_list_of_classes_is_not_replaced(folder: Path, tmp_path: Path
     bpy.ops.plgs.read_classes()
     target = Path(bpy.context.scene.plgs_masks.path)
     target.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(RuntimeError, match="not a file of its own"):
+    with pytest.raises(RuntimeError, match="a link or a folder, not a file"):
         bpy.ops.plgs.write_classes()
     assert target.is_symlink()
 

@@ -104,7 +104,7 @@ def test_estimated_depth_has_the_same_limits(tmp_path: Path) -> None:
 )
 def test_a_lens_that_leaves_no_picture_is_what_is_wrong(tmp_path: Path, lens: Distortion) -> None:
     camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
-    with pytest.raises(PlgsError, match="the lens bends so much"):
+    with pytest.raises(PlgsError, match="the lens distorts so much"):
         undistorted(np.ones((48, 64), np.float32), camera, lens, tmp_path, smooth=False)
 
 
@@ -117,7 +117,7 @@ def test_class_names_are_one_printable_line() -> None:
 def test_what_a_file_becomes_fits_into_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points = sparse(tmp_path / "points.bin", struct.pack("<Q", 1_000_000), 51 * 1_000_000 + 8)
     monkeypatch.setattr(counts, "main_memory", lambda: MainMemory(1 << 34, 101_000_000))
-    with pytest.raises(PlgsError, match="it takes 0.051 GB of memory, and 0.1 GB are free"):
+    with pytest.raises(PlgsError, match="it takes 0.051 GB of memory, but only 0.1 GB are free"):
         _binary_points(points)
     monkeypatch.setattr(counts, "main_memory", lambda: MainMemory(1 << 34, 60_000_000))
     with pytest.raises(PlgsError, match="it takes 0.051 GB of memory"):
@@ -129,5 +129,5 @@ def test_what_a_file_becomes_fits_into_the_memory(tmp_path: Path, monkeypatch: p
 
 def test_a_frame_whose_name_cannot_be_shown(tmp_path: Path) -> None:
     camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
-    with pytest.raises(PlgsError, match=r"the name of frame 0001\?gpj has marks that cannot be shown"):
+    with pytest.raises(PlgsError, match=r"the name of frame 0001\?gpj cannot be shown as text"):
         check_camera("0001\u202egpj", camera, tmp_path / "a.png")

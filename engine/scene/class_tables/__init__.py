@@ -1,6 +1,6 @@
 """Public tables of classes: names of a data set's ids, which of them are things, and their class of the paper's 21.
 
-One CSV a table: ``id`` in the results of networks trained on it, ``name``, ``thing`` (1 or 0), and in some tables
+One CSV per table: ``id`` in the results of networks trained on it, ``name``, ``thing`` (1 or 0), and in some tables
 ``reduced``, the class of ``reduced.csv`` (0 = void). ``coco.csv`` counts from 0 to 132; ``coco_id`` is the category id
 of the data set's own files. ``cityscapes.csv`` has the 19 numbers that networks are trained on, ``nyu40.csv`` those of
 ScanNet's 20 classes too, and ``scannet200.csv`` the numbers of ScanNet's labels.
@@ -38,8 +38,8 @@ def known_table(name: str) -> KnownTable:
 
 
 def nearest_tables(names: Iterable[str]) -> list[str]:
-    """``TABLES``, the one with the most classes of these names first: they may mean another thing elsewhere, as COCO
-    counts traffic lights and Cityscapes does not."""
+    """``TABLES``, the one with the most classes of these names first, as another table may mean something else by them:
+    COCO counts traffic lights, Cityscapes does not."""
     words = {word for name in names for word in _words(name)}
     return sorted(TABLES, key=lambda table: -sum(label.name in words for label in known_table(table).labels))
 

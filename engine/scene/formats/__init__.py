@@ -1,7 +1,7 @@
 """The formats of scenes: one reader each, which recognises its files by their names and reads posed pictures.
 
 A new format is a module with a ``SceneFormat`` in this folder, its entry in ``FORMATS``, and its name in
-``format_names.py``, from where the panel has its list.
+``format_names.py``, from which the panel takes its list.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ FORMATS: tuple[SceneFormat, ...] = (
 def find_format(place: Path, name: str | None = None) -> SceneFormat:
     """The format called ``name``, or the one that recognises ``place``, a folder or file.
 
-    The first format comes before all others: prepared folders often hold what they were made from as well. Raises
+    The first format comes before all others: prepared folders often also hold what they were made from. Raises
     PlgsError for an unknown name, and when no other format or more than one is recognised.
     """
     if not place.exists():
@@ -78,7 +78,7 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
 
 
 def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
-    """The error of a place that no format recognises."""
+    """The error for a place that no format recognises."""
     what, film = "no scene of a known format is here", is_film(place)
     if film or (place.is_dir() and photos_in(place) is not None):
         fix = (
@@ -88,6 +88,6 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         return PlgsError(what, place, fix, code=ErrorCode.NO_POSES)
     fix = (
         "Photos and films need poses: record with an app that keeps them (Record3D, Polycam, Stray Scanner), or make "
-        f"them with COLMAP. What a layout lacks is told where it is named: --format {', '.join(known)}."
+        f"them with COLMAP. Name a layout to see what it lacks: --format {',  '.join(known)}."
     )
     return PlgsError(what, place, fix, option="--format")

@@ -29,7 +29,7 @@ from .poses import inverse, quaternion_pose
 _LOOKS_FOR = "cameras and images, .bin or .txt, in sparse/0, sparse, model or colmap/sparse/0"
 _MODELS = ("sparse/0", "sparse", "model", "colmap/sparse/0", ".")
 _IMAGES = ("images", "image", "rgb", "color", "input", ".")
-_SCALE = "COLMAP's lengths have no unit, and a lift takes them for metres: scale the model if that is far off"
+_SCALE = "COLMAP's lengths have no unit, and a lift reads them as metres: scale the model if that is far off"
 _MOST_DEPTH = 1 << 30
 _FARTHEST = 1e6
 """Lengths of the reconstruction. A stereo that was cut off leaves other numbers in its file."""
@@ -57,12 +57,12 @@ def _read(place: Path) -> Capture:
     warnings = [] if depths else [_SCALE]
     others = [each.name for each in sorted(folder.parent.glob("[0-9]*")) if each != folder and has_model(each)]
     if folder.name == "0" and others:
-        warnings.append(f"only the model 0 is read: there are {listed(others)} as well")
+        warnings.append(f"only the model 0 is read, but there are others: {listed(others)}")
     return Capture(found, None, tuple(warnings), _points(model, names, images))
 
 
 def _find_images(place: Path, images: list[ColmapImage]) -> Path:
-    """The folder that image names count from: the first that has the first image. Raises PlgsError."""
+    """The folder that image names start from: the first that has the first image. Raises PlgsError."""
     first = images[0].name
     for name in _IMAGES:
         if file_inside(place / name, first, place).is_file():
@@ -75,7 +75,7 @@ def _measured_depth(place: Path, folder: Path) -> dict[str, Path]:
     path = folder / MADE_BY
     if not path.is_file() or read_object(path, "Make the poses again.").get("scale") is None:
         return {}
-    return files_if_any(place / "depth", {".png", ".npy"}, "Give one map a photo.")
+    return files_if_any(place / "depth", {".png", ".npy"}, "Give one map per photo.")
 
 
 def _shot(
@@ -140,13 +140,13 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     data = read_file(path, _MOST_DEPTH)
     head = data[:64].split(b"&", 3)
     if len(head) < 4 or not all(part.isdigit() for part in head[:3]):
-        raise PlgsError("this is not a depth map of COLMAP's", path, "Let COLMAP write it again.")
+        raise PlgsError("this is not one of COLMAP's depth maps", path, "Let COLMAP write it again.")
     width, height, channels = (int(part) for part in head[:3])
     start = sum(len(part) + 1 for part in head[:3])
     if channels != 1 or not width * height or len(data) != start + 4 * width * height:
         raise PlgsError("the depth map is cut off", path, "Let COLMAP write it again.")
     values = np.frombuffer(data, "<f4", offset=start).reshape(height, width)
-    is_broken = ~(np.abs(values) < _FARTHEST)  # not a number, too
+    is_broken = ~(np.abs(values) < _FARTHEST)  # also where it is NaN
     if is_broken.mean() > _MOST_BROKEN:
         what = f"{is_broken.mean():.0%} of the depth map is not depth"
         raise PlgsError(what, path, "Let COLMAP write it again, or delete it: the frame then has no depth.")

@@ -25,13 +25,13 @@ MADE_BY = "made_by.json"
 _SUFFIXES = ("bin", "txt")
 _MOST_BYTES = 1 << 31
 _MOST_POINTS = 4_000_000
-"""Points of a model, at most: as many take seven seconds. Models of rooms have some hundred thousand."""
+"""The largest number of points of a model: as many take seven seconds. Models of rooms have some hundred thousand."""
 _MOST_LINES = 1_000_000
-"""Lines of a text file, at most: as many take some seconds."""
+"""The largest number of lines of a text file: as many take some seconds."""
 _LINE_IN_MEMORY = 500
-"""Bytes: a line of text, and the numbers that are read of it."""
+"""Bytes of a line of text, and of the numbers that are read from it."""
 _POINT_BYTES = 51
-"""Bytes of a point in a binary file, at least."""
+"""The least number of bytes of a point in a binary file."""
 _MOST_POINT_BYTES = _MOST_TEXT = 1 << 29
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 _FIX = "Let COLMAP export the model again."
@@ -209,7 +209,7 @@ def _checked_camera(camera: ColmapCamera, number: int, path: Path) -> ColmapCame
 
 
 def _text_images(path: Path) -> tuple[ColmapImage, ...]:
-    """Two lines an image; the second, its points in the picture, may be empty."""
+    """Two lines per image; the second, its points in the picture, may be empty."""
     lines, images = _lines(path), []
     for number, line in lines:
         words = line.split(maxsplit=9)

@@ -36,7 +36,7 @@ _PARAMETERS = "metadata_camera_parameters.csv"
 _USUAL = np.diag([0.5773502886169104, 0.4330127164626828, -1.0])
 """M_cam_from_uv of a lens that sees 60 degrees of 1024x768: f = 886.81."""
 _GUESSED = (
-    f"{_PARAMETERS} is not there, so the lens is taken for the usual one; more than half of the scenes have another: "
+    f"{_PARAMETERS} is missing, so the usual lens is assumed; more than half of the scenes have another: "
     "get it from Hypersim's repository (contrib/mikeroberts3000) and put it beside the scene"
 )
 
@@ -82,7 +82,7 @@ def _shot(name: str, colour: Path, depth: Path, pose: NDArray[np.float64], rays:
     projection = Projection(width, height, tuple(rays.ravel().tolist()))
     lens = projection.pinhole()
     if not (np.isfinite([lens.fx, lens.fy, lens.cx, lens.cy]).all() and lens.fx > 0.0 and lens.fy > 0.0):
-        raise PlgsError("the camera's parameters are those of no camera", colour, f"Correct {_PARAMETERS}.")
+        raise PlgsError("no camera can have these camera parameters", colour, f"Correct {_PARAMETERS}.")
     read = partial(decode, colour, as_colour=True) if is_image else partial(tone_mapped, colour)
     if projection.is_tilted:
         read = partial(straightened, read, projection)
@@ -119,7 +119,7 @@ def _read_rays(place: Path) -> tuple[NDArray[np.float64], list[str]]:
         raise PlgsError(f"the camera parameters of {name} are not numbers", path, "Download it again.") from error
     rays = np.array(values).reshape(3, 3)
     if not np.isfinite(rays).all() or abs(np.linalg.det(rays)) < 1e-9:
-        raise PlgsError(f"the camera parameters of {name} are those of no camera", path, "Download it again.")
+        raise PlgsError(f"no camera can have the camera parameters of {name}", path, "Download it again.")
     return rays, []
 
 

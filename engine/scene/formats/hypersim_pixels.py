@@ -1,4 +1,4 @@
-"""Hypersim's pixels out of HDF5: tilted lenses straightened, distances made planar, linear colour tone mapped."""
+"""Hypersim's pixels from HDF5: tilted lenses straightened, distances made planar, linear colour tone mapped."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ...posed.camera import Camera
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 _STRAIGHT = 1e-6
 _LARGEST = 2**27
-"""Numbers of one array, at most: a picture of 8192x5461 in colour."""
+"""The largest number of values in one array: a picture of 8192x5461 in colour."""
 _FIX = "Download this file again."
 _BRIGHT, _BRIGHT_SHARE, _GAMMA = 0.8, 90.0, 1.0 / 2.2
 """The project's tool brings the 90th percentile of brightness to 0.8, after a gamma of 1 / 2.2."""
@@ -63,7 +63,7 @@ def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray
     warp = np.linalg.inv(projection.ray_of_pixel()) @ np.linalg.inv(projection.pinhole().K)
     x, y = np.meshgrid(np.arange(projection.width) + 0.5, np.arange(projection.height) + 0.5)
     source = np.stack([x, y, np.ones_like(x)], axis=-1) @ warp.T
-    # Rays behind the tilted plane are none of its pixels.
+    # Rays behind the tilted plane do not belong to its pixels.
     scale = np.where(source[..., 2] > 1e-9, source[..., 2], np.nan)
     u, v = source[..., 0] / scale - 0.5, source[..., 1] / scale - 0.5
     return np.nan_to_num(u, nan=-1e6).astype(np.float32), np.nan_to_num(v, nan=-1e6).astype(np.float32)
@@ -84,7 +84,7 @@ def planar_depth(path: Path, projection: Projection) -> NDArray[np.float32]:
     """Planar depth, float32 [H, W] metres, 0 = none, of distances to the camera's centre. Raises PlgsError."""
     distance = read_hdf5(path, 2).astype(np.float64)
     if distance.shape != (projection.height, projection.width):
-        raise PlgsError("depth has another size than colour", path, "Download the scene again.")
+        raise PlgsError("depth and colour differ in size", path, "Download the scene again.")
     x, y = np.meshgrid(np.arange(projection.width) + 0.5, np.arange(projection.height) + 0.5)
     rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ projection.ray_of_pixel().T
     depth = distance * rays[..., 2] / np.linalg.norm(rays, axis=-1)

@@ -1,4 +1,4 @@
-"""Lenses: checked intrinsics, and distortion, which is taken out on reading so that the engine sees pinholes only."""
+"""Lenses: checked intrinsics, and distortion, which is removed on reading so that the engine sees only pinholes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...posed.layout import same_shape, shown_size
 
 _LEAST_SEEN = 0.1
 """Share of an undistorted picture that the distorted one shows, at least. Wide fisheyes show all of it."""
-UNDISTORTED = "the lens bends: pictures are undistorted on reading, and masks must be of the undistorted pictures"
+UNDISTORTED = "the lens distorts: pictures are undistorted on reading, and masks must be of the undistorted pictures"
 
 
 def pinhole(
@@ -47,7 +47,7 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
     """``lens`` at the size of an image file. Raises PlgsError when it is for pictures of another shape."""
     size = read_image_header(picture).size
     if not same_shape(size, lens.size):
-        raise PlgsError(f"the picture is {shown_size(size)}, its camera {shown_size(lens.size)}", picture, fix)
+        raise PlgsError(f"the picture is {shown_size(size)}, but its camera {shown_size(lens.size)}", picture, fix)
     return lens.resized(*size)
 
 
@@ -79,11 +79,11 @@ def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path
         x, y, share = _source_pixels(width, height, own.fx, own.fy, own.cx, own.cy, distortion)
         if share < _LEAST_SEEN:
             values = ", ".join(f"{value:.4g}" for value in distortion.coefficients)
-            what = f"the lens bends so much that {share:.0%} of the picture is left (its distortion: {values})"
-            raise PlgsError(what, path, "Correct the distortion, or undistort the pictures before.")
+            what = f"the lens distorts so much that {share:.0%} of the picture is left (its distortion: {values})"
+            raise PlgsError(what, path, "Correct the distortion, or undistort the pictures first.")
         return cv2.remap(pixels, x, y, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
     except cv2.error as error:
-        fix = "Undistort the pictures before, and give pinhole cameras."
+        fix = "Undistort the pictures first, and give pinhole cameras."
         raise PlgsError(f"the lens cannot be undistorted ({error.err})", path, fix) from error
 
 

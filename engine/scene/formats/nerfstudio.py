@@ -46,7 +46,7 @@ def _recognises(place: Path) -> bool:
 
 
 def _files(place: Path) -> list[Path]:
-    """The files with the frames: one, or that to train on and that to hold out."""
+    """The files with the frames: one for all, or one to train on and one to hold out."""
     if place.is_file():
         return [place] if place.name in (_FILE, _TRAIN) else []
     held_out = [place / name for name in _HELD_OUT if (place / name).is_file()][:1]
@@ -73,7 +73,7 @@ def _read(place: Path) -> Capture:
     if missing:
         warnings.append(f"{missing} frames are left out: their pictures are missing")
     if any("mask_path" in frame for frames, _ in parts for frame in frames):
-        warnings.append("mask_path is not used: it says what to leave out, not what is what")
+        warnings.append("mask_path is not used: it says what to leave out, and names no classes")
     up: UpAxis | None = "z" if contents[0].get("orientation_override") == "none" else None
     posed = {name for name, shot in found if shot is not None}
     kept = [tuple(name for name in own if name in posed) for own in of_parts]
@@ -94,7 +94,7 @@ def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], 
 
 
 def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
-    """One frame from its own entry over the one for all frames; None when its pose is not finite."""
+    """One frame, by its own entry and, for what that lacks, the one for all; None when its pose is not finite."""
     entry, context = dict(frame), f"frame {name}"
     pose = finite_pose(take_matrix(entry, "transform_matrix", context, path, ((4, 4), (3, 4))), path)
     if pose is None:
@@ -125,7 +125,7 @@ def _image_path(path: Path, name: str) -> Path:
 
 
 def _beside(path: Path, name: str) -> Path | None:
-    """The image of a name that counts from another folder: its last parts name a file below the JSON's folder."""
+    """The image of a name relative to another folder: its last parts name a file below the JSON's folder."""
     parts = [part for part in name.split("/") if part not in ("", ".", "..")]
     tails = (path.parent.joinpath(*parts[start:]) for start in range(1, len(parts)))
     paths = (tail.with_name(tail.name + suffix) for tail in tails for suffix in ("", *_IMAGES))
@@ -190,7 +190,7 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
     has_scale = "integer_depth_scale" in entry
     unit = take_number(entry, "integer_depth_scale", context, path) if has_scale else MILLIMETRES
     if not 0.0 < unit < 1.0:
-        raise PlgsError('"integer_depth_scale" is not the length of a step in metres', path, "Such as 0.001.")
+        raise PlgsError('"integer_depth_scale" is not the length of a step in metres', path, "Write one such as 0.001.")
     return png_depth(depth_path, lens, unit)
 
 

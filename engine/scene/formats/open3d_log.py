@@ -33,7 +33,7 @@ _IMAGES = {".jpg", ".jpeg", ".png"}
 _FIX = "Write a line of three numbers and a 4x4 matrix, camera-to-world, for each picture."
 _LENS_FIX = "Write width, height and intrinsic_matrix of these pictures into camera_intrinsic.json."
 _PRIMESENSE = Camera(640, 480, 525.0, 525.0, 320.0, 240.0, np.eye(4))
-_GUESSED = "the lens is taken for a PrimeSense's (525 525 319.5 239.5): write camera_intrinsic.json if it is not"
+_GUESSED = "a PrimeSense's lens is assumed (525 525 319.5 239.5): write camera_intrinsic.json if it is another"
 
 _Poses = list[tuple[NDArray[np.float64], Camera | None]]
 """Camera-to-world, float64 [4, 4], of each picture, and the lens if the trajectory has it."""
@@ -104,7 +104,7 @@ def _read(place: Path) -> Capture:
 
 
 def _read_log(path: Path) -> _Poses:
-    """Five lines a pose. Raises PlgsError."""
+    """Read five lines per pose. Raises PlgsError."""
     rows = list(read_rows(path, _FIX))
     if len(rows) % 5:
         raise PlgsError("the trajectory is cut off", path, _FIX)

@@ -7,7 +7,7 @@ from pathlib import Path
 SUFFIXES = {".jpg", ".jpeg", ".png"}
 FILMS = {".mp4", ".mov", ".m4v", ".avi", ".mkv"}
 LEAST = 3
-"""Photos that poses can be found of, at least."""
+"""The least number of photos whose poses can be found."""
 _FOLDERS = ("images", "image", "rgb", "color", "input", ".")
 """Where photos lie, in the order in which the reader of COLMAP's models looks for them."""
 
@@ -22,5 +22,5 @@ def photos_in(place: Path) -> Path | None:
 
 
 def is_film(place: Path) -> bool:
-    """Whether it is a film by its name."""
+    """Whether a place is a film, by its name."""
     return place.suffix.lower() in FILMS and place.is_file()

@@ -1,4 +1,4 @@
-"""Coloured points out of a PLY file."""
+"""Coloured points from a PLY file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..frame import SparsePoints
 
 _MOST_BYTES = 1 << 30
 _MOST_IN_TEXT = 1_000_000
-"""Vertices as text, at most: as many take some seconds."""
+"""The largest number of vertices as text: as many take some seconds."""
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"),
     **dict.fromkeys(("short", "int16"), "i2"), **dict.fromkeys(("ushort", "uint16"), "u2"),
@@ -22,7 +22,7 @@ _TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"), **dict.fromkeys(("double", "float64"), "f8"),
 }  # fmt: skip
 _VERTEX_IN_MEMORY, _VALUE_IN_MEMORY = 48, 200
-"""Bytes: a vertex with its colour, and a number of a line of text with the text."""
+"""Bytes of a vertex with its colour, and of a number in a line of text with its text."""
 _SHORT = "Write this file again."
 _FIX = "Write a PLY whose first element is vertex, with x, y, z."
 
@@ -74,7 +74,7 @@ def _vertices(body: bytes, form: str, count: int, fields: np.dtype[np.void], pat
         check_count(count, "vertices", path, _SHORT, most=_MOST_BYTES, room=room, made=_VERTEX_IN_MEMORY)
         return np.frombuffer(body, fields, count)
     values = len(fields.names or ())
-    room = len(body) // (2 * values)  # a digit and what parts it from the next
+    room = len(body) // (2 * values)  # a digit and what separates it from the next
     made = values * _VALUE_IN_MEMORY
     check_count(
         count, "vertices as text", path, "Write it as a whole, as binary.", most=_MOST_IN_TEXT, room=room, made=made

@@ -23,7 +23,7 @@ from .poses import finite_pose, from_opengl
 _FIX = "Export the raw data from Polycam again."
 _POSE = tuple(f"t_{row}{column}" for row in range(3) for column in range(4))
 _LENS = ("width", "height", "fx", "fy", "cx", "cy")
-_NOT_OPTIMISED = "the poses were not optimised (no corrected_cameras): they are ARKit's own, and pictures bend a little"
+_NOT_OPTIMISED = "the poses were not optimised (no corrected_cameras): they are ARKit's own, and pictures are distorted"
 
 
 def _recognises(place: Path) -> bool:

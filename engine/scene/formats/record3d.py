@@ -1,10 +1,10 @@
-"""Record3D's ``.r3d``: a zip of ``metadata``, ``rgbd/N.jpg``, ``rgbd/N.depth`` and ``rgbd/N.conf``; or it unpacked.
+"""Record3D's ``.r3d``: a zip of ``metadata``, ``rgbd/N.jpg``, ``rgbd/N.depth`` and ``rgbd/N.conf``; or these files.
 
 ``metadata`` is JSON: ``K`` (column by column) for pictures of ``w`` x ``h``, or ``perFrameIntrinsicCoeffs`` (fx fy cx
 cy); ``poses`` (qx qy qz qw tx ty tz), camera-to-world, OpenGL axes, metres; ``dw`` and ``dh``, the size of depth.
 Depth is LZFSE of float32 metres, confidence LZFSE of bytes 0 to 2; pixels with 0 are dropped. LZFSE needs the package
-pyliblzfse. A stream is blocks, each with a header that claims an unpacked size. The library does not go by it and takes
-what memory a stream asks for, so ``unpack_lzfse`` bounds it.
+pyliblzfse. A stream is blocks, each with a header that claims an unpacked size. The library ignores the claim and takes
+as much memory as a stream asks for, so ``unpack_lzfse`` bounds it.
 
 Its export "EXR + JPG sequence" is a folder ``EXR_RGBD`` of ``metadata.json``, ``rgb/N.jpg`` or ``.png``, and
 ``depth/N.exr`` with metres in the channel R.
@@ -44,11 +44,11 @@ from .poses import from_opengl, quaternion_pose
 _FIX = "Export it from Record3D again."
 _EXPORTED = "metadata.json"
 _LARGEST = 2**28
-"""Bytes of one unpacked picture or depth map, at most."""
+"""The largest number of bytes of one unpacked picture or depth map."""
 _DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
 """(width, height) of LiDAR and TrueDepth, upright and lying, for metadata without a size."""
 _MOST_DEPTHS = 2**22
-"""Numbers of a depth map, at most."""
+"""The largest number of values in a depth map."""
 _CLEARLY_Y = 0.9
 """Cosine of 25 degrees."""
 _STORED, _SHORT, _USUAL, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"
@@ -170,7 +170,7 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
 
 
 def _up(shots: list[Shot]) -> UpAxis | None:
-    """ARKit's y, unless the cameras stand otherwise: some recordings count from their first pose."""
+    """ARKit's y, unless the cameras stand otherwise: some recordings start from their first pose."""
     up = upright_rotation([shot.camera.camera_to_world for shot in shots])[2] if shots else np.zeros(3)
     return "y" if up[1] > _CLEARLY_Y else None
 
@@ -247,7 +247,7 @@ class _Block(NamedTuple):
 def unpack_lzfse(data: bytes, most_bytes: int, decompress: Callable[[bytes], bytes]) -> bytes:
     """The bytes of a stream. Raises ValueError when it is cut off or holds more than ``most_bytes``.
 
-    Raises what ``decompress`` raises, too.
+    Also raises what ``decompress`` raises.
     """
     blocks = _blocks(data, 4 + most_bytes // _FULL_BLOCK)
     if blocks and blocks[-1].unpacked > most_bytes:
@@ -261,7 +261,7 @@ def unpack_lzfse(data: bytes, most_bytes: int, decompress: Callable[[bytes], byt
 
 def _refuse_more(unpacked: bytes, claimed: int) -> None:
     if len(unpacked) != claimed:
-        raise ValueError("a block unpacks to another size than it says")
+        raise ValueError("a block does not unpack to the size that it says")
 
 
 def _blocks(data: bytes, most: int) -> list[_Block]:
@@ -287,7 +287,7 @@ def _length(data: bytes, place: int, kind: bytes, claimed: int) -> int:
         return 12 + int(struct.unpack_from("<I", data, place + 8)[0])
     if kind != _USUAL:
         raise ValueError("it has a block of a kind that is not known")
-    # 64 bits hold numbers of 20: literals' bytes from bit 20 of the first, matches' from bit 40 of the second.
+    # 64 bits hold numbers of 20 bits: literals' bytes from bit 20 of the first, matches' from bit 40 of the second.
     first, second, third = struct.unpack_from("<3Q", data, place + 8)
     return (third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
 

@@ -1,10 +1,10 @@
 """Replica as NICE-SLAM rendered it, and as Semantic-NeRF and vMAP did.
 
 * NICE-SLAM: ``results/frame000000.jpg`` and ``results/depth000000.png``, ``traj.txt``; ``cam_params.json`` in the
-  folder above says fx fy cx cy and the depth's steps a metre, 6553.5.
+  folder above says fx fy cx cy and the depth's steps per metre, 6553.5.
 * Semantic-NeRF, vMAP: ``rgb/rgb_0.png`` and ``depth/depth_0.png`` in millimetres, ``traj_w_c.txt``.
 
-A trajectory has 16 numbers a line: camera-to-world, OpenCV axes, metres, z up; line n is picture n. Pixel centres are
+A trajectory has 16 numbers per line: camera-to-world, OpenCV axes, metres, z up; line n is picture n. Pixel centres are
 integers. Without a file of intrinsics the lens sees 90 degrees: f = w / 2, c = (w - 1) / 2 and (h - 1) / 2.
 """
 
@@ -27,7 +27,7 @@ from .poses import finite_pose
 from .rows import matrix_rows
 
 _STEPS_A_METRE = 6553.5
-_FIX = "Write 16 numbers a line, camera-to-world."
+_FIX = "Write 16 numbers per line, camera-to-world."
 _IMAGES = {".jpg", ".jpeg", ".png"}
 _PARAMETERS = ("w", "h", "fx", "fy", "cx", "cy", "scale")
 
@@ -73,7 +73,7 @@ def _numbered(folder: Path, suffixes: set[str], kind: str) -> dict[int, Path]:
         if number:
             found[int(number[1])] = path
     if not found:
-        raise PlgsError(f"no picture is called {kind} and a number", folder, "Name them by their trajectory's lines.")
+        raise PlgsError(f"no picture is named {kind} and a number", folder, "Name them by their trajectory's lines.")
     return dict(sorted(found.items()))
 
 
@@ -82,8 +82,8 @@ def _capture(
 ) -> Capture:
     matrices = list(matrix_rows(trajectory, _FIX))
     if colours and max(colours) >= len(matrices):
-        what = f"there are {len(matrices)} poses and a picture {max(colours)}"
-        raise PlgsError(what, trajectory, "Number pictures from 0, a pose each.")
+        what = f"there are {len(matrices)} poses, but a picture {max(colours)}"
+        raise PlgsError(what, trajectory, "Number pictures from 0, and give each a pose.")
     found: list[tuple[str, Shot | None]] = []
     for number, path in colours.items():
         pose = finite_pose(matrices[number], trajectory)

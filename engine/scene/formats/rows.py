@@ -29,7 +29,7 @@ def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool =
     """
     for number, line in enumerate(read_text(path, LARGEST_TABLE, fix).splitlines(), start=1):
         words = [word.strip() for word in line.partition("#")[0].split(separator)]
-        # TUM's column titles are comments; some tools take the # away.
+        # TUM's column titles are comments; some tools remove the #.
         if any(words) and (titles or words[0] != "timestamp"):
             yield Row(number, words)
 
@@ -39,14 +39,14 @@ def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray
     try:
         values = np.array([float(word) for word in row.words])
     except ValueError as error:
-        raise PlgsError(f"line {row.line} holds something else than numbers", path, fix) from error
+        raise PlgsError(f"line {row.line} holds something other than numbers", path, fix) from error
     if count is not None and len(values) != count:
         raise PlgsError(f"line {row.line} holds {len(values)} numbers, not {count}", path, fix)
     return values
 
 
 def matrix_rows(path: Path, fix: str) -> Iterator[NDArray[np.float64]]:
-    """Matrices, float64 [4, 4], of a file with 16 (or, without the last row, 12) numbers a line. Raises PlgsError."""
+    """Matrices, float64 [4, 4], of a file with 16 (or, without the last row, 12) numbers per line. Raises PlgsError."""
     for row in read_rows(path, fix):
         values = numbers(row, path, fix)
         if len(values) not in (12, 16):

@@ -2,8 +2,8 @@
 
 A frame has ``aligned_pose``, camera-to-world in the laser scan's frame, OpenCV axes, metres, z up, and ``intrinsic``,
 3x3. Pictures are ``rgb/frame_000000.jpg`` if they were extracted, else frames of ``rgb.mp4`` or ``rgb.mkv``. Depth
-is ``depth/frame_000000.png`` in millimetres if it was extracted, else ``depth.bin``: 256x192 a frame, planar, in one of
-two ways.
+is ``depth/frame_000000.png`` in millimetres if it was extracted, else ``depth.bin``: 256x192 per frame, planar, in one
+of two ways.
 
 * One raw deflate stream of float32 metres, frame after frame.
 * For each frame 4 bytes of size (little endian), then an LZ4 block of 16-bit millimetres or a raw deflate stream of
@@ -51,7 +51,7 @@ def _recognises(place: Path) -> bool:
 
 
 def _read(place: Path) -> Capture:
-    """Open the frames; headers of images, at most one picture of the video is decoded. Raises PlgsError."""
+    """Open the frames; reads headers of images, and decodes at most one picture of the video. Raises PlgsError."""
     folder = place if (place / _TABLE).is_file() else place / "iphone"
     return Capture(list(_shots(folder)), "z", up_is_known=True)
 
@@ -84,7 +84,7 @@ def _shots(folder: Path) -> Iterator[tuple[str, Shot | None]]:
             depth = DepthMap(stream.path, partial(stream.frame, number))
         elif depths:
             if name not in depths:
-                raise PlgsError(f"{name} has no depth", folder / "depth", "Take out depth for all pictures.")
+                raise PlgsError(f"{name} has no depth", folder / "depth", "Extract depth for all pictures.")
             depth = png_depth(depths[name], lens)
         yield name, Shot(name, lens.at(pose), picture, depth, video.reader(number) if video else None)
 
@@ -103,7 +103,7 @@ def _lens(entry: dict[str, Any], name: str, size: tuple[int, int], path: Path) -
 
 
 class _DepthStream:
-    """A depth.bin. A single stream is unpacked forward; an earlier frame starts it anew."""
+    """A depth.bin. A single stream is unpacked forward; an earlier frame restarts it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

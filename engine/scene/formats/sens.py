@@ -1,8 +1,8 @@
 """ScanNet's ``.sens``: one file with a header, then frames of a pose, a JPEG or PNG, and compressed depth.
 
 Camera-to-world, OpenCV axes, metres, z up; -inf when tracking was lost. Intrinsics of colour and of depth, with
-integer pixel centres; depth is planar, 16 bits, ``depth_shift`` steps a metre, and read through its own lens. Frames
-are called by their number, as ScanNet's labels are.
+integer pixel centres; depth is planar, 16 bits, ``depth_shift`` steps per metre, and read through its own lens. Frames
+are named by their number, as ScanNet's labels are.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     shift, frames = _take(file, "<fQ", path)
     if colour_compression not in _COLOURS or depth_compression not in (_RAW, _ZLIB):
         fix = "Export it with ScanNet's SensReader, and name the folder."
-        raise PlgsError("colour or depth is compressed in a way that is not known here", path, fix)
+        raise PlgsError("colour or depth is compressed in a way that is not known", path, fix)
     if not 0.0 < shift < 1e6 or max(depth_width, depth_height) > 2**14:
         raise PlgsError("the header makes no sense", path, _FIX)
     return _Header(
@@ -164,7 +164,7 @@ def _read_depth(block: _Block, header: _Header) -> NDArray[np.float32]:
         except zlib.error as error:
             raise PlgsError("depth cannot be decompressed", block.path, _FIX) from error
     if len(data) != wanted:
-        raise PlgsError("depth has another size than the header says", block.path, _FIX)
+        raise PlgsError("depth does not have the size that the header says", block.path, _FIX)
     return np.frombuffer(data, "<u2").reshape(height, width) * np.float32(header.unit)
 
 

@@ -6,8 +6,8 @@ is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the fi
 * With ``camera-intrinsics.txt`` (tsdf-fusion, 3DMatch) or ``camera-intrinsics.color.txt``: 3x3, integer pixel
   centres, for colour and depth alike.
 * Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f
-  525, stands 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if somebody registered it to colour
-  already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does.
+  525, stands 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if that exists: there it is
+  registered to colour already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """TUM RGB-D sequences, those recorded in their layout (Bonn, ETH3D SLAM), and ICL-NUIM's TUM-compatible ones.
 
-* ``rgb.txt`` and ``depth.txt``: a time stamp and a file name a line; or ``associations.txt`` (``associated.txt``)
-  with a colour and a depth image a line. Without either, the names of the images in ``rgb/`` and ``depth/`` are the
+* ``rgb.txt`` and ``depth.txt``: a time stamp and a file name per line; or ``associations.txt`` (``associated.txt``)
+  with a colour and a depth image per line. Without either, the names of the images in ``rgb/`` and ``depth/`` are the
   stamps.
 * ``groundtruth.txt`` (ICL: ``*.gt.freiburg``): ``t tx ty tz qx qy qz qw``, camera-to-world, OpenCV axes, metres.
-* Depth: 16-bit PNG, registered to colour, planar, 5000 steps a metre, 0 = none.
+* Depth: 16-bit PNG, registered to colour, planar, 5000 steps per metre, 0 = none.
 * Intrinsics are not in the files: TUM's are those of its documentation, told apart by "freiburg1", "freiburg2" or
   "freiburg3" in the folder's name; ETH3D has them in ``calibration.txt``: ``fx fy cx cy``. Integer pixel centres.
 
@@ -104,7 +104,7 @@ def _read(place: Path) -> Capture:
         lens = _LENSES[name]
     else:
         lens = _KINECT
-        note = "the lens is taken for a Kinect's (525 525 319.5 239.5): put another's fx fy cx cy into calibration.txt"
+        note = "a Kinect's lens is assumed (525 525 319.5 239.5): put another's fx fy cx cy into calibration.txt"
     return _capture(place, place / "groundtruth.txt", lens, note)
 
 
@@ -112,7 +112,7 @@ def _read_calibration(path: Path) -> _Lens:
     fix = "Write fx fy cx cy."
     row = next(read_rows(path, fix), None)
     if row is None or len(row.words) < 4:
-        raise PlgsError("the intrinsics are not all there", path, fix)
+        raise PlgsError("the intrinsics are incomplete", path, fix)
     fx, fy, cx, cy = numbers(row, path, fix)[:4].tolist()
     return _Lens(fx, fy, cx, cy, size=None)
 

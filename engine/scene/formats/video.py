@@ -1,4 +1,4 @@
-"""Pictures out of a video, decoded on demand."""
+"""Pictures from a video, decoded on demand."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ..frame import Size
 _BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
 """An MP4 or MOV begins with one of these."""
 _MATROSKA = b"\x1a\x45\xdf\xa3"
-_FIX = "Copy or record it again, or take its pictures out with another tool."
+_FIX = "Copy or record it again, or extract its pictures with another tool."
 
 
 class Video:
-    """One decoder for all frames of a video. It goes forward; an earlier frame starts it anew.
+    """One decoder for all frames of a video. It goes forward; an earlier frame restarts it.
 
     Orientation tags are ignored, as intrinsics refer to the stored pixels.
     """
@@ -44,7 +44,7 @@ class Video:
         return np.ascontiguousarray(pixels[..., ::-1])
 
     def reader(self, number: int) -> Callable[[], NDArray[np.uint8]]:
-        """What reads the picture ``number``."""
+        """A function that reads the picture ``number``."""
         return partial(self.frame, number)
 
     def size(self) -> Size:

@@ -1,7 +1,7 @@
 """The formats of masks: one reader each, which recognises its files and reads segments.
 
 A new format is a module with a ``MaskFormat`` in this folder, its entry in ``MASK_FORMATS``, and its name in
-``format_names.py``, from where the panel has its list.
+``format_names.py``, from which the panel takes its list.
 """
 
 from __future__ import annotations
@@ -73,6 +73,6 @@ def _refuse_pickles(place: Path) -> None:
     files = [place] if place.is_file() else [path for path in sorted(place.iterdir()) if path.is_file()]
     pickles = [path.name for path in files if path.suffix.lower() in _PICKLES]
     if pickles:
-        fix = "Save the arrays with numpy.save and what belongs to them as JSON."
+        fix = "Save the arrays with numpy.save and other data as JSON."
         what = f"masks are pickled ({listed(pickles, 2)}), which could run code when they are read"
         raise PlgsError(what, place, fix)

@@ -1,4 +1,4 @@
-"""NumPy arrays of classes a frame: a picture of numbers, or the probability of each class at each pixel.
+"""A NumPy array of classes per frame: a picture of numbers, or the probability of each class at each pixel.
 
 ``<frame>.npy`` or ``.npz``. Whole numbers [H, W] are classes; beside them an .npz may have instances (``instance``).
 Floats [C, H, W] or [H, W, C] are probabilities, or shares of any sum: the greatest wins. Channel k is the class k of
@@ -58,7 +58,7 @@ def _most_probable(values: NDArray[Any], path: Path) -> FoundMask:
     if not np.isfinite(values).all():
         raise PlgsError("probabilities are not numbers", path, _FIX)
     if values.min() < 0.0:
-        raise PlgsError("these are logits, not probabilities", path, "Save what softmax makes of them.")
+        raise PlgsError("these are logits, not probabilities", path, "Save them after a softmax.")
     labels, best = values.argmax(0), values.max(0)
     labels = np.where(best > 0.0, labels, -1)
     share = best / np.maximum(values.sum(0), 1e-12)
@@ -82,7 +82,7 @@ def _recognises(place: Path) -> bool:
 
 
 def _name_of(path: Path) -> str | None:
-    """The name of the array of classes; None if no array can be it."""
+    """The name of the array of classes; None if there is no such array."""
     headers = array_headers(path)
     if any("mask" in name for name in headers):
         return None
@@ -95,7 +95,7 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     for name, path in files_of_frames(place, names, {".npy", ".npz"}, "mask", _FIX).items():
         key = _name_of(path)
         if key is None:
-            raise PlgsError("there is no array of classes", path, f"Call it {_CLASSES[0]}. {_FIX}")
+            raise PlgsError("there is no array of classes", path, f"Name it {_CLASSES[0]}. {_FIX}")
         headers = array_headers(path)
         instances = next((one for one in _INSTANCES if one in headers), None)
         size = _size(headers[key].shape, headers[key].kind, path)

@@ -1,4 +1,4 @@
-"""COCO panoptic masks: one JSON table and one PNG a frame, id = R + 256 G + 65536 B.
+"""COCO panoptic masks: one JSON table, and one PNG per frame, id = R + 256 G + 65536 B.
 
 Exporters differ, and this reader is lenient without guessing: a missing score counts as 1, ``label_id`` (transformers)
 counts as ``category_id``, a palette-free grey PNG holds the ids themselves. Tables that would silently mix up segments
@@ -41,7 +41,7 @@ def _read_mask(png: Path, table: Path, segments: tuple[FoundSegment, ...], crowd
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
     if unknown:
         fix = "Add them to this frame's segments_info, or paint them 0 (id = R + 256 G + 65536 B)."
-        raise PlgsError(f"segment ids {listed(unknown)} of the PNG are missing in {table.name}", png, fix)
+        raise PlgsError(f"segment ids {listed(unknown)} of the PNG are missing from {table.name}", png, fix)
     if crowd_ids:
         ids[np.isin(ids, list(crowd_ids))] = 0
     return FoundMask(ids, segments)
@@ -119,7 +119,7 @@ def _colour(entry: dict[str, Any], context: str, table: Path) -> tuple[int, int,
 
 
 def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The annotation of each frame. A frame is called like its image's file or, else, like the mask's."""
+    """The annotation of each frame. A frame is named after its image's file or, failing that, after the mask's."""
     images: dict[str, str] = {}
     if "images" in content:
         for position, image in enumerate(take_objects(content, "images", "the file", table)):
@@ -132,7 +132,7 @@ def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]
         name = images.get(str(entry.get("image_id")), stem)
         name = name if name in wanted else stem
         if name in found:
-            raise PlgsError(f"frame {name} has two annotations", table, "Keep one annotation a frame.")
+            raise PlgsError(f"frame {name} has two annotations", table, "Keep one annotation per frame.")
         found[name] = entry
     return found
 
@@ -151,7 +151,7 @@ def _open_frame(
     if header.width * header.height > LARGEST_PIXELS:
         raise PlgsError(f"{header.width}x{header.height} is too large for a mask", png, "Write this file again.")
     if header.format != "png" or header.bit_depth < 8:
-        raise PlgsError("masks must be PNGs of 8 or 16 bits a channel", png, "Save ids as R + 256 G + 65536 B.")
+        raise PlgsError("masks must be PNGs of 8 or 16 bits per channel", png, "Save ids as R + 256 G + 65536 B.")
     segments: dict[int, FoundSegment] = {}
     crowd_ids: set[int] = set()
     for info in take_objects(entry, "segments_info", context, table):

@@ -1,7 +1,7 @@
-"""A mask, a class and a score for each detection: an .npz a frame, or a folder of PNGs a frame.
+"""A mask, a class and a score for each detection: one .npz, or one folder of PNGs, per frame.
 
 * ``<frame>.npz``: ``masks`` [N, H, W] (bool, bytes, or shares above 0.5), ``classes`` [N] (numbers or names) and
-  ``scores`` [N]; detectron2's ``pred_masks``, ``pred_classes`` and Hugging Face's ``labels`` are taken too.
+  ``scores`` [N]; detectron2's ``pred_masks``, ``pred_classes`` and Hugging Face's ``labels`` are read too.
 * ``<frame>/<k>_<class>_<score>.png``: black and white; the class is a number or a name.
 
 Of detections that overlap, the one with the highest score is on top. Class numbers count from 0.
@@ -38,7 +38,7 @@ _KEYS = {
 }
 _NAME = re.compile(r"(\d+)_(.+)_(\d*\.?\d+)", re.ASCII)
 _FIX = "Save masks [N, H, W], classes [N] and scores [N] with numpy.savez, one file a frame."
-_NAME_FIX = "Call it <k>_<class>_<score>.png, such as 3_chair_0.92.png."
+_NAME_FIX = "Name it <k>_<class>_<score>.png, such as 3_chair_0.92.png."
 _MOST = 10_000
 
 
@@ -95,7 +95,7 @@ def _read_stack(path: Path, segments: Sequence[FoundSegment]) -> FoundMask:
 
 
 def _pile(paths: Sequence[Path], segments: Sequence[FoundSegment]) -> StoredMask:
-    """The mask in PNGs, one a segment."""
+    """The mask in PNGs, one per segment."""
     size = label_header(paths[0]).size
     return StoredMask(paths[0], size, partial(painted_files, paths, segments, size, _NAME_FIX))
 
@@ -107,7 +107,7 @@ def _pictures(folder: Path) -> tuple[Path, ...]:
 def _from_name(path: Path) -> Detection:
     match = _NAME.fullmatch(path.stem)
     if match is None or not 0.0 <= float(match[3]) <= 1.0:
-        raise PlgsError("the name does not tell class and score", path, _NAME_FIX)
+        raise PlgsError("the name does not give class and score", path, _NAME_FIX)
     return Detection(match[2], float(match[3]))
 
 
@@ -117,7 +117,7 @@ def _detections(path: Path) -> list[Detection]:
     count = _count(headers[_key(path, "masks")].shape, path)
     classes, scores = read_array(path, _key(path, "classes")), read_array(path, _key(path, "scores"))
     if classes.shape != (count,) or scores.shape != (count,) or classes.dtype.kind not in "iuU":
-        raise PlgsError(f"there are not {count} classes and scores as there are masks", path, _FIX)
+        raise PlgsError(f"there are {count} masks, but not as many classes and scores", path, _FIX)
     if scores.dtype.kind != "f" or not ((scores >= 0.0) & (scores <= 1.0)).all():
         raise PlgsError("scores are not between 0 and 1", path, _FIX)
     words = [str(word) for word in classes.tolist()]

@@ -1,4 +1,4 @@
-"""Masks out of a renderer: Cryptomatte, and object index passes, one ``<frame>.exr`` a frame.
+"""Masks from a renderer: Cryptomatte, and object index passes, one ``<frame>.exr`` per frame.
 
 * Cryptomatte: a pixel shows the object that covers most of it, and is void if none covers half of it. A layer whose
   name has "object" or "instance" gives the objects. Their classes are those of a layer whose name has "class", else
@@ -35,7 +35,7 @@ from .source import (
     segments_of_pairs,
 )
 
-_FIX = "Render the frames with Cryptomatte, or with the object index pass, one file a frame."
+_FIX = "Render the frames with Cryptomatte, or with the object index pass, one file per frame."
 _LARGEST_MANIFEST = 2**26
 _COVERED = 0.5
 _INDEX = re.compile(r"(?:.*\.)?(IndexOB|IndexMA)(?:\.[XVYRxvyr])?")

@@ -29,7 +29,7 @@ def _read_mask(array: Path, table: Path, segments: Mapping[int, FoundSegment]) -
     present = [int(value) for value in np.unique(ids) if value]
     unknown = [value for value in present if value not in segments]
     if unknown:
-        raise PlgsError(f"objects {listed(unknown)} are missing in {table.name}", array, _FIX)
+        raise PlgsError(f"objects {listed(unknown)} are missing from {table.name}", array, _FIX)
     return FoundMask(ids.astype(np.int32), tuple(segments[value] for value in present))
 
 

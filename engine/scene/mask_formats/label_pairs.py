@@ -46,7 +46,7 @@ def _read_pairs(place: Path, names: Sequence[str]) -> MaskSource:
     """Open both folders; headers only. Raises PlgsError."""
     pair = _pair_in(place)
     if pair is None:
-        raise PlgsError("there are no two folders of classes and instances", place, f"Looked for {_LOOKS_FOR}.")
+        raise PlgsError("there is no pair of folders of classes and instances", place, f"Looked for {_LOOKS_FOR}.")
     classes, instances = (files_of_frames(folder, names, SUFFIXES, "mask", _FIX) for folder in pair)
     return MaskSource(label_pairs(classes, instances), void=IGNORED)
 
@@ -62,8 +62,8 @@ def label_pairs(classes: Mapping[str, Path], instances: Mapping[str, Path]) -> d
     for name, path in classes.items():
         size, instance = label_map_size(path), instances.get(name)
         if instance is not None and label_map_size(instance) != size:
-            what = f"the instance image is not {shown_size(size)} as the classes are"
-            raise PlgsError(what, instance, "Make both with the same size.")
+            what = f"the instance image is not {shown_size(size)} like the classes"
+            raise PlgsError(what, instance, "Make both the same size.")
         masks[name] = StoredMask(path, size, partial(_read_pair, path, instance))
     return masks
 

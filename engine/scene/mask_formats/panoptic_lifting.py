@@ -17,7 +17,7 @@ from .label_pairs import label_pairs
 from .source import MaskFormat, MaskSource
 
 _FIX = "Panoptic Lifting's masks are the folders m2f_semantics and m2f_instance."
-_BOTH = "masks with test-time augmentation are used; name m2f_notta_semantics as the masks for those without"
+_BOTH = "masks with test-time augmentation are used; for those without, name m2f_notta_semantics as the masks"
 
 
 def _recognises(place: Path) -> bool:

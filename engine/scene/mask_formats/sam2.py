@@ -1,4 +1,4 @@
-"""SAM 2's tracks: a PNG a frame whose values number the objects, or a folder of black and white PNGs an object.
+"""SAM 2's tracks: one PNG per frame whose values number the objects, or one folder of black and white PNGs per object.
 
 ``<frame>.png`` with a palette, index = object, 0 = none; or ``<object>/<frame>.png``, anything but 0 is the object. The
 numbers are the same in all frames. SAM 2 gives no classes: ``classes.toml`` may give each object's number one.
@@ -23,7 +23,7 @@ from .source import (
     segments_of_objects,
 )
 
-_FIX = "Name the folder that SAM 2 wrote for the video: a PNG a frame, or a folder an object."
+_FIX = "Name the folder that SAM 2 wrote for the video: one PNG per frame, or one folder per object."
 
 
 def _recognises(place: Path) -> bool:

@@ -1,7 +1,7 @@
-"""A picture of segment ids and a JSON of its segments a frame: the results of Hugging Face's and detectron2's networks.
+"""A picture of segment ids and a JSON of its segments per frame: results of Hugging Face's and detectron2's networks.
 
 ``<frame>.json`` holds the list ``segments_info``, alone or under that name; beside it lies the picture of ids as
-``<frame>.npy``, ``.npz`` or ``.png``. Neither library writes files by itself; users save its results so.
+``<frame>.npy``, ``.npz`` or ``.png``. Neither library writes files by itself; users save its results this way.
 
 * transformers (``post_process_panoptic_segmentation``): ``{id, label_id, was_fused, score}``. Ids count from 1 with 0
   for nothing, or from 0 with -1 for nothing; -1 everywhere if nothing was found. One stuff class may come in pieces.
@@ -29,7 +29,7 @@ from ..label_image import SUFFIXES, label_map_size, read_label_map
 from .coco import take_score
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
-_FIX = "Save for each frame the picture of ids (numpy.save, or PNG) and segments_info as JSON, both named as the frame."
+_FIX = "Save for each frame the picture of ids (numpy.save, or PNG) and segments_info as JSON, both with its name."
 _MOST_LOOKED_AT = 50
 _CONFIG = "config.json"
 _COCO_THINGS = 80
@@ -46,8 +46,8 @@ def _read_mask(picture: Path, table: Path, segments: Mapping[int, FoundSegment])
         void |= {255, 65535} - {*segments}
     unknown = [int(value) for value in present if int(value) not in void and int(value) not in segments]
     if unknown:
-        fix = "Save picture and segments of the same call; with transformers, without label_ids_to_fuse."
-        raise PlgsError(f"segment ids {listed(unknown)} are missing in {table.name}", picture, fix)
+        fix = "Save picture and segments from the same call; with transformers, without label_ids_to_fuse."
+        raise PlgsError(f"segment ids {listed(unknown)} are missing from {table.name}", picture, fix)
     number = np.array([segments[int(v)].id if int(v) in segments else 0 for v in present], np.int32)
     painted = number[np.searchsorted(present, ids)]
     return FoundMask(painted, tuple(sorted(segments.values(), key=lambda segment: segment.id)))
@@ -77,7 +77,7 @@ def _picture_of(table: Path) -> Path | None:
 
 
 def _segments_info(path: Path) -> list[dict[str, Any]]:
-    """The list in a file: by itself, or as "segments_info" of an object. Raises PlgsError."""
+    """The list in a file: alone, or as "segments_info" of an object. Raises PlgsError."""
     data = read_file(path, LARGEST_TABLE)
     if data.lstrip().startswith(b"["):
         data = b'{"segments_info": ' + data + b"}"
@@ -156,8 +156,8 @@ def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSeg
 
 
 def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Path) -> None:
-    """Number segments from 1 in their order. Fused stuff is listed once a piece. Raises PlgsError for two classes with
-    one number: the picture cannot tell them apart."""
+    """Number segments from 1 in their order. Fused stuff is listed once per piece. Raises PlgsError for two classes
+    with one number: the picture cannot tell them apart."""
     if one.id not in found:
         found[one.id] = FoundSegment(len(found) + 1, one.label, one.score)
     elif found[one.id].label != one.label:
@@ -168,7 +168,7 @@ def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Pa
 def _labels_of_config(config: Path, fused: set[int]) -> tuple[ClassLabel, ...]:
     """``id2label`` of a model's config.json. Public tables know things by name; other things are what was not fused."""
     names = read_json_object(config).get("id2label")
-    fix = "Copy the model's config.json there, or take it away and name a table with --classes."
+    fix = "Copy the model's config.json there, or remove it and name a table with --classes."
     if not isinstance(names, dict) or not names:
         raise PlgsError('the model\'s "id2label" is missing', config, fix, option="--classes")
     labels, tables = {}, nearest_tables(str(name) for name in names.values())

@@ -115,7 +115,7 @@ def segments_of_objects(objects: NDArray[np.integer]) -> FoundMask:
 
 
 def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
-    """``masks``, bool [H, W] each, on top of each other, one a segment: the highest score, then the smallest, on top.
+    """``masks``, bool [H, W] each, on top of each other, one per segment: the highest score, then the smallest, on top.
 
     Segments that stay without pixels are left out.
     """
@@ -132,7 +132,7 @@ def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size:
     masks = [read_indices(path) > 0 for path in paths]
     for path, mask in zip(paths, masks, strict=True):
         if mask.shape != size[::-1]:
-            raise PlgsError(f"this mask is not {shown_size(size)} as the others are", path, fix)
+            raise PlgsError(f"this mask is not {shown_size(size)} like the others", path, fix)
     return painted(masks, segments, size)
 
 

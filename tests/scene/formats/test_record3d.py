@@ -170,7 +170,7 @@ def test_what_says_more_than_may_be_reaches_no_library() -> None:
 
 def test_what_says_less_than_it_is_does_not_get_far() -> None:
     library = Library(27_000_000)
-    with pytest.raises(ValueError, match="another size than it says"):
+    with pytest.raises(ValueError, match="to the size that it says"):
         unpack_lzfse(ONE * 30 + END, 4800 * 100, library)
     assert library.most == 8 * 27_000_000
 

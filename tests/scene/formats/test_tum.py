@@ -49,7 +49,7 @@ def test_points_lie_on_the_room(tmp_path: Path) -> None:
     scene = open_scene(write_tum(tmp_path))
     assert scene.format == "tum" and scene.frames[0].name == "1305031102.170000"
     assert "1 frames without a pose are left out: 1305031100.000000" in scene.warnings
-    assert any("taken for a Kinect's" in warning for warning in scene.warnings)
+    assert any("a Kinect's lens is assumed" in warning for warning in scene.warnings)
     check_on_room(scene)
 
 
