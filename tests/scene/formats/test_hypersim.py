@@ -79,7 +79,7 @@ def test_a_tilted_lens_is_straightened(tmp_path: Path) -> None:
 
 def test_without_the_table_the_usual_lens_is_taken(tmp_path: Path) -> None:
     scene = open_scene(write_hypersim(tmp_path / "ai_001_001", USUAL, table=False, linear=True))
-    assert any("metadata_camera_parameters.csv is not there" in warning for warning in scene.warnings)
+    assert any("metadata_camera_parameters.csv is missing" in warning for warning in scene.warnings)
     check_on_room(scene, tolerance=0.005, colour_step=255)
     one = scene.frames[0].read_colour(None).astype(int)
     assert 190 < np.percentile(one @ [0.3, 0.59, 0.11], 90) < 215 and not scene.frames[0].file_shows_colour
