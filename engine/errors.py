@@ -97,7 +97,7 @@ def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
 
 
 class Cancelled(Exception):
-    """Somebody asked the engine to stop. The last checkpoint is kept and can be resumed (exit code 3)."""
+    """The engine was asked to stop. The last checkpoint is kept and can be resumed (exit code 3)."""
 
 
 def is_silence(error: BaseException | None) -> bool:

@@ -142,8 +142,8 @@ def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> t
     if cause.cause == "unit":
         factor = now.unit / before.unit
         steps = 1.0 / factor
-        known = f"{1000 * steps:.0f} steps a metre" if steps >= 0.3 else f"{1000 * steps:.3g} steps a metre"
-        text = f"depth is in another unit, {_off(factor)} (as if written with {known} and read with 1000)"
+        known = f"{1000 * steps:.0f}" if steps >= 0.3 else f"{1000 * steps:.3g}"
+        text = f"depth is in another unit, {_off(factor)} (as if written with {known} steps per metre, read with 1000)"
         return text, f"multiply depth by {factor:.4g}", {"factor": factor}
     if cause.cause == "length":
         factor = now.length / before.length

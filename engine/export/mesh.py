@@ -27,7 +27,7 @@ from .mending import close_holes, without_crumbs
 from .source import FinishedLift
 
 LEAST_ALPHA = 0.7
-"""Alpha below which a pixel's depth is no surface."""
+"""Alpha below which a pixel's depth is not a surface."""
 WIDEST = 640
 """Width in pixels above which only every n-th pixel of a view is fused."""
 SEEN_WITHIN = 0.05

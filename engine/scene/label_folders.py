@@ -110,7 +110,7 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
     """
     tables = [each.classes for each in (predictions, truth) if each.classes is not None]
     if not tables:
-        raise PlgsError("there is no table of classes and of which are things", truth.folder, _TABLE_FIX)
+        raise PlgsError("there is no table of classes that says which are things", truth.folder, _TABLE_FIX)
     own, true = tables[0], tables[-1]
     if not any(each.id in own and (own[each.id].name, own[each.id].is_thing) != (each.name, each.is_thing)
                for each in true.categories):  # fmt: skip

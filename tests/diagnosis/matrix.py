@@ -131,7 +131,7 @@ FAULTS: dict[str, Fault] = {
         lambda f: spoiling.poses(f, lambda _, p: spoiling.farther(p, 1.1)), ("pose unit", "depth unit")
     ),
     "poses of the next frame": Fault(_poses_of_the_next, ("frames off",)),
-    "depth in 5000 steps a metre": Fault(lambda f: spoiling.depths(f, lambda d: d * 5.0), ("depth unit",)),
+    "depth in 5000 steps per metre": Fault(lambda f: spoiling.depths(f, lambda d: d * 5.0), ("depth unit",)),
     "depth in centimetres": Fault(lambda f: spoiling.depths(f, lambda d: d * 0.1), ("depth unit",)),
     "depth along the ray": Fault(_ray, ("ray depth",)),
     "depth of the next frame": Fault(_of_the_next("depth"), ("frames off",)),

@@ -112,7 +112,7 @@ def _read_rays(place: Path) -> tuple[NDArray[np.float64], list[str]]:
     row = next((row for row in _read_table(path) if row.get("scene_name") == name), None)
     if row is None:
         fix = "Keep the folder's name as Hypersim has it, such as ai_001_001."
-        raise PlgsError(f"there are no camera parameters of a scene {name}", path, fix)
+        raise PlgsError(f"there are no camera parameters for a scene {name}", path, fix)
     try:
         values = [float(row[f"M_cam_from_uv_{i}{j}"] or "") for i in range(3) for j in range(3)]
     except (KeyError, ValueError) as error:

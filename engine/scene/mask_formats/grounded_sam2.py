@@ -1,7 +1,7 @@
 """Grounded-SAM-2's tracks: ``mask_data/mask_<frame>.npy`` (object numbers, 0 = none), ``json_data/mask_<frame>.json``.
 
 The JSON's ``labels`` give each object's ``instance_id``, ``class_name`` (a free text, as it was prompted), box and
-``logit``, which is 0 if nobody set it. Numbers are the same in all frames.
+``logit``, which is 0 if it was not set. Numbers are the same in all frames.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A picture of segment ids and a JSON of its segments per frame: results of Hugging Face's and detectron2's networks.
 
 ``<frame>.json`` holds the list ``segments_info``, alone or under that name; beside it lies the picture of ids as
-``<frame>.npy``, ``.npz`` or ``.png``. Neither library writes files by itself; users save its results this way.
+``<frame>.npy``, ``.npz`` or ``.png``. Neither library writes files itself; users save its results this way.
 
 * transformers (``post_process_panoptic_segmentation``): ``{id, label_id, was_fused, score}``. Ids count from 1 with 0
   for nothing, or from 0 with -1 for nothing; -1 everywhere if nothing was found. One stuff class may come in pieces.

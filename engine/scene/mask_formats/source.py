@@ -75,7 +75,7 @@ class MaskFormat:
 
     ``recognises`` says whether a folder or file has it, by names, headers and first keys; no picture is decoded.
     ``read`` gets the frames' names and raises PlgsError. ``in_scene``: a scene's own folder is searched as well.
-    ``own_names``: its files have names of their own, so it comes before formats that look like others as well.
+    ``own_names``: its files have names of their own, so it comes before formats that its files resemble.
     """
 
     name: str
