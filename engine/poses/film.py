@@ -32,8 +32,6 @@ def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int,
         options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
         good, data = cv2.imencode(".jpg", np.ascontiguousarray(pictures[sharpest][..., ::-1]), options)
         if not good:
-            raise PlgsError(
-                f"picture {sharpest} of the film cannot be written", film, "Extract its pictures yourself."
-            )
+            raise PlgsError(f"picture {sharpest} of the film cannot be written", film, "Extract its pictures yourself.")
         (folder / f"{sharpest:06d}.jpg").write_bytes(data.tobytes())
         progress(done, len(edges) - 1)
